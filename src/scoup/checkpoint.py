@@ -1,0 +1,109 @@
+"""Where an interrupted ``build`` left off: codebooks and codes once learned, accumulators, views done."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from scoup.artefact import read_tensors, write_tensors
+from scoup.cameras import Camera
+from scoup.codes import SparseCodes
+from scoup.errors import FileFormatError, ScoupWarning
+
+SECONDS_BETWEEN_WRITES = 30.0
+_SCHEMA = "scoup.build_checkpoint"
+
+
+@dataclass(eq=False)
+class BuildState:
+    """What a build has so far. ``accumulators`` [N, S, L] change in place as views are added.
+
+    Attributes:
+        atoms: per level [L, D].
+        codes: per level, the codes of all regions.
+        reports: per level, the coding report as JSON values.
+        accumulators: [N, S, L] float32.
+        views_done: names of the views already added.
+        between_views: false while a view is being added; such a state is never stored.
+    """
+
+    atoms: list[Tensor]
+    codes: list[SparseCodes]
+    reports: list[dict[str, Any]]
+    accumulators: Tensor
+    views_done: list[str]
+    between_views: bool = True
+
+
+class Checkpoint:
+    """Keeps a build's state in a file between writes at least ``SECONDS_BETWEEN_WRITES`` apart.
+
+    Args:
+        path: the file; None keeps nothing.
+        key: hash of everything the result depends on; a file with another key is not used.
+    """
+
+    def __init__(self, path: Path | None, key: str) -> None:
+        self.path = path
+        self.key = key
+        self._written = time.monotonic()
+
+    def read(self) -> BuildState | None:
+        """The stored state, or None where there is none of this very build."""
+        if self.path is None or not self.path.is_file():
+            return None
+        try:
+            tensors, header = read_tensors(self.path, _SCHEMA, "a build checkpoint")
+            if header["key"] != self.key:
+                return None
+            levels = range(len(header["reports"]))
+            n_atoms = tensors["accumulators"].shape[2]
+            codes = [SparseCodes(tensors[f"indices.{s}"], tensors[f"weights.{s}"], n_atoms) for s in levels]
+            atoms = [tensors[f"atoms.{s}"] for s in levels]
+            views = [str(name) for name in header["views_done"]]
+            return BuildState(atoms, codes, header["reports"], tensors["accumulators"], views)
+        except (FileFormatError, KeyError, ValueError, IndexError, TypeError) as error:
+            import warnings
+
+            warnings.warn(
+                f"{self.path}: the checkpoint cannot be used ({error}); starting over", ScoupWarning, stacklevel=2
+            )
+            return None
+
+    def write(self, state: BuildState, now: bool = False) -> None:
+        """Store the state if it is time, or at once with ``now``."""
+        if self.path is None or not state.between_views:
+            return
+        if not (now or time.monotonic() - self._written > SECONDS_BETWEEN_WRITES):
+            return
+        tensors = {"accumulators": state.accumulators}
+        for s, codes in enumerate(state.codes):
+            tensors |= {f"atoms.{s}": state.atoms[s], f"indices.{s}": codes.indices, f"weights.{s}": codes.weights}
+        header = {"key": self.key, "reports": state.reports, "views_done": state.views_done}
+        write_tensors(self.path, tensors, _SCHEMA, header)
+        self._written = time.monotonic()
+
+    def remove(self) -> None:
+        """Forget the state: the result is safe elsewhere."""
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
+
+
+def build_key(fingerprint: str, cameras: Sequence[Camera], embeddings: Sequence[Tensor], settings: dict[str, Any]) -> str:
+    """SHA-256 over everything a build's result depends on, region maps excepted (they are large; their
+    embeddings stand for them)."""
+    digest = hashlib.sha256(json.dumps([fingerprint, settings], sort_keys=True).encode())
+    for camera in cameras:
+        digest.update(json.dumps([camera.name, camera.width, camera.height, camera.distortion]).encode())
+        digest.update(torch.cat([camera.viewmat.flatten(), camera.K.flatten()]).numpy().tobytes())
+    for rows in embeddings:
+        digest.update(rows.contiguous().numpy().tobytes())
+    return digest.hexdigest()

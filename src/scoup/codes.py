@@ -1,0 +1,101 @@
+"""Sparse codes: a few non-negative weights over the atoms of a codebook."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup.errors import InputError
+
+
+def index_dtype(n_atoms: int) -> torch.dtype:
+    """uint8 up to 256 atoms, uint16 beyond."""
+    if not 1 <= n_atoms <= 65536:
+        raise InputError(f"a codebook may have 1 to 65536 atoms, not {n_atoms}")
+    return torch.uint8 if n_atoms <= 256 else torch.uint16
+
+
+@dataclass(frozen=True, eq=False)
+class SparseCodes:
+    """R rows of at most K weighted atoms.
+
+    Attributes:
+        indices: [R, K] uint8 (uint16 beyond 256 atoms), the atoms of each row.
+        weights: [R, K] float32, not negative, largest first, summing to 1. An empty row has only zeros; the
+            indices of zero weights mean nothing.
+        n_atoms: L, the size of the codebook.
+
+    Raises:
+        InputError: if shapes or dtypes are wrong.
+    """
+
+    indices: Tensor  # [R, K]
+    weights: Tensor  # [R, K]
+    n_atoms: int
+
+    def __post_init__(self) -> None:
+        if self.indices.dim() != 2 or self.indices.shape != self.weights.shape:
+            raise InputError(
+                f"indices {list(self.indices.shape)} and weights {list(self.weights.shape)} must both be [R, K]"
+            )
+        if self.indices.dtype != index_dtype(self.n_atoms):
+            raise InputError(f"indices are {self.indices.dtype}, expected {index_dtype(self.n_atoms)}")
+        if self.weights.dtype != torch.float32:
+            raise InputError(f"weights are {self.weights.dtype}, expected torch.float32")
+
+    def __len__(self) -> int:
+        return self.indices.shape[0]
+
+    @property
+    def k(self) -> int:
+        return self.indices.shape[1]
+
+    def to_dense(self) -> Tensor:
+        """[R, L] float32."""
+        dense = torch.zeros(len(self), self.n_atoms, device=self.weights.device)
+        return dense.scatter_add_(1, self.indices.long(), self.weights)
+
+    def rows(self, chosen: Tensor | slice) -> SparseCodes:
+        return SparseCodes(self.indices[chosen], self.weights[chosen], self.n_atoms)
+
+    @classmethod
+    def from_dense(cls, dense: Tensor, k: int) -> SparseCodes:
+        """Keep the k largest positive entries of each row of ``dense`` [R, L] and scale them to sum 1.
+
+        This is the top-K step of the uplift (method.md, stage 2). Rows without a positive entry stay empty.
+        Equal entries are taken in the order of their index, so that the result is the same everywhere.
+        """
+        n_atoms = dense.shape[1]
+        keep = min(k, n_atoms)
+        # A stable sort, not topk: topk promises no order among equal entries.
+        values, order = torch.sort(dense, dim=1, descending=True, stable=True)
+        weights = values[:, :keep].clamp(min=0).float()
+        total = weights.sum(1, keepdim=True)
+        weights = torch.where(total > 0, weights / total.clamp(min=torch.finfo(torch.float32).tiny), 0.0)
+        indices = torch.where(weights > 0, order[:, :keep], 0)
+        if keep < k:
+            weights = torch.nn.functional.pad(weights, (0, k - keep))
+            indices = torch.nn.functional.pad(indices, (0, k - keep))
+        return cls(indices.to(index_dtype(n_atoms)), weights.contiguous(), n_atoms)
+
+
+def cosines_from_codes(weights: Tensor, codebook: Tensor, queries: Tensor) -> Tensor:
+    """Cosine between decoded codes and queries without decoding (method.md, stage 3).
+
+    cos(W C, t) = (W A) / sqrt(W G W^T) with A = C T^T and G = C C^T.
+
+    Args:
+        weights: [..., L] coefficients over the atoms, in any scale.
+        codebook: [L, D].
+        queries: [Q, D], unit norm.
+
+    Returns:
+        [..., Q]; zero where the coefficients are all zero.
+    """
+    gram = codebook @ codebook.T
+    squared_norm = ((weights @ gram) * weights).sum(-1, keepdim=True)
+    scores = weights @ (codebook @ queries.T)
+    norm = torch.sqrt(squared_norm.clamp(min=torch.finfo(weights.dtype).tiny))
+    return torch.where(squared_norm > 0, scores / norm, 0.0)

@@ -1,0 +1,94 @@
+"""Stage 1: a codebook and sparse codes of region embeddings. Knows nothing of 3D."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from scoup.codes import SparseCodes, index_dtype
+from scoup.coding.adam import AdamSettings, solve_adam
+from scoup.coding.codebook import Codebook
+from scoup.coding.report import CodingReport, report_on
+from scoup.coding.rows import unit_rows
+from scoup.errors import InputError
+from scoup.progress import Progress, no_progress
+
+__all__ = ["SOLVERS", "Codebook", "CodingReport", "fit_codes"]
+
+Solver = Callable[[Tensor, int, int, int, int, float | None, Progress], tuple[Tensor, SparseCodes, int]]
+"""``solver(rows, n_atoms, k, seed, epochs, tolerance, progress)`` gives atoms [L, D], the codes of the unit rows
+[R, D], and the number of epochs run."""
+
+
+def _adam(
+    rows: Tensor, n_atoms: int, k: int, seed: int, epochs: int, tolerance: float | None, progress: Progress
+) -> tuple[Tensor, SparseCodes, int]:
+    settings = AdamSettings(epochs=epochs, tolerance=tolerance)
+    solution = solve_adam(rows, n_atoms, k, seed, settings, progress)
+    return solution.atoms, solution.codes, solution.epochs
+
+
+SOLVERS: dict[str, Solver] = {"adam": _adam}
+
+
+def fit_codes(
+    embeddings: Tensor,  # [R, D]
+    n_atoms: int = 64,
+    k: int = 4,
+    solver: str = "adam",
+    seed: int = 0,
+    epochs: int = 4000,
+    tolerance: float | None = None,
+    progress: Progress = no_progress,
+) -> Codebook:
+    """Learn a codebook of L atoms and a K-sparse non-negative code for every embedding (method.md, stage 1).
+
+    Every embedding counts alike, whatever its norm. Embeddings of norm zero get empty codes. There may be fewer
+    embeddings than atoms; some atoms are then copies of each other. Same input and seed, same result.
+
+    Args:
+        embeddings: [R, D] floating point, one row a region.
+        n_atoms: L, 1 to 65536.
+        k: K, the most atoms a code may use, 1 to 64.
+        solver: one of ``SOLVERS``; "adam" is the paper's.
+        seed: of the random start.
+        epochs: full-batch optimisation steps at most.
+        tolerance: stop early, once the mean of 1 - cosine has fallen by less than this over 100 epochs.
+        progress: told after each epoch. An exception it raises (or Ctrl-C) stops the fit and nothing is kept.
+
+    Raises:
+        InputError: if the embeddings are not [R, D] or not finite, or a setting is out of range.
+    """
+    if solver not in SOLVERS:
+        raise InputError(f"there is no solver {solver!r}; solvers: {', '.join(map(repr, SOLVERS))}")
+    if not 1 <= k <= 64:
+        raise InputError(f"k must be 1 to 64 atoms a code, not {k}")
+    if epochs < 0:
+        raise InputError(f"epochs must not be negative, got {epochs}")
+    index_dtype(n_atoms)  # checks its range
+    started = time.perf_counter()
+    rows = unit_rows(embeddings)
+    coded = (rows != 0).any(1)
+    if coded.any():
+        atoms, codes, run = SOLVERS[solver](rows[coded], n_atoms, k, seed, epochs, tolerance, progress)
+        codes = _spread(codes, coded)
+    else:
+        run = 0
+        atoms = rows.new_zeros(n_atoms, rows.shape[1])
+        codes = SparseCodes.from_dense(rows.new_zeros(len(rows), n_atoms), k)
+    seconds = time.perf_counter() - started
+    return Codebook(atoms, codes, report_on(rows, atoms, codes, solver, run, seconds))
+
+
+def _spread(codes: SparseCodes, coded: Tensor) -> SparseCodes:
+    """Codes of the rows where ``coded`` [R] is true, with empty codes in between."""
+    if coded.all():
+        return codes
+    indices = torch.zeros(len(coded), codes.k, dtype=torch.long, device=coded.device)
+    weights = torch.zeros(len(coded), codes.k, device=coded.device)
+    indices[coded] = codes.indices.long()
+    weights[coded] = codes.weights
+    return SparseCodes(indices.to(codes.indices.dtype), weights, codes.n_atoms)

@@ -1,0 +1,146 @@
+"""The paper's solver: codes and codebook learned together by Adam (method.md, stage 1), at a fraction of the cost.
+
+Per region r with unit embedding f, support logits p and atoms C the loss is 1 - c with
+
+    w = softmax(p),  s = C f,  G = C C^T,  n^2 = w^T G w,  c = (w . s) / n
+
+over the K atoms of its support (the K largest logits), and its gradients are, with g = G w,
+
+    dc/dp_k = w_k (s_k / n - c g_k / n^2)            (the softmax's centring term is zero: c ignores the scale of w)
+    dc/dC   = (w / n) f^T - (c / n^2) w w^T C        (summed over regions)
+
+so no vector of D numbers is ever formed per region. Logits outside the support have no gradient: those that
+were never in it do not move at all, and are not touched until they are within reach of it (see ``Slots``). The
+plain form, D-dimensional autograd over dense logits, is the oracle of ``tests/coding/test_adam.py``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup.codes import SparseCodes, index_dtype
+from scoup.coding.kmeans import spherical_kmeans
+from scoup.coding.products import products_for
+from scoup.coding.slots import Slots
+from scoup.coding.step import Step, add_gradient, decay
+from scoup.progress import Progress, no_progress
+
+LEARNING_RATE = 7e-4  # the paper's
+LOGIT_SCALE = 10.0
+"""Initial logits are this times the cosine to the initial atoms."""
+STOP_WINDOW = 100  # epochs over which ``tolerance`` is judged
+_FLUSH_EVERY = 64
+_TINY = 1e-30
+
+
+@dataclass(frozen=True)
+class AdamSettings:
+    """What the solver may be told.
+
+    Attributes:
+        epochs: full-batch steps.
+        learning_rate: for logits and codebook alike.
+        tolerance: stop once the mean loss has fallen by less than this over the last 100 epochs; None: never.
+        logit_scale: initial logits are this times the cosine of region and initial atom; 0 starts all equal.
+    """
+
+    epochs: int = 4000
+    learning_rate: float = LEARNING_RATE
+    tolerance: float | None = None
+    logit_scale: float = LOGIT_SCALE
+
+
+@dataclass(frozen=True, eq=False)
+class AdamSolution:
+    """What the solver learned: ``atoms`` [L, D] float32 (not of unit norm), the codes of the rows, epochs run, and
+    the mean loss before each of them."""
+
+    atoms: Tensor  # [L, D]
+    codes: SparseCodes
+    epochs: int
+    losses: tuple[float, ...]
+
+
+def solve_adam(
+    rows: Tensor,  # [R, D]
+    n_atoms: int,
+    k: int,
+    seed: int = 0,
+    settings: AdamSettings | None = None,
+    progress: Progress = no_progress,
+    initial_atoms: Tensor | None = None,  # [L, D]
+) -> AdamSolution:
+    """Learn atoms and K-sparse codes of unit rows by full-batch Adam (method.md, stage 1, "the paper's solver").
+
+    Args:
+        rows: [R, D] float32 unit vectors, R >= 1.
+        n_atoms: L.
+        k: most atoms a row may use; more than L counts as L.
+        seed: of the k-means start.
+        settings: see ``AdamSettings``.
+        progress: told after every epoch, as stage "sparse coding".
+        initial_atoms: [L, D] float32 start of the codebook; by default spherical k-means of the rows.
+    """
+    settings = settings or AdamSettings()
+    atoms = spherical_kmeans(rows, n_atoms, seed) if initial_atoms is None else initial_atoms.clone()
+    slots = Slots(_initial_logits(rows, atoms, settings.logit_scale), min(k, n_atoms))
+    products = products_for(rows, n_atoms)
+    products.set_support(slots.support)
+    first, second = torch.zeros_like(atoms), torch.zeros_like(atoms)
+    losses: list[float] = []
+    done = 0
+    progress("sparse coding", 0, settings.epochs)
+    for epoch in range(1, settings.epochs + 1):
+        weights = slots.weights()
+        toward = products.similarities(atoms)  # s
+        within = (products.gram_on_support(atoms @ atoms.T) * weights[None]).sum(1)  # g = G w
+        inverse = (within * weights).sum(0).clamp_(min=_TINY).rsqrt_()  # 1 / n
+        cosine = (weights * toward).sum(0) * inverse
+        losses.append(1.0 - float(cosine.mean()))
+        if _stalled(losses, settings.tolerance):
+            break
+        share = inverse / len(rows)  # the loss is a mean over regions
+        shrink = cosine * inverse * share
+        logit_gradient = weights * (within * shrink - toward * share)
+        atom_gradient = products.moments(weights, shrink) @ atoms - products.pull(weights * share)
+
+        step = Step.of_epoch(epoch, settings.learning_rate)
+        slots.step(logit_gradient, step, flush=epoch % _FLUSH_EVERY == 0)
+        decay(first, second)
+        add_gradient(first, second, atom_gradient)
+        step.move(atoms, first, second)
+        if slots.settle():
+            products.set_support(slots.support)
+        done = epoch
+        progress("sparse coding", epoch, settings.epochs)
+    return AdamSolution(atoms, _codes(slots, n_atoms, k), done, tuple(losses))
+
+
+def _initial_logits(rows: Tensor, atoms: Tensor, scale: float) -> Tensor:
+    """[R, L] float32."""
+    if scale == 0:
+        return torch.zeros(len(rows), len(atoms), device=rows.device)
+    norms = torch.linalg.vector_norm(atoms, dim=1).clamp(min=_TINY)
+    return rows @ (atoms / norms[:, None]).T * scale
+
+
+def _stalled(losses: list[float], tolerance: float | None) -> bool:
+    return (
+        tolerance is not None
+        and len(losses) > STOP_WINDOW
+        and losses[-1 - STOP_WINDOW] - losses[-1] < tolerance
+    )
+
+
+def _codes(slots: Slots, n_atoms: int, k: int) -> SparseCodes:
+    weights, order = torch.sort(slots.weights().T, dim=1, descending=True, stable=True)
+    indices = slots.support.T.gather(1, order)
+    indices = torch.where(weights > 0, indices, 0)
+    missing = k - weights.shape[1]
+    if missing > 0:
+        weights = torch.nn.functional.pad(weights, (0, missing))
+        indices = torch.nn.functional.pad(indices, (0, missing))
+    return SparseCodes(indices.to(index_dtype(n_atoms)), weights.contiguous(), n_atoms)

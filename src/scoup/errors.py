@@ -1,0 +1,89 @@
+"""Errors and warnings a user may meet. Each message names what is wrong and what to do about it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class ScoupError(Exception):
+    """Base of every error that a user can cause and mend. The command line prints it as one line, exit code 2."""
+
+
+class InputError(ScoupError, ValueError):
+    """A value or a file that cannot be used."""
+
+
+class FileFormatError(InputError):
+    """A file whose contents are not what they should be.
+
+    Args:
+        path: the file.
+        problem: what is wrong with it.
+        remedy: what the user can do.
+    """
+
+    def __init__(self, path: str | Path, problem: str, remedy: str = "") -> None:
+        self.path = Path(path)
+        self.problem = problem
+        self.remedy = remedy
+        super().__init__(f"{path}: {problem}" + (f"; {remedy}" if remedy else ""))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.path, self.problem, self.remedy)
+
+
+class MissingFileError(FileFormatError, FileNotFoundError):
+    """A file or folder that is not there."""
+
+
+class GeometryMismatchError(InputError):
+    """A language field was given Gaussians other than those it was built on."""
+
+
+class OutputExistsError(ScoupError, FileExistsError):
+    """An output is already there and overwriting was not asked for."""
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__(f"{path}: already exists; pass --overwrite (overwrite=True in Python) to replace it")
+
+
+class UnknownNameError(InputError, KeyError):
+    """A word, camera or level that is not in the set searched. The message lists the nearest names.
+
+    Args:
+        kind: what was looked for, for example "camera".
+        name: the name asked for.
+        known: the names there are.
+        where: the file or thing that was searched.
+    """
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
+        self.name = name
+        self.nearest = nearest_names(name, known)
+        listed = ", ".join(repr(item) for item in self.nearest) or "there are none"
+        self.message = f"{where + ': ' if where else ''}no {kind} named {name!r}; nearest names: {listed}"
+        super().__init__(self.message)
+
+    def __str__(self) -> str:  # KeyError would print the repr
+        return self.message
+
+
+class ScoupWarning(UserWarning):
+    """Something was skipped, dropped or guessed, and the result may differ from what was expected."""
+
+
+def nearest_names(name: str, known: Iterable[str], count: int = 5) -> list[str]:
+    """The names of ``known`` most similar to ``name``, best first, ignoring case; never more than ``count``."""
+    names = list(dict.fromkeys(known))
+    if not names:
+        return []
+    wanted = name.lower()
+    ranked = sorted(names, key=lambda item: -_similarity(wanted, item.lower()))
+    return ranked[:count]
+
+
+def _similarity(wanted: str, candidate: str) -> float:
+    contains = 0.5 if wanted and (wanted in candidate or candidate in wanted) else 0.0
+    return difflib.SequenceMatcher(None, wanted, candidate).ratio() + contains

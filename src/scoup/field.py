@@ -1,0 +1,305 @@
+"""The artefact: a language field over the Gaussians of one scene, and what can be asked of it directly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.cameras import Camera
+from scoup.codes import cosines_from_codes, index_dtype
+from scoup.errors import GeometryMismatchError, InputError
+from scoup.gaussians import Gaussians
+from scoup.relevancy import relevancy
+from scoup.uplifting import top_k
+
+GAUSSIANS_AT_A_TIME = 65536
+
+
+@dataclass(frozen=True, eq=False)
+class FieldInfo:
+    """What a field is, without its tensors.
+
+    Attributes:
+        levels: level names, fine to coarse.
+        embedding_model: id of the model whose embeddings were coded; queries must come from the same model.
+        fingerprint: of the geometry the field belongs to (``Gaussians.fingerprint``).
+        n_gaussians: N of that geometry.
+        raster_preset: rasteriser constants the field was lifted with and is rendered with.
+        provenance: software version, settings, source hashes, coding reports; plain JSON values.
+    """
+
+    levels: tuple[str, ...]
+    embedding_model: str
+    fingerprint: str
+    n_gaussians: int
+    raster_preset: str = "inria"
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+class LanguageField:
+    """Sparse codes of every Gaussian at every level, their codebook, and the geometry they belong to.
+
+    Args:
+        code_indices: [N, S, K] uint8 (uint16 beyond 256 atoms).
+        code_weights: [N, S, K] float16; a Gaussian that nothing painted has only zeros.
+        codebook: [S, L, D] float32.
+        info: levels, model, fingerprint, provenance.
+        gaussians: the geometry; None loads it from ``geometry_path`` when first needed.
+        geometry_path: where the geometry lies.
+        accumulators: [N, S, L] float32 sums before the top-K step, needed only to add views later.
+
+    Raises:
+        InputError: shapes, dtypes or values do not fit together.
+        GeometryMismatchError: ``gaussians`` are not those the field was built on.
+    """
+
+    def __init__(
+        self,
+        code_indices: Tensor,
+        code_weights: Tensor,
+        codebook: Tensor,
+        info: FieldInfo,
+        gaussians: Gaussians | None = None,
+        geometry_path: Path | None = None,
+        accumulators: Tensor | None = None,
+    ) -> None:
+        self.code_indices = code_indices
+        self.code_weights = code_weights.to(torch.float16)
+        self.codebook = codebook
+        self.info = info
+        self.geometry_path = geometry_path
+        self.accumulators = accumulators
+        self._gaussians = None
+        self._check()
+        if gaussians is not None:
+            self.attach(gaussians)
+
+    # ---- what it is
+
+    @property
+    def levels(self) -> tuple[str, ...]:
+        return self.info.levels
+
+    @property
+    def n_atoms(self) -> int:
+        return self.codebook.shape[1]
+
+    @property
+    def dim(self) -> int:
+        """D, the size of an embedding."""
+        return self.codebook.shape[2]
+
+    def __len__(self) -> int:
+        return self.code_indices.shape[0]
+
+    def coded(self) -> Tensor:
+        """Boolean [N]: Gaussians with a code at any level."""
+        return (self.code_weights > 0).flatten(1).any(1)
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The geometry, loaded on first use.
+
+        Raises:
+            GeometryMismatchError: the file holds other Gaussians than the field was built on.
+            InputError: the field does not say where its geometry lies.
+        """
+        if self._gaussians is None:
+            if self.geometry_path is None:
+                raise InputError(
+                    "this field does not say where its Gaussians are; pass them: LanguageField.load(path, gaussians)"
+                )
+            from scoup.io import load_gaussians
+
+            self.attach(load_gaussians(self.geometry_path), str(self.geometry_path))
+        assert self._gaussians is not None
+        return self._gaussians
+
+    def attach(self, gaussians: Gaussians, source: str = "the Gaussians given") -> None:
+        """Use this geometry, after checking that it is the right one.
+
+        Raises:
+            GeometryMismatchError: it is not.
+        """
+        if len(gaussians) != self.info.n_gaussians or gaussians.fingerprint() != self.info.fingerprint:
+            raise GeometryMismatchError(
+                f"{source}: not the geometry this field was built on ({len(gaussians)} Gaussians, the field has "
+                f"{self.info.n_gaussians}, or their shapes differ); pass the original file or build the field again"
+            )
+        self._gaussians = gaussians
+
+    # ---- what can be asked of it
+
+    def look(self, camera: Camera, backend: str | None = None) -> raster.View:
+        """The scene as the camera sees it; pass it to the methods below to ask several things of one view."""
+        return raster.look(self.gaussians, camera, self.info.raster_preset, backend)
+
+    def render_codes(self, camera: Camera, view: raster.View | None = None) -> Tensor:
+        """[S, H, W, L] float32 rendered coefficients of every level."""
+        view = view or self.look(camera)
+        return raster.render_codes(view, self.code_indices, self.code_weights, self.n_atoms)
+
+    def render_features(self, camera: Camera, level: str | int, view: raster.View | None = None) -> Tensor:
+        """[H, W, D] float32 decoded features of one level, unit norm per pixel, zero where nothing is rendered."""
+        index = self.level_index(level)
+        view = view or self.look(camera)
+        chosen = slice(index, index + 1)
+        codes = raster.render_codes(view, self.code_indices[:, chosen], self.code_weights[:, chosen], self.n_atoms)
+        return torch.nn.functional.normalize(codes[0] @ self.codebook[index], dim=-1)
+
+    def relevancy(
+        self, camera: Camera, queries: Tensor, canonical: Tensor, view: raster.View | None = None
+    ) -> Tensor:
+        """Relevancy of every pixel to every query at every level (method.md, stage 3).
+
+        Args:
+            camera: the view.
+            queries: [Q, D] unit-norm text embeddings.
+            canonical: [P, D] unit-norm embeddings of the canonical phrases.
+            view: the camera's view, if already looked.
+
+        Returns:
+            [S, Q, H, W] float32 in 0..1; 0.5 where no code is rendered.
+        """
+        both = self._check_queries(queries, canonical)
+        view = view or self.look(camera)
+        cosines = raster.render_cosines(view, self.code_indices, self.code_weights, self.codebook, both)
+        return relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
+
+    def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
+        """Relevancy of every Gaussian's own code, without rendering: [S, Q, N] float32; 0.5 without a code."""
+        both = self._check_queries(queries, canonical)
+        count, levels, _ = self.code_indices.shape
+        out = torch.empty(levels, len(queries), count)
+        for start in range(0, count, GAUSSIANS_AT_A_TIME):
+            rows = slice(start, min(count, start + GAUSSIANS_AT_A_TIME))
+            for level in range(levels):
+                dense = torch.zeros(rows.stop - rows.start, self.n_atoms)
+                dense.scatter_add_(
+                    1, self.code_indices[rows, level].long(), self.code_weights[rows, level].float()
+                )
+                cosines = cosines_from_codes(dense, self.codebook[level], both).T
+                out[level, :, rows] = relevancy(
+                    cosines[None, : len(queries)], cosines[None, len(queries) :]
+                )[0]
+        return out
+
+    def level_index(self, level: str | int) -> int:
+        """Position of a level given by name or position."""
+        if isinstance(level, int):
+            if not 0 <= level < len(self.levels):
+                raise InputError(f"there is no level {level}; levels: {', '.join(self.levels)}")
+            return level
+        if level not in self.levels:
+            raise InputError(f"there is no level {level!r}; levels: {', '.join(self.levels)}")
+        return self.levels.index(level)
+
+    # ---- how it changes and lasts
+
+    def update(self, camera: Camera, regions: Any) -> LanguageField:
+        """A new field with one more view added to the vote; the codebook and earlier codes of regions stay.
+
+        Args:
+            camera: the new view.
+            regions: ``Regions`` that hold the camera's name, with this field's levels.
+
+        Raises:
+            InputError: the field was loaded or built without its accumulators, or the levels differ.
+        """
+        from scoup.coding import encode
+        from scoup.uplifting import add_view, iterate_region_sums
+
+        if self.accumulators is None:
+            raise InputError(
+                "adding a view needs the accumulators; build with keep_accumulators=True (--keep-accumulators)"
+            )
+        if tuple(regions.levels) != self.levels:
+            raise InputError(f"the regions have levels {list(regions.levels)}, the field {list(self.levels)}")
+        k = self.code_indices.shape[2]
+        codes = [
+            encode(self.codebook[s], regions.load_embeddings(camera.name, level), k)
+            for s, level in enumerate(self.levels)
+        ]
+        accumulators = self.accumulators.clone()
+        for sums in iterate_region_sums(self.gaussians, [camera], regions, self.info.raster_preset):
+            add_view(sums, codes, accumulators)
+        indices, weights = top_k(accumulators, k)
+        added = [*self.info.provenance.get("added_views", []), camera.name]
+        info = replace(self.info, provenance={**self.info.provenance, "added_views": added})
+        return LanguageField(
+            indices, weights, self.codebook, info, self.gaussians, self.geometry_path, accumulators
+        )
+
+    def save(
+        self,
+        path: str | Path,
+        overwrite: bool = False,
+        embed_geometry: bool = False,
+        weight_bits: int = 16,
+    ) -> None:
+        """Write the field to one ``.scoup`` file (docs/formats.md), atomically.
+
+        Args:
+            path: the file. Accumulators, if kept, go to a sibling ``<path>.accumulators``.
+            overwrite: replace what is there.
+            embed_geometry: put the Gaussians into the file too.
+            weight_bits: 16 (float16) or 8 (linear steps of 1/255).
+
+        Raises:
+            OutputExistsError: the file is there and ``overwrite`` is false.
+        """
+        from scoup.artefact import save_field
+
+        save_field(self, Path(path), overwrite, embed_geometry, weight_bits)
+
+    @classmethod
+    def load(cls, path: str | Path, gaussians: Gaussians | None = None) -> LanguageField:
+        """Read a ``.scoup`` file.
+
+        Args:
+            path: the file.
+            gaussians: its geometry; by default the one embedded or referenced, loaded when first needed.
+
+        Raises:
+            FileFormatError: the file is not a language field, or damaged.
+            GeometryMismatchError: ``gaussians`` are not those it was built on.
+        """
+        from scoup.artefact import load_field
+
+        return load_field(Path(path), gaussians)
+
+    def _check(self) -> None:
+        shape = tuple(self.code_indices.shape)
+        levels, n_atoms = self.codebook.shape[0], self.codebook.shape[1] if self.codebook.dim() > 1 else 0
+        if len(shape) != 3 or shape != tuple(self.code_weights.shape) or shape[0] != self.info.n_gaussians:
+            raise InputError(
+                f"code indices {list(shape)} and weights {list(self.code_weights.shape)} must both be "
+                f"[{self.info.n_gaussians}, S, K]"
+            )
+        if self.codebook.dim() != 3 or levels != shape[1] or levels != len(self.levels):
+            raise InputError(
+                f"codebook {list(self.codebook.shape)} does not fit {shape[1]} levels of codes and "
+                f"{len(self.levels)} level names"
+            )
+        if self.code_indices.dtype != index_dtype(n_atoms):
+            raise InputError(f"code indices are {self.code_indices.dtype}, expected {index_dtype(n_atoms)}")
+        if not torch.isfinite(self.codebook).all() or not torch.isfinite(self.code_weights).all():
+            raise InputError("codebook or code weights hold values that are not finite")
+        if self.code_indices.numel() and int(self.code_indices.long().max()) >= n_atoms:
+            raise InputError(f"a code index is beyond the {n_atoms} atoms of the codebook")
+        if self.code_weights.numel() and float(self.code_weights.min()) < 0:
+            raise InputError("a code weight is negative")
+
+    def _check_queries(self, queries: Tensor, canonical: Tensor) -> Tensor:
+        for name, vectors in (("queries", queries), ("canonical", canonical)):
+            if vectors.dim() != 2 or vectors.shape[1] != self.dim or not len(vectors):
+                raise InputError(
+                    f"{name} {list(vectors.shape)} must be [count, {self.dim}]: this field holds embeddings of "
+                    f"{self.info.embedding_model or 'an unnamed model'} with {self.dim} dimensions"
+                )
+        return torch.cat([queries, canonical]).float().to(self.codebook.device)

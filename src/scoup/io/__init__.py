@@ -1,0 +1,62 @@
+"""Readers and writers: one file a format, all giving and taking the dataclasses of floor 0."""
+
+from scoup.io.atomic import atomic_file, atomic_path, check_output, write_text
+from scoup.io.colmap import read_colmap, read_points, write_colmap
+from scoup.io.gsplat_checkpoint import read_gsplat_checkpoint
+from scoup.io.images import load_image, save_png
+from scoup.io.inria import read_cfg_args, read_inria_cameras, write_inria_cameras
+from scoup.io.langsplat import load_regions, save_regions
+from scoup.io.ply import (
+    PlyTable,
+    as_stored,
+    gaussians_from_table,
+    read_ply,
+    read_ply_table,
+    write_ply,
+    write_ply_table,
+)
+from scoup.io.scenes import (
+    default_preset,
+    find_cameras,
+    find_gaussians,
+    load_cameras,
+    load_gaussians,
+    save_gaussians,
+)
+from scoup.io.splat import read_splat, write_splat
+from scoup.io.transforms import read_transforms, write_transforms
+
+__all__ = [
+    "PlyTable",
+    "as_stored",
+    "atomic_file",
+    "atomic_path",
+    "check_output",
+    "default_preset",
+    "find_cameras",
+    "find_gaussians",
+    "gaussians_from_table",
+    "load_cameras",
+    "load_gaussians",
+    "load_image",
+    "load_regions",
+    "read_cfg_args",
+    "read_colmap",
+    "read_gsplat_checkpoint",
+    "read_inria_cameras",
+    "read_ply",
+    "read_ply_table",
+    "read_points",
+    "read_splat",
+    "read_transforms",
+    "save_gaussians",
+    "save_png",
+    "save_regions",
+    "write_colmap",
+    "write_inria_cameras",
+    "write_ply",
+    "write_ply_table",
+    "write_splat",
+    "write_text",
+    "write_transforms",
+]

@@ -1,0 +1,286 @@
+"""Region maps and embeddings in the LangSplat layout: ``<stem>_s.npy`` and ``<stem>_f.npy`` per image."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.cameras import Camera, Cameras
+from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.io.atomic import atomic_file, check_output
+from scoup.io.npy import open_npy
+from scoup.io.reading import MAX_IMAGE_SIDE, existing_folder
+from scoup.io.undistort import photograph_pixels, sample_nearest
+from scoup.regions import LEVELS, RegionMap, Regions, resize_labels
+
+FOLDER_NAME = "language_features"
+FILE_LEVELS = ("default", *LEVELS)  # order of the planes and of the row blocks
+ASPECT_TOLERANCE = 0.02  # LangSplat truncates sizes; more is another image
+
+_REMEDY = "extract the features again"
+
+
+@dataclass(frozen=True)
+class _Files:
+    """The two files of one camera, and the row blocks of their levels once somebody asked."""
+
+    camera: Camera
+    labels: Path
+    embeddings: Path
+    blocks: dict[str, slice] = field(default_factory=dict)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Regions:
+    """Open LangSplat features lazily: headers are checked now, maps and embeddings read when asked for.
+
+    Levels are "s", "m", "l" (the file's "default" is left out). Labels come at the camera's size (nearest
+    neighbour; undistorted where the camera says so) and count rows of their own level; embeddings are float32
+    [R, D] scaled to unit norm.
+
+    Args:
+        folder: the features, or a scene folder with ``language_features`` in it.
+        cameras: views to find features for, by image name cut at its first dot.
+
+    Raises:
+        MissingFileError: there is no such folder, or it has features of none of the cameras.
+        FileFormatError: a file is damaged, belongs to another image, or holds NaN (some only when loaded).
+
+    Warns:
+        ScoupWarning: some cameras have no features; says how many.
+    """
+    folder = existing_folder(
+        folder, "a folder of language features", "run scoup extract first, or check the path"
+    )
+    if (folder / FOLDER_NAME).is_dir():
+        folder = folder / FOLDER_NAME
+    views: dict[str, _Files] = {}
+    cameras = list(cameras)
+    if not cameras:
+        raise InputError(f"{folder}: cannot load regions for no cameras; give at least one camera")
+    _check_stems(folder, cameras)
+    for camera in cameras:
+        files = _Files(camera, folder / f"{camera.stem}_s.npy", folder / f"{camera.stem}_f.npy")
+        if files.labels.is_file() and files.embeddings.is_file():
+            views[camera.name] = files
+    if not views:
+        _refuse_without_features(folder, cameras)
+    if len(views) < len(cameras):
+        warnings.warn(
+            f"{folder}: skipped {len(cameras) - len(views)} of {len(cameras)} cameras that have no features",
+            ScoupWarning,
+            stacklevel=2,
+        )
+    _check_headers(list(views.values()))
+    return Regions(
+        LEVELS,
+        views,
+        load=lambda name, level: _load_map(views[name], level),
+        load_embeddings=lambda name, level: _load_embeddings(views[name], level),
+    )
+
+
+def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) -> None:
+    """Write regions with levels s, m, l in the LangSplat layout, at their own size; "default" stays empty.
+
+    Files are named by the view names cut at their first dot.
+
+    Raises:
+        OutputExistsError: a file is there already and ``overwrite`` is false; then nothing is written.
+        InputError: other levels, or two views with one stem.
+    """
+    if regions.levels != LEVELS:
+        raise InputError(f"the LangSplat layout holds levels {list(LEVELS)}, not {list(regions.levels)}")
+    folder = Path(folder)
+    stems = {name: Path(name).name.split(".", 1)[0] for name in regions.view_names}
+    if len(set(stems.values())) < len(stems):
+        raise InputError(
+            f"{folder}: two views share a file name when cut at the first dot; rename one of them"
+        )
+    for stem in stems.values():
+        check_output(folder / f"{stem}_s.npy", overwrite)
+        check_output(folder / f"{stem}_f.npy", overwrite)
+    for name, stem in stems.items():
+        maps = [regions.load(name, level) for level in LEVELS]
+        if len({tuple(item.labels.shape) for item in maps}) > 1:
+            raise InputError(f"{folder}: the levels of view {name!r} differ in size; resize them to one")
+        planes = [torch.full_like(maps[0].labels, -1)]
+        start = 0
+        for item in maps:
+            planes.append(torch.where(item.labels >= 0, item.labels + start, -1))
+            start += len(item.embeddings)
+        _save_array(torch.stack(planes).float().cpu().numpy(), folder / f"{stem}_s.npy", overwrite)
+        rows = torch.cat([item.embeddings for item in maps]).cpu().numpy()
+        _save_array(rows, folder / f"{stem}_f.npy", overwrite)
+
+
+def level_blocks(path: Path, planes: np.ndarray, rows: int) -> dict[str, slice]:
+    """Which embedding rows belong to which level, told from the label values.
+
+    Levels are consecutive blocks in the order of ``FILE_LEVELS``. Rows that no pixel names belong to the
+    level before them.
+
+    Args:
+        path: the file, for messages.
+        planes: [4, H, W] labels, global row numbers or -1.
+        rows: M, the number of embeddings.
+
+    Raises:
+        FileFormatError: labels are not whole numbers from -1 to M - 1, or the levels overlap.
+    """
+    starts: list[int] = []
+    end = 0
+    for name, plane in zip(FILE_LEVELS, planes, strict=True):
+        used = _used_range(path, plane, name, rows)
+        if used is None:
+            starts.append(-1)
+            continue
+        if used[0] < end:
+            raise FileFormatError(
+                path,
+                f"level {name!r} starts at row {used[0]}, inside the level before (up to row {end - 1})",
+                "its values must be global row numbers, each level after the one before; " + _REMEDY,
+            )
+        starts.append(used[0])
+        end = used[1] + 1
+    # Rows before the first pixel belong to "default"; an empty level has no rows, those after it decide.
+    starts[0] = 0
+    bounds = [*starts, rows]
+    for position in range(len(starts) - 1, 0, -1):
+        if bounds[position] < 0:
+            bounds[position] = bounds[position + 1]
+    return {name: slice(*block) for name, block in zip(FILE_LEVELS, pairwise(bounds), strict=True)}
+
+
+def _used_range(path: Path, plane: np.ndarray, name: str, rows: int) -> tuple[int, int] | None:
+    values = np.asarray(plane)
+    if values.dtype.kind == "f":
+        with np.errstate(invalid="ignore"):
+            whole = bool((np.floor(values) == values).all())
+        if not whole or not np.isfinite(values).all():
+            raise FileFormatError(path, f"level {name!r} has labels that are not whole numbers", _REMEDY)
+    low, high = int(values.min()), int(values.max())
+    if low < -1 or high >= rows:
+        raise FileFormatError(
+            path,
+            f"level {name!r} has labels from {low} to {high}, but there are {rows} embeddings",
+            "the two files do not belong together; " + _REMEDY,
+        )
+    if high < 0:
+        return None
+    return (low if low >= 0 else int(values[values >= 0].min())), high
+
+
+def _check_stems(folder: Path, cameras: list[Camera]) -> None:
+    by_stem: dict[str, str] = {}
+    for camera in cameras:
+        other = by_stem.setdefault(camera.stem, camera.name)
+        if other != camera.name:
+            raise InputError(
+                f"{folder}: images {other!r} and {camera.name!r} share the feature name {camera.stem!r}"
+                " (names are cut at the first dot); rename one of them"
+            )
+
+
+def _refuse_without_features(folder: Path, cameras: list[Camera]) -> None:
+    stems = [camera.stem for camera in cameras]
+    expected = ", ".join(f"{stem}_s.npy and _f.npy" for stem in stems[:3]) + (
+        ", ..." if len(stems) > 3 else ""
+    )
+    there = sorted(path.name for path in folder.glob("*_s.npy"))[:3]
+    listed = f"it has {', '.join(there)}" if there else "it has no *_s.npy files"
+    raise MissingFileError(
+        folder,
+        f"has features of none of the {len(cameras)} cameras: expected {expected}; {listed}",
+        "give the features of these images, or run scoup extract",
+    )
+
+
+def _check_headers(views: list[_Files]) -> None:
+    first: tuple[int, Path] | None = None
+    for files in views:
+        planes, rows = (
+            open_npy(files.labels, "region labels"),
+            open_npy(files.embeddings, "region embeddings"),
+        )
+        if (
+            planes.ndim != 3
+            or len(planes) != len(FILE_LEVELS)
+            or not all(1 <= side <= MAX_IMAGE_SIDE for side in planes.shape[1:])
+        ):
+            problem = f"has shape {list(planes.shape)}, expected [4, height, width]"
+            raise FileFormatError(files.labels, problem, _REMEDY)
+        if rows.ndim != 2 or rows.dtype.kind != "f" or (len(rows) and not rows.shape[1]):
+            problem = (
+                f"has shape {list(rows.shape)} of {rows.dtype}, expected floating point [regions, dimensions]"
+            )
+            raise FileFormatError(files.embeddings, problem, _REMEDY)
+        height, width = planes.shape[1:]
+        ratio = (width / height) / (files.camera.width / files.camera.height)
+        if abs(ratio - 1.0) > ASPECT_TOLERANCE:
+            raise FileFormatError(
+                files.labels,
+                f"is {width} x {height}, of another shape than its image",
+                "these are features of other images; give those of this scene",
+            )
+        if first is not None and rows.shape[1] != first[0]:
+            raise FileFormatError(
+                files.embeddings,
+                f"has {rows.shape[1]} dimensions, but {first[1].name} has {first[0]}",
+                "the features come from different models; " + _REMEDY,
+            )
+        first = first or (rows.shape[1], files.embeddings)
+
+
+def _blocks(files: _Files, planes: np.ndarray, rows: int) -> dict[str, slice]:
+    with files.lock:
+        if not files.blocks:
+            files.blocks.update(level_blocks(files.labels, planes, rows))
+        return files.blocks
+
+
+def _open(files: _Files) -> tuple[np.ndarray, np.ndarray, dict[str, slice]]:
+    planes, rows = open_npy(files.labels, "region labels"), open_npy(files.embeddings, "region embeddings")
+    return planes, rows, _blocks(files, planes, len(rows))
+
+
+def _load_embeddings(files: _Files, level: str) -> Tensor:
+    _, rows, blocks = _open(files)
+    return _unit_rows(files.embeddings, rows[blocks[level]])
+
+
+def _load_map(files: _Files, level: str) -> RegionMap:
+    planes, rows, blocks = _open(files)
+    plane = np.array(planes[FILE_LEVELS.index(level)], dtype=np.int32)
+    labels = torch.from_numpy(np.where(plane >= 0, plane - blocks[level].start, -1).astype(np.int32))
+    camera = files.camera
+    if camera.distortion:
+        labels = sample_nearest(
+            labels, photograph_pixels(camera, labels.shape[1], labels.shape[0]), outside=-1
+        )
+    else:
+        labels = resize_labels(labels, camera.width, camera.height)
+    return RegionMap(labels, _unit_rows(files.embeddings, rows[blocks[level]]))
+
+
+def _unit_rows(path: Path, rows: np.ndarray) -> Tensor:
+    wide = np.asarray(rows, dtype=np.float64)
+    if not np.isfinite(wide).all():
+        raise FileFormatError(path, "has embeddings that are not finite (NaN or infinite)", _REMEDY)
+    norms = np.linalg.norm(wide, axis=1, keepdims=True)
+    # Rows that are unit to float32 rounding stay bit for bit; a zero row means "unknown" and stays zero.
+    unit = np.where(np.abs(norms - 1.0) < 1e-6, wide, wide / np.where(norms > 0, norms, 1.0))
+    return torch.from_numpy(unit.astype(np.float32))
+
+
+def _save_array(array: np.ndarray, path: Path, overwrite: bool) -> None:
+    with atomic_file(path, overwrite) as stream:
+        np.save(stream, array, allow_pickle=False)

@@ -1,0 +1,215 @@
+"""What all readers share: files that must be there, JSON that must make sense, cameras that must be sound."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from scoup.cameras import Camera, Cameras
+from scoup.errors import FileFormatError, InputError, MissingFileError
+
+Distorted = Literal["refuse", "undistort"]
+
+MAX_IMAGE_SIDE = 100_000  # a longer side is a damaged number, not a photograph
+
+_UNDISTORT_REMEDY = (
+    "undistort the images first (colmap image_undistorter), or ask for it here with distorted='undistort'"
+)
+
+
+def existing_file(path: str | Path, what: str, remedy: str = "check the path") -> Path:
+    """``path`` if it is a file.
+
+    Raises:
+        MissingFileError: it is not there, or is a folder.
+    """
+    path = Path(path)
+    if os.path.isdir(path):
+        raise MissingFileError(path, f"is a folder, not {what}", remedy)
+    if not os.path.isfile(path):
+        raise MissingFileError(path, f"there is no such file ({what} was expected)", remedy)
+    return path
+
+
+def existing_folder(path: str | Path, what: str, remedy: str = "check the path") -> Path:
+    """``path`` if it is a folder.
+
+    Raises:
+        MissingFileError: it is not there, or is a file.
+    """
+    path = Path(path)
+    if os.path.isfile(path):
+        raise MissingFileError(path, f"is a file, not {what}", remedy)
+    if not os.path.isdir(path):
+        raise MissingFileError(path, f"there is no such folder ({what} was expected)", remedy)
+    return path
+
+
+def read_bytes(path: Path) -> bytes:
+    """The contents of a file; a refusal of the system becomes a FileFormatError."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise FileFormatError(
+            path, f"cannot be read ({error.strerror or error})", "check its permissions"
+        ) from error
+
+
+def read_text(path: Path) -> str:
+    """The contents of a UTF-8 text file.
+
+    Raises:
+        FileFormatError: it is not UTF-8 or cannot be read.
+    """
+    try:
+        return read_bytes(path).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileFormatError(path, "is not a text file", "the file is damaged or of another kind") from error
+
+
+def read_json(path: str | Path, what: str) -> Any:
+    """The contents of a JSON file.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is not JSON.
+    """
+    path = existing_file(path, what)
+    text = read_text(path)
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        place = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
+        raise FileFormatError(path, f"is not valid JSON{place}", f"it should hold {what}") from error
+
+
+def number(path: Path, value: Any, what: str) -> float:
+    """``value`` as a finite float.
+
+    Raises:
+        FileFormatError: it is anything else.
+    """
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        try:
+            result = float(value)
+        except OverflowError:
+            result = math.inf
+        if math.isfinite(result):
+            return result
+    raise FileFormatError(path, f"{what} is {_short(value)}, expected a finite number", "the file is damaged")
+
+
+def pixels(path: Path, value: Any, what: str) -> int:
+    """``value`` as an image side in pixels.
+
+    Raises:
+        FileFormatError: it is not a whole number from 1 to ``MAX_IMAGE_SIDE``.
+    """
+    side = number(path, value, what)
+    if side != round(side) or not 1 <= side <= MAX_IMAGE_SIDE:
+        raise FileFormatError(
+            path,
+            f"{what} is {_short(value)}, expected whole pixels from 1 to {MAX_IMAGE_SIDE}",
+            "the file is damaged",
+        )
+    return round(side)
+
+
+def matrix(path: Path, value: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
+    """Nested lists ``value`` as a float64 array of ``shape``, all finite.
+
+    Raises:
+        FileFormatError: it is anything else.
+    """
+
+    def walk(item: Any, sizes: tuple[int, ...]) -> list[float]:
+        if not sizes:
+            return [number(path, item, what)]
+        if not isinstance(item, list) or len(item) != sizes[0]:
+            expected = " x ".join(map(str, shape))
+            raise FileFormatError(
+                path, f"{what} is {_short(item)}, expected {expected} numbers", "the file is damaged"
+            )
+        return [entry for part in item for entry in walk(part, sizes[1:])]
+
+    return np.array(walk(value, shape), dtype=np.float64).reshape(shape)
+
+
+def make_camera(
+    path: Path,
+    name: str,
+    world_to_camera: np.ndarray,
+    focal: tuple[float, float],
+    center: tuple[float, float],
+    size: tuple[int, int],
+    distortion: tuple[float, ...] = (),
+    distorted: Distorted = "refuse",
+    image_path: Path | None = None,
+) -> Camera:
+    """A camera read from ``path``, checked: a rotation, a size, and distortion only where it is allowed.
+
+    Args:
+        world_to_camera: [3, 4] or [4, 4], OpenCV axes.
+        focal, center: in pixels of ``size`` (width, height).
+        distortion: (k1, k2, p1, p2); all zeros count as none.
+
+    Raises:
+        FileFormatError: it is no camera, or distorted while ``distorted`` is "refuse".
+    """
+    coefficients = tuple(float(item) for item in distortion)
+    if not any(coefficients):
+        coefficients = ()
+    elif distorted == "refuse":
+        listed = ", ".join(f"{item:.4g}" for item in coefficients)
+        raise FileFormatError(
+            path, f"camera {name!r} has lens distortion (k1, k2, p1, p2 = {listed})", _UNDISTORT_REMEDY
+        )
+    viewmat = np.eye(4)
+    viewmat[:3] = world_to_camera[:3]
+    rotation = viewmat[:3, :3]
+    with np.errstate(all="ignore"):
+        straight = bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-2)
+    if not straight:
+        raise FileFormatError(
+            path, f"the pose of camera {name!r} is not a rotation", "remove scale and shear from it"
+        )
+    intrinsics = [[focal[0], 0.0, center[0]], [0.0, focal[1], center[1]], [0.0, 0.0, 1.0]]
+    try:
+        return Camera(
+            name=name,
+            viewmat=torch.from_numpy(viewmat),
+            K=torch.tensor(intrinsics, dtype=torch.float64),
+            width=size[0],
+            height=size[1],
+            image_path=image_path,
+            distortion=coefficients,
+        )
+    except InputError as error:
+        raise FileFormatError(path, str(error), "the file is damaged") from error
+
+
+def sorted_cameras(path: Path, cameras: list[Camera]) -> Cameras:
+    """The cameras in order of their names.
+
+    Raises:
+        FileFormatError: there are none, or two have one name.
+    """
+    if not cameras:
+        raise FileFormatError(path, "holds no cameras", "register at least one image")
+    try:
+        return Cameras(sorted(cameras, key=lambda camera: camera.name))
+    except InputError as error:
+        raise FileFormatError(path, str(error), "rename one of the images") from error
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, (list, dict)):
+        return f"a {type(value).__name__} of {len(value)}"
+    text = "missing" if value is None else ascii(value)
+    return text if len(text) <= 40 else text[:37] + "..."

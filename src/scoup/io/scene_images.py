@@ -1,0 +1,128 @@
+"""Cameras meet their photographs: which folder, which file, which size."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import Literal
+
+from scoup.cameras import Camera, Cameras
+from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.io.image_folder import ImageFolder, image_size
+
+MissingImages = Literal["skip", "keep"]
+
+FACTORS = (1, 2, 4, 8)
+ASPECT_TOLERANCE = 0.01
+_ROUNDING = 1.5  # pixels that rounding a scaled size can cost
+
+
+def attach_images(
+    cameras: Cameras,
+    source: Path,
+    roots: tuple[Path, ...],
+    images: str | Path | None,
+    downscale: int | None,
+    missing_images: MissingImages,
+) -> Cameras:
+    """The cameras with their image files, resized to them. Arguments as in ``scenes.load_cameras``.
+
+    Args:
+        source: where the cameras come from, for messages.
+        roots: folders that may hold ``images``, ``images_2`` and so on.
+
+    Raises:
+        MissingFileError: ``images`` is not there, or has none of the images.
+        FileFormatError: an image is damaged or has another shape than its camera.
+
+    Warns:
+        ScoupWarning: cameras were skipped, or no image was found at all.
+    """
+    folder, factor = _choose_folder(roots, images, downscale)
+    wanted = downscale or factor
+    attached: list[Camera] = []
+    missing: list[Camera] = []
+    for camera in cameras:
+        path, scale = _find(
+            camera, folder, factor, hint_first=images is None and (folder is None or factor == 1)
+        )
+        if path is None:
+            missing.append(_scaled(replace(camera, image_path=None), wanted))
+        else:
+            attached.append(_resized_to_image(camera, path, scale / (downscale or scale)))
+    if not attached and images is not None:
+        named = ", ".join(camera.name for camera in missing[:3])
+        raise MissingFileError(
+            Path(images),
+            f"has none of the {len(cameras)} images ({named}, ...)",
+            "give the folder of their photographs",
+        )
+    if missing and missing_images == "skip":
+        looked = str(folder.folder) if folder is not None else "no images folder"
+        if not attached:
+            message = (
+                f"{source}: none of the {len(cameras)} images was found ({looked}); using the cameras alone"
+            )
+        else:
+            message = (
+                f"{source}: skipped {len(missing)} of {len(cameras)} cameras without an image ({looked})"
+            )
+        warnings.warn(message, ScoupWarning, stacklevel=3)
+    kept = missing if missing_images == "keep" or not attached else []
+    try:
+        return Cameras(sorted([*attached, *kept], key=lambda camera: camera.name))
+    except InputError as error:
+        raise FileFormatError(source, str(error), "rename one of the images") from error
+
+
+def _choose_folder(
+    roots: tuple[Path, ...], images: str | Path | None, downscale: int | None
+) -> tuple[ImageFolder | None, int]:
+    """The images folder, and by how much its images are smaller than the originals."""
+    if images is not None:
+        for candidate in (Path(images), *(root / images for root in roots)):
+            if candidate.is_dir():
+                return ImageFolder(candidate), 1
+        raise MissingFileError(Path(images), "there is no such folder of images", "check the path")
+    order = [downscale, *FACTORS] if downscale else list(FACTORS)
+    for root in roots:
+        for factor in order:
+            folder = root / ("images" if factor == 1 else f"images_{factor}")
+            if folder.is_dir():
+                listed = ImageFolder(folder)
+                if len(listed):
+                    return listed, factor
+    return None, 1
+
+
+def _find(
+    camera: Camera, folder: ImageFolder | None, factor: int, hint_first: bool
+) -> tuple[Path | None, int]:
+    """The image of a camera and its scale; the reader of the cameras may have found one beside its file."""
+    hint = camera.image_path
+    if hint is not None and hint_first:
+        return hint, 1
+    found = folder.find(camera.name) if folder is not None else None
+    return (found, factor) if found is not None else (hint, 1)
+
+
+def _resized_to_image(camera: Camera, path: Path, enlarge: float) -> Camera:
+    width, height = image_size(path)
+    expected = camera.height * width / camera.width
+    if abs(height - expected) > max(ASPECT_TOLERANCE * expected, _ROUNDING * max(1.0, width / camera.width)):
+        raise FileFormatError(
+            path,
+            f"is {width} x {height} pixels, another shape than its camera ({camera.width} x {camera.height})",
+            "give the images these cameras were made with, neither cropped nor rotated",
+        )
+    if not PurePosixPath(camera.name).suffix:
+        camera = replace(camera, name=camera.name + path.suffix)
+    camera = replace(camera, image_path=path)
+    return camera.resized(max(1, round(width * enlarge)), max(1, round(height * enlarge)))
+
+
+def _scaled(camera: Camera, divisor: int) -> Camera:
+    if divisor == 1:
+        return camera
+    return camera.resized(max(1, round(camera.width / divisor)), max(1, round(camera.height / divisor)))

@@ -1,0 +1,244 @@
+"""From a path of any kind to Gaussians and cameras: every guess about a scene folder is made here."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from scoup.cameras import Cameras
+from scoup.errors import FileFormatError, InputError, MissingFileError
+from scoup.gaussians import Gaussians
+from scoup.io.colmap import is_model, read_colmap
+from scoup.io.gsplat_checkpoint import read_gsplat_checkpoint
+from scoup.io.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
+from scoup.io.ply import read_ply, write_ply
+from scoup.io.reading import Distorted
+from scoup.io.scene_images import MissingImages, attach_images
+from scoup.io.splat import read_splat, write_splat
+from scoup.io.transforms import read_transforms
+
+CameraFormat = Literal["colmap", "transforms", "inria"]
+
+_COLMAP_FOLDERS = ("sparse/0", "sparse")
+_NERFSTUDIO_COLMAP_FOLDERS = ("colmap/sparse/0", "colmap/sparse")
+_OTHER_SPLATS = (".spz", ".sog", ".ksplat", ".lcc", ".usdz")
+_CHECKPOINTS = (".pt", ".pth", ".ckpt")
+
+
+@dataclass(frozen=True)
+class CameraSource:
+    """Where the cameras of a scene are: format, file or model folder, and folders that may hold images."""
+
+    format: CameraFormat
+    path: Path
+    roots: tuple[Path, ...]
+
+
+def load_gaussians(path: str | Path) -> Gaussians:
+    """Load a trained splat, on the CPU.
+
+    Args:
+        path: a PLY of 3D Gaussian Splatting, a .splat file, a gsplat checkpoint (.pt) or its ``ckpts``
+            folder, the output folder of Inria's code (its last iteration is taken), or a folder with one
+            such file.
+
+    Raises:
+        MissingFileError: there is nothing of the kind.
+        FileFormatError: the file is damaged or of a kind not supported.
+
+    Warns:
+        ScoupWarning: rows were dropped because they are not finite, or the file is longer than it says.
+    """
+    path = find_gaussians(path)
+    if path.is_dir() or path.suffix.lower() in _CHECKPOINTS:
+        return read_gsplat_checkpoint(path)
+    if path.suffix.lower() == ".splat":
+        return read_splat(path)
+    return read_ply(path)
+
+
+def save_gaussians(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
+    """Write a splat as .ply (Inria's layout) or .splat, by the extension of ``path``.
+
+    Raises:
+        InputError: another extension.
+        OutputExistsError: the file exists and ``overwrite`` is false.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".ply":
+        write_ply(gaussians, path, overwrite)
+    elif suffix == ".splat":
+        write_splat(gaussians, path, overwrite)
+    else:
+        raise InputError(
+            f"{path}: cannot write Gaussians as {suffix or 'a file without extension'}; use .ply or .splat"
+        )
+
+
+def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:
+    """The rasteriser preset of a splat: "gsplat" for checkpoints of its trainer, otherwise "inria"."""
+    path = find_gaussians(path)
+    return "gsplat" if path.is_dir() or path.suffix.lower() in _CHECKPOINTS else "inria"
+
+
+def find_gaussians(path: str | Path) -> Path:
+    """The file (or checkpoint folder) that ``load_gaussians`` reads for ``path``.
+
+    Raises:
+        MissingFileError: there is none, or a folder holds several.
+        FileFormatError: the file is of a kind not supported.
+    """
+    path = Path(path)
+    if os.path.isfile(path):
+        if path.suffix.lower() in _OTHER_SPLATS:
+            raise FileFormatError(
+                path, f"{path.suffix} files are not supported", "convert it to .ply with splat-transform"
+            )
+        if path.suffix.lower() not in (".ply", ".splat", *_CHECKPOINTS):
+            raise FileFormatError(
+                path, "is not a kind of splat known here", "give a .ply, .splat or .pt file"
+            )
+        return path
+    if not os.path.isdir(path):
+        raise MissingFileError(
+            path, "there is no such file or folder (a trained splat was expected)", "check the path"
+        )
+    if path.name == "point_cloud" or (path / "point_cloud").is_dir():
+        return latest_point_cloud(path)
+    if (path / "ckpts").is_dir() or any(path.glob("ckpt_*_rank*.pt")):
+        return path
+    # Inria's code copies the sparse points beside its cameras as input.ply.
+    found = [
+        item
+        for item in sorted(path.iterdir())
+        if item.suffix.lower() in (".ply", ".splat") and item.is_file() and item.name != "input.ply"
+    ]
+    if len(found) != 1:
+        listed = ", ".join(item.name for item in found[:5])
+        problem = f"holds {len(found)} splats ({listed})" if found else "holds no trained splat"
+        raise MissingFileError(path, problem, "name the .ply, .splat or .pt file itself")
+    return found[0]
+
+
+def load_cameras(
+    path: str | Path,
+    images: str | Path | None = None,
+    downscale: Literal[1, 2, 4, 8] | None = None,
+    distorted: Distorted = "refuse",
+    missing_images: MissingImages = "skip",
+) -> Cameras:
+    """Load the cameras of a scene, sorted by name, at the size of the images found for them.
+
+    Args:
+        path: a scene folder as COLMAP, nerfstudio or Inria's code leave it, or a transforms.json,
+            cameras.json or COLMAP model folder itself.
+        images: the folder with the photographs; by default ``images``, else ``images_2``, ``_4``, ``_8``.
+        downscale: take the images (and cameras) at 1/downscale of full size, from ``images_<downscale>``
+            if there is one. Intrinsics always follow the image size.
+        distorted: "refuse" cameras with lens distortion, or "undistort": they carry their coefficients, and
+            images and region maps are undistorted when they are read.
+        missing_images: "skip" cameras whose image is missing where others have one, or "keep" them without.
+
+    Raises:
+        MissingFileError: there are no cameras, or ``images`` is not there or has none of their images.
+        FileFormatError: a file is damaged, an image has another shape than its camera, or see ``distorted``.
+
+    Warns:
+        ScoupWarning: cameras were skipped, or no image was found at all and the cameras stand alone.
+    """
+    if downscale not in (None, 1, 2, 4, 8):
+        raise InputError(f"downscale is {downscale}, expected 1, 2, 4 or 8")
+    if distorted not in ("refuse", "undistort"):
+        raise InputError(f"distorted is {distorted!r}, expected 'refuse' or 'undistort'")
+    if missing_images not in ("skip", "keep"):
+        raise InputError(f"missing_images is {missing_images!r}, expected 'skip' or 'keep'")
+    source = find_cameras(path)
+    cameras = _read(source, distorted)
+    return attach_images(cameras, source.path, source.roots, images, downscale, missing_images)
+
+
+def find_cameras(path: str | Path) -> CameraSource:
+    """Which cameras ``load_cameras`` reads for ``path``.
+
+    In a folder with ``point_cloud`` (an output of Inria's code) its cameras.json comes first; otherwise a
+    COLMAP model in ``sparse``, then transforms.json, then a model in ``colmap/sparse``, then cameras.json.
+
+    Raises:
+        MissingFileError: there are none.
+        FileFormatError: the file is of another kind.
+    """
+    path = Path(path)
+    if os.path.isfile(path):
+        return _source_of_file(path)
+    if not os.path.isdir(path):
+        raise MissingFileError(
+            path, "there is no such file or folder (a scene was expected)", "check the path"
+        )
+    inria = [path / "cameras.json"]
+    candidates = [
+        *(inria if (path / "point_cloud").is_dir() else []),
+        *(path / folder for folder in _COLMAP_FOLDERS),
+        path / "transforms.json",
+        *(path / folder for folder in _NERFSTUDIO_COLMAP_FOLDERS),
+        path,
+        *inria,
+    ]
+    for candidate in candidates:
+        if candidate.is_file():
+            return _source_of_file(candidate)
+        if candidate.is_dir() and is_model(candidate):
+            return CameraSource("colmap", candidate, (_scene_of_model(candidate),))
+    raise MissingFileError(
+        path,
+        "holds no cameras (sparse/0, transforms.json or cameras.json)",
+        "give a scene folder of COLMAP, nerfstudio or Inria's code",
+    )
+
+
+def _source_of_file(path: Path) -> CameraSource:
+    folder = path.parent
+    if path.suffix.lower() in (".bin", ".txt") and is_model(folder):
+        return CameraSource("colmap", folder, (_scene_of_model(folder),))
+    if path.suffix.lower() != ".json":
+        raise FileFormatError(
+            path, "is no kind of camera file known here", "give transforms.json or cameras.json"
+        )
+    with open(path, "rb") as stream:
+        start = stream.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n")
+    # A list is Inria's, a mapping nerfstudio's, whatever the file is called.
+    if start.startswith(b"["):
+        return CameraSource("inria", path, _inria_roots(folder))
+    return CameraSource("transforms", path, (folder,))
+
+
+def _scene_of_model(folder: Path) -> Path:
+    """The scene a model folder belongs to: above sparse/0, or above colmap/sparse/0."""
+    scene = folder.absolute()
+    for names in (("0",), ("sparse", "sparse_pc"), ("colmap",)):
+        if scene.name in names:
+            scene = scene.parent
+    # Keep a relative path relative: it is shorter in messages.
+    return scene if folder.is_absolute() else Path(os.path.relpath(scene))
+
+
+def _inria_roots(folder: Path) -> tuple[Path, ...]:
+    """The folder itself, and the training data that cfg_args names if they are on this machine."""
+    if not (folder / "cfg_args").is_file():
+        return (folder,)
+    try:
+        source = read_cfg_args(folder / "cfg_args").get("source_path")
+    except FileFormatError:
+        return (folder,)  # only a hint for finding images, not worth refusing cameras for
+    if isinstance(source, str) and source and os.path.isdir(source):
+        return (folder, Path(source))
+    return (folder,)
+
+
+def _read(source: CameraSource, distorted: Distorted) -> Cameras:
+    if source.format == "colmap":
+        return read_colmap(source.path, distorted)
+    if source.format == "transforms":
+        return read_transforms(source.path, distorted)
+    return read_inria_cameras(source.path)

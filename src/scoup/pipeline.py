@@ -1,0 +1,201 @@
+"""``build``: from a splat, cameras and regions to a language field."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from scoup import __version__
+from scoup.cameras import Camera, Cameras
+from scoup.checkpoint import BuildState, Checkpoint, build_key
+from scoup.codes import SparseCodes
+from scoup.coding import fit_codes
+from scoup.errors import InputError, ScoupWarning
+from scoup.field import FieldInfo, LanguageField
+from scoup.gaussians import Gaussians
+from scoup.progress import Progress, no_progress
+from scoup.regions import Regions
+from scoup.uplifting import add_view, cameras_with_regions, iterate_region_sums, top_k
+
+FEW_GAUSSIANS = 0.01  # share of coded Gaussians under which the frames of splat and cameras are doubted
+
+
+@dataclass(frozen=True)
+class BuildSettings:
+    """Everything that decides what a build computes.
+
+    Attributes:
+        n_atoms: L, atoms in each level's codebook.
+        k: K, atoms in the code of a region.
+        keep: atoms kept for each Gaussian by the vote; 0 keeps all (no top-K step).
+        solver: how codes are learned, see ``fit_codes``.
+        epochs: epochs of the "adam" solver.
+        tolerance: stop the solver early when its loss improves by less than this share in 100 epochs; None never.
+        seed: of the codebook's start.
+        raster_preset: rasteriser constants the scene was trained with: "inria" or "gsplat".
+    """
+
+    n_atoms: int = 64
+    k: int = 4
+    keep: int = 4
+    solver: str = "adam"
+    epochs: int = 4000
+    tolerance: float | None = None
+    seed: int = 0
+    raster_preset: str = "inria"
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.k <= self.n_atoms or not 0 <= self.keep <= self.n_atoms:
+            raise InputError(f"k = {self.k} and keep = {self.keep} must lie within the {self.n_atoms} atoms (k >= 1)")
+
+
+def build(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    regions: Regions,
+    n_atoms: int = 64,
+    k: int = 4,
+    settings: BuildSettings | None = None,
+    *,
+    embedding_model: str = "",
+    geometry_path: str | Path | None = None,
+    keep_accumulators: bool = False,
+    backend: str | None = None,
+    checkpoint: str | Path | None = None,
+    progress: Progress = no_progress,
+) -> LanguageField:
+    """Build a language field (method.md, stages 1 and 2): learn codes per level, lift them view by view, vote.
+
+    The parts can be called one by one: ``fit_codes``, ``region_sums``, ``uplift``, ``top_k``, ``LanguageField``.
+    Memory does not grow with the number of views.
+
+    Args:
+        gaussians: the trained scene; never changed.
+        cameras: posed views; those without regions are passed over.
+        regions: region maps and embeddings.
+        n_atoms, k: size of the codebook and of a code, where ``settings`` are not given (``keep`` follows ``k``).
+        settings: everything else that decides the result.
+        embedding_model: id of the model the embeddings come from, kept in the field.
+        geometry_path: file of the Gaussians, kept in the field as a reference.
+        keep_accumulators: keep the float sums, so that views can be added later (N x S x L x 4 bytes).
+        backend: rasteriser backend by name.
+        checkpoint: file where the state is kept while building; an interrupted build with the same inputs goes
+            on from it. Removed at the end.
+        progress: called as ``progress(stage, done, total)``.
+
+    Raises:
+        InputError: no camera has regions, the cameras see nothing, or the inputs do not fit.
+    """
+    settings = settings or BuildSettings(n_atoms=n_atoms, k=k, keep=k)
+    views = cameras_with_regions(cameras, regions)
+    regions = regions.select(camera.name for camera in views)
+    stacked = [regions.embeddings(level) for level in regions.levels]
+    fingerprint = gaussians.fingerprint()
+    key = build_key(fingerprint, views, [rows for rows, _ in stacked], dataclasses.asdict(settings))
+
+    keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), key)
+    state = keeper.read()
+    if state is None:
+        state = _learn_codes([rows for rows, _ in stacked], regions.levels, settings, len(gaussians), progress)
+        keeper.write(state, now=True)
+    try:
+        _lift(gaussians, views, regions, [rows for _, rows in stacked], state, settings, backend, keeper, progress)
+    except KeyboardInterrupt:
+        keeper.write(state, now=True)
+        raise
+    _check_seen(state.accumulators)
+
+    indices, weights = top_k(state.accumulators, settings.keep or None)
+    provenance: dict[str, Any] = {
+        "software": f"scoup {__version__}",
+        "settings": dataclasses.asdict(settings),
+        "inputs": key,
+        "views": [camera.name for camera in views],
+        "coding": dict(zip(regions.levels, state.reports, strict=True)),
+    }
+    info = FieldInfo(
+        regions.levels, embedding_model, fingerprint, len(gaussians), settings.raster_preset, provenance
+    )
+    field = LanguageField(
+        indices,
+        weights,
+        torch.stack(state.atoms),
+        info,
+        gaussians,
+        None if geometry_path is None else Path(geometry_path),
+        state.accumulators if keep_accumulators else None,
+    )
+    keeper.remove()
+    return field
+
+
+def _learn_codes(
+    embeddings: list[Tensor],
+    levels: tuple[str, ...],
+    settings: BuildSettings,
+    n_gaussians: int,
+    progress: Progress,
+) -> BuildState:
+    atoms: list[Tensor] = []
+    codes: list[SparseCodes] = []
+    reports: list[dict[str, Any]] = []
+    for level, rows in zip(levels, embeddings, strict=True):
+        if not len(rows):
+            raise InputError(f"level {level!r} has no regions in any view; every level needs some")
+        name = f"coding {level}"
+        book = fit_codes(
+            rows,
+            settings.n_atoms,
+            settings.k,
+            solver=settings.solver,
+            seed=settings.seed,
+            epochs=settings.epochs,
+            tolerance=settings.tolerance,
+            progress=lambda _, done, total, name=name: progress(name, done, total),
+        )
+        atoms.append(book.atoms)
+        codes.append(book.codes)
+        # Seconds would make two equal builds write different bytes.
+        report = {key: value for key, value in dataclasses.asdict(book.report).items() if key != "seconds"}
+        reports.append({"regions": len(rows), **report})
+    shape = (n_gaussians, len(levels), settings.n_atoms)
+    return BuildState(atoms, codes, reports, torch.zeros(shape), [])
+
+
+def _lift(
+    gaussians: Gaussians,
+    views: list[Camera],
+    regions: Regions,
+    rows: list[dict[str, slice]],
+    state: BuildState,
+    settings: BuildSettings,
+    backend: str | None,
+    keeper: Checkpoint,
+    progress: Progress,
+) -> None:
+    done = set(state.views_done)
+    left = [camera for camera in views if camera.name not in done]
+    progress("uplift", len(done), len(views))
+    for sums in iterate_region_sums(gaussians, left, regions, settings.raster_preset, backend):
+        codes = [state.codes[s].rows(rows[s][sums.view_name]) for s in range(len(state.codes))]
+        state.between_views = False
+        add_view(sums, codes, state.accumulators)
+        state.views_done.append(sums.view_name)
+        state.between_views = True
+        progress("uplift", len(state.views_done), len(views))
+        keeper.write(state)
+
+
+def _check_seen(accumulators: Tensor) -> None:
+    share = float((accumulators > 0).flatten(1).any(1).float().mean()) if len(accumulators) else 0.0
+    advice = "check that splat and cameras are in the same frame (trainers often normalise the world)"
+    if share == 0:
+        raise InputError(f"the cameras see nothing: no Gaussian paints a region in any view; {advice}")
+    if share < FEW_GAUSSIANS:
+        warnings.warn(f"only {share:.2%} of the Gaussians paint a region; {advice}", ScoupWarning, stacklevel=3)

@@ -1,0 +1,92 @@
+"""Which Gaussian may paint in which tile of the image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup.raster.presets import ALPHA_MIN
+from scoup.raster.projection import Projection, tile_counts
+
+# Bounds are widened by this many pixels, so that only the per-pixel alpha test ever decides what is painted and
+# the answer does not depend on the tile size.
+SLACK = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """Per tile, the Gaussians that reach it, nearest first.
+
+    Attributes:
+        tile: edge length of a tile in pixels.
+        across, down: tiles across and down; tile number = row * across + column.
+        ranks: [P] int64 rows of the projection, tile after tile.
+        starts: [tiles + 1] int64, where each tile's rows begin in ``ranks``.
+    """
+
+    tile: int
+    across: int
+    down: int
+    ranks: Tensor  # [P]
+    starts: Tensor  # [tiles + 1]
+
+
+def bin_to_tiles(projection: Projection, width: int, height: int, tile: int) -> Bins:
+    """Expand every Gaussian to the tiles its ellipse touches and group by tile, keeping the depth order."""
+    across, down = tile_counts(width, height, tile)
+    extents = projection.extents() + SLACK
+    limits = torch.tensor([across, down], dtype=torch.float64, device=extents.device)
+    # Pixel centres lie at +0.5. Clamped as floats: an ellipse may be wider than any integer.
+    first = torch.ceil(projection.means2d - extents - 0.5).div(tile).floor().clamp(min=0)
+    last = torch.floor(projection.means2d + extents - 0.5).div(tile).floor()
+    last = torch.minimum(last, limits - 1)
+    spans = (last - first + 1).clamp(min=0).long()
+    counts = spans[:, 0] * spans[:, 1]
+
+    ranks = torch.repeat_interleave(counts)
+    within = torch.arange(len(ranks), device=ranks.device) - (torch.cumsum(counts, 0) - counts)[ranks]
+    row = torch.div(within, spans[ranks, 0], rounding_mode="floor")
+    column = within - row * spans[ranks, 0] + first[ranks, 0].long()
+    row += first[ranks, 1].long()
+    touched = _ellipse_touches_tile(projection, ranks, column * tile, row * tile, tile)
+    ranks, tiles = ranks[touched], (row * across + column)[touched]
+
+    # The pairs are in depth order, so a stable sort by tile alone keeps each tile's depth order.
+    order = torch.argsort(tiles.int(), stable=True)
+    starts = torch.zeros(across * down + 1, dtype=torch.int64, device=ranks.device)
+    starts[1:] = torch.cumsum(torch.bincount(tiles, minlength=across * down), 0)
+    return Bins(tile, across, down, ranks[order], starts)
+
+
+def _ellipse_touches_tile(
+    projection: Projection, ranks: Tensor, left: Tensor, top: Tensor, tile: int
+) -> Tensor:
+    """Boolean [P]: does the ellipse alpha >= 1/255 reach the rectangle of the tile's pixel centres?
+
+    The distance of the ellipse's metric is convex, so its minimum over a rectangle that does not hold the centre
+    lies on an edge facing the centre; along an edge it is a parabola.
+    """
+    xx, xy, yy = projection.covariances.unbind(1)
+    radius2 = 2.0 * torch.log(projection.opacities / ALPHA_MIN)
+    xx_yy_xy_det = torch.stack([xx, yy, xy, projection.determinants, radius2], 1)[ranks]
+    var_x, var_y, covariance, determinant, reach = xx_yy_xy_det.unbind(1)
+    centre = projection.means2d[ranks]
+    x0, y0 = left + 0.5 - SLACK - centre[:, 0], top + 0.5 - SLACK - centre[:, 1]
+    span = tile - 1 + 2 * SLACK
+    x1, y1 = x0 + span, y0 + span
+    # Offsets from the centre to the nearest vertical and horizontal edge; zero while the centre is between them.
+    edge_x = x0.clamp(min=0) + x1.clamp(max=0)
+    edge_y = y0.clamp(min=0) + y1.clamp(max=0)
+
+    # Along x = edge_x the best y is covariance / var_x * edge_x, brought into the edge; likewise along y = edge_y.
+    off_y = covariance / var_x * edge_x
+    off_y = off_y - torch.minimum(torch.maximum(off_y, y0), y1)
+    off_x = covariance / var_y * edge_y
+    off_x = off_x - torch.minimum(torch.maximum(off_x, x0), x1)
+    by_x = edge_x * edge_x / var_x + off_y * off_y * (var_x / determinant)
+    by_y = edge_y * edge_y / var_y + off_x * off_x * (var_y / determinant)
+    inside = (edge_x == 0) & (edge_y == 0)
+    best = torch.where(edge_x == 0, by_y, torch.where(edge_y == 0, by_x, torch.minimum(by_x, by_y)))
+    return inside | (best <= reach)

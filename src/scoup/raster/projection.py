@@ -1,0 +1,132 @@
+"""Projection of 3D Gaussians to image-plane Gaussians (EWA splatting), in float64.
+
+Double precision costs little here (one pass over N) and buys a reference whose error is that of the per-pixel
+evaluation alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup.cameras import Camera
+from scoup.gaussians import Gaussians
+from scoup.raster.presets import ALPHA_MIN, LOW_PASS, RasterPreset
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """The M Gaussians a camera may see, nearest first (equal depths in the order of their index); float64.
+
+    Attributes:
+        ids: [M] int64 row of each in the scene.
+        means2d: [M, 2] centre in pixels.
+        depths: [M] view-space z in world units.
+        covariances: [M, 3] (xx, xy, yy) of the 2D covariance in square pixels, low-pass included.
+        determinants: [M] of the 2D covariance.
+        opacities: [M] peak alpha, 1/255 to 1.
+    """
+
+    ids: Tensor  # [M]
+    means2d: Tensor  # [M, 2]
+    depths: Tensor  # [M]
+    covariances: Tensor  # [M, 3]
+    determinants: Tensor  # [M]
+    opacities: Tensor  # [M]
+
+    def __len__(self) -> int:
+        return self.ids.shape[0]
+
+    def extents(self) -> Tensor:
+        """[M, 2] half width and height in pixels of the ellipse where alpha = 1/255."""
+        radius2 = 2.0 * torch.log(self.opacities / ALPHA_MIN)
+        return torch.sqrt(radius2[:, None].clamp(min=0) * self.covariances[:, [0, 2]])
+
+
+def project(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> Projection:
+    """Project, drop what cannot paint a pixel, and sort by depth.
+
+    Dropped: rows that are not finite, zero quaternions, opacity under 1/255, depth at or before the near plane,
+    ellipses that miss the image. Source: EWA splatting as in 3DGS; see docs/conventions.md for the constants.
+    """
+    viewmat = camera.viewmat.to(gaussians.device)
+    alive = gaussians.finite() & (gaussians.opacities >= ALPHA_MIN) & (gaussians.quats != 0).any(1)
+    ids = torch.nonzero(alive).squeeze(1)
+    points = gaussians.means[ids].double() @ viewmat[:3, :3].T + viewmat[:3, 3]
+    in_front = points[:, 2] > preset.near
+    ids, points = ids[in_front], points[in_front]
+
+    factor = _image_plane_factor(gaussians, ids, points, camera, preset)
+    squares = (factor * factor).sum(2)
+    xx, yy = squares[:, 0] + LOW_PASS, squares[:, 1] + LOW_PASS
+    xy = (factor[:, 0] * factor[:, 1]).sum(1)
+    # det(B B^T + c I) by its minors: a difference xx * yy - xy^2 would lose every digit of a needle.
+    minors = torch.linalg.cross(factor[:, 0], factor[:, 1])
+    determinants = (minors * minors).sum(1) + LOW_PASS * (squares[:, 0] + squares[:, 1]) + LOW_PASS**2
+    focal = torch.tensor([camera.fx, camera.fy], dtype=torch.float64, device=points.device)
+    principal = torch.tensor([camera.cx, camera.cy], dtype=torch.float64, device=points.device)
+    # K may hold a skew term; Jacobians of the field ignore it, and so do we.
+    means2d = points[:, :2] / points[:, 2:] * focal + principal
+    found = Projection(
+        ids,
+        means2d,
+        points[:, 2],
+        torch.stack([xx, xy, yy], 1),
+        determinants,
+        gaussians.opacities[ids].double().clamp(max=1.0),
+    )
+    size = torch.tensor([camera.width, camera.height], dtype=torch.float64, device=points.device)
+    extents = found.extents()
+    touches = ((means2d + extents >= 0.5) & (means2d - extents <= size - 0.5)).all(1)
+    order = torch.nonzero(touches).squeeze(1)
+    order = order[torch.argsort(found.depths[order], stable=True)]
+    return Projection(
+        found.ids[order],
+        found.means2d[order],
+        found.depths[order],
+        found.covariances[order],
+        found.determinants[order],
+        found.opacities[order],
+    )
+
+
+def _image_plane_factor(
+    gaussians: Gaussians, ids: Tensor, points: Tensor, camera: Camera, preset: RasterPreset
+) -> Tensor:
+    """B [M, 2, 3] float64 with B B^T the 2D covariance before the low-pass: B = J W R S."""
+    depth = points[:, 2]
+    tan_x, tan_y = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
+    if preset.centred_clamp:
+        x_low, x_high, y_low, y_high = -1.3 * tan_x, 1.3 * tan_x, -1.3 * tan_y, 1.3 * tan_y
+    else:
+        x_low, x_high = -camera.cx / camera.fx - 0.3 * tan_x, (camera.width - camera.cx) / camera.fx + 0.3 * tan_x
+        y_low, y_high = -camera.cy / camera.fy - 0.3 * tan_y, (camera.height - camera.cy) / camera.fy + 0.3 * tan_y
+    ray_x = (points[:, 0] / depth).clamp(x_low, x_high)
+    ray_y = (points[:, 1] / depth).clamp(y_low, y_high)
+
+    rotation = rotation_matrices(gaussians.quats[ids].double())
+    axes = camera.viewmat.to(points.device)[:3, :3] @ (rotation * gaussians.scales[ids].double()[:, None, :])
+    row_x = (axes[:, 0] - ray_x[:, None] * axes[:, 2]) * (camera.fx / depth)[:, None]
+    row_y = (axes[:, 1] - ray_y[:, None] * axes[:, 2]) * (camera.fy / depth)[:, None]
+    return torch.stack([row_x, row_y], 1)
+
+
+def rotation_matrices(quats: Tensor) -> Tensor:
+    """[M, 3, 3] rotation matrices of quaternions [M, 4] (w, x, y, z); they are normalised first."""
+    w, x, y, z = (quats / torch.linalg.vector_norm(quats, dim=1, keepdim=True)).unbind(1)
+    return torch.stack(
+        [
+            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], 1),
+            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], 1),
+            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1),
+        ],
+        1,
+    )
+
+
+def tile_counts(width: int, height: int, tile: int) -> tuple[int, int]:
+    """Tiles across and down that cover the image."""
+    return math.ceil(width / tile), math.ceil(height / tile)

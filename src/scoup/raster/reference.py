@@ -1,0 +1,313 @@
+"""The rasteriser in plain torch: the readable specification that every faster backend is tested against.
+
+A tile's Gaussians are taken front to back in chunks. For one chunk the blending weights of G Gaussians at P
+pixels are a matrix E [G, P]; rendering is E^T @ values, and the region sums are E @ one-hot(regions). Several
+tiles go through together so that each torch call has enough to do; memory is bounded by TILES x CHUNK x P.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup.cameras import Camera
+from scoup.codes import SparseCodes, cosines_from_codes
+from scoup.gaussians import Gaussians
+from scoup.raster.binning import Bins, bin_to_tiles
+from scoup.raster.presets import ALPHA_MIN, RasterPreset
+from scoup.raster.projection import Projection, project
+
+TILE = 16  # edge of a tile in pixels
+TILES = 32  # tiles that go through together
+CHUNK = 32  # Gaussians of each tile taken at a time
+
+# torch's threshold keeps values strictly above the bound; alpha = 1/255 itself must stay.
+_BELOW_ALPHA_MIN = float(torch.nextafter(torch.tensor(ALPHA_MIN), torch.tensor(0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceView:
+    """A scene as one camera sees it: projected, binned and sorted. Made by ``look``.
+
+    Attributes:
+        n_gaussians: N of the scene.
+        width, height: image size in pixels.
+        preset: the rasteriser constants used.
+        projection: the visible Gaussians, nearest first.
+        bins: which of them reach which tile.
+        ellipses: [M, 4] float64 (ku, slope, kv, log opacity): see ``_exponent_terms``.
+    """
+
+    n_gaussians: int
+    width: int
+    height: int
+    preset: RasterPreset
+    projection: Projection
+    bins: Bins
+    ellipses: Tensor
+
+    backend = "reference"
+
+
+def look(gaussians: Gaussians, camera: Camera, preset: RasterPreset, tile: int = TILE) -> ReferenceView:
+    """Project, bin and sort. ``tile`` changes the speed, never the answer beyond rounding."""
+    projection = project(gaussians, camera, preset)
+    xx, xy, yy = projection.covariances.unbind(1)
+    # exp(-q/2) with q = (dx - slope dy)^2 / var(x | y) + dy^2 / yy: two squares instead of the conic's three
+    # terms, which cancel badly for needles.
+    ellipses = torch.stack(
+        [
+            torch.sqrt(0.5 * yy / projection.determinants),
+            xy / yy,
+            torch.sqrt(0.5 / yy),
+            torch.log(projection.opacities),
+        ],
+        1,
+    )
+    bins = bin_to_tiles(projection, camera.width, camera.height, tile)
+    return ReferenceView(len(gaussians), camera.width, camera.height, preset, projection, bins, ellipses)
+
+
+def region_weights(view: ReferenceView, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """See ``raster.region_weights``."""
+    levels = labels.shape[0]
+    stride = int(labels.max()) + 1 if labels.numel() else 0
+    found: list[tuple[Tensor, Tensor, Tensor]] = []
+    tiled = _to_tiles(labels, view.bins, fill=-1)  # [tiles, S, P]
+    offsets = torch.arange(levels, device=labels.device)[:, None] * stride
+    for batch in _batches(view):
+        keys = torch.where(tiled[batch.tiles] >= 0, tiled[batch.tiles] + offsets, -1)  # [T, S, P]
+        one_hot, keys_of_column = _one_hot_columns(keys, levels * stride)
+        for slots, ranks, weights in _blend(view, batch):
+            sums = torch.bmm(weights, one_hot[slots])  # [t, G, C]
+            at = torch.nonzero(sums, as_tuple=True)
+            found.append((view.projection.ids[ranks[at[0], at[1]]], keys_of_column[slots[at[0]], at[2]], sums[at]))
+    if not found:
+        empty = torch.zeros(0, dtype=torch.int64, device=labels.device)
+        return empty, empty, torch.zeros(0, device=labels.device)
+    gaussian, key, weight = (torch.cat(parts) for parts in zip(*found, strict=True))
+    return _merge(gaussian, key, weight, max(1, levels * stride))
+
+
+def uplift_view(view: ReferenceView, labels: Tensor, codes: list[SparseCodes], out: Tensor) -> None:
+    """See ``raster.uplift_view``."""
+    gaussian, key, weight = region_weights(view, labels)
+    stride = int(labels.max()) + 1 if labels.numel() else 0
+    add_codes(gaussian, key, weight, stride, codes, out)
+
+
+def add_codes(
+    gaussian: Tensor, key: Tensor, weight: Tensor, stride: int, codes: list[SparseCodes], out: Tensor
+) -> None:
+    """out[gaussian, level] += weight * code of the region, for triplets with key = level * stride + region.
+
+    One sequential scatter per level: additions happen in the order of the triplets, so the sum is the same
+    whatever the number of threads.
+    """
+    n_atoms = out.shape[2]
+    flat = out.view(-1)
+    for level, level_codes in enumerate(codes):
+        chosen = (key >= level * stride) & (key < (level + 1) * stride)
+        rows = key[chosen] - level * stride
+        base = (gaussian[chosen] * len(codes) + level) * n_atoms
+        target = base[:, None] + level_codes.indices[rows].long()
+        flat.scatter_add_(0, target.reshape(-1), (weight[chosen, None] * level_codes.weights[rows]).reshape(-1))
+
+
+def render_channels(view: ReferenceView, values: Tensor) -> tuple[Tensor, Tensor]:
+    """See ``raster.render_channels``."""
+    channels = values.shape[1]
+    extended = torch.cat([values, torch.ones_like(values[:, :1])], 1)  # the last channel sums to alpha
+    tiles = _empty_tiles(view, channels + 1, values.device)
+    for batch in _batches(view):
+        painted = torch.zeros(len(batch.tiles), view.bins.tile**2, channels + 1, device=values.device)
+        for slots, ranks, weights in _blend(view, batch):
+            chunk = extended[view.projection.ids[ranks]]
+            painted[slots] += torch.bmm(weights.transpose(1, 2), chunk)
+        tiles[batch.tiles] = painted
+    image = _from_tiles(tiles, view)
+    return image[..., :channels], image[..., channels]
+
+
+def render_codes(view: ReferenceView, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
+    """See ``raster.render_codes``."""
+    levels = indices.shape[1]
+    tiles = _empty_tiles(view, levels * n_atoms, weights.device)
+    for batch in _batches(view):
+        tiles[batch.tiles] = _render_codes_batch(view, batch, indices, weights, n_atoms)
+    image = _from_tiles(tiles, view)
+    return image.reshape(view.height, view.width, levels, n_atoms).permute(2, 0, 1, 3).contiguous()
+
+
+def render_cosines(
+    view: ReferenceView, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> Tensor:
+    """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
+    levels, n_atoms, _ = codebook.shape
+    count = len(queries)
+    tiles = _empty_tiles(view, levels * count, weights.device)
+    for batch in _batches(view):
+        painted = _render_codes_batch(view, batch, indices, weights, n_atoms)
+        by_level = painted.view(*painted.shape[:2], levels, n_atoms)
+        cosines = [cosines_from_codes(by_level[:, :, s], codebook[s], queries) for s in range(levels)]
+        tiles[batch.tiles] = torch.cat(cosines, 2)
+    image = _from_tiles(tiles, view).reshape(view.height, view.width, levels, count)
+    return image.permute(2, 3, 0, 1).contiguous()
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Tiles that go through together: their numbers [T], and where their rows start and end in ``bins.ranks``."""
+
+    tiles: Tensor
+    starts: Tensor
+    ends: Tensor
+
+
+def _batches(view: ReferenceView) -> Iterator[_Batch]:
+    """Tiles that hold anything, the fullest first, so that tiles of a batch have about as many Gaussians."""
+    starts = view.bins.starts
+    counts = starts[1:] - starts[:-1]
+    order = torch.argsort(counts, descending=True, stable=True)
+    order = order[: int((counts > 0).sum())]
+    for first in range(0, len(order), TILES):
+        tiles = order[first : first + TILES]
+        yield _Batch(tiles, starts[tiles], starts[tiles + 1])
+
+
+def _blend(view: ReferenceView, batch: _Batch) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    """Blending weights of a batch, chunk by chunk, front to back.
+
+    Yields (slots [t], ranks [t, G], weights [t, G, P]): the batch rows still unfinished, the projected Gaussians
+    taken, and e = alpha * transmittance of each at each pixel. Rows beyond a tile's last Gaussian weigh zero.
+    """
+    pixels = view.bins.tile**2
+    device = view.ellipses.device
+    slots = torch.arange(len(batch.tiles), device=device)
+    start, end = batch.starts, batch.ends
+    transmittance = torch.ones(len(slots), pixels, device=device)
+    lane = torch.arange(CHUNK, device=device)
+    last_row = max(0, len(view.bins.ranks) - 1)
+    while len(slots):
+        rows = start[:, None] + lane
+        ranks = view.bins.ranks[rows.clamp(max=last_row)]
+        alpha = _alpha(view, batch.tiles[slots], ranks, rows < end[:, None])
+        after = 1.0 - alpha
+        after[:, 0] *= transmittance
+        for row in range(1, after.shape[1]):
+            torch.mul(after[:, row], after[:, row - 1], out=after[:, row])
+        alpha[:, 0] *= transmittance
+        alpha[:, 1:] *= after[:, :-1]
+        # A pixel stops before the Gaussian that would take its transmittance below the bound. Transmittance only
+        # falls, so that one and all behind it are the ones masked here.
+        kept = after > view.preset.stop if view.preset.stop_inclusive else after >= view.preset.stop
+        yield slots, ranks, alpha.mul_(kept)
+
+        transmittance = after[:, -1] * kept[:, -1]
+        start = start + CHUNK
+        going_on = (start < end) & (transmittance.amax(1) > 0)
+        if not going_on.all():
+            slots, start, end, transmittance = (part[going_on] for part in (slots, start, end, transmittance))
+
+
+def _alpha(view: ReferenceView, tiles: Tensor, ranks: Tensor, valid: Tensor) -> Tensor:
+    """[T, G, P] float32 alpha of each Gaussian at each pixel of its tile, zero where under 1/255 or not valid.
+
+    alpha = exp(log opacity - (kv dy)^2 - (ku (dx - slope dy))^2). Offsets are formed in float64 from the tile's
+    corner, so that the float32 work below sees small numbers however far away the Gaussian's centre lies.
+    """
+    bins = view.bins
+    corner_x = (tiles % bins.across * bins.tile).double()[:, None] + 0.5
+    corner_y = torch.div(tiles, bins.across, rounding_mode="floor").mul(bins.tile).double()[:, None] + 0.5
+    ku, slope, kv, log_opacity = view.ellipses[ranks].unbind(2)
+    centre_x, centre_y = view.projection.means2d[ranks].unbind(2)
+    dx, dy = corner_x - centre_x, corner_y - centre_y
+    log_opacity = torch.where(valid, log_opacity, -torch.inf)
+
+    step = torch.arange(bins.tile, dtype=torch.float64, device=tiles.device)
+    # ku (dx - slope dy) as a term along x plus a term along y, the share of the tile's first row going with x.
+    along_x = (ku[..., None] * ((dx - slope * dy)[..., None] + step)).float()
+    skew = ((ku * slope)[..., None] * step).float()
+    peak = (log_opacity[..., None] - (kv[..., None] * (dy[..., None] + step)) ** 2).float()
+
+    u = along_x[:, :, None, :] - skew[:, :, :, None]
+    exponent = torch.addcmul(peak[..., None], u, u, value=-1.0)
+    alpha = exponent.exp_().clamp_(max=view.preset.alpha_max)
+    torch.nn.functional.threshold_(alpha, _BELOW_ALPHA_MIN, 0.0)
+    return alpha.flatten(2)
+
+
+def _render_codes_batch(
+    view: ReferenceView, batch: _Batch, indices: Tensor, weights: Tensor, n_atoms: int
+) -> Tensor:
+    """[T, P, S * L] rendered coefficients of a batch of tiles."""
+    levels = indices.shape[1]
+    offsets = torch.arange(levels, device=indices.device)[:, None] * n_atoms
+    painted = torch.zeros(len(batch.tiles), view.bins.tile**2, levels * n_atoms, device=weights.device)
+    for slots, ranks, blending in _blend(view, batch):
+        ids = view.projection.ids[ranks.reshape(-1)]
+        dense = torch.zeros(len(ids), levels * n_atoms, device=weights.device)
+        columns = indices[ids].long() + offsets
+        dense.scatter_add_(1, columns.flatten(1), weights[ids].float().flatten(1))
+        painted[slots] += torch.bmm(blending.transpose(1, 2), dense.view(*ranks.shape, -1))
+    return painted
+
+
+def _one_hot_columns(keys: Tensor, n_keys: int) -> tuple[Tensor, Tensor]:
+    """One column for each distinct key >= 0 of a tile.
+
+    Args:
+        keys: [T, S, P].
+        n_keys: number of possible keys.
+
+    Returns:
+        one_hot [T, P, C] float32 and the key of each column [T, C]; C is the largest count of distinct keys.
+    """
+    tiles, _, pixels = keys.shape
+    flat = keys.flatten(1)
+    present = torch.zeros(tiles, n_keys + 1, dtype=torch.bool, device=keys.device)
+    present.scatter_(1, torch.where(flat >= 0, flat, n_keys), True)
+    present[:, n_keys] = False
+    column = torch.cumsum(present, 1) - 1
+    columns = int(column[:, -1].max()) + 1
+    keys_of_column = torch.zeros(tiles, columns, dtype=torch.int64, device=keys.device)
+    at = torch.nonzero(present, as_tuple=True)
+    keys_of_column[at[0], column[at]] = at[1]
+    # Pixels without a region go to a column of their own, which is then cut off.
+    place = torch.where(keys >= 0, column.gather(1, flat.clamp(min=0)).view_as(keys), columns)
+    one_hot = torch.zeros(tiles, pixels, columns + 1, device=keys.device)
+    one_hot.scatter_(2, place.transpose(1, 2), 1.0)
+    return one_hot[..., :columns].contiguous(), keys_of_column
+
+
+def _merge(gaussian: Tensor, key: Tensor, weight: Tensor, n_keys: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Add up triplets of the same Gaussian and key (a Gaussian reaches several tiles); sorted by both."""
+    merged, inverse = torch.unique(gaussian * n_keys + key, sorted=True, return_inverse=True)
+    total = torch.zeros(len(merged), dtype=torch.float64, device=weight.device)
+    total.scatter_add_(0, inverse, weight.double())
+    return torch.div(merged, n_keys, rounding_mode="floor"), merged % n_keys, total.float()
+
+
+def _empty_tiles(view: ReferenceView, channels: int, device: torch.device) -> Tensor:
+    return torch.zeros(view.bins.across * view.bins.down, view.bins.tile**2, channels, device=device)
+
+
+def _to_tiles(maps: Tensor, bins: Bins, fill: int) -> Tensor:
+    """[S, H, W] -> [tiles, S, P] int64; pixels beyond the image get ``fill``."""
+    levels, height, width = maps.shape
+    padded = torch.nn.functional.pad(
+        maps.long(), (0, bins.across * bins.tile - width, 0, bins.down * bins.tile - height), value=fill
+    )
+    blocks = padded.view(levels, bins.down, bins.tile, bins.across, bins.tile)
+    return blocks.permute(1, 3, 0, 2, 4).reshape(bins.across * bins.down, levels, bins.tile**2)
+
+
+def _from_tiles(tiles: Tensor, view: ReferenceView) -> Tensor:
+    """[tiles, P, C] -> [H, W, C]."""
+    bins, channels = view.bins, tiles.shape[2]
+    blocks = tiles.view(bins.down, bins.across, bins.tile, bins.tile, channels).permute(0, 2, 1, 3, 4)
+    image = blocks.reshape(bins.down * bins.tile, bins.across * bins.tile, channels)
+    return image[: view.height, : view.width].contiguous()

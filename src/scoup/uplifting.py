@@ -1,0 +1,187 @@
+"""Sparse code uplifting: from region codes in many views to one code a Gaussian (method.md, stage 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.cameras import Camera, Cameras
+from scoup.codes import SparseCodes, index_dtype
+from scoup.errors import InputError
+from scoup.gaussians import Gaussians
+from scoup.progress import Progress, no_progress
+from scoup.raster.reference import add_codes
+from scoup.regions import Regions
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSums:
+    """Region sums of one view: A[i, r] = sum of blending weights of Gaussian i over the pixels of region r.
+
+    Attributes:
+        view_name: the camera's name.
+        gaussian: [T] int64.
+        key: [T] int64 = level * stride + region of this view.
+        weight: [T] float32, positive.
+        stride: see ``key``.
+    """
+
+    view_name: str
+    gaussian: Tensor  # [T]
+    key: Tensor  # [T]
+    weight: Tensor  # [T]
+    stride: int
+
+    def level(self, level: int) -> tuple[Tensor, Tensor, Tensor]:
+        """(gaussian, region, weight) of one level."""
+        chosen = torch.div(self.key, max(1, self.stride), rounding_mode="floor") == level
+        return self.gaussian[chosen], self.key[chosen] - level * self.stride, self.weight[chosen]
+
+
+def iterate_region_sums(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    regions: Regions,
+    raster_preset: str = "inria",
+    backend: str | None = None,
+) -> Iterator[ViewSums]:
+    """Region sums view by view; only one view is in memory at a time.
+
+    Args:
+        gaussians: the scene.
+        cameras: views to visit, in this order; each must have regions.
+        regions: the region maps; they are brought to the size of the camera.
+        raster_preset, backend: see ``raster.look``.
+    """
+    for camera in cameras:
+        labels, _ = regions.load_view(camera.name, camera.width, camera.height)
+        labels = labels.to(gaussians.device)
+        view = raster.look(gaussians, camera, raster_preset, backend)
+        gaussian, key, weight = raster.region_weights(view, labels)
+        yield ViewSums(camera.name, gaussian, key, weight, int(labels.max()) + 1)
+
+
+class RegionSums:
+    """The region sums of all views, kept: all that anything after rasterising needs.
+
+    With them other codes, codebook sizes or embeddings can be lifted without rasterising again. They take about
+    20 bytes for each pair of a Gaussian and a region it paints; ``build`` streams instead.
+
+    Attributes:
+        n_gaussians: N.
+        levels: level names.
+        views: one ViewSums a view.
+        rows: per level, the rows of each view in the stacked embeddings (``Regions.embeddings``).
+    """
+
+    def __init__(
+        self,
+        n_gaussians: int,
+        levels: Sequence[str],
+        views: Sequence[ViewSums],
+        rows: Sequence[dict[str, slice]],
+    ) -> None:
+        self.n_gaussians = n_gaussians
+        self.levels = tuple(levels)
+        self.views = tuple(views)
+        self.rows = tuple(rows)
+
+    def matrix(self, level: int) -> Tensor:
+        """A [N, R] of one level as a coalesced sparse COO tensor, float32; R counts the regions of all views."""
+        parts = []
+        for view in self.views:
+            gaussian, region, weight = view.level(level)
+            parts.append((gaussian, region + self.rows[level][view.view_name].start, weight))
+        gaussian, region, weight = (torch.cat(items) for items in zip(*parts, strict=True))
+        total = max(rows.stop for rows in self.rows[level].values())
+        shape = (self.n_gaussians, total)
+        return torch.sparse_coo_tensor(torch.stack([gaussian, region]), weight, shape).coalesce()
+
+
+def region_sums(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    regions: Regions,
+    raster_preset: str = "inria",
+    backend: str | None = None,
+    progress: Progress = no_progress,
+) -> RegionSums:
+    """Rasterise every view that has regions once and keep the sums; arguments as in ``iterate_region_sums``."""
+    chosen = cameras_with_regions(cameras, regions)
+    views = []
+    progress("region sums", 0, len(chosen))
+    for sums in iterate_region_sums(gaussians, chosen, regions, raster_preset, backend):
+        views.append(sums)
+        progress("region sums", len(views), len(chosen))
+    rows = [_rows_of_views(regions, level) for level in regions.levels]
+    return RegionSums(len(gaussians), regions.levels, views, rows)
+
+
+def cameras_with_regions(cameras: Cameras, regions: Regions) -> list[Camera]:
+    """The cameras that have region maps, in order.
+
+    Raises:
+        InputError: there is none.
+    """
+    chosen = [camera for camera in cameras if camera.name in regions]
+    if not chosen:
+        raise InputError(
+            f"none of the {len(cameras)} cameras has regions; views with regions: "
+            f"{', '.join(regions.view_names[:5]) or 'none'}; check that names agree"
+        )
+    return chosen
+
+
+def add_view(sums: ViewSums, codes: Sequence[SparseCodes], out: Tensor) -> None:
+    """Add one view's weighted codes into accumulators ``out`` [N, S, L] float32; ``codes``: this view's regions."""
+    add_codes(sums.gaussian, sums.key, sums.weight, sums.stride, list(codes), out)
+
+
+def uplift(sums: RegionSums, codes: Sequence[SparseCodes]) -> Tensor:
+    """Accumulators w_i = sum over regions of A[i, r] * W_r.
+
+    Args:
+        sums: from ``region_sums``.
+        codes: per level, the codes of all regions in the order of ``Regions.embeddings``.
+
+    Returns:
+        [N, S, L] float32.
+    """
+    out = torch.zeros(sums.n_gaussians, len(codes), codes[0].n_atoms, device=codes[0].weights.device)
+    for view in sums.views:
+        add_view(view, [codes[s].rows(sums.rows[s][view.view_name]) for s in range(len(codes))], out)
+    return out
+
+
+def top_k(accumulators: Tensor, k: int | None) -> tuple[Tensor, Tensor]:
+    """The vote: keep the k largest entries of each accumulator and scale them to sum 1.
+
+    Args:
+        accumulators: [N, S, L] float32.
+        k: entries to keep; None keeps all.
+
+    Returns:
+        indices [N, S, K] uint8 (uint16 beyond 256 atoms) and weights [N, S, K] float32, zero where nothing painted.
+    """
+    count, levels, n_atoms = accumulators.shape
+    keep = n_atoms if k is None else k
+    indices = torch.zeros(count, levels, keep, dtype=index_dtype(n_atoms), device=accumulators.device)
+    weights = torch.zeros(count, levels, keep, device=accumulators.device)
+    for level in range(levels):  # one level at a time bounds the memory of the sort
+        codes = SparseCodes.from_dense(accumulators[:, level], keep)
+        indices[:, level], weights[:, level] = codes.indices, codes.weights
+    return indices, weights
+
+
+def _rows_of_views(regions: Regions, level: str) -> dict[str, slice]:
+    rows: dict[str, slice] = {}
+    start = 0
+    for name in regions.view_names:
+        count = len(regions.load_embeddings(name, level))
+        rows[name] = slice(start, start + count)
+        start += count
+    return rows

@@ -1,0 +1,206 @@
+"""Every backend against the brute-force evaluation, over random and ugly scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from raster.brute_force import blending_weights
+from support import KINDS, make_camera, random_gaussians, random_labels, scenes
+
+from scoup import raster
+from scoup.codes import SparseCodes
+from scoup.errors import InputError, UnknownNameError
+
+BACKENDS = sorted(raster.BACKENDS)
+RELATIVE = 1e-5
+# Float32 rounding of a sum of N terms near 1 cannot be asked to be better than this in absolute terms.
+ABSOLUTE = 2e-6
+
+pytestmark = pytest.mark.parametrize("backend", BACKENDS)
+
+
+def close(actual, expected, sure):
+    """All sure pixels [H, W] agree; the last axes of actual/expected are [H, W]."""
+    actual = actual.numpy().astype(np.float64)
+    limit = RELATIVE * np.abs(expected) + ABSOLUTE
+    worst = np.where(sure, np.abs(actual - expected) / limit, 0)
+    assert worst.size == 0 or worst.max() <= 1, f"error is {worst.max():.3g} x the limit"
+
+
+@settings(max_examples=60, deadline=None)
+@given(scene=scenes(), preset=st.sampled_from(["inria", "gsplat"]))
+def test_channels_and_alpha_equal_brute_force(backend, scene, preset):
+    gaussians, camera = scene
+    truth = blending_weights(gaussians, camera, preset)
+    values = torch.randn(len(gaussians), 3, generator=torch.Generator().manual_seed(1))
+    image, alpha = raster.render_channels(raster.look(gaussians, camera, preset, backend), values)
+    assert image.shape == (camera.height, camera.width, 3)
+    assert np.mean(truth.unsure) < 0.2 or truth.unsure.size < 20
+    expected = np.einsum("nhw,nc->chw", truth.weights, values.numpy().astype(np.float64))
+    close(image.permute(2, 0, 1), expected, ~truth.unsure)
+    close(alpha, truth.weights.sum(0), ~truth.unsure)
+    assert torch.isfinite(image).all()
+    assert torch.isfinite(alpha).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(scene=scenes(25), levels=st.integers(1, 4), regions=st.integers(1, 9), seed=st.integers(0, 999))
+def test_region_weights_equal_brute_force(backend, scene, levels, regions, seed):
+    gaussians, camera = scene
+    truth = blending_weights(gaussians, camera, "inria")
+    labels = random_labels(levels, camera.height, camera.width, regions, seed)
+    labels[:, torch.from_numpy(truth.unsure)] = -1  # only sure pixels are compared
+    gaussian, key, weight = raster.region_weights(raster.look(gaussians, camera, "inria", backend), labels)
+    stride = int(labels.max()) + 1
+    expected = np.zeros((len(gaussians), levels * max(stride, 1)))
+    for level in range(levels):
+        for region in range(stride):
+            where = labels[level].numpy() == region
+            expected[:, level * stride + region] = truth.weights[:, where].sum(1)
+    actual = np.zeros_like(expected)
+    actual[gaussian.numpy(), key.numpy()] = weight.numpy()
+    assert np.abs(actual - expected).max(initial=0) <= 1e-5 * expected.max(initial=1)
+    assert ((actual > 0) == (expected > 0)).all()
+    assert len(torch.unique(gaussian * 1000 + key)) == len(key)  # each pair once
+    order = gaussian * 1000 + key
+    assert (order[1:] > order[:-1]).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(scene=scenes(25), seed=st.integers(0, 999))
+def test_uplift_by_regions_equals_uplift_per_pixel(backend, scene, seed):
+    """The regrouping of method.md, stage 2: sums over regions first, or codes scattered pixel by pixel."""
+    gaussians, camera = scene
+    generator = torch.Generator().manual_seed(seed)
+    levels, n_atoms, regions = 2, 6, 5
+    labels = random_labels(levels, camera.height, camera.width, regions, seed)
+    codes = [SparseCodes.from_dense(torch.rand(regions, n_atoms, generator=generator), 3) for _ in range(levels)]
+    view = raster.look(gaussians, camera, backend=backend)
+    out = torch.zeros(len(gaussians), levels, n_atoms)
+    raster.uplift_view(view, labels, codes, out)
+
+    one_hot = torch.eye(len(gaussians))
+    weights, _ = raster.render_channels(view, one_hot)  # [H, W, N]: e of every Gaussian at every pixel
+    expected = torch.zeros_like(out)
+    for level in range(levels):
+        per_pixel = torch.zeros(camera.height, camera.width, n_atoms)
+        has = labels[level] >= 0
+        per_pixel[has] = codes[level].to_dense()[labels[level][has].long()]
+        expected[:, level] = torch.einsum("hwn,hwl->nl", weights, per_pixel)
+    assert torch.allclose(out, expected, rtol=1e-4, atol=1e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(scene=scenes(25), k=st.integers(1, 5), seed=st.integers(0, 999))
+def test_codes_and_cosines_equal_decoded_features(backend, scene, k, seed):
+    gaussians, camera = scene
+    generator = torch.Generator().manual_seed(seed)
+    levels, n_atoms, dim, count = 3, 7, 16, len(gaussians)
+    indices = torch.randint(n_atoms, (count, levels, k), generator=generator, dtype=torch.uint8)
+    weights = torch.rand(count, levels, k, generator=generator)
+    weights[: count // 3] = 0  # Gaussians without a code
+    codebook = torch.randn(levels, n_atoms, dim, generator=generator)
+    queries = torch.nn.functional.normalize(torch.randn(4, dim, generator=generator), dim=1)
+    view = raster.look(gaussians, camera, backend=backend)
+
+    rendered = raster.render_codes(view, indices, weights, n_atoms)
+    cosines = raster.render_cosines(view, indices, weights, codebook, queries)
+    assert rendered.shape == (levels, camera.height, camera.width, n_atoms)
+    assert cosines.shape == (levels, 4, camera.height, camera.width)
+    for level in range(levels):
+        dense = torch.zeros(count, n_atoms).scatter_add_(1, indices[:, level].long(), weights[:, level])
+        image, _ = raster.render_channels(view, dense)
+        assert torch.allclose(rendered[level], image, rtol=1e-4, atol=1e-6)
+        features, _ = raster.render_channels(view, dense @ codebook[level])
+        unit = torch.nn.functional.normalize(features.double(), dim=-1)
+        expected = (unit @ queries.T.double()).permute(2, 0, 1).float()
+        solid = features.norm(dim=-1) > 1e-4
+        assert torch.allclose(cosines[level][:, solid], expected[:, solid], atol=1e-4)
+        assert (cosines[level][:, features.abs().sum(-1) == 0] == 0).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_ugly_kind_alone(backend, kind):
+    gaussians = random_gaussians(12, 5, (kind,))
+    camera = make_camera(33, 21, seed=3)
+    truth = blending_weights(gaussians, camera, "inria")
+    _, alpha = raster.render_channels(raster.look(gaussians, camera, backend=backend), torch.ones(12, 1))
+    close(alpha, truth.weights.sum(0), ~truth.unsure)
+    drawn = kind not in ("behind", "opacity 0", "nan", "zero quat")
+    assert bool((alpha > 0).any()) == drawn
+
+
+def test_ties_in_depth_go_by_index(backend):
+    gaussians = random_gaussians(2, 0)
+    same = gaussians.select(torch.tensor([0, 0]))
+    same.scales[:] = 0.5
+    same.opacities[:] = torch.tensor([0.9, 0.8])
+    image, _ = raster.render_channels(raster.look(same, make_camera(), backend=backend), torch.eye(2))
+    centre = image.flatten(0, 1)[image[..., 0].argmax()]
+    assert centre[0] > 0.8
+    assert centre[1] < 0.2
+
+
+def test_stop_rule_leaves_out_the_gaussian_that_would_cross_it(backend):
+    """Five layers of alpha 0.9: after four the transmittance is 1e-4; the fifth would take it to 1e-5."""
+    gaussians = random_gaussians(6, 0)
+    gaussians.means[:] = torch.tensor([0.0, 0.0, 2.0])
+    gaussians.means[:, 2] += torch.arange(6) * 0.1
+    gaussians.scales[:] = 1e4
+    gaussians.opacities[:] = 0.95
+    image, alpha = raster.render_channels(raster.look(gaussians, make_camera(9, 9), backend=backend), torch.eye(6))
+    # 0.05^3 = 1.25e-4 stays above the bound, 0.05^4 does not: exactly three are drawn.
+    assert (image > 0).flatten(0, 1).all(0).tolist() == [True] * 3 + [False] * 3
+    assert torch.allclose(alpha, torch.full_like(alpha, 1 - 0.05**3), atol=1e-6)
+
+
+def test_empty_scene_and_empty_view(backend):
+    camera = make_camera(7, 5)
+    for gaussians in (random_gaussians(0, 0), random_gaussians(5, 0, ("behind",))):
+        count = len(gaussians)
+        view = raster.look(gaussians, camera, backend=backend)
+        image, alpha = raster.render_channels(view, torch.ones(count, 2))
+        assert image.shape == (5, 7, 2)
+        assert not image.any()
+        assert not alpha.any()
+        gaussian, key, weight = raster.region_weights(view, torch.zeros(3, 5, 7, dtype=torch.int32))
+        assert len(gaussian) == len(key) == len(weight) == 0
+
+
+def test_no_region_anywhere(backend):
+    view = raster.look(random_gaussians(9, 1), make_camera(), backend=backend)
+    gaussian, _, _ = raster.region_weights(view, torch.full((2, 30, 40), -1, dtype=torch.int32))
+    assert len(gaussian) == 0
+
+
+def test_same_bytes_twice(backend):
+    gaussians, camera = random_gaussians(300, 2), make_camera(90, 70, 80.0)
+    labels = random_labels(3, 70, 90, 12, 0)
+    first = raster.region_weights(raster.look(gaussians, camera, backend=backend), labels)
+    second = raster.region_weights(raster.look(gaussians, camera, backend=backend), labels)
+    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_wrong_shapes_are_refused(backend):
+    view = raster.look(random_gaussians(9, 1), make_camera(), backend=backend)
+    with pytest.raises(InputError, match="labels"):
+        raster.region_weights(view, torch.zeros(3, 31, 40, dtype=torch.int32))
+    with pytest.raises(InputError, match="integers"):
+        raster.region_weights(view, torch.zeros(3, 30, 40))
+    with pytest.raises(InputError, match="values"):
+        raster.render_channels(view, torch.zeros(8, 3))
+    with pytest.raises(InputError, match="differ"):
+        raster.render_codes(view, torch.zeros(9, 3, 4, dtype=torch.uint8), torch.zeros(9, 3, 5), 8)
+    codes = [SparseCodes.from_dense(torch.ones(2, 4), 2)]
+    with pytest.raises(InputError, match="no code"):
+        raster.uplift_view(view, torch.full((1, 30, 40), 2, dtype=torch.int32), codes, torch.zeros(9, 1, 4))
+
+
+def test_unknown_names(backend):
+    with pytest.raises(UnknownNameError, match="inria"):
+        raster.look(random_gaussians(2, 0), make_camera(), "inira", backend)
+    with pytest.raises(UnknownNameError, match="reference"):
+        raster.look(random_gaussians(2, 0), make_camera(), backend="refrence")

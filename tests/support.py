@@ -1,0 +1,84 @@
+"""Random scenes and cameras shared by the tests."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from hypothesis import strategies as st
+
+from scoup.cameras import Camera
+from scoup.gaussians import Gaussians
+
+KINDS = ("plain", "behind", "huge", "needle", "opacity 0", "opacity 1", "opacity inf", "nan", "tiny", "zero quat")
+
+
+def random_gaussians(count: int, seed: int, kinds: tuple[str, ...] = ("plain",), degree: int = 0) -> Gaussians:
+    """``count`` Gaussians in front of the default camera, each of a kind drawn from ``kinds``."""
+    generator = torch.Generator().manual_seed(seed)
+    means = torch.randn(count, 3, generator=generator) * torch.tensor([1.0, 0.8, 0.7])
+    means[:, 2] += 4.0
+    quats = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
+    scales = torch.exp(torch.randn(count, 3, generator=generator) * 0.7 - 2.0)
+    opacities = torch.rand(count, generator=generator)
+    sh = torch.randn(count, (degree + 1) ** 2, 3, generator=generator) * 0.4
+    picks = torch.randint(len(kinds), (count,), generator=generator).tolist()
+    for row, kind in enumerate(kinds[pick] for pick in picks):
+        if kind == "behind":
+            means[row, 2] *= -1
+        elif kind == "huge":
+            scales[row] = torch.tensor([50.0, 80.0, 20.0])
+        elif kind == "needle":
+            scales[row] = torch.tensor([2.0, 1e-5, 1e-5])
+        elif kind == "tiny":
+            scales[row] = 1e-9
+        elif kind == "opacity 0":
+            opacities[row] = 0.0
+        elif kind == "opacity 1":
+            opacities[row] = 1.0
+        elif kind == "opacity inf":
+            opacities[row] = math.inf
+        elif kind == "nan":
+            [means, quats, scales][row % 3][row, row % 3] = math.nan
+        elif kind == "zero quat":
+            quats[row] = 0
+    return Gaussians(means, quats, scales, opacities, sh)
+
+
+def make_camera(width: int = 40, height: int = 30, focal: float = 36.0, seed: int | None = None, **changes) -> Camera:
+    """A camera at the origin looking along +z; with ``seed`` its principal point and pose are shaken."""
+    viewmat = torch.eye(4, dtype=torch.float64)
+    cx, cy = width / 2, height / 2
+    if seed is not None:
+        generator = torch.Generator().manual_seed(seed)
+        angles = (torch.rand(3, generator=generator, dtype=torch.float64) - 0.5) * 0.3
+        for axis, angle in enumerate(angles.tolist()):
+            turn = torch.eye(4, dtype=torch.float64)
+            a, b = [(1, 2), (0, 2), (0, 1)][axis]
+            turn[a, a] = turn[b, b] = math.cos(angle)
+            turn[a, b], turn[b, a] = -math.sin(angle), math.sin(angle)
+            viewmat = turn @ viewmat
+        shift = (torch.rand(5, generator=generator, dtype=torch.float64) - 0.5).tolist()
+        viewmat[:3, 3] = torch.tensor(shift[:3], dtype=torch.float64)
+        cx, cy = cx + shift[3] * width * 0.3, cy + shift[4] * height * 0.3
+    K = torch.tensor([[focal, 0, cx], [0, focal * 1.1, cy], [0, 0, 1]], dtype=torch.float64)
+    return Camera(changes.pop("name", "view.png"), viewmat, K, width, height, **changes)
+
+
+@st.composite
+def scenes(draw: st.DrawFn, max_count: int = 40) -> tuple[Gaussians, Camera]:
+    """Random scenes, ugly Gaussians included, with a random small camera (down to one pixel)."""
+    kinds = tuple(draw(st.lists(st.sampled_from(KINDS), min_size=1, max_size=len(KINDS), unique=True)))
+    count = draw(st.integers(0, max_count))
+    gaussians = random_gaussians(count, draw(st.integers(0, 2**31)), (*kinds, "plain"))
+    width, height = draw(st.integers(1, 45)), draw(st.integers(1, 37))
+    focal = draw(st.sampled_from([12.0, 36.0, 150.0]))
+    return gaussians, make_camera(width, height, focal, draw(st.integers(0, 2**31)))
+
+
+def random_labels(levels: int, height: int, width: int, regions: int, seed: int) -> torch.Tensor:
+    """[S, H, W] int32 labels in blocks, -1 included."""
+    generator = torch.Generator().manual_seed(seed)
+    coarse = torch.randint(-1, regions, (levels, height // 5 + 1, width // 5 + 1), generator=generator)
+    fine = coarse.repeat_interleave(5, 1).repeat_interleave(5, 2)[:, :height, :width]
+    return fine.int().contiguous()
