@@ -7,8 +7,9 @@ import math
 import torch
 from hypothesis import strategies as st
 
-from scoup.cameras import Camera
+from scoup.cameras import Camera, Cameras
 from scoup.gaussians import Gaussians
+from scoup.regions import LEVELS, RegionMap, Regions
 
 KINDS = ("plain", "behind", "huge", "needle", "opacity 0", "opacity 1", "opacity inf", "nan", "tiny", "zero quat")
 
@@ -82,3 +83,24 @@ def random_labels(levels: int, height: int, width: int, regions: int, seed: int)
     coarse = torch.randint(-1, regions, (levels, height // 5 + 1, width // 5 + 1), generator=generator)
     fine = coarse.repeat_interleave(5, 1).repeat_interleave(5, 2)[:, :height, :width]
     return fine.int().contiguous()
+
+
+def small_scene(
+    count: int = 150, views: int = 4, width: int = 40, height: int = 30, regions: int = 6, dim: int = 16, seed: int = 0
+) -> tuple[Gaussians, Cameras, Regions]:
+    """Random Gaussians seen by a few cameras, with random blocks of regions at three levels."""
+    gaussians = random_gaussians(count, seed)
+    cameras = Cameras(make_camera(width, height, seed=seed + i, name=f"view_{i:02d}.png") for i in range(views))
+    generator = torch.Generator().manual_seed(seed)
+    maps = {}
+    for number, camera in enumerate(cameras):
+        labels = random_labels(len(LEVELS), height, width, regions, seed * 100 + number)
+        maps[camera.name] = {
+            level: RegionMap(labels[s], unit(torch.randn(regions, dim, generator=generator)))
+            for s, level in enumerate(LEVELS)
+        }
+    return gaussians, cameras, Regions.from_maps(maps)
+
+
+def unit(rows: torch.Tensor) -> torch.Tensor:
+    return torch.nn.functional.normalize(rows, dim=-1)

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from scoup.cameras import Camera, Cameras
 from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupError
 from scoup.field import FieldInfo, LanguageField
 from scoup.gaussians import Gaussians
@@ -17,6 +18,7 @@ from scoup.io.atomic import atomic_path, check_output
 
 SCHEMA = "scoup.language_field"
 VERSION = 1
+METADATA_KEY = "scoup"
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
 _REBUILD = "build the field again, or copy the file again if it was cut short"
 
@@ -37,6 +39,8 @@ def save_field(
     tensors = {"code_indices": field.code_indices, "code_weights": weights, "codebook": field.codebook}
     if embed_geometry:
         tensors |= {f"geometry.{name}": getattr(field.gaussians, name) for name in _GEOMETRY}
+    if field.cameras is not None:
+        tensors |= _camera_tensors(field.cameras)
     header = {
         "levels": list(field.levels),
         "embedding_model": field.info.embedding_model,
@@ -46,6 +50,7 @@ def save_field(
             "n_gaussians": field.info.n_gaussians,
             "path": None if field.geometry_path is None else _relative(field.geometry_path, path),
         },
+        "cameras": None if field.cameras is None else list(field.cameras.names),
         "provenance": field.info.provenance,
     }
     if field.accumulators is not None:
@@ -77,7 +82,14 @@ def load_field(path: Path, gaussians: Gaussians | None) -> LanguageField:
             raise InputError(f"code weights are {weights.dtype}, expected float16 or uint8")
         accumulators = _load_accumulators(path, info, tensors["codebook"])
         field = LanguageField(
-            tensors["code_indices"], weights, tensors["codebook"].float(), info, None, geometry_path, accumulators
+            tensors["code_indices"],
+            weights,
+            tensors["codebook"].float(),
+            info,
+            None,
+            geometry_path,
+            accumulators,
+            _cameras(tensors, header["cameras"]),
         )
         if gaussians is None and "geometry.means" in tensors:
             gaussians = Gaussians(*(tensors[f"geometry.{name}"] for name in _GEOMETRY))
@@ -106,18 +118,18 @@ def read_tensors(path: Path, schema: str, what: str) -> tuple[dict[str, Tensor],
         raise MissingFileError(path, f"there is no such file ({what} was expected)", "check the path")
     try:
         with safe_open(path, framework="pt") as stream:
-            metadata = stream.metadata() or {}
-            if metadata.get("schema") != schema:
+            header = json.loads((stream.metadata() or {}).get(METADATA_KEY, "{}"))
+            if not isinstance(header, dict) or header.get("schema") != schema:
                 raise FileFormatError(path, f"is a safetensors file, but not {what}", "check the path")
-            version = int(metadata.get("version", "0"))
+            version = int(header["version"])
             if version > VERSION:
                 raise FileFormatError(
                     path, f"was written by a newer SCOUP (format {version})", "pip install -U scoup"
                 )
-            return {name: stream.get_tensor(name) for name in stream.keys()}, json.loads(metadata["header"])  # noqa: SIM118
+            return {name: stream.get_tensor(name) for name in stream.keys()}, header  # noqa: SIM118
     except ScoupError:
         raise
-    except (SafetensorError, ValueError, KeyError, OSError, RuntimeError, OverflowError) as error:
+    except (SafetensorError, ValueError, KeyError, TypeError, OSError, RuntimeError, OverflowError, RecursionError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise FileFormatError(path, f"is not {what} or is damaged ({reason})", _REBUILD) from error
 
@@ -137,7 +149,8 @@ def _load_accumulators(path: Path, info: FieldInfo, codebook: Tensor) -> Tensor 
 def _write(path: Path, tensors: dict[str, Tensor], schema: str, header: dict[str, Any], overwrite: bool) -> None:
     from safetensors.torch import save_file
 
-    metadata = {"schema": schema, "version": str(VERSION), "header": json.dumps(header, sort_keys=True)}
+    # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
+    metadata = {METADATA_KEY: json.dumps({"schema": schema, "version": VERSION, **header}, sort_keys=True)}
     with atomic_path(path, overwrite) as temporary:
         try:
             save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary, metadata)
@@ -148,6 +161,25 @@ def _write(path: Path, tensors: dict[str, Tensor], schema: str, header: dict[str
 def write_tensors(path: Path, tensors: dict[str, Tensor], schema: str, header: dict[str, Any]) -> None:
     """Write a safetensors file of ours atomically, replacing what is there."""
     _write(path, tensors, schema, header, overwrite=True)
+
+
+def _camera_tensors(cameras: Cameras) -> dict[str, Tensor]:
+    sizes = [[camera.width, camera.height] for camera in cameras]
+    return {
+        "cameras.viewmats": torch.stack([camera.viewmat for camera in cameras]),
+        "cameras.Ks": torch.stack([camera.K for camera in cameras]),
+        "cameras.sizes": torch.tensor(sizes, dtype=torch.int32),
+    }
+
+
+def _cameras(tensors: dict[str, Tensor], names: list[str] | None) -> Cameras | None:
+    if names is None:
+        return None
+    parts = (tensors["cameras.viewmats"], tensors["cameras.Ks"], tensors["cameras.sizes"].tolist())
+    return Cameras(
+        Camera(str(name), viewmat, K, int(size[0]), int(size[1]))
+        for name, viewmat, K, size in zip(names, *parts, strict=True)
+    )
 
 
 def _relative(target: Path, artefact: Path) -> str:

@@ -10,17 +10,18 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.cameras import Camera
+from scoup.cameras import Camera, Cameras
 from scoup.codes import cosines_from_codes, index_dtype
 from scoup.errors import GeometryMismatchError, InputError
 from scoup.gaussians import Gaussians
+from scoup.regions import Regions
 from scoup.relevancy import relevancy
 from scoup.uplifting import top_k
 
 GAUSSIANS_AT_A_TIME = 65536
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FieldInfo:
     """What a field is, without its tensors.
 
@@ -52,6 +53,7 @@ class LanguageField:
         gaussians: the geometry; None loads it from ``geometry_path`` when first needed.
         geometry_path: where the geometry lies.
         accumulators: [N, S, L] float32 sums before the top-K step, needed only to add views later.
+        cameras: the views it was built from, so that it can be asked without its scene folder.
 
     Raises:
         InputError: shapes, dtypes or values do not fit together.
@@ -67,6 +69,7 @@ class LanguageField:
         gaussians: Gaussians | None = None,
         geometry_path: Path | None = None,
         accumulators: Tensor | None = None,
+        cameras: Cameras | None = None,
     ) -> None:
         self.code_indices = code_indices
         self.code_weights = code_weights.to(torch.float16)
@@ -74,6 +77,7 @@ class LanguageField:
         self.info = info
         self.geometry_path = geometry_path
         self.accumulators = accumulators
+        self.cameras = cameras
         self._gaussians = None
         self._check()
         if gaussians is not None:
@@ -96,6 +100,20 @@ class LanguageField:
 
     def __len__(self) -> int:
         return self.code_indices.shape[0]
+
+    def to(self, device: torch.device | str) -> LanguageField:
+        """The same field with its tensors, and its geometry if loaded, on a device."""
+        moved = LanguageField(
+            self.code_indices.to(device),
+            self.code_weights.to(device),
+            self.codebook.to(device),
+            self.info,
+            geometry_path=self.geometry_path,
+            accumulators=self.accumulators,
+            cameras=self.cameras,
+        )
+        moved._gaussians = None if self._gaussians is None else self._gaussians.to(device)
+        return moved
 
     def coded(self) -> Tensor:
         """Boolean [N]: Gaussians with a code at any level."""
@@ -201,7 +219,7 @@ class LanguageField:
 
     # ---- how it changes and lasts
 
-    def update(self, camera: Camera, regions: Any) -> LanguageField:
+    def update(self, camera: Camera, regions: Regions) -> LanguageField:
         """A new field with one more view added to the vote; the codebook and earlier codes of regions stay.
 
         Args:
@@ -211,7 +229,7 @@ class LanguageField:
         Raises:
             InputError: the field was loaded or built without its accumulators, or the levels differ.
         """
-        from scoup.coding import encode
+        from scoup.coding.encode import encode
         from scoup.uplifting import add_view, iterate_region_sums
 
         if self.accumulators is None:
@@ -222,7 +240,7 @@ class LanguageField:
             raise InputError(f"the regions have levels {list(regions.levels)}, the field {list(self.levels)}")
         k = self.code_indices.shape[2]
         codes = [
-            encode(self.codebook[s], regions.load_embeddings(camera.name, level), k)
+            encode(regions.load_embeddings(camera.name, level), self.codebook[s], k)
             for s, level in enumerate(self.levels)
         ]
         accumulators = self.accumulators.clone()
@@ -231,8 +249,11 @@ class LanguageField:
         indices, weights = top_k(accumulators, k)
         added = [*self.info.provenance.get("added_views", []), camera.name]
         info = replace(self.info, provenance={**self.info.provenance, "added_views": added})
+        cameras = self.cameras
+        if cameras is not None and camera.name not in cameras.names:
+            cameras = Cameras([*cameras, camera])
         return LanguageField(
-            indices, weights, self.codebook, info, self.gaussians, self.geometry_path, accumulators
+            indices, weights, self.codebook, info, self.gaussians, self.geometry_path, accumulators, cameras
         )
 
     def save(

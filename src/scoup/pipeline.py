@@ -130,6 +130,7 @@ def build(
         gaussians,
         None if geometry_path is None else Path(geometry_path),
         state.accumulators if keep_accumulators else None,
+        Cameras(views),
     )
     keeper.remove()
     return field
@@ -163,7 +164,7 @@ def _learn_codes(
         codes.append(book.codes)
         # Seconds would make two equal builds write different bytes.
         report = {key: value for key, value in dataclasses.asdict(book.report).items() if key != "seconds"}
-        reports.append({"regions": len(rows), **report})
+        reports.append(report)
     shape = (n_gaussians, len(levels), settings.n_atoms)
     return BuildState(atoms, codes, reports, torch.zeros(shape), [])
 

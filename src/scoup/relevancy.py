@@ -1,4 +1,4 @@
-"""From sparse weights to cosines, and from cosines to relevancy. Pure functions (method.md, stage 3)."""
+"""From cosines to relevancy (method.md, stage 3)."""
 
 from __future__ import annotations
 
@@ -20,10 +20,12 @@ def relevancy(
     """How much more a query fits than the best-fitting canonical phrase, 0..1; 0.5 is a draw.
 
     method.md, stage 3: min over k of exp(a q) / (exp(a q) + exp(a canon_k)), which is
-    sigmoid(a (q - max_k canon_k)) and computed so. Where nothing is rendered all cosines are 0: relevancy 0.5.
+    sigmoid(a (q - max_k canon_k)) and computed so. Where nothing is rendered all cosines are 0: relevancy
+    0.5.
 
     Args:
-        cosines: [S, Q, ...] cosine of each of Q queries, per level; the trailing shape is free (pixels, Gaussians).
+        cosines: [S, Q, ...] cosine of each of Q queries, per level; the trailing shape is free (pixels,
+            Gaussians).
         canonical: [S, P, ...] cosines of the P >= 1 canonical phrases, same trailing shape.
         temperature: a.
 
@@ -34,41 +36,13 @@ def relevancy(
         InputError: if the shapes do not belong together, or there is no canonical phrase.
     """
     if cosines.dim() < 2 or cosines.dim() != canonical.dim():
-        raise InputError(f"cosines {list(cosines.shape)} and canonical {list(canonical.shape)} must be [S, Q or P, ...]")
+        raise InputError(
+            f"cosines {list(cosines.shape)} and canonical {list(canonical.shape)} must be [S, Q or P, ...]"
+        )
     if cosines.shape[0] != canonical.shape[0] or cosines.shape[2:] != canonical.shape[2:]:
-        raise InputError(f"cosines {list(cosines.shape)} and canonical {list(canonical.shape)} differ beyond axis 1")
+        raise InputError(
+            f"cosines {list(cosines.shape)} and canonical {list(canonical.shape)} differ beyond axis 1"
+        )
     if canonical.shape[1] == 0:
         raise InputError("relevancy needs at least one canonical phrase")
     return torch.sigmoid(temperature * (cosines - canonical.amax(1, keepdim=True)))
-
-
-def cosines_from_codes(
-    weights: Tensor,  # [..., L]
-    codebook: Tensor,  # [L, D]
-    queries: Tensor,  # [Q, D]
-) -> Tensor:
-    """Cosine between decoded codes and queries, without decoding to D dimensions.
-
-    method.md, stage 3: with A = C T^T and G = C C^T, cos(W C, t) = (W A_t) / sqrt(W G W^T).
-
-    Args:
-        weights: [..., L] codes or rendered codes of one level, any scale from about 1e-15 up.
-        codebook: [L, D] float32 atoms C, of any norm.
-        queries: [Q, D] float32 unit vectors T.
-
-    Returns:
-        [..., Q] float32 in -1..1; 0 where the weights are all 0 (or decode to nothing).
-
-    Raises:
-        InputError: if the shapes do not fit.
-    """
-    if weights.shape[-1] != codebook.shape[0] or codebook.shape[-1] != queries.shape[-1]:
-        raise InputError(
-            f"weights {list(weights.shape)}, codebook {list(codebook.shape)} and queries {list(queries.shape)} "
-            "must be [..., L], [L, D] and [Q, D]"
-        )
-    weights = weights.to(codebook.dtype)
-    squared = ((weights @ (codebook @ codebook.T)) * weights).sum(-1, keepdim=True)
-    inverse = squared.clamp(min=torch.finfo(squared.dtype).tiny).rsqrt()
-    cosines = (weights @ (codebook @ queries.T)) * inverse
-    return torch.where(squared > 0, cosines, 0.0).clamp_(-1.0, 1.0)

@@ -28,8 +28,8 @@ class TextEncoder:
     Phrases are encoded as they stand, without a prompt template.
 
     Attributes:
-        name: id of the embedding model, "" if a table does not name it. A field answers only to vectors of the
-            model its regions were encoded with.
+        name: id of the embedding model, "" if a table does not name it. A field answers only to vectors of
+            the model its regions were encoded with.
         dim: D, the size of a vector.
     """
 
@@ -45,10 +45,11 @@ class TextEncoder:
         """A text encoder of a table file or a CLIP model.
 
         Args:
-            model_or_table: a table file (.npz, .json, .safetensors; see ``scoup.text_table.load_table``), or a
-                model: a folder or hub id that transformers knows, such as "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
-                (CLIP and SigLIP kinds), or "open_clip:ARCHITECTURE/PRETRAINED", such as
-                "open_clip:ViT-B-16/laion2b_s34b_b88k". A name ending like a table is always taken as a file.
+            model_or_table: a table file (.npz, .json, .safetensors; see ``scoup.text_table.load_table``), or
+                a model: a folder or hub id that transformers knows, such as
+                "laion/CLIP-ViT-B-16-laion2B-s34B-b88K" (CLIP and SigLIP kinds), or
+                "open_clip:ARCHITECTURE/PRETRAINED", such as "open_clip:ViT-B-16/laion2b_s34b_b88k". A name
+                ending like a table is always taken as a file.
             revision: branch, tag or commit of a hub model.
             device: where the model runs. Vectors always come back on the CPU.
 
@@ -84,8 +85,8 @@ class TextEncoder:
         """[Q, D] float32 unit vectors of the phrases, on the CPU.
 
         Raises:
-            UnknownNameError: a table lacks a phrase (case and outer blanks are ignored if need be); the message
-                lists the nearest names.
+            UnknownNameError: a table lacks a phrase (case and outer blanks are ignored if need be); the
+                message lists the nearest names.
             InputError: the encoder is closed, or a phrase is not text or is blank.
         """
         if self._encode is None:
@@ -97,7 +98,9 @@ class TextEncoder:
                 raise InputError(f"a phrase to encode must be a text that is not blank, got {phrase!r}")
         if not phrases:
             return torch.zeros(0, self.dim)
-        batches = [self._encode(list(phrases[start : start + _BATCH])) for start in range(0, len(phrases), _BATCH)]
+        batches = [
+            self._encode(list(phrases[start : start + _BATCH])) for start in range(0, len(phrases), _BATCH)
+        ]
         vectors = torch.cat(batches).float().cpu()
         return torch.nn.functional.normalize(vectors, dim=1)
 
@@ -130,27 +133,37 @@ def _open_transformers(model_id: str, revision: str | None, device: torch.device
         is_clip = config.model_type in ("clip", "clip_text_model")
         kind: Any = transformers.CLIPTextModelWithProjection if is_clip else transformers.AutoModel
         # Safetensors only: loading a pickled checkpoint runs whatever it contains.
-        model, loading = kind.from_pretrained(model_id, use_safetensors=True, output_loading_info=True, **options)
-    except (OSError, ValueError, ImportError, KeyError, RuntimeError) as error:
+        model, loading = kind.from_pretrained(
+            model_id, use_safetensors=True, output_loading_info=True, **options
+        )
+    except Exception as error:  # hub, network, JSON and safetensors each raise kinds of their own
         raise ScoupError(
-            f"{with_reason} ({_first_line(error)}); check the id, pip install 'scoup[models]', and fetch the weights "
-            "(safetensors) while online, or use a table file of text embeddings"
+            f"{with_reason} ({_first_line(error)}); check the id, pip install 'scoup[models]', and fetch the "
+            "weights (safetensors) while online, or use a table file of text embeddings"
         ) from error
     if not is_clip and not hasattr(model, "get_text_features"):
-        raise ScoupError(f"{with_reason}: a {config.model_type!r} model has no text features; use a CLIP or SigLIP model")
+        raise ScoupError(
+            f"{with_reason}: {config.model_type!r} models have no text features; use CLIP or SigLIP"
+        )
     missing = sorted(key for key in loading["missing_keys"] if not key.endswith("position_ids"))
     if missing:
-        raise ScoupError(f"{with_reason}: its file lacks weights such as {missing[0]!r}; use a complete CLIP model")
+        raise ScoupError(
+            f"{with_reason}: its file lacks weights such as {missing[0]!r}; use a complete CLIP model"
+        )
     model = model.to(device).eval()
     limit = int(getattr(config, "text_config", config).max_position_embeddings)
 
     def encode(phrases: list[str]) -> Tensor:
         _warn_of_long(phrases, [len(ids) for ids in tokenizer(phrases)["input_ids"]], limit)
-        tokens = tokenizer(phrases, padding="max_length", truncation=True, max_length=limit, return_tensors="pt")
+        tokens = tokenizer(
+            phrases, padding="max_length", truncation=True, max_length=limit, return_tensors="pt"
+        )
         tokens = {name: tensor.to(device) for name, tensor in tokens.items()}
         with torch.inference_mode():
             if is_clip:
-                features = model(input_ids=tokens["input_ids"], attention_mask=tokens.get("attention_mask")).text_embeds
+                features = model(
+                    input_ids=tokens["input_ids"], attention_mask=tokens.get("attention_mask")
+                ).text_embeds
             else:  # SigLIP attends to its padding: it was trained without a mask
                 features = model.get_text_features(input_ids=tokens["input_ids"])
                 features = getattr(features, "pooler_output", features)  # transformers 5 gives an object
@@ -162,7 +175,10 @@ def _open_transformers(model_id: str, revision: str | None, device: torch.device
 def _open_open_clip(text: str, device: torch.device | str) -> tuple[int, Encode]:
     architecture, _, pretrained = text.removeprefix(OPEN_CLIP).partition("/")
     if not architecture or not pretrained:
-        raise InputError(f"{text!r}: write {OPEN_CLIP}ARCHITECTURE/PRETRAINED, such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k")
+        raise InputError(
+            f"{text!r}: write {OPEN_CLIP}ARCHITECTURE/PRETRAINED, "
+            f"such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k"
+        )
     try:
         import open_clip  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -173,10 +189,10 @@ def _open_open_clip(text: str, device: torch.device | str) -> tuple[int, Encode]
     try:
         model = open_clip.create_model(architecture, pretrained=pretrained, device=device).eval()
         tokenizer = open_clip.get_tokenizer(architecture)
-    except (OSError, ValueError, RuntimeError, KeyError, ImportError) as error:
+    except Exception as error:  # as above
         raise ScoupError(
-            f"text model {text!r} cannot be loaded ({_first_line(error)}); check the id, and fetch the weights while "
-            "online, or use a table file of text embeddings"
+            f"text model {text!r} cannot be loaded ({_first_line(error)}); check the id, and fetch the weights "
+            "while online, or use a table file of text embeddings"
         ) from error
 
     def encode(phrases: list[str]) -> Tensor:
@@ -190,8 +206,8 @@ def _warn_of_long(phrases: list[str], lengths: list[int], limit: int) -> None:
     for phrase, length in zip(phrases, lengths, strict=True):
         if length > limit:
             warnings.warn(
-                f"the phrase {phrase[:40]!r} has {length} tokens, the text model reads only {limit}: the rest is "
-                "ignored",
+                f"the phrase {phrase[:40]!r} has {length} tokens, the text model reads only {limit}: "
+                "the rest is ignored",
                 ScoupWarning,
                 stacklevel=4,
             )

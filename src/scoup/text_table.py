@@ -48,8 +48,8 @@ def load_table(path: str | Path) -> EmbeddingTable:
     """Read a table; see ``save_table`` for one of its forms.
 
     Forms: .npz with arrays ``names`` [M] and ``vectors`` [M, D], or one array [D] a name; .json with
-    ``{name: [numbers]}``; .safetensors with one tensor a name, or a tensor ``vectors`` and the names as a JSON
-    list in its metadata entry ``names``. The embedding model may be named under ``model``.
+    ``{name: [numbers]}``; .safetensors with one tensor a name, or a tensor ``vectors`` and the names as a
+    JSON list in its metadata entry ``names``. The embedding model may be named under ``model``.
 
     Raises:
         MissingFileError: there is no such file.
@@ -59,7 +59,9 @@ def load_table(path: str | Path) -> EmbeddingTable:
     if not path.is_file():
         raise MissingFileError(path, "there is no such file (a table of text embeddings was expected)",
                                "check the path, or name a CLIP model instead")  # fmt: skip
-    read = {".npz": _read_npz, ".json": _read_json, ".safetensors": _read_safetensors}.get(path.suffix.lower())
+    read = {".npz": _read_npz, ".json": _read_json, ".safetensors": _read_safetensors}.get(
+        path.suffix.lower()
+    )
     if read is None:
         raise FileFormatError(path, "is not a table of text embeddings", f"use {', '.join(TABLE_SUFFIXES)}")
     with _damage_named(path):
@@ -94,12 +96,11 @@ def save_table(
         raise InputError(f"{path}: two names of the table are the same")
     table = EmbeddingTable(Path(path), names, np.asarray(vectors), model)
     arrays = {"names": np.array(table.names), "vectors": table.vectors, MODEL_KEY: np.array(model)}
-    with atomic_file(path, overwrite) as stream:
-        # Not numpy.savez: it stamps the time of writing, and the same table should give the same bytes.
-        with zipfile.ZipFile(stream, "w") as archive:
-            for name, array in arrays.items():
-                with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as member:
-                    np.lib.format.write_array(member, array, allow_pickle=False)
+    # Not numpy.savez: it stamps the time of writing, and the same table should give the same bytes.
+    with atomic_file(path, overwrite) as stream, zipfile.ZipFile(stream, "w") as archive:
+        for name, array in arrays.items():
+            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
 
 
 def _read_npz(path: Path) -> EmbeddingTable:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -16,6 +17,9 @@ from scoup.gaussians import Gaussians
 from scoup.progress import Progress, no_progress
 from scoup.raster.reference import add_codes
 from scoup.regions import Regions
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,16 +94,17 @@ class RegionSums:
         self.views = tuple(views)
         self.rows = tuple(rows)
 
-    def matrix(self, level: int) -> Tensor:
-        """A [N, R] of one level as a coalesced sparse COO tensor, float32; R counts the regions of all views."""
+    def matrix(self, level: int) -> csr_array:
+        """A [N, R] of one level as a scipy CSR matrix, float32; R counts the regions of all views."""
+        from scipy.sparse import coo_array
+
         parts = []
         for view in self.views:
             gaussian, region, weight = view.level(level)
             parts.append((gaussian, region + self.rows[level][view.view_name].start, weight))
-        gaussian, region, weight = (torch.cat(items) for items in zip(*parts, strict=True))
+        gaussian, region, weight = (torch.cat(items).cpu().numpy() for items in zip(*parts, strict=True))
         total = max(rows.stop for rows in self.rows[level].values())
-        shape = (self.n_gaussians, total)
-        return torch.sparse_coo_tensor(torch.stack([gaussian, region]), weight, shape).coalesce()
+        return coo_array((weight, (gaussian, region)), shape=(self.n_gaussians, total)).tocsr()
 
 
 def region_sums(

@@ -26,7 +26,7 @@ def dense_features(sums: RegionSums, embeddings: Sequence[Tensor], level: int) -
         embeddings: per level [R, D], in the order of ``Regions.embeddings``.
         level: position of the level.
     """
-    summed = torch.sparse.mm(sums.matrix(level).to_sparse_csr(), embeddings[level])
+    summed = torch.from_numpy(sums.matrix(level) @ embeddings[level].cpu().numpy())
     return torch.nn.functional.normalize(summed, dim=1)
 
 

@@ -19,8 +19,9 @@ from scoup.progress import Progress, no_progress
 __all__ = ["SOLVERS", "Codebook", "CodingReport", "fit_codes"]
 
 Solver = Callable[[Tensor, int, int, int, int, float | None, Progress], tuple[Tensor, SparseCodes, int]]
-"""``solver(rows, n_atoms, k, seed, epochs, tolerance, progress)`` gives atoms [L, D], the codes of the unit rows
-[R, D], and the number of epochs run."""
+"""``solver(rows, n_atoms, k, seed, epochs, tolerance, progress)`` gives atoms [L, D], the codes of the unit
+rows [R, D], and the number of epochs run.
+"""
 
 
 def _adam(
@@ -46,8 +47,8 @@ def fit_codes(
 ) -> Codebook:
     """Learn a codebook of L atoms and a K-sparse non-negative code for every embedding (method.md, stage 1).
 
-    Every embedding counts alike, whatever its norm. Embeddings of norm zero get empty codes. There may be fewer
-    embeddings than atoms; some atoms are then copies of each other. Same input and seed, same result.
+    Every embedding counts alike, whatever its norm. Embeddings of norm zero get empty codes. There may be
+    fewer embeddings than atoms; some atoms are then copies of each other. Same input and seed, same result.
 
     Args:
         embeddings: [R, D] floating point, one row a region.

@@ -1,4 +1,4 @@
-"""The paper's solver: codes and codebook learned together by Adam (method.md, stage 1), at a fraction of the cost.
+"""The paper's solver: codes and codebook learned together by Adam (method.md, stage 1), done cheaply.
 
 Per region r with unit embedding f, support logits p and atoms C the loss is 1 - c with
 
@@ -6,12 +6,12 @@ Per region r with unit embedding f, support logits p and atoms C the loss is 1 -
 
 over the K atoms of its support (the K largest logits), and its gradients are, with g = G w,
 
-    dc/dp_k = w_k (s_k / n - c g_k / n^2)            (the softmax's centring term is zero: c ignores the scale of w)
-    dc/dC   = (w / n) f^T - (c / n^2) w w^T C        (summed over regions)
+    dc/dp_k = w_k (s_k / n - c g_k / n^2)        (the softmax's centring term is zero: c ignores w's scale)
+    dc/dC   = (w / n) f^T - (c / n^2) w w^T C    (summed over regions)
 
 so no vector of D numbers is ever formed per region. Logits outside the support have no gradient: those that
-were never in it do not move at all, and are not touched until they are within reach of it (see ``Slots``). The
-plain form, D-dimensional autograd over dense logits, is the oracle of ``tests/coding/test_adam.py``.
+were never in it do not move at all, and are not touched until they are within reach of it (see ``Slots``).
+The plain form, D-dimensional autograd over dense logits, is the oracle of ``tests/coding/test_adam.py``.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from scoup.coding.step import Step, add_gradient, decay
 from scoup.progress import Progress, no_progress
 
 LEARNING_RATE = 7e-4  # the paper's
-LOGIT_SCALE = 10.0
+LOGIT_SCALE = 4.0
 """Initial logits are this times the cosine to the initial atoms."""
 STOP_WINDOW = 100  # epochs over which ``tolerance`` is judged
 _FLUSH_EVERY = 64
@@ -55,8 +55,9 @@ class AdamSettings:
 
 @dataclass(frozen=True, eq=False)
 class AdamSolution:
-    """What the solver learned: ``atoms`` [L, D] float32 (not of unit norm), the codes of the rows, epochs run, and
-    the mean loss before each of them."""
+    """What the solver learned: ``atoms`` [L, D] float32 (not of unit norm), the codes of the rows, epochs
+    run, and the mean loss before each of them.
+    """
 
     atoms: Tensor  # [L, D]
     codes: SparseCodes
@@ -73,7 +74,8 @@ def solve_adam(
     progress: Progress = no_progress,
     initial_atoms: Tensor | None = None,  # [L, D]
 ) -> AdamSolution:
-    """Learn atoms and K-sparse codes of unit rows by full-batch Adam (method.md, stage 1, "the paper's solver").
+    """Learn atoms and K-sparse codes of unit rows by full-batch Adam (method.md, stage 1, "the paper's
+    solver").
 
     Args:
         rows: [R, D] float32 unit vectors, R >= 1.
@@ -136,7 +138,7 @@ def _stalled(losses: list[float], tolerance: float | None) -> bool:
 
 
 def _codes(slots: Slots, n_atoms: int, k: int) -> SparseCodes:
-    weights, order = torch.sort(slots.weights().T, dim=1, descending=True, stable=True)
+    weights, order = torch.sort(slots.weights().T.float(), dim=1, descending=True, stable=True)
     indices = slots.support.T.gather(1, order)
     indices = torch.where(weights > 0, indices, 0)
     missing = k - weights.shape[1]

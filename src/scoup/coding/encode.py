@@ -18,19 +18,23 @@ def encode(
 ) -> SparseCodes:
     """For each row at most K atoms and weights >= 0 that bring the decoded code near to it in angle.
 
-    Under the cosine loss only the direction of w C matters, so the best weights on a support solve non-negative
-    least squares. The support is chosen by orthogonal least squares: at each step the atom that lowers the
-    residual most (docs/coding.md, CODE without its swap pass). Greedy, hence near the optimum but not
-    guaranteed to be it.
+    Under the cosine loss only the direction of w C matters, so the best weights on a support solve
+    non-negative least squares. The support is chosen by orthogonal least squares: at each step the atom that
+    lowers the residual most (docs/coding.md, CODE without its swap pass). Greedy, hence near the optimum but
+    not guaranteed to be it.
 
     Args:
-        rows: [R, D] float32, any norm; rows of norm zero get empty codes.
+        rows: [R, D] float32, any norm; rows of norm zero, and rows to which no atom
+            has a positive inner product, get empty codes.
         atoms: [L, D] float32, any norm; atoms of norm zero are never used.
         k: most atoms a row may use; the codes have K columns even if there are fewer atoms.
     """
     gram = atoms @ atoms.T
     picks = min(k, len(atoms))
-    parts = [_encode_chunk(rows[start : start + _CHUNK] @ atoms.T, gram, picks) for start in range(0, len(rows), _CHUNK)]
+    parts = [
+        _encode_chunk(rows[start : start + _CHUNK] @ atoms.T, gram, picks)
+        for start in range(0, len(rows), _CHUNK)
+    ]
     if not parts:
         parts = [(torch.zeros(0, picks, dtype=torch.long), torch.zeros(0, picks))]
     indices = torch.nn.functional.pad(torch.cat([part[0] for part in parts]), (0, k - picks))
@@ -48,7 +52,9 @@ def _encode_chunk(similarities: Tensor, gram: Tensor, k: int) -> tuple[Tensor, T
 
 
 def _choose(similarities: Tensor, gram: Tensor, k: int) -> tuple[Tensor, Tensor]:
-    """Orthogonal least squares with positive residuals only: support [n, K] int64 and which of it counts [n, K]."""
+    """Orthogonal least squares with positive residuals only: support [n, K] int64 and which of it counts [n,
+    K].
+    """
     residual = similarities.clone()  # of each atom with what is left of the row
     norms = gram.diagonal()
     left = norms.expand_as(residual).clone()  # squared norm of each atom, less what the chosen atoms span
@@ -74,8 +80,9 @@ def _choose(similarities: Tensor, gram: Tensor, k: int) -> tuple[Tensor, Tensor]
 
 
 def _nonnegative(similarities: Tensor, gram: Tensor, support: Tensor, valid: Tensor) -> Tensor:
-    """Least squares on the support, the most negative weight dropped and the rest solved again until none is: [n, K]
-    float64."""
+    """Least squares on the support, the most negative weight dropped and the rest solved again until none
+    is: [n, K] float64.
+    """
     toward = similarities.gather(1, support).double()
     within = gram[support[:, :, None], support[:, None, :]].double()
     identity = torch.eye(support.shape[1], dtype=torch.float64, device=gram.device)

@@ -18,9 +18,9 @@ def spherical_kmeans(
 ) -> Tensor:
     """Unit-norm cluster centres of unit rows, by cosine distance; [L, D], dtype and device of ``rows``.
 
-    The start is greedy k-means++ (Arthur and Vassilvitskii 2007, with the best of 4 candidates a step), then Lloyd
-    iterations; a cluster that loses all its rows is moved to the row that is worst represented. With fewer
-    distinct rows than atoms some atoms are equal. Deterministic for a seed.
+    The start is greedy k-means++ (Arthur and Vassilvitskii 2007, with the best of 4 candidates a step), then
+    Lloyd iterations; a cluster that loses all its rows is moved to the row that is worst represented. With
+    fewer distinct rows than atoms some atoms are equal. Deterministic for a seed.
 
     Args:
         rows: [R, D] float32 unit vectors, R >= 1.
@@ -53,7 +53,9 @@ def _plus_plus(rows: Tensor, n_atoms: int, generator: torch.Generator) -> Tensor
         cumulative = distance.double().cpu().cumsum(0)
         draws = torch.rand(TRIALS, generator=generator, dtype=torch.float64)
         if cumulative[-1] > 0:
-            picks = torch.searchsorted(cumulative, draws * cumulative[-1], right=True).clamp_(max=len(rows) - 1)
+            picks = torch.searchsorted(cumulative, draws * cumulative[-1], right=True).clamp_(
+                max=len(rows) - 1
+            )
         else:  # every row is already an atom
             picks = (draws * len(rows)).long()
         reduced = torch.minimum(distance[:, None], _distance(rows, rows[picks.to(rows.device)]))
@@ -64,7 +66,9 @@ def _plus_plus(rows: Tensor, n_atoms: int, generator: torch.Generator) -> Tensor
 
 
 def _distance(rows: Tensor, centres: Tensor) -> Tensor:
-    """[R, C]: 1 - cosine, half the squared distance of unit vectors; exactly 0 for equal rows up to rounding."""
+    """[R, C]: 1 - cosine, half the squared distance of unit vectors; exactly 0 for equal rows up to
+    rounding.
+    """
     distance = 1 - rows @ centres.T
     return torch.where(distance > 1e-6, distance, 0.0)
 

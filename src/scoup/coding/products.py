@@ -20,7 +20,7 @@ class Products(Protocol):
         ...
 
     def similarities(self, atoms: Tensor) -> Tensor:
-        """[K, R] float32: the inner product of each row with each atom of its support. ``atoms`` is [L, D]."""
+        """[K, R]: the inner products of each row with the atoms of its support. ``atoms`` is [L, D]."""
         ...
 
     def gram_on_support(self, gram: Tensor) -> Tensor:

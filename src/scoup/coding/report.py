@@ -43,8 +43,9 @@ class CodingReport:
 
 
 def code_cosines(rows: Tensor, atoms: Tensor, codes: SparseCodes) -> Tensor:
-    """[R] float32: cosine between each row of ``rows`` [R, D] and its code decoded with ``atoms`` [L, D]; 0 where
-    either is zero. Decodes in chunks."""
+    """[R] float32: cosine between each row of ``rows`` [R, D] and its code decoded with ``atoms`` [L, D]; 0
+    where either is zero. Decodes in chunks.
+    """
     blocks = [
         torch.nn.functional.cosine_similarity(codes.rows(part).to_dense() @ atoms, rows[part], dim=1)
         for part in (slice(start, start + 8192) for start in range(0, len(rows), 8192))

@@ -21,8 +21,8 @@ def unit_rows(embeddings: Tensor) -> Tensor:
     bad = ~torch.isfinite(embeddings).all(1)
     if bad.any():
         raise InputError(
-            f"{int(bad.sum())} of {len(embeddings)} embeddings hold values that are not finite, the first is row "
-            f"{int(bad.nonzero()[0])}; drop or replace them"
+            f"{int(bad.sum())} of {len(embeddings)} embeddings hold values that are not finite, "
+            f"the first is row {int(bad.nonzero()[0])}; drop or replace them"
         )
     rows = embeddings.detach().float()
     # Twice: the square of a very small or large number may leave the range of float32.

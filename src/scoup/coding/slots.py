@@ -13,18 +13,18 @@ _TINY = 1e-30
 
 
 class Slots:
-    """Top-K logits of R rows, with the same trajectory as Adam over all [R, L] logits, at the cost of few of them.
+    """Top-K logits of R rows: the trajectory of Adam over all [R, L] logits, at the cost of few of them.
 
     Only logits in the support (the K largest of a row) have gradients. A logit that was never in the support
-    has zero moments, so it stays at its start until the support sinks to its level. Each row therefore keeps M
-    slots: the M largest of its initial logits, support first. When the support of any row could reach the
+    has zero moments, so it stays at its start until the support sinks to its level. Each row therefore keeps
+    M slots: the M largest of its initial logits, support first. When the support of any row could reach the
     largest logit without a slot, all rows get more slots.
 
     Layout is [M, R], so that work over slots runs along contiguous rows.
     """
 
     def __init__(self, logits: Tensor, k: int) -> None:
-        """``logits`` [R, L] float32 initial values; ``k`` <= L the size of the support. Ties go to lower atoms."""
+        """Start from ``logits`` [R, L], with supports of ``k`` <= L atoms. Ties go to lower atoms."""
         self._k = k
         values, order = torch.sort(logits, dim=1, descending=True, stable=True)
         self._initial = values.T.contiguous()  # [L, R]
@@ -53,8 +53,8 @@ class Slots:
     def step(self, gradient: Tensor, step: Step, flush: bool) -> None:
         """One Adam step from the gradient [K, R] of the support; the other slots coast on their moments.
 
-        With ``flush`` moments that have decayed to nothing become zero, since arithmetic on denormal numbers is
-        slow; what they would still have moved a logit is far below its rounding.
+        With ``flush`` moments that have decayed to nothing become zero, since arithmetic on denormal numbers
+        is slow; what they would still have moved a logit is far below its rounding.
         """
         decay(self._first, self._second)
         add_gradient(self._first[: self._k], self._second[: self._k], gradient)

@@ -24,7 +24,7 @@ class Step:
         return cls(learning_rate / (1 - BETAS[0] ** epoch), math.sqrt(1 - BETAS[1] ** epoch))
 
     def move(self, parameter: Tensor, first: Tensor, second: Tensor) -> None:
-        """Move ``parameter`` in place along its moments m = ``first`` and v = ``second``, all of one shape."""
+        """Move ``parameter`` in place along its moments m = ``first`` and v = ``second`` of one shape."""
         parameter.addcdiv_(first, second.sqrt().div_(self.root).add_(EPSILON), value=-self.size)
 
 

@@ -41,7 +41,7 @@ def alarm_clock() -> Thing:
         hours = _hand(x, z, 300, 2.5, 0.42) | _hand(x, z, 55, 3.4, 0.3) | (radius < 0.5)
         return np.where((ticks | hours)[:, None], color("22262c"), shown)
 
-    face = lathe([(0, 0), (4.9, 0)], 40).moved((0, -2.35, 7.0), rotation(x=90))
+    face = lathe([(0, 0), (4.9, 0)], 40).moved((0, -2.35, 7.0), rotation(x=-90))
     bells = merged([ellipsoid((2.0, 2.0, 1.5), (side * 3.4, 0, 13.2), 16) for side in (-1, 1)])
     feet = merged([tube([(side * 2.8, 0, 3), (side * 4.4, 0, 0.3)], 0.5, 8) for side in (-1, 1)])
     return Thing(
@@ -127,7 +127,7 @@ def candle() -> Thing:
         (
             Piece("candle holder", merged([lathe(dish), torus(1.8, 0.4, 20).moved((6.6, 0, 1.6), rotation(x=90))]),
                   solid("c9963a"), 2.4, 0.35, gloss=0.9),
-            Piece("candle", cylinder(1.9, 11.6, 0.4, 24).moved((0, 0, 2.2)), solid("f6ecd8", 0.04), 2.4, 0.4),
+            Piece("candle wax", cylinder(1.9, 11.6, 0.4, 24).moved((0, 0, 2.2)), solid("f6ecd8", 0.04), 2.4, 0.4),
             Piece("flame", flame, burning, 6, 0.22, glow=1.0),
         ),
     )  # fmt: skip

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from scoup.demo import desk_things as desk
 from scoup.demo import furniture, tableware
 from scoup.demo.things import Thing
 
-LEFT, BACK, REACH, HEIGHT = -1.55, 1.3, 5.0, 2.3  # metres: the walls x = LEFT and y = BACK
+LEFT, BACK, REACH, HEIGHT = -1.55, 1.3, 5.4, 2.3  # metres: the walls x = LEFT and y = BACK
 TOP = furniture.TABLE_HEIGHT / 100
+LAMP = np.array([0.5, 0.26, 1.1])  # metres: the light bulb, just below the shade
+SHELL = frozenset({"wall", "floor"})  # these throw no shadow: the light comes in through them
 
 
 def make_room() -> tuple[Thing, ...]:
@@ -71,7 +75,7 @@ def _books() -> tuple[Thing, ...]:
 
 
 def _desk_things() -> tuple[Thing, ...]:
-    group = "computer desk"
+    group = "laptop and lamp"
     return (
         desk.laptop().at(0.3, 0.2, TOP, -22, group=group),
         desk.desk_lamp().at(0.6, 0.3, TOP, 200, group=group, grow=1.05),

@@ -14,8 +14,9 @@ from scoup.demo.things import Parts, Piece, Thing
 from scoup.gaussians import Gaussians
 
 SH_C0 = 0.28209479177387814
-OVERSAMPLING = 3  # candidates for each Gaussian kept
-SPREAD = 0.6  # standard deviation of a disc, as a share of the mean distance between discs
+OVERSAMPLING = 6  # candidates for each Gaussian kept
+SPREAD = 0.68  # standard deviation of a disc, as a share of the mean distance between discs
+SHELL_SPREAD = 0.85  # the same on walls and floor, which have no edges to keep sharp
 FLATNESS = 0.12  # thickness of a disc, as a share of its width
 HAZE_SHARE = 0.03  # of all Gaussians: floaters and haze, as training leaves them behind
 
@@ -68,7 +69,7 @@ def make_splat(
         n_directions: light directions, see ``lighting.lit``.
     """
     n_haze = int(n_gaussians * HAZE_SHARE)
-    samples = _cover(things, parts, n_gaussians - n_haze, seen, rng)
+    samples = _cover(things, parts, n_gaussians - n_haze, seen, shell, rng)
     blockers = merged([thing.mesh(piece) for thing in things if thing.name not in shell for piece in thing.pieces])
     colors = lit(
         samples.points, samples.normals, samples.albedo, samples.gloss, samples.glow, blockers, lamp, n_directions
@@ -78,7 +79,7 @@ def make_splat(
     means = samples.points + samples.normals * rng.normal(0, 0.06, (count, 1)) * samples.sigma[:, None]
     stretch = np.exp(rng.normal(0, 0.16, (count, 2)))
     scales = np.concatenate([stretch, np.full((count, 1), FLATNESS)], 1) * samples.sigma[:, None]
-    opacities = 0.6 + 0.39 * rng.beta(3.2, 1.4, count)
+    opacities = 0.6 + 0.39 * rng.beta(4.0, 1.2, count)
     quats = _quats(samples.normals, rng)
     haze = _haze(samples, colors, n_haze, rng)
     stacked = [np.concatenate(pair) for pair in zip((means, quats, scales, opacities, colors), haze, strict=True)]
@@ -90,7 +91,12 @@ def make_splat(
 
 
 def _cover(
-    things: tuple[Thing, ...], parts: Parts, count: int, seen: np.ndarray | None, rng: np.random.Generator
+    things: tuple[Thing, ...],
+    parts: Parts,
+    count: int,
+    seen: np.ndarray | None,
+    shell: frozenset[str],
+    rng: np.random.Generator,
 ) -> _Samples:
     pieces = [(thing, piece) for thing in things for piece in thing.pieces]
     meshes = [piece.mesh for _, piece in pieces]
@@ -102,7 +108,9 @@ def _cover(
     counts = np.where(areas > 0, np.maximum(6, np.floor(shares / shares.sum() * count)), 0).astype(int)
     counts[counts.argmax()] += count - counts.sum()
     blocks = [
-        _cover_piece(thing, piece, mesh, parts.parts.index(piece.part), number, rng)
+        _cover_piece(
+            thing, piece, mesh, parts.parts.index(piece.part), number, SHELL_SPREAD if thing.name in shell else SPREAD, rng
+        )
         for (thing, piece), mesh, number in zip(pieces, meshes, counts, strict=True)
         if number
     ]
@@ -119,11 +127,11 @@ def _around(mesh: Mesh, chosen: np.ndarray) -> Mesh:
 
 
 def _cover_piece(
-    thing: Thing, piece: Piece, mesh: Mesh, part: int, count: int, rng: np.random.Generator
+    thing: Thing, piece: Piece, mesh: Mesh, part: int, count: int, spread: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, ...]:
     spacing = np.sqrt(mesh.face_areas().sum() / count)
     points, normals = evenly(mesh, count, spacing, rng)
-    sigma = np.full(count, min(SPREAD * spacing, piece.thin) * thing.size)
+    sigma = np.full(count, min(spread * spacing, piece.thin) * thing.size)
     albedo = piece.paint(points, normals)
     return (
         points * thing.size @ thing.turn.T + thing.place,
@@ -139,7 +147,7 @@ def _cover_piece(
 def evenly(mesh: Mesh, count: int, spacing: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """``count`` points spread evenly over a mesh, and their normals, both [count, 3].
 
-    Candidates are thinned so that (almost) none has a neighbour nearer than 0.75 ``spacing``: random points would
+    Candidates are thinned so that (almost) none has a neighbour nearer than 0.8 ``spacing``: random points would
     leave holes.
     """
     areas = mesh.face_areas()
@@ -153,7 +161,7 @@ def evenly(mesh: Mesh, count: int, spacing: float, rng: np.random.Generator) -> 
     shuffled = rng.permutation(len(face))
     points, normals = points[shuffled], normals[shuffled]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    apart = _thinned(points, 0.75 * spacing)
+    apart = _thinned(points, 0.8 * spacing)
     chosen = np.concatenate([np.flatnonzero(apart), np.flatnonzero(~apart)])[:count]
     return points[chosen], normals[chosen]
 

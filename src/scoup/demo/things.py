@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from scoup.demo.meshes import Floats, Mesh, merged, rotation
 from scoup.demo.paints import Paint
+from scoup.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +89,20 @@ class Parts:
 
     @classmethod
     def of(cls, things: tuple[Thing, ...]) -> Parts:
+        """Numbers for everything in ``things``.
+
+        Raises:
+            InputError: a name stands for two different things, so that nobody could say what it means.
+        """
         groups = tuple(dict.fromkeys(thing.group or thing.name for thing in things))
         owners = {piece.part: number for number, thing in enumerate(things) for piece in thing.pieces}
+        for thing in things:
+            members = [other.name for other in things if (other.group or other.name) == thing.name]
+            inside = {piece.part for piece in thing.pieces}
+            if (thing.name in inside and len(inside) > 1) or members not in ([], [thing.name]):
+                raise InputError(f"{thing.name!r} names an object and also a part or a group that differs from it")
+        if len({thing.name for thing in things}) < len(things) or set(groups) & (set(owners) - {t.name for t in things}):
+            raise InputError("two things of the room share a name")
         return cls(
             tuple(owners),
             tuple(thing.name for thing in things),

@@ -48,8 +48,8 @@ def logits_from_opacities(opacities: np.ndarray) -> np.ndarray:
 
 def unit_quats(raw: np.ndarray) -> np.ndarray:
     """Normalised [N, 4] float32. Rows that are unit already stay as they are; zero rows become NaN."""
-    wide = raw.astype(np.float64)
     with np.errstate(all="ignore"):
+        wide = raw.astype(np.float64)
         squared = (wide**2).sum(1, keepdims=True)
         normalised = (wide / np.sqrt(squared)).astype(np.float32)
     return np.where(np.abs(squared - 1.0) < UNIT_TOLERANCE, raw.astype(np.float32), normalised)

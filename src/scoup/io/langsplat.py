@@ -272,7 +272,8 @@ def _load_map(files: _Files, level: str) -> RegionMap:
 
 
 def _unit_rows(path: Path, rows: np.ndarray) -> Tensor:
-    wide = np.asarray(rows, dtype=np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN; refused below
+        wide = np.asarray(rows, dtype=np.float64)
     if not np.isfinite(wide).all():
         raise FileFormatError(path, "has embeddings that are not finite (NaN or infinite)", _REMEDY)
     norms = np.linalg.norm(wide, axis=1, keepdims=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -67,19 +67,21 @@ class PlyTable:
 
     def columns(self, names: tuple[str, ...], dtype: type = np.float32) -> np.ndarray:
         """[N, len(names)] of ``dtype``, the named properties side by side."""
+        with np.errstate(all="ignore"):  # values of any kind may stand in a file
+            return self._columns(names, dtype)
+
+    def _columns(self, names: tuple[str, ...], dtype: type) -> np.ndarray:
         types = {self.rows.dtype[name] for name in self.names}
-        if types == {np.dtype(np.float32)} and self.rows.flags.c_contiguous:
-            every = self.rows.view(np.float32).reshape(len(self.rows), -1)
-            first = self.names.index(names[0])
-            if self.names[first : first + len(names)] == names:
-                return every[:, first : first + len(names)].astype(dtype)
+        first = self.names.index(names[0])
+        if types == {np.dtype(np.float32)} and self.names[first : first + len(names)] == names:
+            every = np.ascontiguousarray(self.rows).view(np.float32).reshape(len(self.rows), len(self.names))
+            return every[:, first : first + len(names)].astype(dtype)
         # Block by block: a block of rows stays in the cache while its columns are picked one by one.
         result = np.empty((len(self.rows), len(names)), dtype=dtype)
-        with np.errstate(all="ignore"):
-            for start in range(0, len(self.rows), 4096):
-                block = self.rows[start : start + 4096]
-                for column, name in enumerate(names):
-                    result[start : start + 4096, column] = block[name]
+        for start in range(0, len(self.rows), 4096):
+            block = self.rows[start : start + 4096]
+            for column, name in enumerate(names):
+                result[start : start + 4096, column] = block[name]
         return result
 
 
@@ -231,8 +233,9 @@ def _read_ascii(header: PlyHeader) -> np.ndarray:
     if not header.count:
         return rows
     try:
-        with open(header.path, "rb") as stream:
-            stream.seek(header.offset, os.SEEK_SET)
+        with open(header.path, "rb") as stream, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # numpy warns of files without data; the shape is checked below
+            stream.seek(header.offset)
             values = np.loadtxt(stream, dtype=np.float64, max_rows=header.count, ndmin=2, comments=None)
     except (OSError, ValueError) as error:
         raise FileFormatError(

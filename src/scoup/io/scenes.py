@@ -53,10 +53,16 @@ def load_gaussians(path: str | Path) -> Gaussians:
     """
     path = find_gaussians(path)
     if path.is_dir() or path.suffix.lower() in _CHECKPOINTS:
-        return read_gsplat_checkpoint(path)
-    if path.suffix.lower() == ".splat":
-        return read_splat(path)
-    return read_ply(path)
+        gaussians = read_gsplat_checkpoint(path)
+    elif path.suffix.lower() == ".splat":
+        gaussians = read_splat(path)
+    else:
+        gaussians = read_ply(path)
+    if not len(gaussians):
+        raise FileFormatError(
+            path, "holds no Gaussians with finite values", "export the splat again"
+        )
+    return gaussians
 
 
 def save_gaussians(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:

@@ -236,7 +236,7 @@ def _alpha(view: ReferenceView, tiles: Tensor, ranks: Tensor, valid: Tensor) -> 
     u = along_x[:, :, None, :] - skew[:, :, :, None]
     exponent = torch.addcmul(peak[..., None], u, u, value=-1.0)
     alpha = exponent.exp_().clamp_(max=view.preset.alpha_max)
-    torch.nn.functional.threshold_(alpha, _BELOW_ALPHA_MIN, 0.0)
+    torch.threshold_(alpha, _BELOW_ALPHA_MIN, 0.0)
     return alpha.flatten(2)
 
 

@@ -1,0 +1,165 @@
+"""Build and score the `kitchen` scene: top-K vote, no top-K, dense uplift, by the LERF-OVS protocol.
+
+    python -m benchmarks.kitchen --data DATA [--seeds 0 1 2] [--epochs 4000] [--scale 1.0] [--out result.json]
+
+DATA is the folder that holds kitchen/ and clip/ (default: SCOUP_TEST_DATA, else ../shared/data). Geometry and text
+vectors of the scene are real, its masks and region embeddings are simulated: scores compare variants with each
+other and cannot be set against published LERF-OVS figures.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import mean
+
+import torch
+import tyro
+
+import scoup
+from scoup.evaluate.lerf_ovs import SceneScore, match_frames, read_labels
+from scoup.evaluate.metrics import bootstrap_interval
+from scoup.evaluate.variants import dense_variant, score_variants, sparse_variant
+from scoup.relevancy import CANONICAL_PHRASES
+from scoup.uplifting import region_sums, uplift
+
+METHOD, ALL_ATOMS, DENSE = "top-4 vote", "no top-K", "dense 512-d"
+
+
+@dataclass(frozen=True)
+class Arguments:
+    data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
+    """Folder that holds kitchen/ and clip/."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Seeds of the codebook; scores are means over them."""
+    epochs: int = 4000
+    """Epochs of the adam solver."""
+    n_atoms: int = 64
+    """Atoms of a codebook."""
+    scale: float = 1.0
+    """Size of the views relative to the original 960 x 720."""
+    out: Path | None = None
+    """Where to write the figures as JSON."""
+
+
+def main(arguments: Arguments) -> dict:
+    """Run everything and return the figures."""
+    kitchen = arguments.data / "kitchen"
+    with tempfile.TemporaryDirectory() as folder:
+        features = Path(folder) / "language_features"
+        script = kitchen / "make_langsplat_features.py"
+        command = [sys.executable, str(script), str(kitchen), "--out", str(features)]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        return score_kitchen(arguments, kitchen, features)
+
+
+def score_kitchen(arguments: Arguments, kitchen: Path, features: Path) -> dict:
+    """Rasterise once, code once a seed, score every variant."""
+    seconds: dict[str, float] = {}
+    gaussians = scoup.load_gaussians(kitchen / "scene" / "model.splat")
+    cameras = scoup.load_cameras(kitchen).scaled(arguments.scale)
+    regions = scoup.load_regions(features, cameras)
+    stacked = [regions.embeddings(level)[0] for level in regions.levels]
+    with timed(seconds, "region sums, all views"):
+        sums = region_sums(gaussians, cameras, regions, progress=report)
+
+    variants = [dense_variant(DENSE, sums, stacked)]
+    for seed in arguments.seeds:
+        with timed(seconds, f"coding, seed {seed}"):
+            books = [
+                scoup.fit_codes(rows, arguments.n_atoms, solver="adam", seed=seed, epochs=arguments.epochs)
+                for rows in stacked
+            ]
+        with timed(seconds, f"sums to codes, seed {seed}"):
+            accumulators = uplift(sums, [book.codes for book in books])
+        codebook = torch.stack([book.atoms for book in books])
+        for name, keep in ((METHOD, 4), (ALL_ATOMS, None)):
+            variants.append(sparse_variant(f"{name}, seed {seed}", gaussians, accumulators, codebook, keep, "inria"))
+
+    frames = match_frames(read_labels(kitchen / "label"), cameras)
+    labels = sorted({label for frame, _ in frames for label in frame.labels})
+    encoder = scoup.TextEncoder.open(kitchen.parent / "clip" / "text_vit_b16_laion2b.npz")
+    vectors = dict(zip(labels, encoder.encode(labels), strict=True))
+    canonical = encoder.encode(list(CANONICAL_PHRASES))
+    with timed(seconds, "scoring"):
+        scores = score_variants(variants, gaussians, frames, vectors, canonical, scene="kitchen", progress=report)
+    return summarise(scores, arguments, seconds, {variant.name: variant.bytes_per_gaussian for variant in variants})
+
+
+def summarise(scores: dict[str, SceneScore], arguments: Arguments, seconds: dict, sizes: dict) -> dict:
+    """Print the table and collect the figures."""
+    pairs = len(next(iter(scores.values())).pairs)
+    rows = {}
+    for family in (DENSE, ALL_ATOMS, METHOD):
+        of_family = [score for name, score in scores.items() if name.startswith(family)]
+        # The same (frame, label) pair under several seeds: first the mean over seeds, then the draw of queries.
+        ious = [mean(score.pairs[i].iou for score in of_family) for i in range(pairs)]
+        interval = bootstrap_interval(ious, [pair.label for pair in of_family[0].pairs])
+        rows[family] = {
+            "miou": mean(score.miou for score in of_family),
+            "miou_by_seed": [round(score.miou, 4) for score in of_family],
+            "interval": [interval.low, interval.high],
+            "accuracy": mean(score.accuracy for score in of_family),
+            "accuracy_by_seed": [round(score.accuracy, 4) for score in of_family],
+            "bytes_per_gaussian": next(size for name, size in sizes.items() if name.startswith(family)),
+            "ious": ious,
+        }
+    labels = [pair.label for pair in next(iter(scores.values())).pairs]
+    print(f"\nkitchen, LERF-OVS 2D protocol, {pairs} (frame, query) pairs, codebook seeds {list(arguments.seeds)}\n")
+    print("| variant | mIoU | 95 % interval over queries | localisation accuracy | bytes a Gaussian |")
+    print("|---|---|---|---|---|")
+    for family, row in rows.items():
+        low, high = row["interval"]
+        print(
+            f"| {family} | {row['miou']:.3f} | {low:.3f} to {high:.3f} | {row['accuracy']:.3f} "
+            f"| {row['bytes_per_gaussian']:.0f} |"
+        )
+    print()
+    for other in (DENSE, ALL_ATOMS):
+        differences = [a - b for a, b in zip(rows[METHOD]["ious"], rows[other]["ious"], strict=True)]
+        print(f"{METHOD} minus {other}, paired over queries: {bootstrap_interval(differences, labels)}")
+    for name, value in seconds.items():
+        print(f"{name}: {value:.1f} s")
+    result = {
+        "protocol": "lerf-ovs 2D",
+        "pairs": pairs,
+        "seeds": list(arguments.seeds),
+        "epochs": arguments.epochs,
+        "scale": arguments.scale,
+        "rows": rows,
+        "seconds": seconds,
+        "threads": torch.get_num_threads(),
+        "torch": torch.__version__,
+    }
+    if arguments.out is not None:
+        arguments.out.write_text(json.dumps(result, indent=1))
+    return result
+
+
+class timed:
+    """Add the seconds a block takes to a dictionary."""
+
+    def __init__(self, seconds: dict[str, float], name: str) -> None:
+        self.seconds, self.name = seconds, name
+
+    def __enter__(self) -> None:
+        self.started = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds[self.name] = time.perf_counter() - self.started
+
+
+def report(stage: str, done: int, total: int) -> None:
+    """Progress on a terminal only."""
+    if sys.stderr.isatty():
+        print(f"\r{stage} {done}/{total} ", end="", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))

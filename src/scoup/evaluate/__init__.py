@@ -1,0 +1,1 @@
+"""Scores against ground truth: one file a protocol, plus metrics."""

@@ -1,0 +1,84 @@
+"""Scores of masks and points against ground truth, and how sure one may be of their mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from torch import Tensor
+
+from scoup.errors import InputError
+
+
+def iou(predicted: Tensor, truth: Tensor) -> float:
+    """Intersection over union of two boolean masks of one shape; 1 if both are empty.
+
+    Raises:
+        InputError: the shapes differ.
+    """
+    if predicted.shape != truth.shape:
+        raise InputError(f"masks of different shapes {list(predicted.shape)} and {list(truth.shape)}")
+    union = int((predicted | truth).sum())
+    return int((predicted & truth).sum()) / union if union else 1.0
+
+
+def any_inside(pixels: Tensor, boxes: Tensor) -> bool:
+    """Whether any pixel lies in any box, borders included.
+
+    Args:
+        pixels: [M, 2] (x, y).
+        boxes: [B, 4] (x1, y1, x2, y2), x1 <= x2 and y1 <= y2.
+    """
+    inside = (pixels[:, None] >= boxes[None, :, :2]) & (pixels[:, None] <= boxes[None, :, 2:])
+    return bool(inside.all(-1).any())
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean with its confidence interval."""
+
+    mean: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.mean:.3f} [{self.low:.3f}, {self.high:.3f}]"
+
+
+def bootstrap_interval(
+    values: Sequence[float],
+    groups: Sequence[str],
+    seed: int = 0,
+    confidence: float = 0.95,
+    samples: int = 2000,
+) -> Interval:
+    """Percentile bootstrap of the mean, drawing whole groups with replacement.
+
+    The pairs of one query in several frames are not independent, so queries are drawn, not pairs. For a
+    paired comparison of two methods pass the differences of their values.
+
+    Args:
+        values: one a pair.
+        groups: the query each belongs to, same length.
+        seed: of the draws.
+        confidence: of the interval, 0..1.
+        samples: draws.
+
+    Raises:
+        InputError: there are no values, lengths differ, or a value is not finite.
+    """
+    if len(values) != len(groups) or not len(values):
+        raise InputError(
+            f"{len(values)} values in {len(groups)} groups; there must be one group for each, at least one"
+        )
+    numbers = np.asarray(values, dtype=np.float64)
+    if not np.isfinite(numbers).all():
+        raise InputError("values to average must be finite")
+    _, members = np.unique(np.asarray(groups, dtype=str), return_inverse=True)
+    sums = np.bincount(members, numbers)
+    counts = np.bincount(members)
+    draws = np.random.default_rng(seed).integers(len(sums), size=(samples, len(sums)))
+    means = sums[draws].sum(1) / counts[draws].sum(1)
+    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Interval(float(numbers.mean()), float(low), float(high))

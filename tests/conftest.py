@@ -1,0 +1,23 @@
+"""Fixtures and settings shared by all tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+# Times vary with the load of the machine: a slow example is no failure.
+settings.register_profile("scoup", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("scoup")
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """Real data: $SCOUP_TEST_DATA, or ``shared/data`` beside the repository. Mark such tests ``data``."""
+    default = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("SCOUP_TEST_DATA", default))
+    if not folder.is_dir():
+        pytest.skip(f"no real data at {folder} (set SCOUP_TEST_DATA)")
+    return folder

@@ -1,0 +1,225 @@
+"""The LERF-OVS protocol: reading labels, matching frames, scoring by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scoup.cameras import Camera, Cameras
+from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.evaluate.lerf_ovs import (
+    match_frames,
+    overall,
+    read_frame,
+    read_labels,
+    score_frame,
+    score_scene,
+)
+from scoup.query import segment
+
+
+def square(label: str, x1: float, y1: float, x2: float, y2: float) -> dict:
+    polygon = [[x1, y1], [x2, y1], [x2, y2], [x1, y2]]
+    return {
+        "category": label, "group": 1, "segmentation": polygon, "area": 1.0, "layer": 1.0,
+        "bbox": [x1, y1, x2, y2], "iscrowd": False, "note": "",
+    }  # fmt: skip
+
+
+def write_label(path: Path, objects: list[dict], width: int = 60, height: int = 40) -> Path:
+    info = {"name": path.with_suffix(".jpg").name, "width": width, "height": height, "depth": 3, "note": ""}
+    path.write_text(json.dumps({"info": info, "objects": objects}))
+    return path
+
+
+def test_polygons_are_rounded_filled_and_united(tmp_path: Path) -> None:
+    path = write_label(
+        tmp_path / "frame_00041.json",
+        [square("cup", 10.4, 5.6, 19.6, 9.4), square("pot", 0, 0, 59, 39), square("cup", 30, 20, 34, 22)],
+    )
+    frame = read_frame(path)
+    assert (frame.name, frame.width, frame.height, frame.labels) == ("frame_00041", 60, 40, ("cup", "pot"))
+    expected = torch.zeros(40, 60, dtype=torch.bool)
+    expected[6:10, 10:21] = True
+    expected[20:23, 30:35] = True
+    assert frame.masks["cup"].equal(expected)
+    assert frame.masks["pot"].all()
+    assert frame.boxes["cup"].shape == (2, 4)
+    assert frame.boxes["cup"][1].tolist() == [30, 20, 34, 22]
+
+
+def test_odd_polygons(tmp_path: Path) -> None:
+    point, line = square("point", 3, 4, 3, 4), square("line", 0, 0, 5, 0)
+    point["segmentation"] = [[3, 4]]
+    line["segmentation"] = [[0, 0], [5, 0]]
+    outside = square("outside", -50, -50, 500, 5)
+    del outside["bbox"]
+    frame = read_frame(write_label(tmp_path / "a.json", [point, line, outside]))
+    assert frame.masks["point"].nonzero().tolist() == [[4, 3]]
+    assert frame.masks["line"].nonzero().tolist() == [[0, x] for x in range(6)]
+    assert frame.masks["outside"].equal((torch.arange(40) <= 5)[:, None].expand(40, 60))
+    assert frame.boxes["outside"].tolist() == [[-50, -50, 500, 5]]
+
+
+def test_hits_count_any_pixel_any_box_and_borders(tmp_path: Path) -> None:
+    frame = read_frame(
+        write_label(tmp_path / "f.json", [square("cup", 10, 10, 16, 16), square("cup", 40, 20, 46, 26)])
+    )
+    relevancy = torch.zeros(1, 1, 40, 60)
+    relevancy[0, 0, 20:27, 40:47] = 1  # the second box
+    (pair,) = score_frame(frame, relevancy)
+    assert pair.hit
+    assert pair.pixel == (43, 23)
+    relevancy = torch.zeros(1, 1, 40, 60)
+    relevancy[0, 0, 27:34, 40:47] = 1
+    (pair,) = score_frame(frame, relevancy)
+    assert not pair.hit
+    # A constant map has its maximum everywhere, so somewhere in a box; its mask is empty.
+    (pair,) = score_frame(frame, torch.full((2, 1, 40, 60), 0.5))
+    assert (pair.hit, pair.iou) == (True, 0.0)
+
+
+def test_only_the_chosen_level_counts_and_levels_may_differ(tmp_path: Path) -> None:
+    frame = read_frame(write_label(tmp_path / "f.json", [square("cup", 20, 10, 39, 29)]))
+    relevancy = torch.zeros(2, 1, 40, 60)
+    relevancy[0, 0, 10:30, 20:40] = 0.9
+    relevancy[1, 0, 0:8, 0:8] = 1.0
+    (pair,) = score_frame(frame, relevancy)
+    assert (pair.level, pair.localization_level, pair.hit, pair.iou) == (1, 1, False, 0.0)
+    (pair,) = score_frame(frame, relevancy[:1])
+    assert pair.hit
+    assert pair.iou == pytest.approx(300 / 400)  # the threshold costs a pixel at each edge, smoothing the corners
+
+
+def test_other_render_size(tmp_path: Path) -> None:
+    frame = read_frame(write_label(tmp_path / "f.json", [square("cup", 20, 10, 39, 29)]))
+    relevancy = torch.zeros(1, 1, 80, 120)
+    relevancy[0, 0, 20:60, 40:80] = 1
+    (pair,) = score_frame(frame, relevancy)
+    assert pair.hit
+    assert 0.85 < pair.iou < 38**2 / 40**2
+    small = frame.resized(30, 20)
+    assert small.masks["cup"].nonzero().min(0).values.tolist() == [5, 10]
+    assert small.masks["cup"].sum() == 100
+    assert small.boxes["cup"].tolist() == [[9.75, 4.75, 19.25, 14.25]]
+
+
+def test_iou_is_that_of_the_mask(tmp_path: Path) -> None:
+    frame = read_frame(write_label(tmp_path / "f.json", [square("cup", 10, 10, 29, 29)]))
+    relevancy = torch.zeros(1, 1, 40, 60)
+    relevancy[0, 0, 10:30, 20:40] = 1
+    mask = segment(relevancy[:, 0]).mask
+    (pair,) = score_frame(frame, relevancy)
+    both = int((mask & frame.masks["cup"]).sum())
+    assert both > 0
+    assert pair.iou == both / (400 + int(mask.sum()) - both)
+
+
+def test_scene_scores(tmp_path: Path) -> None:
+    frames = [
+        read_frame(write_label(tmp_path / "a.json", [square("cup", 20, 10, 39, 29), square("cup", 0, 0, 3, 3)])),
+        read_frame(write_label(tmp_path / "b.json", [square("cup", 20, 10, 39, 29), square("pot", 0, 0, 9, 9)])),
+    ]
+    maps = torch.zeros(1, 40, 60)
+    maps[0, 10:30, 20:40] = 1
+    relevancy = {"cup": maps, "pot": maps}
+    scene = score_scene("kitchen", ((frame, relevancy) for frame in frames))
+    assert [(pair.frame, pair.label, pair.hit) for pair in scene.pairs] == [
+        ("a", "cup", True), ("b", "cup", True), ("b", "pot", False),
+    ]  # fmt: skip
+    assert scene.accuracy == pytest.approx(2 / 3)
+    assert scene.miou == pytest.approx(sum(pair.iou for pair in scene.pairs) / 3)
+    other = score_scene("other", [(frames[0], {"cup": maps})])
+    assert overall([scene, other])[1] == pytest.approx((2 / 3 + 1) / 2)
+    for wrong in ({"cup": maps}, torch.zeros(1, 3, 40, 60), maps):
+        with pytest.raises(InputError):
+            score_frame(frames[1], wrong)
+    with pytest.raises(InputError):
+        score_scene("none", [])
+    with pytest.raises(InputError):
+        overall([])
+
+
+def cameras(*names: str) -> Cameras:
+    return Cameras(Camera(name, torch.eye(4), torch.eye(3), 60, 40) for name in names)
+
+
+def test_frames_are_matched_by_name(tmp_path: Path) -> None:
+    # frame_00002 failed to register: by number, frame_00003 would be scored against the wrong view
+    for number in (1, 3):
+        write_label(tmp_path / f"frame_{number:05}.json", [square("cup", 1, 1, 5, 5)])
+    frames = read_labels(tmp_path)
+    matched = match_frames(frames, cameras("frame_00001.jpg", "frame_00003.jpg", "frame_00004.jpg"))
+    assert [camera.name for _, camera in matched] == ["frame_00001.jpg", "frame_00003.jpg"]
+    with pytest.warns(ScoupWarning, match="frame_00003"):
+        assert len(match_frames(frames, cameras("frame_00001.jpg"))) == 1
+    with pytest.raises(InputError, match="different scenes"):
+        match_frames(frames, cameras("DSC01.jpg"))
+
+
+def test_missing_labels(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError):
+        read_labels(tmp_path)
+    with pytest.raises(MissingFileError):
+        read_labels(tmp_path / "absent")
+    with pytest.raises(MissingFileError):
+        read_frame(tmp_path / "absent.json")
+
+
+GOOD = {"info": {"width": 60, "height": 40}, "objects": [square("cup", 1, 1, 5, 5)]}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "", "[]", "{", "null", '{"info": {"width": 4, "height": 4}}', '{"info": [], "objects": []}',
+        *[json.dumps({**GOOD, "info": info}) for info in (
+            {}, {"width": 0, "height": 4}, {"width": "60", "height": 40}, {"width": 1e9, "height": 1e9},
+            {"width": 99999, "height": 99999})],
+        *[json.dumps({**GOOD, "objects": [{**GOOD["objects"][0], **change}]}) for change in (
+            {"category": None}, {"category": " "}, {"segmentation": []}, {"segmentation": None},
+            {"segmentation": [[1]]}, {"segmentation": [[1, "2"]]}, {"segmentation": [[1, float("nan")]]},
+            {"segmentation": [[1e300, 2]]}, {"bbox": [1, 2, 3]}, {"bbox": "1234"})],
+        json.dumps({**GOOD, "objects": [7]}),
+    ],
+)  # fmt: skip
+def test_bad_label_files(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "bad.json"
+    path.write_text(content)
+    with pytest.raises(FileFormatError, match=r"bad\.json"):
+        read_frame(path)
+
+
+@settings(max_examples=80)
+@given(st.data())
+def test_damaged_label_files_never_crash(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    raw = bytearray(json.dumps(GOOD).encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    raw = raw[: data.draw(st.integers(0, len(raw)))] if data.draw(st.booleans()) else raw
+    path = tmp_path_factory.mktemp("labels") / "damaged.json"
+    path.write_bytes(bytes(raw))
+    try:
+        frame = read_frame(path)
+    except FileFormatError:
+        return
+    assert all(mask.shape == (frame.height, frame.width) for mask in frame.masks.values())
+
+
+@pytest.mark.data
+def test_kitchen_labels(data_folder: Path) -> None:
+    folder = data_folder / "kitchen" / "label"
+    if not folder.is_dir():
+        pytest.skip(f"no kitchen labels at {folder}")
+    frames = read_labels(folder)
+    assert len(frames) == 6
+    assert all((frame.width, frame.height) == (960, 720) for frame in frames)
+    # The truth itself as relevancy: only what the protocol shaves off the edges is lost.
+    pairs = score_frame(frames[0], {label: mask.float()[None] for label, mask in frames[0].masks.items()})
+    assert all(pair.hit for pair in pairs)
+    assert sum(pair.iou for pair in pairs) / len(pairs) > 0.8

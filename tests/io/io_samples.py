@@ -1,0 +1,95 @@
+"""Small valid files of every format, and comparisons, shared by the io tests."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from scoup.cameras import Camera, Cameras
+from scoup.gaussians import Gaussians
+from scoup.regions import LEVELS, RegionMap, Regions
+
+
+def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:
+    generator = torch.Generator().manual_seed(seed)
+    quats = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
+    return Gaussians(
+        means=torch.randn(count, 3, generator=generator),
+        quats=quats,
+        scales=torch.exp(torch.randn(count, 3, generator=generator) - 3),
+        opacities=torch.rand(count, generator=generator),
+        sh=torch.randn(count, (degree + 1) ** 2, 3, generator=generator),
+    )
+
+
+def same_gaussians(one: Gaussians, other: Gaussians) -> bool:
+    """Equal bit by bit (a negative zero counts as zero)."""
+    return all(torch.equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
+
+
+def some_cameras(
+    count: int = 3, width: int = 32, height: int = 24, seed: int = 0, centered: bool = False
+) -> Cameras:
+    generator = np.random.default_rng(seed)
+    cameras = []
+    for number in range(count):
+        rotation, _ = np.linalg.qr(generator.normal(size=(3, 3)))
+        rotation *= np.sign(np.linalg.det(rotation))
+        viewmat = np.eye(4)
+        viewmat[:3, :3], viewmat[:3, 3] = rotation, generator.normal(size=3)
+        cx, cy = (width / 2, height / 2) if centered else (width / 2 + 0.7, height / 2 - 1.3)
+        intrinsics = torch.tensor([[30.5, 0, cx], [0, 31.25, cy], [0, 0, 1]], dtype=torch.float64)
+        name = f"view_{number:02d}.png"
+        cameras.append(Camera(name, torch.from_numpy(viewmat), intrinsics, width, height))
+    return Cameras(cameras)
+
+
+def camera_difference(one: Cameras, other: Cameras) -> float:
+    """Largest difference of poses and intrinsics; infinite if names or sizes differ."""
+    if one.names != other.names or [(c.width, c.height) for c in one] != [(c.width, c.height) for c in other]:
+        return math.inf
+    pairs = list(zip(one, other, strict=True))
+    return max(float(max((a.viewmat - b.viewmat).abs().max(), (a.K - b.K).abs().max())) for a, b in pairs)
+
+
+def some_regions(cameras: Cameras, dimensions: int = 8, seed: int = 0) -> Regions:
+    """Random maps in which every region has a pixel."""
+    generator = torch.Generator().manual_seed(seed)
+    maps: dict[str, dict[str, RegionMap]] = {}
+    for camera in cameras:
+        maps[camera.name] = {}
+        for count, level in zip((6, 4, 2), LEVELS, strict=True):
+            labels = torch.randint(-1, count, (camera.height, camera.width), generator=generator).int()
+            labels.view(-1)[:count] = torch.arange(count, dtype=torch.int32)
+            rows = torch.nn.functional.normalize(torch.randn(count, dimensions, generator=generator), dim=1)
+            maps[camera.name][level] = RegionMap(labels, rows)
+    return Regions.from_maps(maps)
+
+
+def save_images(cameras: Cameras, folder: Path, divisor: int = 1) -> None:
+    """A PNG of noise for every camera."""
+    from PIL import Image
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, camera in enumerate(cameras):
+        shape = (camera.height // divisor, camera.width // divisor, 3)
+        pixels = np.random.default_rng(number).integers(0, 256, shape).astype(np.uint8)
+        Image.fromarray(pixels).save(folder / camera.name)
+
+
+def save_checkpoint(gaussians: Gaussians, path: Path) -> None:
+    """What gsplat's trainer writes for one rank."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    splats = {
+        "means": gaussians.means,
+        "quats": gaussians.quats * 1.7,
+        "scales": gaussians.scales.log(),
+        "opacities": torch.logit(gaussians.opacities),
+        "sh0": gaussians.sh[:, :1].clone(),
+        "shN": gaussians.sh[:, 1:].clone(),
+    }
+    torch.save({"step": 100, "splats": splats}, path)

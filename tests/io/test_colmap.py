@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+import torch
+from io_samples import camera_difference, some_cameras
+
+from scoup.errors import FileFormatError, MissingFileError, OutputExistsError
+from scoup.io.colmap import read_colmap, read_points, write_colmap
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_round_trip(tmp_path, text):
+    cameras = some_cameras(5)
+    points = np.random.default_rng(0).normal(size=(4, 3)), np.arange(12, dtype=np.uint8).reshape(4, 3)
+    write_colmap(cameras, tmp_path / "sparse" / "0", points, text=text)
+    assert camera_difference(cameras, read_colmap(tmp_path / "sparse" / "0")) < 1e-12
+    positions, colors = read_points(tmp_path / "sparse" / "0")
+    assert np.array_equal(positions, points[0])
+    assert np.array_equal(colors, points[1])
+    with pytest.raises(OutputExistsError):
+        write_colmap(cameras, tmp_path / "sparse" / "0", text=text)
+
+
+def test_rotations_of_every_angle(tmp_path):
+    for seed in range(20):
+        cameras = some_cameras(3, seed=seed)
+        write_colmap(cameras, tmp_path, overwrite=True)
+        assert camera_difference(cameras, read_colmap(tmp_path)) < 1e-12
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_pycolmap_reads_what_we_write_and_we_what_it_writes(tmp_path, text):
+    pycolmap = pytest.importorskip("pycolmap")
+    cameras = some_cameras(4)
+    points = np.random.default_rng(0).normal(size=(3, 3)), np.arange(9, dtype=np.uint8).reshape(3, 3)
+    write_colmap(cameras, tmp_path / "ours", points, text=text)
+    model = pycolmap.Reconstruction(str(tmp_path / "ours"))
+    assert model.num_images() == 4
+    for image in model.images.values():
+        camera = cameras[image.name]
+        np.testing.assert_allclose(image.cam_from_world().matrix(), camera.viewmat[:3], atol=1e-12)
+        np.testing.assert_allclose(model.cameras[image.camera_id].calibration_matrix(), camera.K, atol=1e-12)
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    (model.write_text if text else model.write_binary)(str(theirs))
+    assert camera_difference(cameras, read_colmap(theirs)) < 1e-9
+    np.testing.assert_allclose(np.sort(read_points(theirs)[0], axis=0), np.sort(points[0], axis=0))
+
+
+def text_model(folder, camera_line: str, image_lines: str = "1 1 0 0 0 0.5 0.25 2 1 a b.jpg\n\n"):
+    folder.mkdir(exist_ok=True)
+    (folder / "cameras.txt").write_text(f"# cameras\n{camera_line}\n")
+    (folder / "images.txt").write_text(f"# images\n{image_lines}")
+    return folder
+
+
+def test_text_with_empty_keypoint_lines_and_spaces_in_names(tmp_path):
+    images = "1 1 0 0 0 0 0 0 1 b c.jpg\n\n2 1 0 0 0 0 0 0 1 a.jpg\n1.5 2.5 -1 3 4 7\n"
+    cameras = read_colmap(text_model(tmp_path, "1 SIMPLE_PINHOLE 40 30 50 20 15", images))
+    assert cameras.names == ("a.jpg", "b c.jpg")
+    assert cameras[0].K.tolist() == [[50, 0, 20], [0, 50, 15], [0, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("1 SIMPLE_RADIAL 40 30 50 20 15 0.1", (0.1, 0, 0, 0)),
+        ("1 RADIAL 40 30 50 20 15 0.1 -0.02", (0.1, -0.02, 0, 0)),
+        ("1 OPENCV 40 30 50 51 20 15 0.1 -0.02 0.001 0.002", (0.1, -0.02, 0.001, 0.002)),
+    ],
+)
+def test_distortion_is_refused_or_kept(tmp_path, line, expected):
+    folder = text_model(tmp_path, line)
+    with pytest.raises(FileFormatError, match=r"has lens distortion.*image_undistorter.*undistort"):
+        read_colmap(folder)
+    assert read_colmap(folder, distorted="undistort")[0].distortion == expected
+    zeros = line.split()
+    zeros = zeros[: 4 + (4 if "OPENCV" in line else 3)] + ["0"] * len(
+        [value for value in zeros if "0." in value]
+    )
+    camera = read_colmap(text_model(tmp_path, " ".join(zeros)))[0]
+    assert camera.distortion == ()
+
+
+@pytest.mark.parametrize(
+    "model", ["OPENCV_FISHEYE 40 30 50 50 20 15 0 0 0 0", "FOV 40 30 50 50 20 15 1", "MYOWN 4 3 1"]
+)
+def test_other_models_are_refused_by_name(tmp_path, model):
+    folder = text_model(tmp_path, f"1 {model}")
+    with pytest.raises(FileFormatError, match=f"{model.split()[0]} is not supported.*image_undistorter"):
+        read_colmap(folder, distorted="undistort")
+
+
+def test_missing_and_damaged_models(tmp_path):
+    with pytest.raises(MissingFileError, match="no such folder"):
+        read_colmap(tmp_path / "none")
+    with pytest.raises(MissingFileError, match="no COLMAP model"):
+        read_colmap(tmp_path)
+    with pytest.raises(MissingFileError, match="points3D"):
+        read_points(tmp_path)
+    write_colmap(some_cameras(2), tmp_path)
+    images = (tmp_path / "images.bin").read_bytes()
+    (tmp_path / "images.bin").write_bytes(images[:-3])
+    with pytest.raises(FileFormatError, match=r"images.bin: ends in the middle"):
+        read_colmap(tmp_path)
+    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 10**12) + images[8:])
+    with pytest.raises(FileFormatError, match="claims 1000000000000 images"):
+        read_colmap(tmp_path)
+    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 0))
+    with pytest.raises(FileFormatError, match="holds no cameras"):
+        read_colmap(tmp_path)
+    (tmp_path / "images.bin").write_bytes(images)
+    (tmp_path / "cameras.bin").write_bytes(struct.pack("<Q", 0))
+    with pytest.raises(FileFormatError, match=r"refers to camera 1, which cameras.bin does not have"):
+        read_colmap(tmp_path)
+    write_colmap(
+        some_cameras(2), tmp_path, points=(np.ones((2, 3)), np.ones((2, 3), np.uint8)), overwrite=True
+    )
+    points = (tmp_path / "points3D.bin").read_bytes()
+    (tmp_path / "points3D.bin").write_bytes(points[:-8] + struct.pack("<Q", 2**61))
+    with pytest.raises(FileFormatError, match=r"points3D.bin"):
+        read_points(tmp_path)
+
+
+def test_images_without_a_rotation(tmp_path):
+    folder = text_model(tmp_path, "1 SIMPLE_PINHOLE 40 30 50 20 15", "1 0 0 0 0 0 0 0 1 a.jpg\n\n")
+    with pytest.raises(FileFormatError, match="has no rotation"):
+        read_colmap(folder)
+    folder = text_model(tmp_path, "1 SIMPLE_PINHOLE 40 30 50 20 15", "1 2 0 0 0 0 0 0 1 a.jpg\n\n")
+    assert torch.equal(read_colmap(folder)[0].viewmat, torch.eye(4, dtype=torch.float64))

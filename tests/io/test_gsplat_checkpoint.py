@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import pickle
+import zipfile
+
+import pytest
+import torch
+from io_samples import save_checkpoint, some_gaussians
+
+from scoup.errors import FileFormatError, MissingFileError
+from scoup.io.gsplat_checkpoint import latest_ranks, read_gsplat_checkpoint
+
+
+def test_one_file(tmp_path):
+    gaussians = some_gaussians(9, degree=2)
+    save_checkpoint(gaussians, tmp_path / "ckpt_99_rank0.pt")
+    again = read_gsplat_checkpoint(tmp_path / "ckpt_99_rank0.pt")
+    torch.testing.assert_close(again.scales, gaussians.scales)
+    torch.testing.assert_close(again.opacities, gaussians.opacities)
+    torch.testing.assert_close(again.quats, gaussians.quats)
+    assert torch.equal(again.sh, gaussians.sh)
+
+
+def test_all_ranks_of_the_latest_step_in_order(tmp_path):
+    for step, rank in ((7, 0), (7, 1), (30, 1), (30, 0), (30, 10)):
+        save_checkpoint(
+            some_gaussians(3, seed=step + rank), tmp_path / "ckpts" / f"ckpt_{step}_rank{rank}.pt"
+        )
+    with pytest.raises(MissingFileError, match="step 30 lacks rank 2, 3, 4, 5, 6, 7, 8, 9 of 11"):
+        read_gsplat_checkpoint(tmp_path)
+    (tmp_path / "ckpts" / "ckpt_30_rank10.pt").unlink()
+    assert [path.name for path in latest_ranks(tmp_path)] == ["ckpt_30_rank0.pt", "ckpt_30_rank1.pt"]
+    again = read_gsplat_checkpoint(tmp_path / "ckpts")
+    expected = [some_gaussians(3, seed=30).means, some_gaussians(3, seed=31).means]
+    assert torch.equal(again.means, torch.cat(expected))
+
+
+def test_a_rank_that_another_step_has_is_missed(tmp_path):
+    for step, rank in ((7, 0), (7, 1), (30, 0)):
+        save_checkpoint(some_gaussians(2), tmp_path / f"ckpt_{step}_rank{rank}.pt")
+    with pytest.raises(MissingFileError, match="lacks rank 1 of 2"):
+        read_gsplat_checkpoint(tmp_path)
+
+
+class Sneaky:
+    def __reduce__(self):
+        return print, ("executed",)
+
+
+def test_foreign_contents(tmp_path, capsys):
+    path = tmp_path / "a.pt"
+    for content in ({"model": 1}, [1, 2], {"splats": 3}, {"splats": {"means": torch.zeros(2, 3)}}):
+        torch.save(content, path)
+        with pytest.raises(FileFormatError, match=r"a\.pt"):
+            read_gsplat_checkpoint(path)
+    torch.save({"splats": Sneaky()}, path)
+    with pytest.raises(FileFormatError, match="cannot be loaded"):
+        read_gsplat_checkpoint(path)
+    path.write_bytes(pickle.dumps({"splats": 1}))
+    with pytest.raises(FileFormatError, match="cannot be loaded"):
+        read_gsplat_checkpoint(path)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("hello.txt", "hello")
+    with pytest.raises(FileFormatError, match="cannot be loaded"):
+        read_gsplat_checkpoint(path)
+    assert "executed" not in capsys.readouterr().out
+
+
+def test_wrong_shapes_and_claimed_sizes(tmp_path):
+    path = tmp_path / "a.pt"
+
+    def save(**changes):
+        save_checkpoint(some_gaussians(4), path)
+        content = torch.load(path, weights_only=True)
+        content["splats"].update(changes)
+        torch.save(content, path)
+
+    save(quats=torch.zeros(4, 3))
+    with pytest.raises(FileFormatError, match=r"quats is torch.float32 \[4, 3\], expected floats \[N, 4\]"):
+        read_gsplat_checkpoint(path)
+    save(scales=torch.zeros(3, 3))
+    with pytest.raises(FileFormatError, match="scales"):
+        read_gsplat_checkpoint(path)
+    save(means=torch.zeros(4, 3, dtype=torch.int64))
+    with pytest.raises(FileFormatError, match="means"):
+        read_gsplat_checkpoint(path)
+    save(means=torch.zeros(1).expand(10**9, 3), quats=torch.zeros(1).expand(10**9, 4))
+    with pytest.raises(FileFormatError, match="means"):
+        read_gsplat_checkpoint(path)
+    save(shN=torch.zeros(4, 4, 3))
+    with pytest.raises(FileFormatError, match="no whole SH degree"):
+        read_gsplat_checkpoint(path)

@@ -1,0 +1,136 @@
+"""Photographs, pictures and undistortion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from io_samples import save_images, some_cameras
+
+from scoup.cameras import Camera
+from scoup.errors import FileFormatError, InputError, MissingFileError
+from scoup.io.image_folder import ImageFolder, image_size
+from scoup.io.images import load_image, save_png
+from scoup.io.undistort import photograph_pixels, sample_bilinear, sample_nearest
+
+
+def camera_of(width=64, height=48, distortion=(), image_path=None) -> Camera:
+    intrinsics = torch.tensor([[50.0, 0, 31.0], [0, 52.0, 25.0], [0, 0, 1]])
+    return Camera("a.png", torch.eye(4), intrinsics, width, height, image_path, distortion)
+
+
+def test_png_round_trip(tmp_path):
+    image = torch.randint(0, 256, (48, 64, 3), dtype=torch.uint8)
+    save_png(image, tmp_path / "deep" / "a.png")
+    assert torch.equal(load_image(camera_of(image_path=tmp_path / "deep" / "a.png")), image)
+    assert image_size(tmp_path / "deep" / "a.png") == (64, 48)
+    save_png(image[..., 0] > 100, tmp_path / "mask.png")
+    assert torch.equal(
+        load_image(camera_of(image_path=tmp_path / "mask.png"))[..., 1] == 255, image[..., 0] > 100
+    )
+    with pytest.raises(InputError, match="uint8"):
+        save_png(image.float(), tmp_path / "b.png")
+    assert not (tmp_path / "b.png").exists()
+
+
+def test_image_comes_at_the_size_of_the_camera(tmp_path):
+    gradient = torch.arange(128, dtype=torch.uint8).repeat(96, 1)[..., None].repeat(1, 1, 3)
+    save_png(gradient, tmp_path / "a.png")
+    image = load_image(camera_of(image_path=tmp_path / "a.png"))
+    assert image.shape == (48, 64, 3)
+    expected = torch.arange(64) * 2.0 + 0.5
+    assert (image[20, 4:-4, 0] - expected[4:-4]).abs().max() <= 1.0
+
+
+def test_missing_and_damaged_images(tmp_path):
+    with pytest.raises(MissingFileError, match="no image on disk"):
+        load_image(camera_of())
+    with pytest.raises(MissingFileError, match="no such file"):
+        load_image(camera_of(image_path=tmp_path / "none.png"))
+    save_png(torch.randint(0, 256, (48, 64, 3), dtype=torch.uint8), tmp_path / "a.png")
+    whole = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(FileFormatError, match="cannot be decoded"):
+        load_image(camera_of(image_path=tmp_path / "a.png"))
+    (tmp_path / "a.png").write_bytes(whole[:16] + b"\x7f\xff\xff\xff" * 2 + whole[24:])
+    with pytest.raises(FileFormatError, match=r"a\.png"):
+        load_image(camera_of(image_path=tmp_path / "a.png"))
+
+
+def test_images_are_found_by_any_name(tmp_path):
+    save_images(some_cameras(1), tmp_path / "left")
+    save_images(some_cameras(2), tmp_path / "right")
+    folder = ImageFolder(tmp_path)
+    assert len(folder) == 3
+    assert folder.find("left/view_00.png") == tmp_path / "left" / "view_00.png"
+    assert folder.find("left/view_00") == tmp_path / "left" / "view_00.png"
+    assert folder.find("view_01") == tmp_path / "right" / "view_01.png"
+    assert folder.find("elsewhere/view_01.jpg") == tmp_path / "right" / "view_01.png"
+    assert folder.find("view_00") is None  # there are two
+    assert folder.find("") is None
+    assert folder.find("..") is None
+
+
+def test_no_distortion_is_the_identity():
+    camera = camera_of()
+    positions = photograph_pixels(camera, 64, 48)
+    assert positions[3, 5].tolist() == pytest.approx([5.5, 3.5])
+    labels = torch.randint(-1, 9, (48, 64), dtype=torch.int32)
+    assert torch.equal(sample_nearest(labels, positions, -1), labels)
+    image = torch.randint(0, 256, (48, 64, 3), dtype=torch.uint8)
+    assert torch.equal(sample_bilinear(image, positions), image)
+
+
+def test_positions_follow_the_lens_model():
+    k1, k2, p1, p2 = 0.1, -0.03, 0.002, -0.004
+    camera = camera_of(distortion=(k1, k2, p1, p2))
+    x, y = (10.5 - 31) / 50, (40.5 - 25) / 52
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2 * r2
+    u = 50 * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) + 31
+    v = 52 * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) + 25
+    assert photograph_pixels(camera, 64, 48)[40, 10].tolist() == pytest.approx([u, v])
+    assert photograph_pixels(camera, 32, 96)[40, 10].tolist() == pytest.approx([u / 2, v * 2])
+
+
+def test_pycolmap_agrees_on_the_lens_model():
+    pycolmap = pytest.importorskip("pycolmap")
+    coefficients = (0.1, -0.03, 0.002, -0.004)
+    camera = camera_of(distortion=coefficients)
+    theirs = pycolmap.Camera(model="OPENCV", width=64, height=48, params=[50, 52, 31, 25, *coefficients])
+    ours = photograph_pixels(camera, 64, 48)
+    for row, column in ((0, 0), (47, 63), (20, 33), (40, 2)):
+        ray = np.array([(column + 0.5 - 31) / 50, (row + 0.5 - 25) / 52, 1.0])
+        np.testing.assert_allclose(ours[row, column], theirs.img_from_cam(ray).ravel(), atol=1e-9)
+
+
+def test_folded_and_outside_pixels_are_empty():
+    camera = camera_of(distortion=(-0.9, 0.0, 0.0, 0.0))
+    positions = photograph_pixels(camera, 64, 48)
+    assert torch.isnan(positions[0, 0]).all()
+    labels = torch.ones(48, 64, dtype=torch.int32)
+    sampled = sample_nearest(labels, positions, -1)
+    assert sampled[0, 0] == -1
+    assert sampled[25, 31] == 1
+    # A cushion looks beyond the photograph.
+    positions = photograph_pixels(camera_of(distortion=(0.5, 0.1, 0.0, 0.0)), 64, 48)
+    assert sample_nearest(labels, positions, -1)[0, 0] == -1
+    assert sample_bilinear(torch.full((48, 64, 3), 9, dtype=torch.uint8), positions)[0, 0].tolist() == [
+        0,
+        0,
+        0,
+    ]
+
+
+def test_undistorted_image_straightens(tmp_path):
+    """A photograph drawn by the forward model of a lens comes back as the ideal picture."""
+    camera = camera_of(distortion=(-0.2, 0.05, 0.0, 0.0))
+    positions = photograph_pixels(camera, 64, 48)
+    x = torch.arange(256, dtype=torch.float64)[None, :].expand(192, 256) / 4 + 0.125
+    photograph = (x * 2).clamp(0, 255).to(torch.uint8)[..., None].repeat(1, 1, 3)
+    save_png(photograph, tmp_path / "a.png")
+    image = load_image(replace(camera, image_path=tmp_path / "a.png"))
+    inside = (positions[..., 0] > 2) & (positions[..., 0] < 62)
+    assert ((image[..., 0] - 2 * positions[..., 0]).abs()[inside] < 2).all()

@@ -1,0 +1,214 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from io_samples import some_cameras, some_regions
+
+from scoup.cameras import Cameras
+from scoup.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.io.langsplat import level_blocks, load_regions, save_regions
+from scoup.io.undistort import photograph_pixels, sample_nearest
+from scoup.regions import LEVELS, RegionMap, Regions
+
+
+def write(folder: Path, stem: str, planes: np.ndarray, rows: np.ndarray) -> None:
+    folder.mkdir(exist_ok=True)
+    np.save(folder / f"{stem}_s.npy", planes)
+    np.save(folder / f"{stem}_f.npy", rows)
+
+
+def unit_rows(count: int, dimensions: int = 4) -> np.ndarray:
+    rows = np.random.default_rng(count).normal(size=(count, dimensions)).astype(np.float32)
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def planes_of(*values: list[int], width: int = 32, height: int = 24) -> np.ndarray:
+    """Four planes that hold the given labels in turn."""
+    planes = [
+        np.resize(np.array(item, dtype=np.float32), height * width).reshape(height, width) for item in values
+    ]
+    return np.stack(planes)
+
+
+def test_round_trip(tmp_path):
+    cameras = some_cameras(3)
+    regions = some_regions(cameras)
+    save_regions(regions, tmp_path / "language_features")
+    again = load_regions(tmp_path, cameras)
+    assert again.levels == LEVELS
+    assert again.view_names == cameras.names
+    for name in cameras.names:
+        for level in LEVELS:
+            one, other = regions.load(name, level), again.load(name, level)
+            assert torch.equal(one.labels, other.labels)
+            torch.testing.assert_close(one.embeddings, other.embeddings, rtol=0, atol=1e-7)
+            assert torch.equal(again.load_embeddings(name, level), other.embeddings)
+    labels = np.load(tmp_path / "language_features" / "view_00_s.npy")
+    rows = np.load(tmp_path / "language_features" / "view_00_f.npy")
+    assert labels.dtype == np.float32
+    assert labels.max() + 1 == len(rows)
+    with pytest.raises(OutputExistsError):
+        save_regions(regions, tmp_path / "language_features")
+    save_regions(again, tmp_path / "language_features", overwrite=True)
+
+
+def test_what_langsplat_writes(tmp_path):
+    """Values are global row numbers; each level is offset by the sizes of those before."""
+    rows = unit_rows(9)
+    write(tmp_path, "view_00", planes_of([-1, 0, 1], [2, 3, 4], [-1, 5, 6], [7, 8]), rows)
+    regions = load_regions(tmp_path, some_cameras(1))
+    for level, start, end in (("s", 2, 5), ("m", 5, 7), ("l", 7, 9)):
+        item = regions.load("view_00.png", level)
+        np.testing.assert_allclose(item.embeddings, rows[start:end], atol=1e-7)
+        assert item.labels.max() == end - start - 1
+    assert regions.load("view_00.png", "m").labels.unique().tolist() == [-1, 0, 1]
+
+
+def test_rows_without_pixels_belong_to_the_level_before():
+    path = Path("a_s.npy")
+    blocks = level_blocks(path, planes_of([0, 1], [3], [6], [8]), 12)
+    assert [(b.start, b.stop) for b in blocks.values()] == [(0, 3), (3, 6), (6, 8), (8, 12)]
+    blocks = level_blocks(path, planes_of([-1], [0, 1], [-1], [3, 4]), 5)
+    assert [(b.start, b.stop) for b in blocks.values()] == [(0, 0), (0, 3), (3, 3), (3, 5)]
+    blocks = level_blocks(path, planes_of([-1], [-1], [-1], [-1]), 5)
+    assert sum(b.stop - b.start for b in blocks.values()) == 5
+    blocks = level_blocks(path, planes_of([-1], [2], [3], [-1]), 6)
+    assert [(b.start, b.stop) for b in blocks.values()] == [(0, 2), (2, 3), (3, 6), (6, 6)]
+
+
+@pytest.mark.parametrize(
+    ("planes", "rows", "message"),
+    [
+        (planes_of([0], [1], [2], [4]), 4, "labels from 4 to 4, but there are 4 embeddings"),
+        (planes_of([0], [1], [2], [-2]), 4, "labels from -2"),
+        (planes_of([0], [1, 2], [2], [3]), 4, "'m' starts at row 2, inside the level before"),
+        (planes_of([0], [3], [2], [1]), 4, "starts at row 2"),
+        (planes_of([0], [1], [2], [3]) + 0.25, 4, "not whole numbers"),
+        (planes_of([0], [1], [2], [3]) * np.float32("nan"), 4, "not whole numbers"),
+        (planes_of([0], [1], [2], [3]) + np.float32("inf"), 4, "not whole numbers"),
+        (planes_of([0], [1], [2], [3])[:3], 4, r"shape \[3, 24, 32\], expected \[4, height, width\]"),
+        (planes_of([0], [1], [2], [3], width=30), 4, "of another shape than its image"),
+        (planes_of([0], [1], [2], [3])[:, :0], 4, "expected"),
+        (planes_of([0], [1], [2], [3])[0], 4, "expected"),
+    ],
+)
+def test_labels_that_make_no_sense(tmp_path, planes, rows, message):
+    write(tmp_path, "view_00", planes, unit_rows(rows))
+    with pytest.raises(FileFormatError, match=message):
+        load_regions(tmp_path, some_cameras(1)).load("view_00.png", "s")
+
+
+def test_embeddings_that_make_no_sense(tmp_path):
+    planes, cameras = planes_of([0], [1], [2], [3]), some_cameras(1)
+    rows = unit_rows(4)
+    rows[1, 0] = np.nan
+    write(tmp_path, "view_00", planes, rows)
+    with pytest.raises(FileFormatError, match="not finite"):
+        load_regions(tmp_path, cameras).load_embeddings("view_00.png", "s")
+    for wrong in (unit_rows(4)[0], unit_rows(4).astype(np.int32), np.zeros((4, 0), np.float32)):
+        write(tmp_path, "view_00", planes, wrong)
+        with pytest.raises(FileFormatError, match=r"view_00_f\.npy: has shape"):
+            load_regions(tmp_path, cameras)
+    np.save(tmp_path / "view_00_f.npy", np.array([{"a": 1}] * 4), allow_pickle=True)
+    with pytest.raises(FileFormatError, match="plain numbers"):
+        load_regions(tmp_path, cameras)
+
+
+def test_embeddings_are_scaled_to_unit_norm_and_zero_rows_stay(tmp_path):
+    rows = unit_rows(4) * np.array([[1], [3], [0], [1e30]], dtype=np.float32)
+    write(tmp_path, "view_00", planes_of([0], [1, 2], [3], [-1]), rows)
+    regions = load_regions(tmp_path, some_cameras(1))
+    torch.testing.assert_close(
+        regions.load_embeddings("view_00.png", "s").norm(dim=1), torch.tensor([1.0, 0.0])
+    )
+    torch.testing.assert_close(regions.load_embeddings("view_00.png", "m").norm(dim=1), torch.tensor([1.0]))
+
+
+@pytest.mark.parametrize("dtype", ["<f2", "<f8", ">f4", "<i4", "i1", "<i8"])
+def test_other_number_types(tmp_path, dtype):
+    planes = planes_of([-1], [0, 1], [2], [3, -1])
+    write(tmp_path, "view_00", planes.astype(dtype), unit_rows(4).astype(np.float16))
+    assert load_regions(tmp_path, some_cameras(1)).load("view_00.png", "s").labels[0, :3].tolist() == [
+        0,
+        1,
+        0,
+    ]
+
+
+def test_column_major_files(tmp_path):
+    planes = np.random.default_rng(0).integers(-1, 3, (4, 24, 32)).astype(np.float32)
+    planes[0] = -1
+    planes[2:][planes[2:] >= 0] += 3
+    planes[3][planes[3] >= 0] += 3
+    write(tmp_path, "view_00", np.asfortranarray(planes), unit_rows(9))
+    labels = load_regions(tmp_path, some_cameras(1)).load("view_00.png", "s").labels
+    assert np.array_equal(labels, planes[1])
+
+
+def test_labels_follow_the_size_of_the_camera(tmp_path):
+    labels = np.arange(12).reshape(3, 4).astype(np.float32)
+    write(
+        tmp_path,
+        "view_00",
+        np.stack([np.full((3, 4), -1, np.float32), labels, labels + 12, labels + 24]),
+        unit_rows(36),
+    )
+    camera = some_cameras(1, width=8, height=6)[0]
+    large = load_regions(tmp_path, [camera]).load("view_00.png", "m").labels
+    assert np.array_equal(large, labels.repeat(2, 0).repeat(2, 1))
+    camera = replace(camera, distortion=(0.3, 0.0, 0.0, 0.0))
+    bent = load_regions(tmp_path, [camera]).load("view_00.png", "m").labels
+    expected = sample_nearest(torch.from_numpy(labels).int(), photograph_pixels(camera, 4, 3), -1)
+    assert torch.equal(bent, expected)
+    assert bent.shape == (6, 8)
+
+
+def test_stems_are_cut_at_the_first_dot(tmp_path):
+    camera = replace(some_cameras(1)[0], name="left/img.0001.tar.png")
+    write(tmp_path, "img", planes_of([-1], [0], [1], [2]), unit_rows(3))
+    assert load_regions(tmp_path, [camera]).view_names == ("left/img.0001.tar.png",)
+    other = replace(camera, name="img.0002.png")
+    with pytest.raises(InputError, match="share the feature name 'img'"):
+        load_regions(tmp_path, Cameras([camera, other]))
+
+
+def test_missing_features(tmp_path):
+    cameras = some_cameras(4)
+    with pytest.raises(MissingFileError, match=r"no such folder.*scoup extract"):
+        load_regions(tmp_path / "none", cameras)
+    with pytest.raises(
+        MissingFileError, match=r"none of the 4 cameras: expected view_00_s\.npy.*no \*_s\.npy"
+    ):
+        load_regions(tmp_path, cameras)
+    write(tmp_path, "frame_00001", planes_of([-1], [0], [1], [2]), unit_rows(3))
+    with pytest.raises(MissingFileError, match=r"it has frame_00001_s\.npy"):
+        load_regions(tmp_path, cameras)
+    write(tmp_path, "view_02", planes_of([-1], [0], [1], [2]), unit_rows(3))
+    with pytest.warns(ScoupWarning, match="skipped 3 of 4 cameras"):
+        assert load_regions(tmp_path, cameras).view_names == ("view_02.png",)
+    with pytest.raises(InputError, match="no cameras"):
+        load_regions(tmp_path, [])
+
+
+def test_features_of_two_models(tmp_path):
+    write(tmp_path, "view_00", planes_of([-1], [0], [1], [2]), unit_rows(3, 4))
+    write(tmp_path, "view_01", planes_of([-1], [0], [1], [2]), unit_rows(3, 5))
+    with pytest.raises(FileFormatError, match=r"has 5 dimensions, but view_00_f\.npy has 4"):
+        load_regions(tmp_path, some_cameras(2))
+
+
+def test_saving_needs_three_levels_of_one_size(tmp_path):
+    labels, rows = torch.zeros(4, 4, dtype=torch.int32), torch.ones(1, 1)
+    with pytest.raises(InputError, match="levels"):
+        save_regions(Regions.from_maps({"a": {"s": RegionMap(labels, rows)}}), tmp_path)
+    maps = {level: RegionMap(labels[:size], rows) for level, size in zip(LEVELS, (4, 4, 3), strict=True)}
+    with pytest.raises(InputError, match="differ in size"):
+        save_regions(Regions.from_maps({"a": maps}), tmp_path)
+    same = {level: RegionMap(labels, rows) for level in LEVELS}
+    with pytest.raises(InputError, match="share a file name"):
+        save_regions(Regions.from_maps({"a.1.png": same, "a.2.png": same}), tmp_path)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,110 @@
+"""Readers against real files (see the fixture ``data_folder``)."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from io_samples import camera_difference, same_gaussians
+
+from scoup.errors import FileFormatError
+from scoup.io import (
+    load_cameras,
+    load_gaussians,
+    load_image,
+    load_regions,
+    read_cfg_args,
+    read_colmap,
+    read_ply_table,
+    read_points,
+    save_gaussians,
+    write_ply_table,
+)
+
+pytestmark = pytest.mark.data
+
+
+def test_guitar(data_folder):
+    gaussians = load_gaussians(data_folder / "guitar" / "guitar.ply")
+    assert len(gaussians) == 90_854
+    raw = read_ply_table(data_folder / "guitar" / "guitar.ply").rows["opacity"]
+    assert np.isposinf(raw).sum() == 667
+    assert bool((gaussians.opacities[torch.from_numpy(np.isposinf(raw))] == 1).all())
+    assert gaussians.sh_degree == 0
+    with pytest.raises(FileFormatError, match=r"compressed PLY.*splat-transform"):
+        load_gaussians(data_folder / "guitar" / "guitar.compressed.ply")
+
+
+@pytest.mark.parametrize("name", ["guitar/guitar.ply", "inria_ply/point_cloud.ply"])
+def test_real_files_survive_writing(data_folder, tmp_path, name):
+    gaussians = load_gaussians(data_folder / name)
+    save_gaussians(gaussians, tmp_path / "again.ply")
+    again = load_gaussians(tmp_path / "again.ply")
+    assert same_gaussians(gaussians, again)
+    assert gaussians.fingerprint() == again.fingerprint()
+    write_ply_table(read_ply_table(data_folder / name), tmp_path / "table.ply")
+    assert (tmp_path / "table.ply").read_bytes() == (data_folder / name).read_bytes()
+
+
+def test_inria_output(data_folder):
+    gaussians = load_gaussians(data_folder / "inria_ply")
+    assert len(gaussians) == 9080
+    assert gaussians.sh_degree == 3
+    torch.testing.assert_close(gaussians.quats.norm(dim=1), torch.ones(9080))
+
+
+def test_kitchen_cameras_agree(data_folder):
+    inria = load_cameras(data_folder / "kitchen" / "cameras.json")
+    nerfstudio = load_cameras(data_folder / "kitchen" / "transforms.json")
+    assert len(inria) == 24
+    assert camera_difference(inria, nerfstudio) < 1e-9
+    assert load_image(inria[0]).shape == (720, 960, 3)
+
+
+def test_kitchen_splat(data_folder):
+    gaussians = load_gaussians(data_folder / "kitchen" / "scene")
+    assert len(gaussians) == 124_495
+    # Axes and units fit: most of the splat lies before some camera.
+    camera = load_cameras(data_folder / "kitchen")[0]
+    depth = gaussians.means.double() @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+    assert (depth > 0).float().mean() > 0.5
+
+
+def test_desk_cameras_agree(data_folder):
+    colmap = load_cameras(data_folder / "desk")
+    inria = load_cameras(data_folder / "desk" / "cameras.json")
+    assert len(colmap) == 29
+    assert camera_difference(colmap, inria) < 1e-9
+    assert (colmap[0].width, colmap[0].height) == (953, 535)
+    assert len(read_points(data_folder / "desk" / "sparse" / "0")[0]) == 7562
+    assert read_cfg_args(data_folder / "desk" / "cfg_args")["sh_degree"] == 3
+
+
+def test_desk_like_pycolmap(data_folder):
+    pycolmap = pytest.importorskip("pycolmap")
+    model = pycolmap.Reconstruction(str(data_folder / "desk" / "sparse" / "0"))
+    cameras = read_colmap(data_folder / "desk" / "sparse" / "0")
+    assert len(cameras) == model.num_images()
+    for image in model.images.values():
+        camera = cameras[image.name]
+        np.testing.assert_allclose(image.cam_from_world().matrix(), camera.viewmat[:3], atol=1e-9)
+        np.testing.assert_allclose(model.cameras[image.camera_id].calibration_matrix(), camera.K)
+
+
+@pytest.mark.parametrize("default", ["m", "none"])
+def test_kitchen_features(data_folder, tmp_path, default):
+    script = data_folder / "kitchen" / "make_langsplat_features.py"
+    command = [sys.executable, script, data_folder / "kitchen", "--out", tmp_path, "--default", default]
+    subprocess.run(command, check=True, capture_output=True)
+    cameras = load_cameras(data_folder / "kitchen")
+    regions = load_regions(tmp_path, cameras)
+    assert regions.view_names == cameras.names
+    totals = [len(regions.embeddings(level)[0]) for level in regions.levels]
+    assert totals == [2204, 1112, 786]
+    item = regions.load("frame_00003.jpg", "m")
+    source = np.load(data_folder / "kitchen" / "features" / "frame_00003.npz")["m"].astype(np.float32)
+    torch.testing.assert_close(item.embeddings, torch.from_numpy(source), atol=2e-3, rtol=0)
+    assert item.labels.shape == (720, 960)

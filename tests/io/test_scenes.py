@@ -1,0 +1,219 @@
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from io_samples import (
+    camera_difference,
+    same_gaussians,
+    save_checkpoint,
+    save_images,
+    some_cameras,
+    some_gaussians,
+)
+
+import scoup.io
+from scoup.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.io import as_stored, default_preset, load_cameras, load_gaussians, load_image, save_gaussians
+from scoup.io.colmap import write_colmap
+from scoup.io.inria import write_inria_cameras
+from scoup.io.scenes import find_cameras
+from scoup.io.transforms import write_transforms
+
+
+def colmap_scene(folder: Path, count: int = 3, images: str | None = "images", divisor: int = 1) -> Path:
+    cameras = some_cameras(count)
+    write_colmap(cameras, folder / "sparse" / "0")
+    if images:
+        save_images(cameras, folder / images, divisor)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["sparse/0", "sparse", "colmap/sparse/0", "."])
+def test_colmap_folders(tmp_path, name):
+    cameras = some_cameras(3)
+    write_colmap(cameras, tmp_path / name)
+    save_images(cameras, tmp_path / "images")
+    for path in (tmp_path, tmp_path / name, tmp_path / name / "images.bin"):
+        loaded = load_cameras(path)
+        assert camera_difference(cameras, loaded) < 1e-12
+        assert [camera.image_path for camera in loaded] == [
+            tmp_path / "images" / name for name in cameras.names
+        ]
+
+
+def test_the_current_folder(tmp_path, monkeypatch):
+    colmap_scene(tmp_path)
+    monkeypatch.chdir(tmp_path / "sparse")
+    assert load_cameras("0")[0].image_path is not None
+    monkeypatch.chdir(tmp_path)
+    assert load_cameras(".")[0].image_path is not None
+
+
+def test_precedence(tmp_path):
+    cameras = some_cameras(2, centered=True)
+    write_inria_cameras(cameras, tmp_path / "cameras.json")
+    assert find_cameras(tmp_path).format == "inria"
+    write_colmap(cameras, tmp_path / "colmap" / "sparse" / "0")
+    assert find_cameras(tmp_path).path == tmp_path / "colmap" / "sparse" / "0"
+    write_transforms(cameras, tmp_path / "transforms.json")
+    assert find_cameras(tmp_path).format == "transforms"
+    write_colmap(cameras, tmp_path / "sparse" / "0")
+    assert find_cameras(tmp_path).format == "colmap"
+    (tmp_path / "point_cloud").mkdir()
+    assert find_cameras(tmp_path).format == "inria"
+
+
+def test_inria_names_get_their_extension_and_images_of_the_training_data(tmp_path):
+    cameras = some_cameras(3, centered=True)
+    data = tmp_path / "data"
+    save_images(cameras, data / "images")
+    output = tmp_path / "output"
+    write_inria_cameras(cameras, output / "cameras.json")
+    entries = json.loads((output / "cameras.json").read_text())
+    for entry in entries:
+        entry["img_name"] = entry["img_name"].split(".")[0]
+    (output / "cameras.json").write_text(json.dumps(entries))
+    (output / "cfg_args").write_text(f"Namespace(source_path={str(data)!r})")
+    loaded = load_cameras(output)
+    assert camera_difference(cameras, loaded) < 1e-12
+    assert loaded[0].image_path == data / "images" / "view_00.png"
+    (output / "cfg_args").write_text("damaged")
+    with pytest.warns(ScoupWarning, match="none of the 3 images was found"):
+        assert load_cameras(output).names == ("view_00", "view_01", "view_02")
+
+
+def test_only_scaled_images(tmp_path):
+    scene = colmap_scene(tmp_path, images="images_2", divisor=2)
+    camera = load_cameras(scene)[0]
+    assert (camera.width, camera.height) == (16, 12)
+    assert camera.fx == pytest.approx(30.5 / 2)
+    assert load_image(camera).shape == (12, 16, 3)
+
+
+def test_downscale(tmp_path):
+    scene = colmap_scene(tmp_path)
+    save_images(some_cameras(3), scene / "images_2", 2)
+    for factor, folder in ((1, "images"), (2, "images_2"), (4, "images"), (8, "images")):
+        camera = load_cameras(scene, downscale=factor)[0]
+        assert (camera.width, camera.height) == (32 // factor, 24 // factor)
+        assert camera.image_path == scene / folder / "view_00.png"
+        assert camera.K[0, 2] == pytest.approx(16.7 / factor)
+        assert load_image(camera).shape == (24 // factor, 32 // factor, 3)
+    with pytest.raises(InputError, match="downscale is 3"):
+        load_cameras(scene, downscale=3)
+
+
+def test_downscale_works_for_every_format(tmp_path):
+    cameras = some_cameras(3, centered=True)
+    for folder, divisor in (("images", 1), ("images_4", 4)):
+        save_images(cameras, tmp_path / folder, divisor)
+    write_inria_cameras(cameras, tmp_path / "cameras.json")
+    write_transforms(cameras, tmp_path / "transforms.json")
+    for name in ("cameras.json", "transforms.json"):
+        camera = load_cameras(tmp_path / name, downscale=4)[0]
+        assert camera.image_path == tmp_path / "images_4" / "view_00.png"
+        assert (camera.width, camera.fx) == (8, pytest.approx(30.5 / 4))
+
+
+def test_missing_images(tmp_path):
+    scene = colmap_scene(tmp_path, count=4)
+    (scene / "images" / "view_01.png").unlink()
+    with pytest.warns(ScoupWarning, match="skipped 1 of 4 cameras"):
+        assert load_cameras(scene).names == ("view_00.png", "view_02.png", "view_03.png")
+    kept = load_cameras(scene, missing_images="keep", downscale=2)
+    assert len(kept) == 4
+    assert kept[1].image_path is None
+    assert kept[1].width == 16
+    shutil.rmtree(scene / "images")
+    with pytest.warns(ScoupWarning, match="none of the 4 images was found"):
+        assert len(load_cameras(scene)) == 4
+    assert len(load_cameras(scene, missing_images="keep")) == 4
+
+
+def test_images_elsewhere(tmp_path):
+    scene = colmap_scene(tmp_path / "scene", images=None)
+    save_images(some_cameras(3), tmp_path / "photos")
+    assert (
+        load_cameras(scene, images=tmp_path / "photos")[0].image_path == tmp_path / "photos" / "view_00.png"
+    )
+    save_images(some_cameras(3), scene / "frames")
+    assert load_cameras(scene, images="frames")[0].image_path == scene / "frames" / "view_00.png"
+    with pytest.raises(MissingFileError, match="no such folder of images"):
+        load_cameras(scene, images=tmp_path / "none")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(MissingFileError, match="has none of the 3 images"):
+        load_cameras(scene, images=tmp_path / "empty")
+
+
+def test_images_of_another_shape_or_damaged(tmp_path):
+    scene = colmap_scene(tmp_path)
+    save_images(some_cameras(1, width=24, height=32), scene / "images")
+    with pytest.raises(
+        FileFormatError, match=r"is 24 x 32 pixels, another shape than its camera \(32 x 24\)"
+    ):
+        load_cameras(scene)
+    (scene / "images" / "view_00.png").write_bytes(b"no image")
+    with pytest.raises(FileFormatError, match="not an image"):
+        load_cameras(scene)
+
+
+def test_no_cameras(tmp_path):
+    with pytest.raises(MissingFileError, match="no such file or folder"):
+        load_cameras(tmp_path / "none")
+    with pytest.raises(MissingFileError, match="holds no cameras"):
+        load_cameras(tmp_path)
+    (tmp_path / "a.ply").write_text("ply")
+    with pytest.raises(FileFormatError, match="no kind of camera file"):
+        load_cameras(tmp_path / "a.ply")
+    with pytest.raises(InputError, match="distorted is"):
+        load_cameras(tmp_path, distorted="ignore")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match="missing_images is"):
+        load_cameras(tmp_path, missing_images="drop")  # pyright: ignore[reportArgumentType]
+
+
+def test_gaussians_of_every_kind(tmp_path):
+    gaussians = as_stored(some_gaussians(5, degree=1))
+    save_gaussians(gaussians, tmp_path / "a.ply")
+    assert same_gaussians(load_gaussians(tmp_path / "a.ply"), gaussians)
+    assert same_gaussians(load_gaussians(tmp_path), gaussians)
+    save_gaussians(gaussians, tmp_path / "b.splat")
+    assert len(load_gaussians(tmp_path / "b.splat")) == 5
+    with pytest.raises(MissingFileError, match=r"holds 2 splats \(a\.ply, b\.splat\)"):
+        load_gaussians(tmp_path)
+    save_checkpoint(gaussians, tmp_path / "ckpts" / "ckpt_1_rank0.pt")
+    for path in (tmp_path, tmp_path / "ckpts", tmp_path / "ckpts" / "ckpt_1_rank0.pt"):
+        torch.testing.assert_close(load_gaussians(path).means, gaussians.means)
+        assert default_preset(path) == "gsplat"
+    save_gaussians(gaussians, tmp_path / "point_cloud" / "iteration_5" / "point_cloud.ply")
+    assert same_gaussians(load_gaussians(tmp_path), gaussians)
+    assert default_preset(tmp_path) == "inria"
+
+
+def test_no_gaussians(tmp_path):
+    with pytest.raises(MissingFileError, match="no such file or folder"):
+        load_gaussians(tmp_path / "none.ply")
+    with pytest.raises(MissingFileError, match="holds no trained splat"):
+        load_gaussians(tmp_path)
+    (tmp_path / "a.spz").write_bytes(b"x")
+    with pytest.raises(FileFormatError, match=r"spz files are not supported; convert it.*splat-transform"):
+        load_gaussians(tmp_path / "a.spz")
+    (tmp_path / "a.txt").write_bytes(b"x")
+    with pytest.raises(FileFormatError, match="not a kind of splat"):
+        load_gaussians(tmp_path / "a.txt")
+    with pytest.raises(InputError, match=r"use \.ply or \.splat"):
+        save_gaussians(some_gaussians(), tmp_path / "a.obj")
+    save_gaussians(some_gaussians(0), tmp_path / "empty.ply")
+    with pytest.raises(FileFormatError, match="holds no Gaussians"):
+        load_gaussians(tmp_path / "empty.ply")
+    with pytest.raises(OutputExistsError):
+        save_gaussians(some_gaussians(1), tmp_path / "empty.ply")
+
+
+def test_public_names():
+    assert all(hasattr(scoup.io, name) for name in scoup.io.__all__)
+    assert np.all(sorted(scoup.io.__all__) == scoup.io.__all__)

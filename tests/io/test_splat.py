@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+import torch
+from io_samples import same_gaussians, some_gaussians
+
+from scoup.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.io.splat import read_splat, write_splat
+
+
+def record(
+    center=(1.0, 2.0, 3.0), scale=(0.1, 0.2, 0.3), color=(255, 128, 0, 51), rotation=(255, 128, 128, 128)
+):
+    return struct.pack("<6f8B", *center, *scale, *color, *rotation)
+
+
+def test_fields(tmp_path):
+    (tmp_path / "a.splat").write_bytes(record() + record(rotation=(192, 192, 128, 128)))
+    gaussians = read_splat(tmp_path / "a.splat")
+    assert gaussians.means[0].tolist() == [1, 2, 3]
+    np.testing.assert_allclose(gaussians.scales[0], [0.1, 0.2, 0.3], rtol=1e-6)
+    assert gaussians.opacities[0].item() == np.float32(0.2)
+    np.testing.assert_allclose(gaussians.sh[0, 0] * 0.28209479 + 0.5, [1, 128 / 255, 0], atol=1e-6)
+    np.testing.assert_allclose(gaussians.quats, [[1, 0, 0, 0], [0.5**0.5, 0.5**0.5, 0, 0]], atol=1e-6)
+    assert gaussians.sh_degree == 0
+
+
+def test_round_trip_is_within_a_byte_and_stable(tmp_path):
+    gaussians = some_gaussians(200, degree=0)
+    write_splat(gaussians, tmp_path / "a.splat")
+    first = read_splat(tmp_path / "a.splat")
+    assert torch.equal(first.means, gaussians.means)
+    assert torch.equal(first.scales, gaussians.scales)
+    torch.testing.assert_close(first.opacities, gaussians.opacities, atol=0.5 / 255 + 1e-6, rtol=0)
+    assert ((first.quats * gaussians.quats).sum(1) > 0.9999).all()
+    write_splat(first, tmp_path / "b.splat")
+    second = read_splat(tmp_path / "b.splat")
+    assert torch.equal(first.opacities, second.opacities)
+    assert torch.equal(first.sh, second.sh)
+
+
+def test_rows_without_a_rotation_are_dropped(tmp_path):
+    nan = record(center=(float("nan"), 0, 0))
+    (tmp_path / "a.splat").write_bytes(
+        record() + record(rotation=(128,) * 4) + nan + record(scale=(-0.1, 0.2, 0.3))
+    )
+    with pytest.warns(ScoupWarning, match="dropped 2 of 4"):
+        gaussians = read_splat(tmp_path / "a.splat")
+    assert gaussians.scales[1, 0] > 0
+    assert same_gaussians(gaussians.select(torch.tensor([0])), gaussians.select(torch.tensor([1])))
+
+
+def test_wrong_sizes(tmp_path):
+    (tmp_path / "a.splat").write_bytes(record()[:-1])
+    with pytest.raises(FileFormatError, match="31 bytes, which is not a multiple of 32"):
+        read_splat(tmp_path / "a.splat")
+    (tmp_path / "a.splat").write_bytes(b"")
+    with pytest.raises(FileFormatError, match="is empty"):
+        read_splat(tmp_path / "a.splat")
+    with pytest.raises(MissingFileError):
+        read_splat(tmp_path / "none.splat")

@@ -1,0 +1,274 @@
+"""Localisation, segmentation and 3D selection against literal loops and hand-made cases."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from scoup.errors import InputError, UnknownNameError
+from scoup.neighbours import Neighbourhood
+from scoup.query import (
+    PRESETS,
+    QueryPreset,
+    box_mean,
+    localize,
+    localize_all,
+    mask_box,
+    query_preset,
+    rescale,
+    segment,
+    segment_all,
+    select,
+)
+
+
+def reflect101(position: int, size: int) -> int:
+    """cv2.borderInterpolate for BORDER_REFLECT_101, literally."""
+    if size == 1:
+        return 0
+    while not 0 <= position < size:
+        position = -position if position < 0 else 2 * (size - 1) - position
+    return position
+
+
+def literal_box_mean(image: np.ndarray, kernel: int, border: str) -> np.ndarray:
+    height, width = image.shape
+    out = np.zeros((height, width))
+    for y in range(height):
+        for x in range(width):
+            values = []
+            for dy in range(kernel):
+                for dx in range(kernel):
+                    row, column = y + dy - kernel // 2, x + dx - kernel // 2
+                    if border == "reflect":
+                        values.append(image[reflect101(row, height), reflect101(column, width)])
+                    elif 0 <= row < height and 0 <= column < width:
+                        values.append(image[row, column])
+            out[y, x] = np.mean(values)
+    return out
+
+
+def literal_segment(relevancy: np.ndarray, preset: QueryPreset) -> tuple[np.ndarray, int, float]:
+    best, answer = -np.inf, None
+    for level, image in enumerate(relevancy.astype(np.float64)):
+        smoothed = 0.5 * (image + literal_box_mean(image, preset.kernel, preset.border))
+        if smoothed.max() > best:
+            best = smoothed.max()
+            stretched = (smoothed - smoothed.min()) / (smoothed.max() - smoothed.min() + 1e-9)
+            mask = np.clip(2 * stretched - 1, 0, 1) > preset.threshold
+            mask = literal_box_mean(mask.astype(np.float64), preset.smoothing, "inside") > 0.5
+            answer = mask, level, smoothed.max()
+    assert answer is not None
+    return answer
+
+
+shapes = st.tuples(st.integers(1, 11), st.integers(1, 11))
+
+
+@settings(max_examples=60)
+@given(shapes, st.integers(1, 14), st.sampled_from(["inside", "reflect"]), st.integers(0, 2**31))
+def test_box_mean(shape: tuple[int, int], kernel: int, border, seed: int) -> None:
+    image = torch.rand(shape, generator=torch.Generator().manual_seed(seed))
+    expected = literal_box_mean(image.double().numpy(), kernel, border)
+    assert np.abs(box_mean(image, kernel, border).numpy() - expected).max() < 1e-6
+
+
+def test_box_mean_is_average_pooling_without_counting_the_padding() -> None:
+    maps = torch.rand(2, 3, 40, 33, generator=torch.Generator().manual_seed(0))
+    pooled = torch.nn.functional.avg_pool2d(maps, 29, stride=1, padding=14, count_include_pad=False)
+    torch.testing.assert_close(box_mean(maps, 29), pooled)
+
+
+@pytest.mark.parametrize("border", ["inside", "reflect"])
+@pytest.mark.parametrize("value", [0.1, 0.3, 0.7])
+def test_constant_maps_stay_constant(border, value: float) -> None:
+    averaged = box_mean(torch.full((300, 417), value), 7, border)
+    assert len(averaged.unique()) == 1
+
+
+@settings(max_examples=40)
+@given(shapes, st.sampled_from(list(PRESETS)), st.integers(1, 3), st.integers(0, 2**31))
+def test_segment_equals_the_protocol_read_literally(
+    shape: tuple[int, int], name: str, levels: int, seed: int
+) -> None:
+    # Coarse values, so that nothing lies within rounding of the threshold by chance of float32.
+    relevancy = torch.randint(0, 256, (levels, *shape), generator=torch.Generator().manual_seed(seed)) / 256
+    preset = PRESETS[name]
+    mask, level, score = literal_segment(relevancy.numpy(), preset)
+    found = segment(relevancy, preset)
+    assert found.level == level
+    assert found.score == pytest.approx(score, abs=1e-6)
+    assert float((found.mask.numpy() != mask).mean()) == 0
+    assert found.coverage == pytest.approx(mask.mean())
+    rows, columns = np.nonzero(mask)
+    expected = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1) if mask.any() else None
+    assert found.box == expected
+
+
+def test_segment_finds_a_square_at_the_level_that_shows_it() -> None:
+    relevancy = torch.full((3, 60, 80), 0.5)
+    relevancy[1, 20:40, 30:60] = 0.9
+    relevancy[2, 5:30, 5:30] = 0.8
+    found = segment(relevancy)
+    # At a straight edge the box is 4 / 7 inside: 0.786 of the range, just below the threshold's 0.8.
+    assert (found.level, found.box) == (1, (31, 21, 59, 39))
+    assert found.mask[24:36, 34:56].all()
+    assert found.coverage == pytest.approx(18 * 28 / (60 * 80), rel=0.06)
+
+
+def test_constant_maps_give_empty_masks_and_every_pixel_as_maximum() -> None:
+    relevancy = torch.full((2, 9, 15), 0.5)
+    found = segment(relevancy)
+    assert (found.level, found.box, found.coverage) == (0, None, 0.0)
+    assert found.score == pytest.approx(0.5)
+    place = localize(relevancy)
+    assert len(place.pixels) == 9 * 15
+    assert place.pixel == (7, 4)
+    assert place.level == 0
+
+
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
+def test_one_pixel(preset: QueryPreset) -> None:
+    place = localize(torch.tensor([[[0.4]], [[0.6]]]), preset)
+    assert (place.pixel, place.level, place.pixels.tolist()) == ((0, 0), 1, [[0, 0]])
+    assert place.score == pytest.approx(0.6)
+    assert segment(torch.tensor([[[0.4]]]), preset).mask.tolist() == [[False]]
+
+
+def test_localize_by_hand() -> None:
+    relevancy = torch.zeros(3, 20, 30)
+    relevancy[0, 3, 4] = 1.0  # a spike: large, but averaged away
+    relevancy[2, 10:17, 15:22] = 0.8
+    place = localize(relevancy)
+    assert (place.pixel, place.level) == ((18, 13), 2)
+    assert place.score == pytest.approx(0.8)
+    assert place.pixels.tolist() == [[18, 13]]
+
+
+def test_ties_are_all_reported_row_by_row_and_the_first_level_wins() -> None:
+    relevancy = torch.zeros(2, 20, 40)
+    relevancy[0, 10, 10] = relevancy[0, 10, 30] = relevancy[1, 5, 5] = 1.0
+    preset = QueryPreset("one", kernel=1, border="inside", threshold=0.6, smoothing=1)
+    place = localize(relevancy, preset)
+    assert place.pixels.tolist() == [[10, 10], [30, 10]]
+    assert place.level == 0
+    assert place.pixel in [(10, 10), (30, 10)]
+
+
+def test_all_queries_one_by_one() -> None:
+    relevancy = torch.rand(2, 3, 12, 10, generator=torch.Generator().manual_seed(0))
+    for query, (place, found) in enumerate(zip(localize_all(relevancy), segment_all(relevancy), strict=True)):
+        assert place.pixel == localize(relevancy[:, query]).pixel
+        assert found.mask.equal(segment(relevancy[:, query]).mask)
+
+
+def test_rescale_and_mask_box() -> None:
+    assert rescale(torch.tensor([0.0, 0.5, 0.75, 1.0])).tolist() == pytest.approx([0, 0, 0.5, 1])
+    assert rescale(torch.full((3,), 0.7)).tolist() == [0, 0, 0]
+    mask = torch.zeros(5, 6, dtype=torch.bool)
+    assert mask_box(mask) is None
+    mask[4, 5] = True
+    assert mask_box(mask) == (5, 4, 6, 5)
+
+
+def test_presets_by_name_and_data_set() -> None:
+    assert query_preset("scoup") == PRESETS["scoup"]
+    assert query_preset("scoup", "3d-ovs").threshold == 0.3
+    assert query_preset("langsplatv2", "mipnerf360") == QueryPreset("langsplatv2", 29, "inside", 0.4, 7)
+    assert query_preset("langsplat", threshold=0.1).threshold == 0.1
+    with pytest.raises(UnknownNameError, match="scoup"):
+        query_preset("skoup")
+    with pytest.raises(UnknownNameError):
+        query_preset("langsplat", "3d-ovs")
+    with pytest.raises(UnknownNameError):
+        query_preset("scoup", "imagenet")
+    with pytest.raises(InputError):
+        query_preset("scoup", threshold=1.5)
+    with pytest.raises(InputError):
+        QueryPreset("x", 0, "inside", 0.5, 1)
+
+
+@pytest.mark.parametrize("shape", [(3, 4), (0, 3, 4), (2, 0, 4), (1, 2, 3, 4)])
+def test_shapes_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError):
+        localize(torch.zeros(shape))
+    with pytest.raises(InputError):
+        segment(torch.zeros(shape))
+
+
+def fake_field(relevancy: Tensor, coded: Tensor, means: Tensor) -> SimpleNamespace:
+    """What ``select`` asks of a field: relevancy [S, N] looked up by the query's first number."""
+
+    def gaussian_relevancy(queries: Tensor, canonical: Tensor) -> Tensor:
+        assert canonical.shape == (4, 2)
+        return torch.stack([relevancy * query[0] for query in queries], 1)
+
+    weights = coded.T[:, :, None].float()  # [N, S, 1]
+    return SimpleNamespace(
+        code_weights=weights, gaussian_relevancy=gaussian_relevancy, gaussians=SimpleNamespace(means=means)
+    )
+
+
+def literal_select(relevancy, coded, means, threshold, neighbours, rescaled) -> list[bool]:
+    levels, count = relevancy.shape
+    values = relevancy.copy()
+    if neighbours:
+        anywhere = [i for i in range(count) if coded[:, i].any()]
+        for i in anywhere:
+            others = sorted((j for j in anywhere if j != i), key=lambda j: np.sum((means[i] - means[j]) ** 2))
+            for level in range(levels):
+                near = [relevancy[level, j] for j in others[:neighbours] if coded[level, j]]
+                if near:
+                    values[level, i] = 0.5 * (relevancy[level, i] + np.mean(near))
+    peaks = [max((values[s, i] for i in range(count) if coded[s, i]), default=-np.inf) for s in range(levels)]
+    level = int(np.argmax(peaks))
+    members = [i for i in range(count) if coded[level, i]]
+    chosen = [False] * count
+    low, high = (min(values[level, members]), max(values[level, members])) if members else (0, 0)
+    for i in members:
+        value = values[level, i]
+        if rescaled:
+            value = np.clip(2 * (value - low) / (high - low + 1e-9) - 1, 0, 1)
+        chosen[i] = bool(value > threshold)
+    return chosen
+
+
+@settings(max_examples=30)
+@given(st.integers(1, 40), st.sampled_from([None, 1, 10]), st.booleans(), st.integers(0, 2**31))
+def test_select_equals_loops(count: int, neighbours: int | None, rescaled: bool, seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    relevancy = torch.rand(3, count, generator=generator)
+    coded = torch.rand(3, count, generator=generator) < 0.6
+    means = torch.randn(count, 3, generator=generator)
+    field = fake_field(relevancy, coded, means)
+    chosen = select(field, torch.ones(2), torch.zeros(4, 2), 0.55, neighbours, rescaled)  # pyright: ignore
+    expected = literal_select(
+        relevancy.double().numpy(), coded.numpy(), means.double().numpy(), 0.55, neighbours, rescaled
+    )
+    assert chosen.tolist() == expected
+
+
+def test_select_many_queries_and_refusals() -> None:
+    field = fake_field(torch.tensor([[0.2, 0.9, 0.7]]), torch.tensor([[True, True, False]]), torch.zeros(3, 3))
+    queries = torch.tensor([[1.0, 0.0], [0.1, 0.0]])
+    chosen = select(field, queries, torch.zeros(4, 2), rescaled=False)  # pyright: ignore
+    assert chosen.tolist() == [[False, True, False], [False, False, False]]
+    assert select(field, queries[:0], torch.zeros(4, 2)).shape == (0, 3)  # pyright: ignore
+    with pytest.raises(InputError):
+        select(field, queries[0], torch.zeros(4, 2), neighbours=0)  # pyright: ignore
+
+
+def test_neighbours_at_one_place_and_not_finite() -> None:
+    points = torch.zeros(30, 3)
+    points[29] = torch.nan
+    around = Neighbourhood.of(points, torch.ones(30, dtype=torch.bool), 5)
+    assert around.nearest.shape == (29, 5)
+    assert not (around.nearest == around.members[:, None]).any()
+    alone = Neighbourhood.of(points[:1], torch.ones(1, dtype=torch.bool), 5)
+    assert alone.blend(torch.tensor([[0.25]]), torch.ones(1, 1, dtype=torch.bool)).tolist() == [[0.25]]

@@ -1,0 +1,67 @@
+"""Create .venv and install scoup into it, with the build of torch that fits this machine.
+
+    python3 tools/install.py [EXTRA ...]
+
+Where there is no NVIDIA GPU the CPU build of torch is taken: the CUDA build is several gigabytes larger and no
+faster there. A torch that is already in .venv is left alone. Safe to run again.
+"""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+PYTHON = VENV / ("Scripts/python.exe" if platform.system() == "Windows" else "bin/python")
+TORCH = "2.13.0"
+
+
+def main(extras: list[str]) -> int:
+    """Returns the exit code."""
+    if sys.version_info < (3, 10):
+        print("scoup needs Python 3.10 or newer", file=sys.stderr)
+        return 2
+    if not PYTHON.exists():
+        print("creating .venv")
+        venv.create(VENV, with_pip=True)
+    if not runs("-c", "import torch", quiet=True) and not install_torch():
+        print("torch could not be installed; install it into .venv by hand, then run this again", file=sys.stderr)
+        return 1
+    wanted = f"{ROOT}[{','.join(extras)}]" if extras else str(ROOT)
+    return 0 if runs("-m", "pip", "install", "--quiet", "--editable", wanted) else 1
+
+
+def install_torch() -> bool:
+    """The CPU build where there is no NVIDIA GPU, otherwise what the package index offers by default."""
+    print("installing torch")
+    if has_nvidia_gpu() or platform.system() != "Linux":
+        return runs("-m", "pip", "install", "--quiet", "torch")
+    if runs("-m", "pip", "install", "--quiet", f"torch=={TORCH}+cpu", quiet=True):
+        return True
+    # The default index has no CPU build for Linux; uv knows where torch keeps it.
+    return runs("-m", "pip", "install", "--quiet", "uv") and runs(
+        "-m", "uv", "pip", "install", "--quiet", "--python", str(PYTHON), "--torch-backend", "cpu", "torch"
+    )
+
+
+def has_nvidia_gpu() -> bool:
+    """Whether the driver's own tool lists a GPU."""
+    try:
+        listing = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True, timeout=30)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return listing.returncode == 0 and "GPU" in listing.stdout
+
+
+def runs(*arguments: str, quiet: bool = False) -> bool:
+    """Run the environment's Python; whether it succeeded."""
+    sink = subprocess.DEVNULL if quiet else None
+    return subprocess.run([str(PYTHON), *arguments], stdout=sink, stderr=sink).returncode == 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
