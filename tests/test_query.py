@@ -42,15 +42,15 @@ def literal_box_mean(image: np.ndarray, kernel: int, border: str) -> np.ndarray:
     out = np.zeros((height, width))
     for y in range(height):
         for x in range(width):
-            values = []
-            for dy in range(kernel):
-                for dx in range(kernel):
-                    row, column = y + dy - kernel // 2, x + dx - kernel // 2
-                    if border == "reflect":
-                        values.append(image[reflect101(row, height), reflect101(column, width)])
-                    elif 0 <= row < height and 0 <= column < width:
-                        values.append(image[row, column])
-            out[y, x] = np.mean(values)
+            rows = [y + offset - kernel // 2 for offset in range(kernel)]
+            columns = [x + offset - kernel // 2 for offset in range(kernel)]
+            if border == "reflect":
+                rows = [reflect101(row, height) for row in rows]
+                columns = [reflect101(column, width) for column in columns]
+            else:
+                rows = [row for row in rows if 0 <= row < height]
+                columns = [column for column in columns if 0 <= column < width]
+            out[y, x] = np.mean(image[np.ix_(rows, columns)])
     return out
 
 
@@ -255,7 +255,9 @@ def test_select_equals_loops(count: int, neighbours: int | None, rescaled: bool,
 
 
 def test_select_many_queries_and_refusals() -> None:
-    field = fake_field(torch.tensor([[0.2, 0.9, 0.7]]), torch.tensor([[True, True, False]]), torch.zeros(3, 3))
+    field = fake_field(
+        torch.tensor([[0.2, 0.9, 0.7]]), torch.tensor([[True, True, False]]), torch.zeros(3, 3)
+    )
     queries = torch.tensor([[1.0, 0.0], [0.1, 0.0]])
     chosen = select(field, queries, torch.zeros(4, 2), rescaled=False)  # pyright: ignore
     assert chosen.tolist() == [[False, True, False], [False, False, False]]

@@ -55,7 +55,13 @@ def test_canonical_phrases_are_the_papers() -> None:
 
 @pytest.mark.parametrize(
     ("queries", "canonical"),
-    [((2, 1, 5), (2, 0, 5)), ((2, 1, 5), (1, 4, 5)), ((2, 1, 5), (2, 4, 6)), ((2, 1, 5), (2, 4)), ((3,), (3,))],
+    [
+        ((2, 1, 5), (2, 0, 5)),
+        ((2, 1, 5), (1, 4, 5)),
+        ((2, 1, 5), (2, 4, 6)),
+        ((2, 1, 5), (2, 4)),
+        ((3,), (3,)),
+    ],
 )
 def test_shapes_that_do_not_belong_together(queries: tuple[int, ...], canonical: tuple[int, ...]) -> None:
     with pytest.raises(InputError):

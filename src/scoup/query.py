@@ -214,11 +214,11 @@ def _mean_along(values: Tensor, axis: int, kernel: int, border: Border) -> Tenso
     return (sums.narrow(axis, kernel, size) - sums.narrow(axis, 0, size)) / counts
 
 
-def _reflected(size: int, kernel: int) -> Tensor:
-    """Source pixel of each of size + kernel - 1 positions, mirrored about the edge pixels as often as
+def _reflected(size: int, before: int, after: int) -> Tensor:
+    """Source of each position from -before to size + after, mirrored about the edge pixels as often as
     needed.
     """
-    positions = torch.arange(-(kernel // 2), size + kernel - 1 - kernel // 2)
+    positions = torch.arange(-before, size + after)
     period = max(2 * (size - 1), 1)
     positions = positions % period
     return torch.minimum(positions, period - positions) if size > 1 else torch.zeros_like(positions)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -132,10 +133,15 @@ def _open_transformers(model_id: str, revision: str | None, device: torch.device
         tokenizer = transformers.AutoTokenizer.from_pretrained(model_id, **options)
         is_clip = config.model_type in ("clip", "clip_text_model")
         kind: Any = transformers.CLIPTextModelWithProjection if is_clip else transformers.AutoModel
-        # Safetensors only: loading a pickled checkpoint runs whatever it contains.
-        model, loading = kind.from_pretrained(
-            model_id, use_safetensors=True, output_loading_info=True, **options
-        )
+        wanted = getattr(config, "text_config", config) if is_clip else config
+        if is_clip:
+            # The size of the projection is written twice, and only the outer one is always right.
+            wanted.projection_dim = config.projection_dim
+        with _quiet():  # it would list the weights of the image tower, which are not wanted here
+            # Safetensors only: loading a pickled checkpoint runs whatever it contains.
+            model, loading = kind.from_pretrained(
+                model_id, config=wanted, use_safetensors=True, output_loading_info=True, **options
+            )
     except Exception as error:  # hub, network, JSON and safetensors each raise kinds of their own
         raise ScoupError(
             f"{with_reason} ({_first_line(error)}); check the id, pip install 'scoup[models]', and fetch the "
@@ -172,6 +178,22 @@ def _open_transformers(model_id: str, revision: str | None, device: torch.device
     return int(encode(["object"]).shape[1]), encode
 
 
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """No reports and progress bars of transformers; its errors are raised, not printed."""
+    from transformers.utils import logging
+
+    verbosity, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    logging.set_verbosity_error()
+    logging.disable_progress_bar()
+    try:
+        yield
+    finally:
+        logging.set_verbosity(verbosity)
+        if bars:
+            logging.enable_progress_bar()
+
+
 def _open_open_clip(text: str, device: torch.device | str) -> tuple[int, Encode]:
     architecture, _, pretrained = text.removeprefix(OPEN_CLIP).partition("/")
     if not architecture or not pretrained:
@@ -191,8 +213,8 @@ def _open_open_clip(text: str, device: torch.device | str) -> tuple[int, Encode]
         tokenizer = open_clip.get_tokenizer(architecture)
     except Exception as error:  # as above
         raise ScoupError(
-            f"text model {text!r} cannot be loaded ({_first_line(error)}); check the id, and fetch the weights "
-            "while online, or use a table file of text embeddings"
+            f"text model {text!r} cannot be loaded ({_first_line(error)}); check the id, and fetch the "
+            "weights while online, or use a table file of text embeddings"
         ) from error
 
     def encode(phrases: list[str]) -> Tensor:

@@ -1,4 +1,4 @@
-"""The paper's solver in its plain form: dense logits, D-dimensional reconstructions, autograd, torch's Adam."""
+"""The paper's solver in its plain form: dense logits, D-dimensional reconstructions, autograd, Adam."""
 
 from __future__ import annotations
 

@@ -14,7 +14,9 @@ from scoup.coding.slots import Slots
 from scoup.coding.step import Step
 
 
-def unit_rows(count: int, dim: int, objects: int = 12, seed: int = 0, dtype: torch.dtype = torch.float32) -> Tensor:
+def unit_rows(
+    count: int, dim: int, objects: int = 12, seed: int = 0, dtype: torch.dtype = torch.float32
+) -> Tensor:
     """Rows around some objects, which share a mean as CLIP embeddings do."""
     generator = torch.Generator().manual_seed(seed)
     centres = torch.randn(objects, dim, generator=generator) + 1.0
@@ -25,8 +27,8 @@ def unit_rows(count: int, dim: int, objects: int = 12, seed: int = 0, dtype: tor
 
 @pytest.mark.parametrize("scale", [0.5, 4.0])
 def test_trajectory_equals_plain_autograd(scale: float) -> None:
-    # float64, where rounding cannot hide a wrong gradient: Adam turns even tiny ones into whole steps. A learning
-    # rate above the paper's makes supports change and the slots grow within few epochs.
+    # float64, where rounding cannot hide a wrong gradient: Adam turns even tiny ones into whole steps. A
+    # learning rate above the paper's makes supports change and the slots grow within few epochs.
     rows = unit_rows(150, 24, dtype=torch.float64)
     atoms = spherical_kmeans(rows, 20, seed=0)
     settings = AdamSettings(epochs=60, learning_rate=0.02, logit_scale=scale)
@@ -100,7 +102,9 @@ def test_sparse_and_dense_products_agree_with_definitions() -> None:
         products.set_support(support)
         torch.testing.assert_close(products.similarities(atoms), (atoms @ rows.T).gather(0, support))
         torch.testing.assert_close(products.pull(weights), dense @ rows, atol=1e-4, rtol=1e-5)
-        torch.testing.assert_close(products.moments(weights, scale), (dense * scale) @ dense.T, atol=1e-3, rtol=1e-5)
+        torch.testing.assert_close(
+            products.moments(weights, scale), (dense * scale) @ dense.T, atol=1e-3, rtol=1e-5
+        )
         gram = products.gram_on_support(atoms @ atoms.T)
         row = atoms[support[:, 1234]]
         torch.testing.assert_close(gram[:, :, 1234], row @ row.T)

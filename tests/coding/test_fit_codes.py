@@ -129,7 +129,9 @@ def best_cosine(row: Tensor, atoms: Tensor, k: int) -> float:
             chosen = atoms[list(support)].double()
             weights = torch.linalg.lstsq(chosen.T, row.double()[:, None]).solution[:, 0]
             if bool((weights >= 0).all()) and bool(weights.sum() > 0):
-                best = max(best, float(torch.nn.functional.cosine_similarity(weights @ chosen, row.double(), dim=0)))
+                best = max(
+                    best, float(torch.nn.functional.cosine_similarity(weights @ chosen, row.double(), dim=0))
+                )
     return best
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 import torch
 
@@ -20,14 +22,18 @@ def test_finds_well_separated_clusters() -> None:
 
 
 def test_lloyd_never_worsens_the_fit() -> None:
-    rows = torch.nn.functional.normalize(torch.randn(300, 8, generator=torch.Generator().manual_seed(1)), dim=1)
+    rows = torch.nn.functional.normalize(
+        torch.randn(300, 8, generator=torch.Generator().manual_seed(1)), dim=1
+    )
     fits = [float((rows @ spherical_kmeans(rows, 10, 0, n).T).amax(1).mean()) for n in range(8)]
-    assert all(later >= earlier - 1e-6 for earlier, later in zip(fits, fits[1:], strict=False))
+    assert all(later >= earlier - 1e-6 for earlier, later in itertools.pairwise(fits))
 
 
 @pytest.mark.parametrize(("count", "distinct"), [(1, 1), (3, 3), (50, 1), (50, 2)])
 def test_identical_and_few_rows(count: int, distinct: int) -> None:
-    base = torch.nn.functional.normalize(torch.randn(distinct, 5, generator=torch.Generator().manual_seed(0)), dim=1)
+    base = torch.nn.functional.normalize(
+        torch.randn(distinct, 5, generator=torch.Generator().manual_seed(0)), dim=1
+    )
     rows = base[torch.arange(count) % distinct]
     atoms = spherical_kmeans(rows, 8, seed=0)
     assert atoms.shape == (8, 5)
@@ -35,6 +41,8 @@ def test_identical_and_few_rows(count: int, distinct: int) -> None:
 
 
 def test_same_seed_same_atoms() -> None:
-    rows = torch.nn.functional.normalize(torch.randn(200, 8, generator=torch.Generator().manual_seed(1)), dim=1)
+    rows = torch.nn.functional.normalize(
+        torch.randn(200, 8, generator=torch.Generator().manual_seed(1)), dim=1
+    )
     assert spherical_kmeans(rows, 12, 5).equal(spherical_kmeans(rows, 12, 5))
     assert not spherical_kmeans(rows, 12, 5).equal(spherical_kmeans(rows, 12, 6))

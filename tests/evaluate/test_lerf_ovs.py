@@ -93,7 +93,9 @@ def test_only_the_chosen_level_counts_and_levels_may_differ(tmp_path: Path) -> N
     assert (pair.level, pair.localization_level, pair.hit, pair.iou) == (1, 1, False, 0.0)
     (pair,) = score_frame(frame, relevancy[:1])
     assert pair.hit
-    assert pair.iou == pytest.approx(300 / 400)  # the threshold costs a pixel at each edge, smoothing the corners
+    assert pair.iou == pytest.approx(
+        300 / 400
+    )  # the threshold costs a pixel at each edge, smoothing the corners
 
 
 def test_other_render_size(tmp_path: Path) -> None:
@@ -122,8 +124,12 @@ def test_iou_is_that_of_the_mask(tmp_path: Path) -> None:
 
 def test_scene_scores(tmp_path: Path) -> None:
     frames = [
-        read_frame(write_label(tmp_path / "a.json", [square("cup", 20, 10, 39, 29), square("cup", 0, 0, 3, 3)])),
-        read_frame(write_label(tmp_path / "b.json", [square("cup", 20, 10, 39, 29), square("pot", 0, 0, 9, 9)])),
+        read_frame(
+            write_label(tmp_path / "a.json", [square("cup", 20, 10, 39, 29), square("cup", 0, 0, 3, 3)])
+        ),
+        read_frame(
+            write_label(tmp_path / "b.json", [square("cup", 20, 10, 39, 29), square("pot", 0, 0, 9, 9)])
+        ),
     ]
     maps = torch.zeros(1, 40, 60)
     maps[0, 10:30, 20:40] = 1
@@ -197,7 +203,9 @@ def test_bad_label_files(tmp_path: Path, content: str) -> None:
 
 @settings(max_examples=80)
 @given(st.data())
-def test_damaged_label_files_never_crash(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+def test_damaged_label_files_never_crash(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
     raw = bytearray(json.dumps(GOOD).encode())
     for _ in range(data.draw(st.integers(1, 4))):
         raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))

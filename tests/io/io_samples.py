@@ -81,6 +81,22 @@ def save_images(cameras: Cameras, folder: Path, divisor: int = 1) -> None:
         Image.fromarray(pixels).save(folder / camera.name)
 
 
+def save_compressed_ply(path: Path, count: int = 300, rest: int = 9, seed: int = 0) -> None:
+    """Random packed bits in the layout of PlayCanvas, with an ``sh`` element of ``rest`` properties."""
+    generator = np.random.default_rng(seed)
+    sides = ["x", "y", "z", "scale_x", "scale_y", "scale_z", "r", "g", "b"]
+    ranges = np.stack([np.full((count + 255) // 256, -1.5), np.full((count + 255) // 256, 0.5)])
+    chunk = [f"property float {end}_{side}" for side in sides for end in ("min", "max")]
+    vertex = [f"property uint packed_{name}" for name in ("position", "rotation", "scale", "color")]
+    extra = [f"property uchar f_rest_{number}" for number in range(rest)]
+    header = ["ply", "format binary_little_endian 1.0", f"element chunk {ranges.shape[1]}", *chunk]
+    header += [f"element vertex {count}", *vertex, f"element sh {count}", *extra, "end_header", ""]
+    body = np.tile(ranges.T, (1, len(sides))).astype("<f4").tobytes()
+    body += generator.integers(0, 2**32, (count, 4), dtype=np.uint32).tobytes()
+    body += generator.integers(0, 256, (count, rest), dtype=np.uint8).tobytes()
+    path.write_bytes("\n".join(header).encode() + body)
+
+
 def save_checkpoint(gaussians: Gaussians, path: Path) -> None:
     """What gsplat's trainer writes for one rank."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,14 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from io_samples import save_checkpoint, save_images, some_cameras, some_gaussians, some_regions
+from io_samples import (
+    save_checkpoint,
+    save_compressed_ply,
+    save_images,
+    some_cameras,
+    some_gaussians,
+    some_regions,
+)
 
 from scoup.errors import ScoupError, ScoupWarning
 from scoup.io import (
@@ -76,6 +83,7 @@ def read_image(folder: Path) -> None:
 TARGETS = {
     "ply": Target("a.ply", lambda folder: load_gaussians(folder / "a.ply")),
     "ascii ply": Target("ascii.ply", lambda folder: load_gaussians(folder / "ascii.ply")),
+    "compressed ply": Target("packed.ply", lambda folder: load_gaussians(folder / "packed.ply")),
     "splat": Target("a.splat", lambda folder: load_gaussians(folder / "a.splat")),
     "checkpoint": Target("ckpts/ckpt_1_rank0.pt", lambda folder: load_gaussians(folder / "ckpts")),
     "cameras.bin": Target("scene/sparse/0/cameras.bin", lambda folder: load_cameras(folder / "scene")),
@@ -102,6 +110,7 @@ def sample() -> Iterator[Path]:
         folder = Path(name)
         save_gaussians(some_gaussians(4), folder / "a.ply")
         save_gaussians(some_gaussians(4), folder / "a.splat")
+        save_compressed_ply(folder / "packed.ply", count=4)
         save_checkpoint(some_gaussians(4), folder / "ckpts" / "ckpt_1_rank0.pt")
         names = table_from_gaussians(some_gaussians(1, degree=0)).names
         header = [
@@ -192,9 +201,8 @@ def test_samples_are_valid(sample, kind):
     assert check(TARGETS[kind], sample, (sample / TARGETS[kind].file).read_bytes())
 
 
-@pytest.mark.parametrize(
-    "kind", [kind for kind in TARGETS if kind != "points3D.txt"]
-)  # which means no points
+# An empty points3D.txt means that there are no points.
+@pytest.mark.parametrize("kind", [kind for kind in TARGETS if kind != "points3D.txt"])
 def test_empty_files(sample, kind):
     assert not check(TARGETS[kind], sample, b"")
 

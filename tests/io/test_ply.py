@@ -236,7 +236,7 @@ def test_errors_name_the_problem(tmp_path):
     whole = path.read_bytes()
     path.write_bytes(whole[:-1])
     with pytest.raises(
-        FileFormatError, match=r"cut short: its header says 5 vertices, the file has room for 4"
+        FileFormatError, match=r"cut short: its header says 5 rows of 'vertex', there is room for 4"
     ):
         read_ply(path)
     path.write_bytes(whole.replace(b"vertex 5", b"vertex 1000000000000"))

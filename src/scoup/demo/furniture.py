@@ -26,7 +26,7 @@ def table(length: float, width: float) -> Thing:
     return Thing(
         "table",
         (
-            Piece("table top", top, oak, 0.8, gloss=0.2),
+            Piece("table top", top, oak, 0.72, gloss=0.2),
             Piece("table legs", rail, wood("8f5f36", 0), 0.3),
             Piece("table legs", merged(legs), wood("8f5f36", 2), 0.5),
         ),
@@ -79,7 +79,7 @@ def sunflowers() -> Thing:
         (
             Piece("flower stems", merged(stems), solid("4f7f36"), 2.2, 0.25),
             Piece("flower stems", merged(leaves), solid("5a9440", 0.1), 2.0, 0.4),
-            Piece("petals", merged(petals), gradient("f0a818", "fcd430", 2, 25, 45, size=1), 2.0, 0.28),
+            Piece("petals", merged(petals), gradient("f0a818", "fcd430", 2, 25, 45, size=1), 2.0, 0.22),
             Piece("flower hearts", merged(hearts), solid("4a2c14", 0.25, 0.5), 2.6, 0.35),
         ),
     )
@@ -104,7 +104,7 @@ def potted_plant() -> Thing:
         "potted plant",
         (
             Piece("flower pot", pot, solid("c06a42", 0.06), 1.8, 0.5),
-            Piece("leaves", merged(leaves), green, 1.3, 0.4, gloss=0.3),
+            Piece("leaves", merged(leaves), green, 1.5, 0.26, gloss=0.3),
         ),
     )
 
@@ -202,11 +202,11 @@ def room_shell(left: float, back: float, reach: float, height: float) -> tuple[T
 
     rail_height = 62.0
     boards: Paint = wood("a97c55", 0, 7, planks=13, contrast=0.12)
-    floor = plane((left, back - reach, 0), (reach, 0, 0), (0, reach, 0), 20)
+    floor = plane((left, back - reach, 0), (reach, 0, 0), (0, reach, 0), 6)
     walls, strips = [], []
     for low, high in ((0.0, rail_height), (rail_height, height)):
-        walls.append(plane((left, back, low), (reach, 0, 0), (0, 0, high - low), 20))
-        walls.append(plane((left, back - reach, low), (0, reach, 0), (0, 0, high - low), 20))
+        walls.append(plane((left, back, low), (reach, 0, 0), (0, 0, high - low), 6))
+        walls.append(plane((left, back - reach, low), (0, reach, 0), (0, 0, high - low), 6))
     for middle, width in ((4.5, 9.0), (rail_height, 5.5)):
         strips.append(box((reach, 1.6, width), 0.5, (left + reach / 2, back - 0.8, middle)))
         strips.append(box((1.6, reach, width), 0.5, (left + 0.8, back - reach / 2, middle)))

@@ -95,27 +95,31 @@ def make_regions(truth: IntMap, level: str, rng: np.random.Generator) -> IntMap:
     order = rng.permutation(len(pieces))
     fate = rng.random(len(pieces))
     labels = np.full(truth.shape, -1, np.int32)
-    for number, mask in enumerate(pieces):
-        labels[mask] = number
+    for number, (box, mask) in enumerate(pieces):
+        labels[box][mask] = number
+    boxes = [tuple(_widened(side, 8) for side in box) for box, _ in pieces]
+    next_number = len(pieces)
     for number in order:
-        mask = labels == number
+        window = labels[boxes[number]]  # a view: what is painted into it is painted into the map
+        mask = window == number
         bound = MISSING
         if fate[number] < bound:
-            labels[mask] = -1
+            window[mask] = -1
             continue
         if fate[number] < (bound := bound + RESIZED):
-            _resize(labels, mask, number, scale, rng)
+            _resize(window, mask, number, scale, rng)
         elif fate[number] < (bound := bound + MERGED):
-            neighbours = labels[ndimage.binary_dilation(mask, iterations=2) & ~mask]
+            neighbours = window[ndimage.binary_dilation(mask, iterations=2) & ~mask]
             neighbours = neighbours[neighbours >= 0]
             if len(neighbours):
-                labels[mask] = np.bincount(neighbours).argmax()
+                window[mask] = np.bincount(neighbours).argmax()
         elif fate[number] < bound + SPLIT[level]:
             rows, columns = np.nonzero(mask)
             turn = rng.uniform(0, np.pi)
             along = np.cos(turn) * columns + np.sin(turn) * rows
             beyond = along > np.quantile(along, rng.uniform(0.3, 0.7)) if len(along) else along > 0
-            labels[rows[beyond], columns[beyond]] = labels.max() + 1
+            window[rows[beyond], columns[beyond]] = next_number
+            next_number += 1
     return _renumbered(labels)
 
 
@@ -133,18 +137,24 @@ def _moved(part_map: IntMap, rng: np.random.Generator) -> IntMap:
     return part_map[take_rows, take_columns]
 
 
-def _pieces(truth: IntMap, smallest: float) -> list[NDArray[np.bool_]]:
-    """Masks [H, W] of the connected pieces of each name, those of at least ``smallest`` pixels."""
-    masks = []
-    for name in np.unique(truth[truth >= 0]):
-        components, count = ndimage.label(truth == name)
+def _pieces(truth: IntMap, smallest: float) -> list[tuple[tuple[slice, ...], NDArray[np.bool_]]]:
+    """The connected pieces of each name that have at least ``smallest`` pixels: window and mask in the window."""
+    found = []
+    for name, box in enumerate(ndimage.find_objects(truth + 1)):
+        if box is None:
+            continue
+        components, count = ndimage.label(truth[box] == name)
         sizes = np.bincount(components.ravel(), minlength=count + 1)
-        masks += [components == piece for piece in range(1, count + 1) if sizes[piece] >= smallest]
-    return masks
+        found += [(box, components == piece) for piece in range(1, count + 1) if sizes[piece] >= smallest]
+    return found
+
+
+def _widened(side: slice, margin: int) -> slice:
+    return slice(max(0, side.start - margin), side.stop + margin)
 
 
 def _resize(labels: IntMap, mask: NDArray[np.bool_], number: int, scale: float, rng: np.random.Generator) -> None:
-    steps = max(1, round(rng.uniform(2, 5) * scale))
+    steps = min(7, max(1, round(rng.uniform(2, 5) * scale)))
     if rng.random() < 0.5:
         labels[ndimage.binary_dilation(mask, iterations=steps)] = number
         return
@@ -172,10 +182,7 @@ def _embed(labels: IntMap, level: _Level, rng: np.random.Generator) -> Floats:
     areas = np.bincount(labels[labels >= 0], minlength=count)
     for number in range(count):
         rows, columns = boxes[number]
-        window = (
-            slice(max(0, rows.start - 6), rows.stop + 6),
-            slice(max(0, columns.start - 6), columns.stop + 6),
-        )
+        window = _widened(rows, 6), _widened(columns, 6)
         mask = labels[window] == number
         around = ndimage.binary_dilation(mask, iterations=5) & ~mask
         inside = _share(level.truth[window][mask], len(looks))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from scoup.demo.lighting import lit
 from scoup.demo.meshes import Floats, Ints, Mesh, merged
@@ -16,8 +17,13 @@ from scoup.gaussians import Gaussians
 SH_C0 = 0.28209479177387814
 OVERSAMPLING = 6  # candidates for each Gaussian kept
 SPREAD = 0.68  # standard deviation of a disc, as a share of the mean distance between discs
-SHELL_SPREAD = 0.85  # the same on walls and floor, which have no edges to keep sharp
+COARSE_SPREAD = 0.85  # the same on large coarse pieces, which have few edges to keep sharp and show every hole
+COARSE = 0.6  # detail below which a piece is coarse
 FLATNESS = 0.12  # thickness of a disc, as a share of its width
+RIM_NEIGHBOURS = 12  # discs looked at to tell whether a disc lies on the rim of its surface
+INSET = 0.45  # depth of discs under the surface, in standard deviations: blurring on the screen makes up for it
+RIM_SHRINKAGE = 0.65  # a disc on the rim is narrower by this share across it, so as not to stick out
+SMALL_FACE = 0.012  # metres: faces smaller than its square may be seen without covering a pixel centre
 HAZE_SHARE = 0.03  # of all Gaussians: floaters and haze, as training leaves them behind
 
 
@@ -40,6 +46,7 @@ class _Samples:
     normals: Floats  # [n, 3]
     albedo: Floats  # [n, 3]
     sigma: Floats  # [n] metres
+    rim: Floats  # [n, 3] direction out of the surface along it, shorter inside than on the rim (length 0..1)
     gloss: Floats  # [n]
     glow: Floats  # [n]
     part: Ints  # [n]
@@ -69,18 +76,21 @@ def make_splat(
         n_directions: light directions, see ``lighting.lit``.
     """
     n_haze = int(n_gaussians * HAZE_SHARE)
-    samples = _cover(things, parts, n_gaussians - n_haze, seen, shell, rng)
+    samples = _cover(things, parts, n_gaussians - n_haze, seen, rng)
     blockers = merged([thing.mesh(piece) for thing in things if thing.name not in shell for piece in thing.pieces])
     colors = lit(
         samples.points, samples.normals, samples.albedo, samples.gloss, samples.glow, blockers, lamp, n_directions
     )
     count = len(samples.points)
     colors = (colors + rng.normal(0, 0.012, colors.shape)).clip(0.005, 0.995)
-    means = samples.points + samples.normals * rng.normal(0, 0.06, (count, 1)) * samples.sigma[:, None]
+    height = rng.normal(0, 0.06, count) - INSET
+    means = samples.points + samples.normals * (height * samples.sigma)[:, None]
     stretch = np.exp(rng.normal(0, 0.16, (count, 2)))
+    on_rim = np.linalg.norm(samples.rim, axis=1)
+    stretch[:, 0] *= 1 - RIM_SHRINKAGE * on_rim
     scales = np.concatenate([stretch, np.full((count, 1), FLATNESS)], 1) * samples.sigma[:, None]
     opacities = 0.6 + 0.39 * rng.beta(4.0, 1.2, count)
-    quats = _quats(samples.normals, rng)
+    quats = _quats(samples.normals, np.where(on_rim[:, None] > 0, samples.rim, rng.normal(size=(count, 3))))
     haze = _haze(samples, colors, n_haze, rng)
     stacked = [np.concatenate(pair) for pair in zip((means, quats, scales, opacities, colors), haze, strict=True)]
     part = np.concatenate([samples.part, np.full(n_haze, -1)])
@@ -95,42 +105,49 @@ def _cover(
     parts: Parts,
     count: int,
     seen: np.ndarray | None,
-    shell: frozenset[str],
     rng: np.random.Generator,
 ) -> _Samples:
     pieces = [(thing, piece) for thing in things for piece in thing.pieces]
     meshes = [piece.mesh for _, piece in pieces]
     if seen is not None:
         ends = np.cumsum([len(mesh.faces) for mesh in meshes])[:-1]
-        meshes = [_around(mesh, chosen) for mesh, chosen in zip(meshes, np.split(seen, ends), strict=True)]
+        seen_of_piece = np.split(seen, ends)
+        meshes = [
+            _around(mesh, chosen, thing.size)
+            for mesh, chosen, (thing, _) in zip(meshes, seen_of_piece, pieces, strict=True)
+        ]
     areas = np.array([mesh.face_areas().sum() * thing.size**2 for mesh, (thing, _) in zip(meshes, pieces, strict=True)])
     shares = areas * np.array([piece.detail for _, piece in pieces]) ** 1.6
     counts = np.where(areas > 0, np.maximum(6, np.floor(shares / shares.sum() * count)), 0).astype(int)
     counts[counts.argmax()] += count - counts.sum()
     blocks = [
-        _cover_piece(
-            thing, piece, mesh, parts.parts.index(piece.part), number, SHELL_SPREAD if thing.name in shell else SPREAD, rng
-        )
+        _cover_piece(thing, piece, mesh, parts.parts.index(piece.part), number, rng)
         for (thing, piece), mesh, number in zip(pieces, meshes, counts, strict=True)
         if number
     ]
     return _Samples(*(np.concatenate(values) for values in zip(*blocks, strict=True)))
 
 
-def _around(mesh: Mesh, chosen: np.ndarray) -> Mesh:
-    """The chosen faces and their neighbours, two steps far: a small face may fall between all pixels."""
+def _around(mesh: Mesh, seen: np.ndarray, size: float) -> Mesh:
+    """The faces seen, and the small ones around them, two steps far: a small face may fall between all pixels.
+
+    ``size``: metres per unit of the mesh.
+    """
+    small = mesh.face_areas() * size**2 < SMALL_FACE**2
+    chosen = seen.copy()
     for _ in range(2):
         touched = np.zeros(len(mesh.vertices), bool)
         touched[mesh.faces[chosen]] = True
-        chosen = touched[mesh.faces].any(1)
+        chosen |= small & touched[mesh.faces].any(1)
     return replace(mesh, faces=mesh.faces[chosen])
 
 
 def _cover_piece(
-    thing: Thing, piece: Piece, mesh: Mesh, part: int, count: int, spread: float, rng: np.random.Generator
+    thing: Thing, piece: Piece, mesh: Mesh, part: int, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, ...]:
     spacing = np.sqrt(mesh.face_areas().sum() / count)
     points, normals = evenly(mesh, count, spacing, rng)
+    spread = COARSE_SPREAD if piece.detail < COARSE else SPREAD
     sigma = np.full(count, min(spread * spacing, piece.thin) * thing.size)
     albedo = piece.paint(points, normals)
     return (
@@ -138,6 +155,7 @@ def _cover_piece(
         normals @ thing.turn.T,
         albedo,
         sigma * np.exp(rng.normal(0, 0.08, count)),
+        _rim(points, normals, spacing) @ thing.turn.T,
         np.full(count, piece.gloss),
         np.full(count, piece.glow),
         np.full(count, part),
@@ -183,17 +201,24 @@ def _thinned(points: Floats, radius: float) -> np.ndarray:
     return kept
 
 
-def _quats(normals: Floats, rng: np.random.Generator) -> Floats:
-    """[n, 4] rotations that turn z onto the normals [n, 3], after a random turn about z."""
-    x, y, z = normals.T
-    # The shortest rotation from z to the normal; straight down it is any half turn.
-    tilt = np.stack([1 + z, -y, x, np.zeros_like(x)], 1)
-    tilt = np.where((z < -0.999999)[:, None], np.array([0.0, 1.0, 0.0, 0.0]), tilt)
-    tilt /= np.linalg.norm(tilt, axis=1, keepdims=True)
-    half = rng.uniform(0, np.pi, len(x))
-    c, s = np.cos(half), np.sin(half)
-    w, i, j, k = tilt.T
-    return np.stack([w * c - k * s, i * c + j * s, j * c - i * s, k * c + w * s], 1)
+def _rim(points: Floats, normals: Floats, spacing: float) -> Floats:
+    """[n, 3] where the neighbours are not: zero inside a surface, a unit vector along it at its very rim."""
+    if len(points) <= RIM_NEIGHBOURS:
+        return np.zeros_like(points)
+    _, around = cKDTree(points).query(points, RIM_NEIGHBOURS + 1)
+    away = points - points[around[:, 1:]].mean(1)
+    away -= np.einsum("nd,nd->n", away, normals)[:, None] * normals
+    length = np.linalg.norm(away, axis=1, keepdims=True)
+    # A dozen neighbours of a rim fill a half disc, whose middle lies 1.2 spacings off.
+    return away / np.maximum(length, 1e-12) * ((length / spacing - 0.25) / 0.7).clip(0, 1)
+
+
+def _quats(normals: Floats, first: Floats) -> Floats:
+    """[n, 4] rotations that turn z onto the normals [n, 3] and x towards ``first`` [n, 3], as far as it can."""
+    x_axis = first - np.einsum("nd,nd->n", first, normals)[:, None] * normals
+    x_axis /= np.linalg.norm(x_axis, axis=1, keepdims=True)
+    frame = np.stack([x_axis, np.cross(normals, x_axis), normals], -1)
+    return Rotation.from_matrix(frame).as_quat()[:, [3, 0, 1, 2]]
 
 
 def _haze(samples: _Samples, colors: Floats, count: int, rng: np.random.Generator) -> tuple[Floats, ...]:

@@ -133,7 +133,8 @@ def match_frames(frames: Iterable[LabelledFrame], cameras: Cameras) -> list[tupl
     if not matched:
         raise InputError(
             f"none of the labelled frames ({', '.join(lost[:3]) or 'there are none'}) is among the "
-            f"{len(cameras)} cameras ({', '.join(cameras.names[:3])}, ...); labels and cameras are of different scenes"
+            f"{len(cameras)} cameras ({', '.join(cameras.names[:3])}, ...); labels and cameras are of "
+            "different scenes"
         )
     if lost:
         warnings.warn(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +18,9 @@ from scoup.io.activation import (
     unit_quats,
 )
 from scoup.io.atomic import atomic_file
-from scoup.io.ply_header import PlyHeader, format_header, ply_type, read_header
+from scoup.io.ply_compressed import is_compressed, read_compressed
+from scoup.io.ply_header import format_header, ply_type, read_header
+from scoup.io.ply_rows import read_rows
 
 _CENTER = ("x", "y", "z")
 _BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -95,8 +96,7 @@ def read_ply_table(path: str | Path) -> PlyTable:
         FileFormatError: it is not a PLY file, is cut short, or has list properties.
     """
     header = read_header(path)
-    rows = _read_ascii(header) if header.encoding == "ascii" else _read_binary(header)
-    return PlyTable(header.path, rows, header.comments)
+    return PlyTable(header.path, read_rows(header), header.comments)
 
 
 def write_ply_table(table: PlyTable, path: str | Path, overwrite: bool = False) -> None:
@@ -143,6 +143,8 @@ def gaussians_from_table(table: PlyTable) -> tuple[Gaussians, np.ndarray]:
 def read_ply(path: str | Path) -> Gaussians:
     """Read a 3D Gaussian Splatting PLY; properties are found by name, in any order, SH degree 0 to 4.
 
+    Compressed files as PlayCanvas and SuperSplat write them are read too.
+
     Raises:
         MissingFileError: there is no such file.
         FileFormatError: see ``read_ply_table`` and ``gaussians_from_table``.
@@ -150,7 +152,10 @@ def read_ply(path: str | Path) -> Gaussians:
     Warns:
         ScoupWarning: rows were dropped, or the file is longer than its header says.
     """
-    return gaussians_from_table(read_ply_table(path))[0]
+    table = read_ply_table(path)
+    if is_compressed(table.names):
+        return read_compressed(table.path, table.rows)
+    return gaussians_from_table(table)[0]
 
 
 def table_from_gaussians(gaussians: Gaussians) -> PlyTable:
@@ -191,10 +196,10 @@ def as_stored(gaussians: Gaussians) -> Gaussians:
 
 def _check_properties(table: PlyTable) -> tuple[str, ...]:
     missing = [name for name in _REQUIRED if name not in table.names]
-    if {"packed_position", "packed_rotation"} <= set(table.names):
+    if is_compressed(table.names):
         raise FileFormatError(
             table.path,
-            "is a compressed PLY (PlayCanvas)",
+            "is a compressed PLY (PlayCanvas), whose rows do not stand alone",
             "convert it to a plain one: splat-transform in.ply out.ply",
         )
     if missing:
@@ -216,39 +221,3 @@ def _check_properties(table: PlyTable) -> tuple[str, ...]:
 
 def _rest_names(count: int) -> tuple[str, ...]:
     return tuple(f"f_rest_{number}" for number in range(count))
-
-
-def _read_binary(header: PlyHeader) -> np.ndarray:
-    try:
-        rows = np.fromfile(header.path, dtype=header.dtype, count=header.count, offset=header.offset)
-    except OSError as error:
-        raise FileFormatError(header.path, f"cannot be read ({error})", "check its permissions") from error
-    if len(rows) != header.count:
-        raise FileFormatError(header.path, "was cut short while it was read", "copy it again")
-    return rows
-
-
-def _read_ascii(header: PlyHeader) -> np.ndarray:
-    rows = np.empty(header.count, dtype=header.dtype)
-    if not header.count:
-        return rows
-    try:
-        with open(header.path, "rb") as stream, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # numpy warns of files without data; the shape is checked below
-            stream.seek(header.offset)
-            values = np.loadtxt(stream, dtype=np.float64, max_rows=header.count, ndmin=2, comments=None)
-    except (OSError, ValueError) as error:
-        raise FileFormatError(
-            header.path, "has lines that are not rows of numbers", "export it again"
-        ) from error
-    if values.shape != (header.count, len(header.dtype.names or ())):
-        raise FileFormatError(
-            header.path,
-            f"has {values.shape[0]} rows of {values.shape[1]} numbers, but its header says"
-            f" {header.count} of {len(header.dtype.names or ())}",
-            "the file is cut short or damaged; copy it again",
-        )
-    with np.errstate(all="ignore"):
-        for column, name in enumerate(header.dtype.names or ()):
-            rows[name] = values[:, column]
-    return rows

@@ -1,4 +1,4 @@
-"""The header of a PLY file: where its vertices lie, and of which type they are."""
+"""The header of a PLY file: where its vertices (or another element) lie, and of which type they are."""
 
 from __future__ import annotations
 
@@ -29,14 +29,15 @@ _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "<"}
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """What a header says of the vertices.
+    """What a header says of one element, most often the vertices.
 
     Attributes:
         encoding: "binary_little_endian", "binary_big_endian" or "ascii".
-        count: number of vertices; checked against the size of the file.
-        dtype: structured type of one vertex in the file's byte order.
-        offset: where the vertices start, in bytes (always the first element of an ASCII file).
+        count: number of rows; checked against the size of the file.
+        dtype: structured type of one row in the file's byte order.
+        offset: where the rows start, in bytes (always the first element of an ASCII file).
         comments: comment lines, without the keyword.
+        elements: names of all elements of the file.
     """
 
     path: Path
@@ -45,6 +46,7 @@ class PlyHeader:
     dtype: np.dtype
     offset: int
     comments: tuple[str, ...]
+    elements: tuple[str, ...]
 
 
 @dataclass
@@ -55,8 +57,8 @@ class _Element:
     lists: list[str]
 
 
-def read_header(path: str | Path) -> PlyHeader:
-    """Read the header and check it against the size of the file; takes no memory for the vertices.
+def read_header(path: str | Path, element: str = "vertex") -> PlyHeader:
+    """Read the header and check it against the size of the file; takes no memory for the rows.
 
     Raises:
         MissingFileError: there is no such file.
@@ -74,17 +76,17 @@ def read_header(path: str | Path) -> PlyHeader:
         raise FileFormatError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
     lines, body = _header_lines(path, head)
     encoding, elements, comments = _parse(path, lines)
-    vertex = next((element for element in elements if element.name == "vertex"), None)
-    if vertex is None:
-        raise FileFormatError(path, "has no vertices in its header", "give the PLY of a trained splat")
-    if vertex.lists:
-        raise FileFormatError(
-            path, f"has a list property ({vertex.lists[0]}) in its vertices", "export it without"
-        )
-    dtype = _dtype(path, vertex, encoding)
-    offset = body + _bytes_before(path, elements, encoding)
-    _check_size(path, vertex.count, dtype, size - offset, encoding, more=elements[-1] is not vertex)
-    return PlyHeader(path, encoding, vertex.count, dtype, offset, comments)
+    names = tuple(item.name for item in elements)
+    if element not in names:
+        raise FileFormatError(path, f"has no element {element!r}", "give the PLY of a trained splat")
+    wanted = elements[names.index(element)]
+    if wanted.lists:
+        problem = f"has a list property ({wanted.lists[0]}) in element {element!r}"
+        raise FileFormatError(path, problem, "export it without")
+    dtype = _dtype(path, wanted, encoding)
+    offset = body + _bytes_before(path, elements[: names.index(element)], encoding)
+    _check_size(path, wanted, dtype, size - offset, encoding, last=elements[-1] is wanted)
+    return PlyHeader(path, encoding, wanted.count, dtype, offset, comments, names)
 
 
 def ply_type(dtype: np.dtype) -> np.dtype:
@@ -163,31 +165,31 @@ def _dtype(path: Path, element: _Element, encoding: str) -> np.dtype:
 
 
 def _bytes_before(path: Path, elements: list[_Element], encoding: str) -> int:
-    """Size of the elements that stand before the vertices."""
+    """Size of the elements that stand before the one wanted."""
     total = 0
     for element in elements:
-        if element.name == "vertex":
-            break
         if element.count and (element.lists or encoding == "ascii"):
-            raise FileFormatError(
-                path, f"has {element.name!r} before its vertices", "export it with vertices first"
-            )
+            problem = f"has element {element.name!r} before its vertices"
+            raise FileFormatError(path, problem, "export it with vertices first")
         if element.count:
             total += element.count * _dtype(path, element, encoding).itemsize
     return total
 
 
-def _check_size(path: Path, count: int, dtype: np.dtype, available: int, encoding: str, more: bool) -> None:
+def _check_size(
+    path: Path, element: _Element, dtype: np.dtype, available: int, encoding: str, last: bool
+) -> None:
+    count = element.count
     # In ASCII every value takes at least a digit and a separator (the last one may lack it).
     needed = count * dtype.itemsize if encoding != "ascii" else 2 * count * len(dtype.names or ()) - 1
     if needed > available:
         fits = max(available, 0) // max(dtype.itemsize, 1)
         raise FileFormatError(
             path,
-            f"is cut short: its header says {count} vertices, the file has room for {fits}",
+            f"is cut short: its header says {count} rows of {element.name!r}, there is room for {fits}",
             "copy or download it again",
         )
-    if needed < available and encoding != "ascii" and not more:
+    if needed < available and encoding != "ascii" and last:
         warnings.warn(
             f"{path}: has {available - needed} bytes more than its header says; they were not read",
             ScoupWarning,

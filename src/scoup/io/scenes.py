@@ -59,9 +59,7 @@ def load_gaussians(path: str | Path) -> Gaussians:
     else:
         gaussians = read_ply(path)
     if not len(gaussians):
-        raise FileFormatError(
-            path, "holds no Gaussians with finite values", "export the splat again"
-        )
+        raise FileFormatError(path, "holds no Gaussians with finite values", "export the splat again")
     return gaussians
 
 

@@ -1,0 +1,120 @@
+"""scoup demo: a small scene from nothing, a field, questions, pictures and scores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from scoup.cli.console import Console, WritesCommon
+
+if TYPE_CHECKING:
+    from scoup.demo.run import DemoResult
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo(WritesCommon):
+    """Make a table-top scene, build its language field, ask for every object, and score the answers.
+
+    Needs no network, no GPU and no data. Regions and embeddings are simulated; the truth comes from the scene's
+    geometry. Afterwards OUT holds the scene as files (try `scoup build OUT/scene`), the field, a contact sheet of
+    queries, and the scores.
+    """
+
+    out: Path = Path("demo")
+    """Folder for everything."""
+    seed: int = 0
+    """Of the scene and the codebook."""
+    n_gaussians: int = 160_000
+    """Gaussians in the scene."""
+    width: int = 480
+    """Of the views, in pixels."""
+    height: int = 360
+    """Of the views, in pixels."""
+    views: int = 24
+    """Views the field is built from; a quarter as many are held out to judge by."""
+    epochs: int = 4000
+    """Epochs of the coding; fewer are faster and a little worse."""
+
+    def run(self, console: Console) -> None:
+        """Run, draw, print."""
+        import json
+
+        from scoup.demo.run import DemoSettings, run_demo
+        from scoup.demo.sheet import query_sheet
+        from scoup.io import check_output, save_png, write_text
+
+        sheet, scores = self.out / "queries.png", self.out / "scores.json"
+        for path in (sheet, scores):
+            check_output(path, self.overwrite)
+        settings = DemoSettings(self.seed, self.n_gaussians, self.width, self.height, self.views, self.epochs)
+        console.say(f"a scene of {self.n_gaussians:,} Gaussians, {self.views} views of {self.width} x {self.height}")
+        with console.progress() as progress:
+            result = run_demo(self.out, settings, self.overwrite, progress)
+        save_png(query_sheet(result), sheet, self.overwrite)
+        record = _record(result, self.out)
+        write_text(scores, json.dumps(record, indent=2), self.overwrite)
+        _print(console, result)
+        console.say(f"\npictures: {sheet}\nscores:   {scores}\nfield:    {result.field_path}")
+        words = self.out / "scene" / "text.npz"
+        console.say(f'ask it yourself: scoup query {result.field_path} "teapot" --text {words} --camera all')
+        console.result(record)
+
+
+def _record(result: DemoResult, out: Path) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from scoup.demo.run import rows_by_name, summary, thread_count
+
+    return {
+        "protocol": "lerf-ovs 2D on held-out views",
+        "gaussians": len(result.field),
+        "coded": int(result.field.coded().sum()),
+        "field_bytes": result.field_path.stat().st_size,
+        "variants": summary(result),
+        "names": [asdict(row) for row in rows_by_name(result)],
+        "seconds": {stage: round(value, 2) for stage, value in result.seconds.items()},
+        "threads": thread_count(),
+        "coding": result.field.info.provenance["coding"],
+        "out": str(out),
+    }
+
+
+def _print(console: Console, result: DemoResult) -> None:
+    from rich.table import Table
+
+    from scoup.demo.run import ALL_ATOMS, DENSE, METHOD, rows_by_name, summary
+
+    table = Table(title="Every named thing in sight of the held-out views", title_justify="left")
+    table.add_column("asked for")
+    for heading in ("views", "IoU", "hit", "levels", f"IoU {ALL_ATOMS}", f"IoU {DENSE}"):
+        table.add_column(heading, justify="right")
+    for row in rows_by_name(result):
+        levels = " ".join(f"{level}{count}" for level, count in sorted(row.levels.items(), key=lambda item: -item[1]))
+        table.add_row(
+            row.name,
+            str(row.views),
+            f"{row.iou[METHOD]:.2f}",
+            f"{row.accuracy[METHOD]:.0%}",
+            levels,
+            f"{row.iou[ALL_ATOMS]:.2f}",
+            f"{row.iou[DENSE]:.2f}",
+        )
+    console.say(table)
+    totals = Table(title="Means over all (view, name) pairs", title_justify="left")
+    for heading in ("variant", "mIoU", "95 % interval over names", "localisation", "bytes a Gaussian"):
+        totals.add_column(heading, justify="left" if heading == "variant" else "right")
+    for variant, row in summary(result).items():
+        low, high = row["interval"]  # pyright: ignore[reportGeneralTypeIssues]
+        totals.add_row(
+            variant,
+            f"{row['miou']:.3f}",
+            f"{low:.3f} to {high:.3f}",
+            f"{row['accuracy']:.1%}",
+            f"{row['bytes_per_gaussian']:.0f}",
+        )
+    console.say(totals)
+    size = result.field_path.stat().st_size
+    console.say(f"the field: {size / 1e6:.2f} MB, {size / len(result.field):.0f} bytes a Gaussian")
+    for stage, value in result.seconds.items():
+        console.say(f"  {value:6.1f} s  {stage}")

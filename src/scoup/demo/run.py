@@ -1,0 +1,191 @@
+"""The demo: make a scene, write it as files, build a field from the files, ask it everything, and score it."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import mean
+
+import torch
+
+from scoup.demo.folder import write_demo_scene
+from scoup.demo.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
+from scoup.evaluate.lerf_ovs import PairScore, SceneScore
+from scoup.evaluate.metrics import bootstrap_interval
+from scoup.evaluate.variants import dense_variant, score_variants, sparse_variant
+from scoup.field import LanguageField
+from scoup.io import check_output, load_cameras, load_gaussians, load_regions
+from scoup.pipeline import BuildSettings, build
+from scoup.progress import Progress, no_progress
+from scoup.uplifting import region_sums
+
+METHOD, ALL_ATOMS, DENSE = "sparse, top-K vote", "sparse, no top-K", "dense 512-d"
+LEVELS_ASKED = ("m", "l")  # names of objects and of groups
+
+
+@dataclass(frozen=True)
+class DemoSettings:
+    """How large the demo is.
+
+    Attributes:
+        seed: of the scene and of the codebook.
+        n_gaussians: of the scene.
+        width, height: of its views, in pixels.
+        n_building: views the field is built from; another quarter of that is held out to judge by.
+        epochs: of the "adam" solver.
+    """
+
+    seed: int = 0
+    n_gaussians: int = 160_000
+    width: int = 480
+    height: int = 360
+    n_building: int = 24
+    epochs: int = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class DemoResult:
+    """What the demo found.
+
+    Attributes:
+        scene: the scene and its truth.
+        field: the field built.
+        field_path: its file.
+        scores: by variant, over every named thing in sight in the held-out views.
+        bytes_per_gaussian: by variant.
+        seconds: by stage, in the order they ran.
+    """
+
+    scene: DemoScene
+    field: LanguageField
+    field_path: Path
+    scores: dict[str, SceneScore]
+    bytes_per_gaussian: dict[str, float]
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class NameRow:
+    """One named thing over all held-out views that show it.
+
+    Attributes:
+        name: what was asked for.
+        views: how many views.
+        iou: mean by variant.
+        accuracy: share of hits by variant.
+        levels: how often each level was chosen by the method, "s", "m", "l".
+    """
+
+    name: str
+    views: int
+    iou: dict[str, float]
+    accuracy: dict[str, float]
+    levels: dict[str, int]
+
+
+def run_demo(
+    out: Path, settings: DemoSettings, overwrite: bool = False, progress: Progress = no_progress
+) -> DemoResult:
+    """Run everything; files go to ``out/scene`` and ``out/demo.scoup``.
+
+    Raises:
+        OutputExistsError: the outputs are there and ``overwrite`` is false.
+    """
+    path = out / "demo.scoup"
+    check_output(path, overwrite)
+    seconds: dict[str, float] = {}
+    with _timed(seconds, "make the scene"):
+        scene = make_demo_scene(
+            settings.seed,
+            settings.n_gaussians,
+            settings.width,
+            settings.height,
+            settings.n_building,
+            max(1, settings.n_building // 4),
+        )
+    with _timed(seconds, "write it as files"):
+        folder = write_demo_scene(scene, out / "scene", overwrite, LEVELS_ASKED, progress=progress)
+    with _timed(seconds, "read the files"):
+        splat = folder / "point_cloud.ply"
+        gaussians = load_gaussians(splat)
+        cameras = load_cameras(folder)
+        regions = load_regions(folder, cameras)
+    with _timed(seconds, "build the field (coding and uplift)"):
+        field = build(
+            gaussians,
+            cameras,
+            regions,
+            settings=BuildSettings(seed=settings.seed, epochs=settings.epochs),
+            embedding_model=EMBEDDING_MODEL,
+            geometry_path=splat,
+            keep_accumulators=True,
+            progress=progress,
+        )
+    assert field.accumulators is not None
+    accumulators, field.accumulators = field.accumulators, None  # not worth a file of its own here
+    field.save(path, overwrite)
+    with _timed(seconds, "dense 512-d uplift, to compare"):
+        sums = region_sums(gaussians, cameras, regions, progress=progress)
+        dense = dense_variant(DENSE, sums, [regions.embeddings(level)[0] for level in regions.levels])
+    keep = field.code_indices.shape[2]
+    variants = [
+        sparse_variant(METHOD, gaussians, accumulators, field.codebook, keep, field.info.raster_preset),
+        sparse_variant(ALL_ATOMS, gaussians, accumulators, field.codebook, None, field.info.raster_preset),
+        dense,
+    ]
+    frames = [(scene.labelled_frame(camera.name, LEVELS_ASKED), camera) for camera in scene.held_out]
+    labels = sorted({label for frame, _ in frames for label in frame.labels})
+    vectors = dict(zip(labels, scene.text_vectors(labels), strict=True))
+    with _timed(seconds, "ask and score all three"):
+        scores = score_variants(variants, gaussians, frames, vectors, scene.canonical, progress=progress)
+    sizes = {variant.name: variant.bytes_per_gaussian for variant in variants}
+    return DemoResult(scene, field, path, scores, sizes, seconds)
+
+
+def rows_by_name(result: DemoResult) -> list[NameRow]:
+    """One row a name, best IoU of the method first."""
+    by_name: dict[str, dict[str, list[PairScore]]] = {}
+    for variant, score in result.scores.items():
+        for pair in score.pairs:
+            by_name.setdefault(pair.label, {}).setdefault(variant, []).append(pair)
+    rows = [
+        NameRow(
+            name,
+            len(pairs[METHOD]),
+            {variant: mean(pair.iou for pair in of_variant) for variant, of_variant in pairs.items()},
+            {variant: mean(pair.hit for pair in of_variant) for variant, of_variant in pairs.items()},
+            dict(Counter(result.field.levels[pair.level] for pair in pairs[METHOD])),
+        )
+        for name, pairs in by_name.items()
+    ]
+    return sorted(rows, key=lambda row: -row.iou[METHOD])
+
+
+def summary(result: DemoResult) -> dict[str, dict[str, float | list[float]]]:
+    """By variant: mIoU with its 95 % interval over names, localisation accuracy, bytes a Gaussian."""
+    table = {}
+    for variant, score in result.scores.items():
+        interval = bootstrap_interval([pair.iou for pair in score.pairs], [pair.label for pair in score.pairs])
+        table[variant] = {
+            "miou": score.miou,
+            "interval": [interval.low, interval.high],
+            "accuracy": score.accuracy,
+            "bytes_per_gaussian": result.bytes_per_gaussian[variant],
+        }
+    return table
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    started = time.perf_counter()
+    yield
+    seconds[stage] = time.perf_counter() - started
+
+
+def thread_count() -> int:
+    """Threads torch computes with, for reports."""
+    return torch.get_num_threads()
