@@ -36,7 +36,7 @@ class BuildSettings:
         keep: atoms kept for each Gaussian by the vote; 0 keeps all (no top-K step).
         solver: how codes are learned, see ``fit_codes``.
         epochs: epochs of the "adam" solver.
-        tolerance: stop the solver early when its loss improves by less than this share in 100 epochs; None never.
+        tolerance: stop the solver once its loss has fallen by less than this over 100 epochs; None never.
         seed: of the codebook's start.
         raster_preset: rasteriser constants the scene was trained with: "inria" or "gsplat".
     """

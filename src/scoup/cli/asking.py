@@ -42,8 +42,8 @@ class AsksField(WritesCommon):
 class AsksViews(AsksField):
     """Options of verbs that look through cameras."""
 
-    camera: tuple[str, ...] = ()
-    """Names of cameras (with or without extension), or all. Default: the first."""
+    camera: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Name of a camera (with or without extension), or all; repeat it for several. Default: the first."""
     scene: Path | None = None
     """Take the cameras from this scene folder or cameras file instead of those the field was built from."""
     scale: float = 1.0

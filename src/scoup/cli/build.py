@@ -37,7 +37,7 @@ class Build(WritesCommon):
     undistort: bool = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
     model: str = CLIP_MODEL
-    """Id of the model the region embeddings come from; queries use it by default."""
+    """Model (or table of words) the region embeddings belong to; queries use it by default."""
     n_atoms: int = 64
     """Atoms in the codebook of each level (L)."""
     k: int = 4

@@ -81,13 +81,17 @@ class Select(AsksText):
         """Rows to write from, and which of them [M] are the field's Gaussians, in order."""
         import torch
 
+        from scoup.errors import InputError
         from scoup.io import gaussians_from_table, read_ply_table
         from scoup.io.ply import table_from_gaussians
 
         path = self.gaussians or field.geometry_path
         if path is not None and path.suffix.lower() == ".ply" and path.is_file():
             table = read_ply_table(path)
-            gaussians, kept = gaussians_from_table(table)
-            if gaussians.fingerprint() == field.info.fingerprint:
+            try:
+                gaussians, kept = gaussians_from_table(table)
+            except InputError:  # compressed: its rows do not stand alone
+                gaussians, kept = None, None
+            if kept is not None and gaussians.fingerprint() == field.info.fingerprint:
                 return table, torch.from_numpy(kept)
         return table_from_gaussians(field.gaussians.to("cpu")), torch.ones(len(field), dtype=torch.bool)

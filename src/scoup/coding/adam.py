@@ -33,8 +33,8 @@ LOGIT_SCALE = 4.0
 """Initial logits are this times the cosine to the initial atoms.
 
 Measured on the m | s regions of a kitchen, loss after 1000 and 4000 epochs: scale 0 (all logits equal)
-.066 .056 | .080 .067; 1: .065 .055 | .075 .066; 4: .062 .057 | .072 .067; 10: .061 .059 | .072 .070. Small scales
-end a little lower; large ones start lower and run up to twice as fast, since fewer logits come within reach.
+.066 .056 | .080 .067; 1: .065 .055 | .075 .066; 4: .062 .057 | .072 .067; 10: .061 .059 | .072 .070. Small
+scales end a little lower; large ones start lower and run faster, since fewer logits come within reach.
 """
 STOP_WINDOW = 100  # epochs over which ``tolerance`` is judged
 _FLUSH_EVERY = 64

@@ -1,4 +1,4 @@
-"""The logits of the Adam solver that can matter, and Adam's state for them."""
+"""The logits of the Adam solver that have moved, and Adam's state for them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from torch import Tensor
 
 from scoup.coding.step import Step, add_gradient, decay
 
-_START = 12
-_GROW = 8
+_GROW = 4
 _TINY = 1e-30
 
 
@@ -16,25 +15,26 @@ class Slots:
     """Top-K logits of R rows: the trajectory of Adam over all [R, L] logits, at the cost of few of them.
 
     Only logits in the support (the K largest of a row) have gradients. A logit that was never in the support
-    has zero moments, so it stays at its start until the support sinks to its level. Each row therefore keeps
-    M slots: the M largest of its initial logits, support first. When the support of any row could reach the
-    largest logit without a slot, all rows get more slots.
+    has zero moments, so it stays at its start, and such logits enter in the order of their start: a row needs
+    to look at the next one only. It gives that one a slot when the support sinks below it.
 
-    Layout is [M, R], so that work over slots runs along contiguous rows.
+    Layout is [M, R], so that work over slots runs along contiguous rows; the support stands first, slots that
+    a row does not use yet hold -inf.
     """
 
     def __init__(self, logits: Tensor, k: int) -> None:
         """Start from ``logits`` [R, L], with supports of ``k`` <= L atoms. Ties go to lower atoms."""
         self._k = k
         values, order = torch.sort(logits, dim=1, descending=True, stable=True)
-        self._initial = values.T.contiguous()  # [L, R]
-        self._order = order.T.contiguous()  # [L, R]
-        shape = (0, logits.shape[0])
-        self._logits = self._initial.new_zeros(shape)
-        self._first = self._initial.new_zeros(shape)
-        self._second = self._initial.new_zeros(shape)
-        self._atoms = self._order.new_zeros(shape)
-        self._widen(max(k, _START))
+        # One row more, so that "the next logit" exists for a row that has taken all.
+        self._initial = torch.nn.functional.pad(values.T, (0, 0, 0, 1), value=-torch.inf)  # [L + 1, R]
+        self._order = torch.nn.functional.pad(order.T, (0, 0, 0, 1))  # [L + 1, R]
+        self._used = torch.full_like(order[:, 0], k)  # [R] slots in use
+        self._next = self._initial[k].clone()  # [R] the largest logit without a slot
+        self._logits = self._initial[:k].clone()
+        self._atoms = self._order[:k].clone()
+        self._first = torch.zeros_like(self._logits)
+        self._second = torch.zeros_like(self._logits)
 
     @property
     def support(self) -> Tensor:
@@ -42,13 +42,17 @@ class Slots:
         return self._atoms[: self._k]
 
     def weights(self) -> Tensor:
-        """[K, R] float32: softmax over the support."""
+        """[K, R]: softmax over the support."""
         return torch.softmax(self._logits[: self._k], dim=0)
 
     def dense_logits(self) -> Tensor:
-        """[R, L] float32: all logits, as dense Adam would hold them."""
-        dense = torch.empty_like(self._initial).scatter_(0, self._order, self._initial)
-        return dense.scatter_(0, self._atoms, self._logits).T
+        """[R, L]: all logits, as dense Adam would hold them."""
+        dense = torch.empty_like(self._initial[:-1]).scatter_(0, self._order[:-1], self._initial[:-1])
+        kept = torch.where(self._logits > -torch.inf, self._logits, dense.gather(0, self._atoms))
+        # Unused slots name atom 0: written first, so that a slot that is used has the last word.
+        for slot in reversed(range(len(kept))):
+            dense.scatter_(0, self._atoms[slot : slot + 1], kept[slot : slot + 1])
+        return dense.T
 
     def step(self, gradient: Tensor, step: Step, flush: bool) -> None:
         """One Adam step from the gradient [K, R] of the support; the other slots coast on their moments.
@@ -65,27 +69,45 @@ class Slots:
 
     def settle(self) -> bool:
         """Bring the K largest logits of every row back to its first K slots; True if any support changed."""
-        lowest = self._logits[: self._k].amin(0)
-        while self._width < len(self._initial) and bool((lowest < self._initial[self._width]).any()):
-            self._widen(self._width + _GROW)
-        if self._width == self._k:
-            return False
-        moved = (lowest < self._logits[self._k :].amax(0)).nonzero()[:, 0]
-        if not len(moved):
-            return False
-        order = torch.sort(self._logits[:, moved], dim=0, descending=True, stable=True).indices
+        changed = False
+        while True:
+            lowest = self._logits[: self._k].amin(0)
+            highest = self._next
+            if len(self._logits) > self._k:
+                highest = torch.maximum(highest, self._logits[self._k :].amax(0))
+            moved = (lowest < highest).nonzero()[:, 0]
+            if not len(moved):
+                return changed
+            changed = True
+            self._admit(moved[self._next[moved] > lowest[moved]])
+            self._exchange(moved)
+
+    def _exchange(self, rows: Tensor) -> None:
+        """In each of ``rows`` [n] swap the smallest logit of the support with the largest outside it."""
+        values = self._logits.index_select(1, rows)
+        leaving = values[: self._k].argmin(0)
+        entering = values[self._k :].argmax(0) + self._k
         for held in (self._logits, self._first, self._second, self._atoms):
-            held[:, moved] = held[:, moved].gather(0, order)
-        return True
+            old = held[leaving, rows]
+            held[leaving, rows] = held[entering, rows]
+            held[entering, rows] = old
 
-    @property
-    def _width(self) -> int:
-        return self._logits.shape[0]
+    def _admit(self, rows: Tensor) -> None:
+        """Give the next logit of each of ``rows`` [n] a slot."""
+        if not len(rows):
+            return
+        slot = self._used[rows]
+        missing = int(slot.max()) + 1 - len(self._logits)
+        if missing > 0:
+            self._grow(max(missing, _GROW))
+        self._logits[slot, rows] = self._next[rows]
+        self._atoms[slot, rows] = self._order[slot, rows]
+        self._used[rows] = slot + 1
+        self._next[rows] = self._initial[slot + 1, rows]
 
-    def _widen(self, width: int) -> None:
-        new = slice(self._width, min(width, len(self._initial)))
-        zeros = torch.zeros_like(self._initial[new])
-        self._logits = torch.cat([self._logits, self._initial[new]])
-        self._first = torch.cat([self._first, zeros])
-        self._second = torch.cat([self._second, zeros])
-        self._atoms = torch.cat([self._atoms, self._order[new]])
+    def _grow(self, count: int) -> None:
+        below = (0, 0, 0, count)
+        self._logits = torch.nn.functional.pad(self._logits, below, value=-torch.inf)
+        self._atoms = torch.nn.functional.pad(self._atoms, below)
+        self._first = torch.nn.functional.pad(self._first, below)
+        self._second = torch.nn.functional.pad(self._second, below)

@@ -4,7 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.demo.meshes import Floats, box, cylinder, ellipsoid, lathe, merged, rotation, smooth_curve, torus, tube
+from scoup.demo.meshes import (
+    Floats,
+    box,
+    cylinder,
+    ellipsoid,
+    lathe,
+    merged,
+    rotation,
+    smooth_curve,
+    torus,
+    tube,
+)
 from scoup.demo.paints import Paint, bands, color, fur, gradient, mix, smooth_noise, solid
 from scoup.demo.things import Piece, Thing
 
@@ -93,7 +104,11 @@ def landscape(u: Floats, v: Floats) -> Floats:
     """[n, 3]: a picture of hills under an evening sky; u runs right and v up, both 0..1."""
     shown = mix(color("fbd08a"), color("4f86c6"), (v - 0.35) * 1.9)
     shown = mix(shown, color("fff3c4"), (0.085 - np.hypot((u - 0.68) * 1.5, v - 0.66)) * 60)
-    for height, swing, rate, code in ((0.46, 0.14, 7, "7d7fb0"), (0.34, 0.09, 11, "4d6f8a"), (0.2, 0.06, 8, "2f6a4c")):
+    for height, swing, rate, code in (
+        (0.46, 0.14, 7, "7d7fb0"),
+        (0.34, 0.09, 11, "4d6f8a"),
+        (0.2, 0.06, 8, "2f6a4c"),
+    ):
         ridge = height + swing * np.sin(rate * u + rate) * np.cos(rate * 0.6 * u)
         shown = mix(shown, color(code), (ridge - v) * 60)
     return mix(shown, color("e8f0f4"), (0.012 - np.abs(v - 0.1 - 0.01 * np.sin(u * 30))) * 60)
@@ -101,7 +116,16 @@ def landscape(u: Floats, v: Floats) -> Floats:
 
 def desk_lamp() -> Thing:
     stem = tube(smooth_curve([(0, 0, 1.5), (-1.5, 0, 14), (-2, 0, 28), (2, 0, 37), (9, 0, 39)], 32), 0.7)
-    profile = [(2.4, 0.0), (2.4, 0.0), (7.8, -9.0), (7.8, -9.0), (7.5, -9.0), (2.2, -0.3), (2.2, -0.3), (0, -0.2)]
+    profile = [
+        (2.4, 0.0),
+        (2.4, 0.0),
+        (7.8, -9.0),
+        (7.8, -9.0),
+        (7.5, -9.0),
+        (2.2, -0.3),
+        (2.2, -0.3),
+        (0, -0.2),
+    ]
     shade = lathe(profile[::-1]).flipped().moved((10.5, 0, 40.5), rotation(y=-14))
     bulb = ellipsoid(2.3, (10.3, 0, 35.4), 16)
     return Thing(
@@ -116,7 +140,17 @@ def desk_lamp() -> Thing:
 
 
 def candle() -> Thing:
-    dish = [(0, 0), (4.6, 0), (5.8, 1.2), (5.5, 1.4), (4.4, 0.7), (2.4, 0.8), (2.4, 0.8), (2.4, 2.4), (0, 2.4)]
+    dish = [
+        (0, 0),
+        (4.6, 0),
+        (5.8, 1.2),
+        (5.5, 1.4),
+        (4.4, 0.7),
+        (2.4, 0.8),
+        (2.4, 0.8),
+        (2.4, 2.4),
+        (0, 2.4),
+    ]
     flame = lathe(smooth_curve([(0.01, 14.2), (0.75, 15.2), (0.6, 16.6), (0.01, 18.8)], 14), 14)
 
     def burning(points: Floats, normals: Floats) -> Floats:
@@ -135,24 +169,39 @@ def candle() -> Thing:
 
 def photo_camera() -> Thing:
     leather = bands("2b2b30", "c4c7cb", 2, [6.6, 10.0])
-    lens = lathe([(3.3, 0), (3.1, 4.2), (2.9, 4.8), (2.5, 4.8), (1.8, 4.4), (0, 4.6)]).moved((0.6, -2.2, 4.2), rotation(x=90))
+    lens = lathe([(3.3, 0), (3.1, 4.2), (2.9, 4.8), (2.5, 4.8), (1.8, 4.4), (0, 4.6)]).moved(
+        (0.6, -2.2, 4.2), rotation(x=90)
+    )
 
     def glass(points: Floats, normals: Floats) -> Floats:
         radius = np.hypot(points[:, 0] - 0.6, points[:, 2] - 4.2)
         return mix(solid("1f2126")(points, normals), color("4a7fd0"), (1.7 - radius) * 3)
 
-    top = merged([box((4.2, 3.4, 2.2), 0.4, (0.6, 0, 9.0)), cylinder(1.0, 1.1, 0.2, 16).moved((-4.6, 0, 8.2))])
+    top = merged(
+        [box((4.2, 3.4, 2.2), 0.4, (0.6, 0, 9.0)), cylinder(1.0, 1.1, 0.2, 16).moved((-4.6, 0, 8.2))]
+    )
     return Thing(
         "camera",
         (
-            Piece("camera body", merged([box((13.5, 4.6, 8.4), 0.7, (0, 0, 4.2)), top]), leather, 2.4, 0.35, gloss=0.3),
+            Piece(
+                "camera body",
+                merged([box((13.5, 4.6, 8.4), 0.7, (0, 0, 4.2)), top]),
+                leather,
+                2.4,
+                0.35,
+                gloss=0.3,
+            ),
             Piece("camera lens", lens, glass, 3.2, 0.3, gloss=0.9),
         ),
     )
 
 
 def toy_car() -> Thing:
-    wheels = [cylinder(2.3, 1.8, 0.4, 20).moved((x, y, 2.3), rotation(x=90)) for x in (-5.4, 5.4) for y in (-3.1, 4.9)]
+    wheels = [
+        cylinder(2.3, 1.8, 0.4, 20).moved((x, y, 2.3), rotation(x=90))
+        for x in (-5.4, 5.4)
+        for y in (-3.1, 4.9)
+    ]
 
     def tyre(points: Floats, normals: Floats) -> Floats:
         radius = np.hypot(np.abs(points[:, 0]) - 5.4, points[:, 2] - 2.3)
@@ -183,11 +232,19 @@ def teddy_bear() -> Thing:
     plush, belly = fur("9a6232", "bd8246"), fur("d8b382", "e6c89c")
     head = merged([ellipsoid((5.4, 5.0, 4.8), (0, 0, 19.5)), *(
         ellipsoid((2.1, 1.2, 2.1), (side * 4.2, 0.3, 23.6), 16) for side in (-1, 1))])  # fmt: skip
-    arms = [ellipsoid((2.1, 2.1, 4.8), segments=16).moved((side * 6.4, -1.2, 11.6), rotation(x=-25, y=side * -35)) for side in (-1, 1)]
+    arms = [
+        ellipsoid((2.1, 2.1, 4.8), segments=16).moved((side * 6.4, -1.2, 11.6), rotation(x=-25, y=side * -35))
+        for side in (-1, 1)
+    ]
     legs = [ellipsoid((2.5, 5.2, 2.5), (side * 4.0, -4.8, 2.6), 16) for side in (-1, 1)]
     soles = [ellipsoid((1.7, 0.6, 1.7), (side * 4.0, -9.7, 2.6), 14) for side in (-1, 1)]
-    dots = [ellipsoid(0.75, (side * 2.1, -4.5, 20.8), 12) for side in (-1, 1)] + [ellipsoid((1.0, 0.7, 0.7), (0, -6.6, 19.0), 12)]
-    bow = [ellipsoid((2.2, 0.9, 1.4), segments=14).moved((side * 2.1, -4.6, 14.9), rotation(y=side * 15)) for side in (-1, 1)]
+    dots = [ellipsoid(0.75, (side * 2.1, -4.5, 20.8), 12) for side in (-1, 1)] + [
+        ellipsoid((1.0, 0.7, 0.7), (0, -6.6, 19.0), 12)
+    ]
+    bow = [
+        ellipsoid((2.2, 0.9, 1.4), segments=14).moved((side * 2.1, -4.6, 14.9), rotation(y=side * 15))
+        for side in (-1, 1)
+    ]
     return Thing(
         "teddy bear",
         (
@@ -207,7 +264,10 @@ def teddy_bear() -> Thing:
 def rubber_duck() -> Thing:
     body = ellipsoid((5.6, 4.3, 3.6), (0, 0, 3.4), 28)
     tail = ellipsoid((2.2, 2.0, 1.6), segments=16).moved((-5.0, 0, 5.2), rotation(y=35))
-    wings = [ellipsoid((3.0, 0.9, 1.8), segments=16).moved((-0.8, side * 4.0, 4.2), rotation(y=12)) for side in (-1, 1)]
+    wings = [
+        ellipsoid((3.0, 0.9, 1.8), segments=16).moved((-0.8, side * 4.0, 4.2), rotation(y=12))
+        for side in (-1, 1)
+    ]
     eyes = [ellipsoid(0.55, (5.4, side * 1.5, 9.6), 10) for side in (-1, 1)]
     beak = ellipsoid((1.9, 1.5, 0.75), (6.7, 0, 8.4), 14)
     yellow: Paint = gradient("f4b81c", "ffd83c", 2, 0, 8, grain=0.02)
@@ -229,6 +289,8 @@ def ball() -> Thing:
         wedge = np.floor((np.arctan2(points[:, 1], points[:, 0]) / np.pi + 1) * 2.999).astype(int)
         shown = np.stack([color(code) for code in codes])[wedge]
         ends = np.abs(points[:, 2] - 11) > 10.3
-        return np.where(ends[:, None], color("f6f2e8"), shown) * (1 + 0.03 * smooth_noise(points, 3, 1))[:, None]
+        return (
+            np.where(ends[:, None], color("f6f2e8"), shown) * (1 + 0.03 * smooth_noise(points, 3, 1))[:, None]
+        )
 
     return Thing("ball", (Piece("ball", ellipsoid(11, (0, 0, 11), 32), panels, 1.0, gloss=0.5),))

@@ -14,7 +14,15 @@ from scoup.demo.polygons import mask_polygons
 from scoup.demo.scene import EMBEDDING_MODEL, DemoScene
 from scoup.demo.splat import SH_C0
 from scoup.evaluate.lerf_labels import LabelledFrame
-from scoup.io import check_output, save_gaussians, save_png, save_regions, write_colmap, write_text, write_transforms
+from scoup.io import (
+    check_output,
+    save_gaussians,
+    save_png,
+    save_regions,
+    write_colmap,
+    write_text,
+    write_transforms,
+)
 from scoup.progress import Progress, no_progress
 from scoup.raster import render_colors
 from scoup.text_table import save_table
@@ -63,7 +71,13 @@ def write_demo_scene(
     """
     folder = Path(folder)
     held_out = folder / "held_out"
-    for name in ("README.txt", "point_cloud.ply", "text.npz", "sparse/0/cameras.bin", "held_out/transforms.json"):
+    for name in (
+        "README.txt",
+        "point_cloud.ply",
+        "text.npz",
+        "sparse/0/cameras.bin",
+        "held_out/transforms.json",
+    ):
         check_output(folder / name, overwrite)
     for camera in scene.building:
         check_output(folder / "images" / camera.name, overwrite)

@@ -6,8 +6,18 @@ import numpy as np
 
 from scoup.demo.desk_things import landscape
 from scoup.demo.meshes import (
-    Floats, Mesh, box, cylinder, ellipsoid, lathe, merged, plane, rotation, smooth_curve, tube,
-)  # fmt: skip
+    Floats,
+    Mesh,
+    box,
+    cylinder,
+    ellipsoid,
+    lathe,
+    merged,
+    plane,
+    rotation,
+    smooth_curve,
+    tube,
+)
 from scoup.demo.paints import Paint, bands, checked, color, gradient, mix, smooth_noise, solid, wood
 from scoup.demo.things import Piece, Thing
 
@@ -18,7 +28,9 @@ def table(length: float, width: float) -> Thing:
     top = box((length, width, 3.2), 0.9, (0, 0, TABLE_HEIGHT - 1.6))
     rail = box((length - 16, width - 16, 7), 0.4, (0, 0, TABLE_HEIGHT - 6.7))
     legs = [
-        cylinder(2.2, TABLE_HEIGHT - 3.2, 0.3, 20, top=3.2).moved((x * (length / 2 - 9), y * (width / 2 - 9), 0))
+        cylinder(2.2, TABLE_HEIGHT - 3.2, 0.3, 20, top=3.2).moved(
+            (x * (length / 2 - 9), y * (width / 2 - 9), 0)
+        )
         for x in (-1, 1)
         for y in (-1, 1)
     ]
@@ -35,13 +47,22 @@ def table(length: float, width: float) -> Thing:
 
 def chair() -> Thing:
     legs = [tube([(x * 17, y * 16, 43), (x * 19, y * 18, 0)], 1.7, 10) for x in (-1, 1) for y in (-1, 1)]
-    posts = [tube(smooth_curve([(x * 16.5, 17, 44), (x * 17, 19, 65), (x * 17.5, 23, 88)], 12), 1.5, 10) for x in (-1, 1)]
+    posts = [
+        tube(smooth_curve([(x * 16.5, 17, 44), (x * 17, 19, 65), (x * 17.5, 23, 88)], 12), 1.5, 10)
+        for x in (-1, 1)
+    ]
     slats = [box((33, 1.6, 6), 0.7, (0, y, z)) for y, z in ((18.6, 62), (20.2, 72), (22, 82))]
     paint = wood("d9cdb4", 2, 5, contrast=0.07)
     return Thing(
         "chair",
         (
-            Piece("chair seat", box((40, 38, 3.2), 1.2, (0, 0, 43.4)), wood("d9cdb4", 0, 5, contrast=0.07), 0.6, 0.9),
+            Piece(
+                "chair seat",
+                box((40, 38, 3.2), 1.2, (0, 0, 43.4)),
+                wood("d9cdb4", 0, 5, contrast=0.07),
+                0.6,
+                0.9,
+            ),
             Piece("chair legs", merged(legs), paint, 0.7, 0.6),
             Piece("chair back", merged([*posts, *slats]), paint, 0.7, 0.6),
         ),
@@ -66,10 +87,14 @@ def sunflowers() -> Thing:
     for angle, lean, height in ((10, 9.0, 38), (130, 8.0, 34), (250, 8.5, 36), (70, 2.0, 43), (310, 3.5, 31)):
         out = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0])
         tip = out * lean + np.array([0, 0, height])
-        stems.append(tube(smooth_curve([(0, 0, 17), out * lean * 0.35 + np.array([0, 0, 25]), tip], 12), 0.45, 8))
+        stems.append(
+            tube(smooth_curve([(0, 0, 17), out * lean * 0.35 + np.array([0, 0, 25]), tip], 12), 0.45, 8)
+        )
         facing = rotation(y=35 + rng.uniform(-8, 8), z=angle)
         for step in range(13):
-            petal = ellipsoid((2.2, 0.95, 0.22), (4.0, 0, 0.3), 12).moved((0, 0, 0), rotation(y=-12, z=step * 360 / 13))
+            petal = ellipsoid((2.2, 0.95, 0.22), (4.0, 0, 0.3), 12).moved(
+                (0, 0, 0), rotation(y=-12, z=step * 360 / 13)
+            )
             petals.append(petal.moved(tip, facing))
         hearts.append(ellipsoid((2.3, 2.3, 0.95), segments=16).moved(tip + facing @ [0, 0, 0.2], facing))
         leaf = ellipsoid((4.0, 1.7, 0.25), (3.6, 0, 0), 14).moved((0, 0, 0), rotation(y=-25, z=angle + 60))
@@ -86,7 +111,21 @@ def sunflowers() -> Thing:
 
 
 def potted_plant() -> Thing:
-    pot = lathe([(0, 0), (5.2, 0), (5.2, 0), (6.6, 9.5), (6.6, 9.5), (7.4, 9.5), (7.4, 12), (7.4, 12), (6.6, 12), (6.3, 10.4), (0, 10.4)])
+    pot = lathe(
+        [
+            (0, 0),
+            (5.2, 0),
+            (5.2, 0),
+            (6.6, 9.5),
+            (6.6, 9.5),
+            (7.4, 9.5),
+            (7.4, 12),
+            (7.4, 12),
+            (6.6, 12),
+            (6.3, 10.4),
+            (0, 10.4),
+        ]
+    )
     rng = np.random.default_rng(8)
     leaves = []
     for step in range(26):
@@ -126,7 +165,9 @@ def globe() -> Thing:
         "globe",
         (
             Piece("globe sphere", ellipsoid(9.6, (0, 0, 16.5), 36), world, 1.6, 0.5, gloss=0.5),
-            Piece("globe stand", merged([tube(bracket, 0.6, 8), foot]), solid("a87a3a"), 1.8, 0.35, gloss=0.6),
+            Piece(
+                "globe stand", merged([tube(bracket, 0.6, 8), foot]), solid("a87a3a"), 1.8, 0.35, gloss=0.6
+            ),
         ),
     )
 
@@ -181,7 +222,10 @@ def window(width: float, height: float) -> Thing:
 
 def rug(radius: float) -> Thing:
     def rings(points: Floats, normals: Floats) -> Floats:
-        distance, angle = np.hypot(points[:, 0], points[:, 1]) / radius, np.arctan2(points[:, 1], points[:, 0])
+        distance, angle = (
+            np.hypot(points[:, 0], points[:, 1]) / radius,
+            np.arctan2(points[:, 1], points[:, 0]),
+        )
         shown = np.broadcast_to(color("d9cdb6"), points.shape)
         for inner, outer, code in ((0.9, 0.95, "4a6478"), (0.82, 0.85, "a8574a"), (0.3, 0.33, "4a6478")):
             inside = (distance > inner) & (distance < outer)
@@ -212,5 +256,11 @@ def room_shell(left: float, back: float, reach: float, height: float) -> tuple[T
         strips.append(box((1.6, reach, width), 0.5, (left + 0.8, back - reach / 2, middle)))
     return (
         Thing("floor", (Piece("floor", floor, boards, 0.14),)),
-        Thing("wall", (Piece("wall", merged(walls), plaster, 0.09), Piece("wall", merged(strips), solid("f2eee4"), 0.3))),
+        Thing(
+            "wall",
+            (
+                Piece("wall", merged(walls), plaster, 0.09),
+                Piece("wall", merged(strips), solid("f2eee4"), 0.3),
+            ),
+        ),
     )

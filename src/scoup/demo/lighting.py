@@ -77,7 +77,9 @@ def visible(points: Floats, normals: Floats, direction: Floats, blockers: Mesh) 
     flat = blockers.vertices @ frame.T
     low, high = flat.min(0), flat.max(0)
     scale = SHADOW_SIZE / (high[:2] - low[:2]).max()
-    _, seen = draw((flat[:, :2] - low[:2]) * scale, flat[:, 2] - low[2] + 1.0, blockers.faces, SHADOW_SIZE, SHADOW_SIZE)
+    _, seen = draw(
+        (flat[:, :2] - low[:2]) * scale, flat[:, 2] - low[2] + 1.0, blockers.faces, SHADOW_SIZE, SHADOW_SIZE
+    )
     # Points are lifted off their surface, so that a surface seen at an angle does not shade itself.
     spot = (points + normals * SHADOW_GAP * 0.5) @ frame.T
     place, height = (spot[:, :2] - low[:2]) * scale - 0.5, spot[:, 2] - low[2] + 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -31,10 +32,14 @@ class Mesh:
         a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
-    def moved(self, offset: ArrayLike = (0, 0, 0), rotation: Floats | None = None, scale: float = 1.0) -> Mesh:
+    def moved(
+        self, offset: ArrayLike = (0, 0, 0), rotation: Floats | None = None, scale: float = 1.0
+    ) -> Mesh:
         """Scaled, then rotated by a [3, 3] matrix, then shifted."""
         turn = np.eye(3) if rotation is None else rotation
-        return Mesh(self.vertices * scale @ turn.T + np.asarray(offset, float), self.normals @ turn.T, self.faces)
+        return Mesh(
+            self.vertices * scale @ turn.T + np.asarray(offset, float), self.normals @ turn.T, self.faces
+        )
 
     def flipped(self) -> Mesh:
         """Inside out."""
@@ -71,7 +76,9 @@ def smooth_curve(points: ArrayLike, samples: int = 24) -> Floats:
     start = np.minimum(position.astype(int), len(knots) - 2)
     t = (position - start)[:, None]
     p0, p1, p2, p3 = (padded[start + step] for step in range(4))
-    return 0.5 * (2 * p1 + (p2 - p0) * t + (2 * p0 - 5 * p1 + 4 * p2 - p3) * t**2 + (3 * (p1 - p2) + p3 - p0) * t**3)
+    return 0.5 * (
+        2 * p1 + (p2 - p0) * t + (2 * p0 - 5 * p1 + 4 * p2 - p3) * t**2 + (3 * (p1 - p2) + p3 - p0) * t**3
+    )
 
 
 def sheet(points: ArrayLike, closed_rows: bool = False, closed_columns: bool = False) -> Mesh:
@@ -117,7 +124,7 @@ def lathe(profile: ArrayLike, segments: int = 32) -> Mesh:
     angles = np.arange(segments) * (2 * np.pi / segments)
     circle = np.stack([np.cos(angles), np.sin(angles)], 1)
     bands = []
-    for start, end in zip(cuts[:-1], cuts[1:], strict=True):
+    for start, end in itertools.pairwise(cuts):
         radius, height = points[start:end, 0], points[start:end, 1]
         ring = np.empty((segments, end - start, 3))
         ring[..., :2] = circle[:, None] * radius[None, :, None]
@@ -126,7 +133,9 @@ def lathe(profile: ArrayLike, segments: int = 32) -> Mesh:
     return merged(bands)
 
 
-def cylinder(radius: float, height: float, bevel: float = 0.0, segments: int = 32, top: float | None = None) -> Mesh:
+def cylinder(
+    radius: float, height: float, bevel: float = 0.0, segments: int = 32, top: float | None = None
+) -> Mesh:
     """A closed cylinder on z = 0, or a cone frustum where ``top`` gives another radius for its upper end."""
     upper = radius if top is None else top
     edge = min(bevel, height / 2, radius, upper if upper > 0 else bevel)
@@ -139,7 +148,9 @@ def cylinder(radius: float, height: float, bevel: float = 0.0, segments: int = 3
     return lathe(np.concatenate([ends[0], low, high, ends[1]]), segments)
 
 
-def ellipsoid(radii: float | ArrayLike, centre: ArrayLike = (0, 0, 0), segments: int = 24, power: float = 1.0) -> Mesh:
+def ellipsoid(
+    radii: float | ArrayLike, centre: ArrayLike = (0, 0, 0), segments: int = 24, power: float = 1.0
+) -> Mesh:
     """An ellipsoid with the given radii (one number or three); ``power`` below 1 squares it off like a cushion."""
     tilt = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)[None, :]
     turn = (np.arange(segments) * (2 * np.pi / segments))[:, None]
@@ -148,7 +159,9 @@ def ellipsoid(radii: float | ArrayLike, centre: ArrayLike = (0, 0, 0), segments:
         return np.sign(values) * np.abs(values) ** power
 
     level = bulged(np.cos(tilt).clip(min=0))
-    unit = np.stack(np.broadcast_arrays(level * bulged(np.cos(turn)), level * bulged(np.sin(turn)), np.sin(tilt)), -1)
+    unit = np.stack(
+        np.broadcast_arrays(level * bulged(np.cos(turn)), level * bulged(np.sin(turn)), np.sin(tilt)), -1
+    )
     ball = sheet(unit * np.broadcast_to(np.asarray(radii, float), 3), closed_rows=True)
     if power == 1.0:
         outwards = ball.vertices / np.broadcast_to(np.asarray(radii, float), 3) ** 2
@@ -176,7 +189,9 @@ def tube(path: ArrayLike, radius: float | ArrayLike, segments: int = 12, squash:
         side = side - direction * (side @ direction)  # carried along, so that the tube does not twist
         side /= np.linalg.norm(side)
         other = np.cross(direction, side)
-        rings.append(centre + size * (np.cos(angles)[:, None] * side + squash * np.sin(angles)[:, None] * other))
+        rings.append(
+            centre + size * (np.cos(angles)[:, None] * side + squash * np.sin(angles)[:, None] * other)
+        )
     ends = [np.repeat(line[:1], segments, 0), *rings, np.repeat(line[-1:], segments, 0)]
     return sheet(np.stack(ends, 1), closed_rows=True)
 

@@ -34,7 +34,9 @@ MISSING, RESIZED, MERGED = 0.06, 0.12, 0.04
 SPLIT = {"s": 0.15, "m": 0.05, "l": 0.05}
 SWAPPED = 0.10
 SURROUNDINGS = (0.02, 0.16)
-VIEW_NOISE = 0.16  # length of the noise shared by a thing's regions in one view, where a prototype has length 1
+VIEW_NOISE = (
+    0.16  # length of the noise shared by a thing's regions in one view, where a prototype has length 1
+)
 REGION_NOISE = 0.22
 DIRECTED_NOISE = 0.18  # along differences of prototypes
 PART_OFFSET = 0.2
@@ -54,9 +56,7 @@ class _Level:
     shifts: Floats  # [names, D] this view's noise
 
 
-def observe(
-    part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np.random.Generator
-) -> Regions:
+def observe(part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np.random.Generator) -> Regions:
     """Region maps and embeddings of all views at three levels.
 
     Args:
@@ -65,7 +65,10 @@ def observe(
         words: prototypes of the names.
         rng: all randomness.
     """
-    offsets = {level: _noise(words.prototypes[level].shape, PART_OFFSET if level == "s" else 0.0, rng) for level in LEVELS}
+    offsets = {
+        level: _noise(words.prototypes[level].shape, PART_OFFSET if level == "s" else 0.0, rng)
+        for level in LEVELS
+    }
     maps: dict[str, dict[str, RegionMap]] = {}
     for name, part_map in part_maps.items():
         maps[name] = {}
@@ -129,7 +132,9 @@ def _moved(part_map: IntMap, rng: np.random.Generator) -> IntMap:
     rows, columns = np.indices(part_map.shape)
     shifts = []
     for _ in range(2):
-        field = ndimage.gaussian_filter(rng.normal(size=part_map.shape), BORDER_SMOOTHNESS * scale, mode="wrap")
+        field = ndimage.gaussian_filter(
+            rng.normal(size=part_map.shape), BORDER_SMOOTHNESS * scale, mode="wrap"
+        )
         shifts.append(field / max(field.std(), 1e-12) * BORDER_NOISE * scale)
     height, width = part_map.shape
     take_rows = np.rint(rows + shifts[0]).astype(int).clip(0, height - 1)
@@ -153,7 +158,9 @@ def _widened(side: slice, margin: int) -> slice:
     return slice(max(0, side.start - margin), side.stop + margin)
 
 
-def _resize(labels: IntMap, mask: NDArray[np.bool_], number: int, scale: float, rng: np.random.Generator) -> None:
+def _resize(
+    labels: IntMap, mask: NDArray[np.bool_], number: int, scale: float, rng: np.random.Generator
+) -> None:
     steps = min(7, max(1, round(rng.uniform(2, 5) * scale)))
     if rng.random() < 0.5:
         labels[ndimage.binary_dilation(mask, iterations=steps)] = number
@@ -198,7 +205,10 @@ def _embed(labels: IntMap, level: _Level, rng: np.random.Generator) -> Floats:
     pixels = areas * (REFERENCE_WIDTH / labels.shape[1]) ** 2
     strength = (1 + 0.5 * np.sqrt(SMALL_AREA / (pixels + SMALL_AREA / 4)).clip(max=1.6))[:, None]
     isotropic = _noise(mixture.shape, 1.0, rng) * REGION_NOISE
-    towards = level.prototypes[rng.integers(0, len(looks), count)] - level.prototypes[rng.integers(0, len(looks), count)]
+    towards = (
+        level.prototypes[rng.integers(0, len(looks), count)]
+        - level.prototypes[rng.integers(0, len(looks), count)]
+    )
     return unit(mixture + strength * (isotropic + DIRECTED_NOISE * rng.normal(size=(count, 1)) * towards))
 
 

@@ -36,7 +36,9 @@ def smooth_noise(points: Floats, size: float | ArrayLike, seed: int = 0) -> Floa
 
 
 def _hashed(cells: np.ndarray, seed: int) -> Floats:
-    mixed = cells.astype(np.uint64) @ np.array([73856093, 19349663, 83492791], np.uint64) + np.uint64(seed * 2654435761)
+    mixed = cells.astype(np.uint64) @ np.array([73856093, 19349663, 83492791], np.uint64) + np.uint64(
+        seed * 2654435761
+    )
     mixed = (mixed ^ (mixed >> np.uint64(13))) * np.uint64(0x9E3779B97F4A7C15)
     mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
     return (mixed >> np.uint64(40)).astype(np.float64) / float(1 << 23) - 1.0
@@ -70,7 +72,9 @@ def bands(code: str, other: str, axis: int, edges: ArrayLike) -> Paint:
     return paint
 
 
-def gradient(low: str, high: str, axis: int, start: float, end: float, grain: float = 0.08, size: float = 2.0) -> Paint:
+def gradient(
+    low: str, high: str, axis: int, start: float, end: float, grain: float = 0.08, size: float = 2.0
+) -> Paint:
     """From one colour to the other along an axis, with a blotchy border."""
 
     def paint(points: Floats, normals: Floats) -> Floats:
@@ -85,7 +89,9 @@ def spotted(base: str, spots: str, size: float, amount: float = 0.4, seed: int =
     """Blobs of the second colour of about ``size``; ``amount`` below 0 gives more of them."""
 
     def paint(points: Floats, normals: Floats) -> Floats:
-        return mix(solid(base)(points, normals), color(spots), (smooth_noise(points, size, seed + 5) - amount) * 8)
+        return mix(
+            solid(base)(points, normals), color(spots), (smooth_noise(points, size, seed + 5) - amount) * 8
+        )
 
     return paint
 

@@ -17,11 +17,15 @@ from scoup.gaussians import Gaussians
 SH_C0 = 0.28209479177387814
 OVERSAMPLING = 6  # candidates for each Gaussian kept
 SPREAD = 0.68  # standard deviation of a disc, as a share of the mean distance between discs
-COARSE_SPREAD = 0.85  # the same on large coarse pieces, which have few edges to keep sharp and show every hole
+COARSE_SPREAD = (
+    0.85  # the same on large coarse pieces, which have few edges to keep sharp and show every hole
+)
 COARSE = 0.6  # detail below which a piece is coarse
 FLATNESS = 0.12  # thickness of a disc, as a share of its width
 RIM_NEIGHBOURS = 12  # discs looked at to tell whether a disc lies on the rim of its surface
-INSET = 0.45  # depth of discs under the surface, in standard deviations: blurring on the screen makes up for it
+INSET = (
+    0.45  # depth of discs under the surface, in standard deviations: blurring on the screen makes up for it
+)
 RIM_SHRINKAGE = 0.65  # a disc on the rim is narrower by this share across it, so as not to stick out
 SMALL_FACE = 0.012  # metres: faces smaller than its square may be seen without covering a pixel centre
 HAZE_SHARE = 0.03  # of all Gaussians: floaters and haze, as training leaves them behind
@@ -77,9 +81,18 @@ def make_splat(
     """
     n_haze = int(n_gaussians * HAZE_SHARE)
     samples = _cover(things, parts, n_gaussians - n_haze, seen, rng)
-    blockers = merged([thing.mesh(piece) for thing in things if thing.name not in shell for piece in thing.pieces])
+    blockers = merged(
+        [thing.mesh(piece) for thing in things if thing.name not in shell for piece in thing.pieces]
+    )
     colors = lit(
-        samples.points, samples.normals, samples.albedo, samples.gloss, samples.glow, blockers, lamp, n_directions
+        samples.points,
+        samples.normals,
+        samples.albedo,
+        samples.gloss,
+        samples.glow,
+        blockers,
+        lamp,
+        n_directions,
     )
     count = len(samples.points)
     colors = (colors + rng.normal(0, 0.012, colors.shape)).clip(0.005, 0.995)
@@ -92,12 +105,16 @@ def make_splat(
     opacities = 0.6 + 0.39 * rng.beta(4.0, 1.2, count)
     quats = _quats(samples.normals, np.where(on_rim[:, None] > 0, samples.rim, rng.normal(size=(count, 3))))
     haze = _haze(samples, colors, n_haze, rng)
-    stacked = [np.concatenate(pair) for pair in zip((means, quats, scales, opacities, colors), haze, strict=True)]
+    stacked = [
+        np.concatenate(pair) for pair in zip((means, quats, scales, opacities, colors), haze, strict=True)
+    ]
     part = np.concatenate([samples.part, np.full(n_haze, -1)])
     # A trained splat has no order by object; a reader that relied on one would fail on real scenes.
     order = rng.permutation(n_gaussians)
     means, quats, scales, opacities, colors = (torch.from_numpy(values[order]).float() for values in stacked)
-    return Splat(Gaussians(means, quats, scales, opacities, ((colors - 0.5) / SH_C0)[:, None, :]), part[order])
+    return Splat(
+        Gaussians(means, quats, scales, opacities, ((colors - 0.5) / SH_C0)[:, None, :]), part[order]
+    )
 
 
 def _cover(
@@ -116,7 +133,9 @@ def _cover(
             _around(mesh, chosen, thing.size)
             for mesh, chosen, (thing, _) in zip(meshes, seen_of_piece, pieces, strict=True)
         ]
-    areas = np.array([mesh.face_areas().sum() * thing.size**2 for mesh, (thing, _) in zip(meshes, pieces, strict=True)])
+    areas = np.array(
+        [mesh.face_areas().sum() * thing.size**2 for mesh, (thing, _) in zip(meshes, pieces, strict=True)]
+    )
     shares = areas * np.array([piece.detail for _, piece in pieces]) ** 1.6
     counts = np.where(areas > 0, np.maximum(6, np.floor(shares / shares.sum() * count)), 0).astype(int)
     counts[counts.argmax()] += count - counts.sum()
@@ -174,8 +193,12 @@ def evenly(mesh: Mesh, count: int, spacing: float, rng: np.random.Generator) -> 
     root, share = np.sqrt(rng.random(len(face)))[:, None], rng.random(len(face))[:, None]
     weights = 1 - root, root * (1 - share), root * share
     corners = mesh.faces[face]
-    points = sum((mesh.vertices[corners[:, c]] * weights[c] for c in range(3)), start=np.zeros((len(face), 3)))
-    normals = sum((mesh.normals[corners[:, c]] * weights[c] for c in range(3)), start=np.zeros((len(face), 3)))
+    points = sum(
+        (mesh.vertices[corners[:, c]] * weights[c] for c in range(3)), start=np.zeros((len(face), 3))
+    )
+    normals = sum(
+        (mesh.normals[corners[:, c]] * weights[c] for c in range(3)), start=np.zeros((len(face), 3))
+    )
     shuffled = rng.permutation(len(face))
     points, normals = points[shuffled], normals[shuffled]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

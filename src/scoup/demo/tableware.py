@@ -30,7 +30,8 @@ def teapot() -> Thing:
     top = smooth_curve([(4.5, 12.0), (4.0, 13.0), (2.2, 13.9), (0.01, 14.2)], 10)
     lid = merged([lathe([(0, 12), (4.5, 12), *top]), ellipsoid(1.25, (0, 0, 15.1), 16)])
     spout = tube(
-        smooth_curve([(6.5, 0, 4.0), (10.2, 0, 5.6), (11.8, 0, 9.0), (14.2, 0, 11.8)]), np.linspace(2.3, 1.1, 24)
+        smooth_curve([(6.5, 0, 4.0), (10.2, 0, 5.6), (11.8, 0, 9.0), (14.2, 0, 11.8)]),
+        np.linspace(2.3, 1.1, 24),
     )
     arc = [(-6.5, 0, 10.0), (-10.8, 0, 10.8), (-12.6, 0, 7.8), (-10.6, 0, 4.6), (-7.2, 0, 3.6)]
     handle = tube(smooth_curve(arc), 0.95)
@@ -47,7 +48,18 @@ def teapot() -> Thing:
 
 
 def mug() -> Thing:
-    outside = [(0, 0), (3.7, 0), (4.1, 0.5), (4.2, 5), (4.3, 9.3), (4.1, 9.6), (3.8, 9.3), (3.7, 5), (3.6, 1), (0, 1)]
+    outside = [
+        (0, 0),
+        (3.7, 0),
+        (4.1, 0.5),
+        (4.2, 5),
+        (4.3, 9.3),
+        (4.1, 9.6),
+        (3.8, 9.3),
+        (3.7, 5),
+        (3.6, 1),
+        (0, 1),
+    ]
     arc = smooth_curve([(3.9, 0, 7.8), (6.4, 0, 7.6), (7.2, 0, 5.0), (6.1, 0, 2.6), (3.8, 0, 2.1)])
     coffee = cylinder(3.7, 0.3).moved((0, 0, 7.8))
     return Thing(
@@ -63,9 +75,16 @@ def mug() -> Thing:
 def kettle() -> Thing:
     body = smooth_curve([(8.6, 0.4), (9.4, 3.0), (8.6, 8.0), (6.2, 12.4), (4.4, 13.6)], 20)
     hull = lathe([(0, 0), (8.6, 0.4), (8.6, 0.4), *body, (4.4, 13.6), (0, 13.6)])
-    lid = merged([lathe([(0, 13.5), (4.6, 13.5), (4.2, 14.4), (2.0, 14.9), (0, 15.0)]), cylinder(0.6, 1).moved((0, 0, 15))])
+    lid = merged(
+        [
+            lathe([(0, 13.5), (4.6, 13.5), (4.2, 14.4), (2.0, 14.9), (0, 15.0)]),
+            cylinder(0.6, 1).moved((0, 0, 15)),
+        ]
+    )
     spout = tube(smooth_curve([(7.4, 0, 5.5), (11.0, 0, 8.6), (13.6, 0, 13.0)]), np.linspace(2.3, 1.2, 24))
-    arch = tube(smooth_curve([(-6.8, 0, 11.8), (-6.2, 0, 18), (0, 0, 21.5), (6.2, 0, 18), (6.8, 0, 11.8)]), 0.85)
+    arch = tube(
+        smooth_curve([(-6.8, 0, 11.8), (-6.2, 0, 18), (0, 0, 21.5), (6.2, 0, 18), (6.8, 0, 11.8)]), 0.85
+    )
     knob = ellipsoid((1.3, 1.3, 0.9), (0, 0, 16.4), 16)
     steel = gradient("3f8f8a", "7cc4b8", 2, 0, 14, grain=0.04, size=5)
     return Thing(
@@ -80,7 +99,17 @@ def kettle() -> Thing:
 
 
 def plate() -> Thing:
-    rim = [(0, 0), (6.5, 0), (8.0, 0.6), (11.4, 1.8), (11.6, 2.0), (11.3, 2.2), (8.0, 1.3), (6.5, 0.8), (0, 0.8)]
+    rim = [
+        (0, 0),
+        (6.5, 0),
+        (8.0, 0.6),
+        (11.4, 1.8),
+        (11.6, 2.0),
+        (11.3, 2.2),
+        (8.0, 1.3),
+        (6.5, 0.8),
+        (0, 0.8),
+    ]
 
     def paint(points: Floats, normals: Floats) -> Floats:
         radius = np.hypot(points[:, 0], points[:, 1])
@@ -115,11 +144,16 @@ def bowl() -> Thing:
     outside = smooth_curve([(4.5, 0.4), (9.0, 2.4), (12.4, 5.4), (13.8, 8.4)], 16)
     inside = smooth_curve([(13.2, 8.5), (11.6, 5.8), (8.2, 3.2), (0.01, 2.2)], 16)
     pattern = bands("4a6fb0", "f2efe6", 2, [1.0, 1.6, 6.2, 7.4])
-    return Thing("bowl", (Piece("bowl", lathe([(0, 0), (4.5, 0), *outside, *inside], 48), pattern, 1.5, 0.5, gloss=0.4),))
+    return Thing(
+        "bowl",
+        (Piece("bowl", lathe([(0, 0), (4.5, 0), *outside, *inside], 48), pattern, 1.5, 0.5, gloss=0.4),),
+    )
 
 
 def apple() -> Thing:
-    outline = smooth_curve([(0.01, 0.6), (1.6, 0.1), (3.6, 1.6), (4.2, 4.2), (3.2, 6.6), (1.5, 7.1), (0.01, 6.1)], 30)
+    outline = smooth_curve(
+        [(0.01, 0.6), (1.6, 0.1), (3.6, 1.6), (4.2, 4.2), (3.2, 6.6), (1.5, 7.1), (0.01, 6.1)], 30
+    )
     skin = gradient("d0202a", "e2462f", 2, 0, 9, grain=0.1, size=1.6)
     stem = tube(smooth_curve([(0, 0, 6.2), (0.1, 0, 7.2), (0.5, 0, 8.2)], 8), 0.28, 8)
     leaf = ellipsoid((1.5, 0.8, 0.18), segments=12).moved((1.6, 0.2, 7.7), rotation(y=-20))
@@ -134,17 +168,24 @@ def apple() -> Thing:
 
 
 def pear() -> Thing:
-    outline = smooth_curve([(0.01, 0.2), (2.6, 0.6), (3.8, 3.2), (2.9, 6.2), (1.7, 8.6), (1.2, 9.8), (0.01, 10.3)], 30)
+    outline = smooth_curve(
+        [(0.01, 0.2), (2.6, 0.6), (3.8, 3.2), (2.9, 6.2), (1.7, 8.6), (1.2, 9.8), (0.01, 10.3)], 30
+    )
     skin = gradient("a8b83a", "d6cf52", 2, 1, 9, grain=0.1, size=1.4)
     stem = tube(smooth_curve([(0, 0, 10.1), (0.2, 0, 11.2), (0.7, 0, 12.0)], 8), 0.26, 8)
     return Thing(
         "pear",
-        (Piece("pear", lathe(outline), skin, 2.2, 0.5, gloss=0.4), Piece("pear", stem, solid("5a3a1c"), 3, 0.15)),
+        (
+            Piece("pear", lathe(outline), skin, 2.2, 0.5, gloss=0.4),
+            Piece("pear", stem, solid("5a3a1c"), 3, 0.15),
+        ),
     )
 
 
 def banana() -> Thing:
-    line = smooth_curve([(-8.6, 0, 5.4), (-7.6, 0, 4.0), (-3.6, 0, 1.9), (2, 0, 1.7), (6.4, 0, 3.9), (8.4, 0, 6.8)], 32)
+    line = smooth_curve(
+        [(-8.6, 0, 5.4), (-7.6, 0, 4.0), (-3.6, 0, 1.9), (2, 0, 1.7), (6.4, 0, 3.9), (8.4, 0, 6.8)], 32
+    )
     width = smooth_curve([(0.5,), (0.8,), (1.75,), (1.85,), (1.4,), (0.45,)], 32)[:, 0]
 
     def paint(points: Floats, normals: Floats) -> Floats:
@@ -156,7 +197,9 @@ def banana() -> Thing:
 
 def orange() -> Thing:
     ball = ellipsoid((3.9, 3.9, 3.7), (0, 0, 3.7))
-    return Thing("orange", (Piece("orange", ball, spotted("f08a1e", "e07410", 0.35, 0.1), 2.2, 0.5, gloss=0.4),))
+    return Thing(
+        "orange", (Piece("orange", ball, spotted("f08a1e", "e07410", 0.35, 0.1), 2.2, 0.5, gloss=0.4),)
+    )
 
 
 def grapes() -> Thing:
@@ -165,19 +208,28 @@ def grapes() -> Thing:
     for layer, (count, ring) in enumerate(((9, 3.2), (7, 2.5), (4, 1.4), (1, 0.0))):
         for step in range(count):
             angle = step * 2 * np.pi / count + layer
-            centre = (ring * 1.25 * np.cos(angle), ring * np.sin(angle), 1.3 + layer * 1.5 + 0.2 * rng.normal())
+            centre = (
+                ring * 1.25 * np.cos(angle),
+                ring * np.sin(angle),
+                1.3 + layer * 1.5 + 0.2 * rng.normal(),
+            )
             balls.append(ellipsoid(1.35, centre, 14))
     stem = tube(smooth_curve([(0, 0, 6.5), (0.3, 0, 8.4), (1.4, 0, 9.2)], 8), 0.25, 8)
     skin = gradient("4a1f66", "7a3f96", 2, 0, 7, grain=0.15, size=1.2)
     return Thing(
         "grapes",
-        (Piece("grapes", merged(balls), skin, 1.8, 0.3, gloss=0.7), Piece("grapes", stem, solid("6a7a34"), 3, 0.15)),
+        (
+            Piece("grapes", merged(balls), skin, 1.8, 0.3, gloss=0.7),
+            Piece("grapes", stem, solid("6a7a34"), 3, 0.15),
+        ),
     )
 
 
 def bottle() -> Thing:
     shoulder = smooth_curve([(3.9, 16.0), (3.6, 18.4), (1.9, 21.0), (1.5, 23.0)], 12)
-    glass = lathe([(0, 0), (3.6, 0), (3.9, 0.6), (3.9, 16.0), *shoulder, (1.5, 23), (1.5, 27), (1.5, 27), (0, 27)])
+    glass = lathe(
+        [(0, 0), (3.6, 0), (3.9, 0.6), (3.9, 16.0), *shoulder, (1.5, 23), (1.5, 27), (1.5, 27), (0, 27)]
+    )
     label = lathe([(3.98, 4.5), (3.98, 12.5)])
 
     def printed(points: Floats, normals: Floats) -> Floats:

@@ -54,7 +54,14 @@ class Thing:
     size: float = 0.01
 
     def at(
-        self, x: float, y: float, z: float, turn: float = 0.0, tilt: ArrayLike = (0, 0), group: str = "", grow: float = 1.0
+        self,
+        x: float,
+        y: float,
+        z: float,
+        turn: float = 0.0,
+        tilt: ArrayLike = (0, 0),
+        group: str = "",
+        grow: float = 1.0,
     ) -> Thing:
         """Placed at a point in metres, first tilted about x and y, then turned about z (degrees)."""
         lean = np.asarray(tilt, float)
@@ -100,8 +107,12 @@ class Parts:
             members = [other.name for other in things if (other.group or other.name) == thing.name]
             inside = {piece.part for piece in thing.pieces}
             if (thing.name in inside and len(inside) > 1) or members not in ([], [thing.name]):
-                raise InputError(f"{thing.name!r} names an object and also a part or a group that differs from it")
-        if len({thing.name for thing in things}) < len(things) or set(groups) & (set(owners) - {t.name for t in things}):
+                raise InputError(
+                    f"{thing.name!r} names an object and also a part or a group that differs from it"
+                )
+        if len({thing.name for thing in things}) < len(things) or set(groups) & (
+            set(owners) - {t.name for t in things}
+        ):
             raise InputError("two things of the room share a name")
         return cls(
             tuple(owners),
@@ -138,7 +149,9 @@ class Surface:
 
     @classmethod
     def of(cls, things: tuple[Thing, ...], parts: Parts) -> Surface:
-        meshes = [(thing.mesh(piece), parts.parts.index(piece.part)) for thing in things for piece in thing.pieces]
+        meshes = [
+            (thing.mesh(piece), parts.parts.index(piece.part)) for thing in things for piece in thing.pieces
+        ]
         return cls(
             merged([mesh for mesh, _ in meshes]),
             np.concatenate([np.full(len(mesh.faces), part) for mesh, part in meshes]),

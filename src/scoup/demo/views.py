@@ -39,7 +39,9 @@ def make_cameras(
     )
 
 
-def _swing(kind: str, count: int, phase: float, width: int, height: int, rng: np.random.Generator) -> list[Camera]:
+def _swing(
+    kind: str, count: int, phase: float, width: int, height: int, rng: np.random.Generator
+) -> list[Camera]:
     cameras = []
     for step in range(count):
         along = (step + 0.5) / count

@@ -97,7 +97,9 @@ def _kinship(parts: Parts, names: tuple[str, ...]) -> Floats:
         if part != parts.objects[owner]:
             kin[names.index(part), names.index(parts.objects[owner])] = 0.8
     for group_number, group in enumerate(parts.groups):
-        members = [name for name, of in zip(parts.objects, parts.group_of_object, strict=True) if of == group_number]
+        members = [
+            name for name, of in zip(parts.objects, parts.group_of_object, strict=True) if of == group_number
+        ]
         if group not in parts.objects:
             for member in members:
                 kin[names.index(group), names.index(member)] = 0.8 / np.sqrt(len(members))

@@ -1,0 +1,25 @@
+"""Rasterise a scene once and lift several codebooks with the same region sums.
+
+    python examples/03_rasterise_once_code_often.py demo/scene
+
+Everything after rasterising needs only the region sums: how much each Gaussian paints of each region.
+"""
+
+import sys
+
+import scoup
+from scoup.uplifting import top_k
+
+scene = sys.argv[1]
+gaussians = scoup.load_gaussians(scene)
+cameras = scoup.load_cameras(scene)
+regions = scoup.load_regions(scene, cameras)
+sums = scoup.region_sums(gaussians, cameras, regions)
+
+embeddings = [regions.embeddings(level)[0] for level in regions.levels]
+for n_atoms in (32, 64):
+    books = [scoup.fit_codes(rows, n_atoms, k=4, epochs=300) for rows in embeddings]
+    accumulators = scoup.uplift(sums, [book.codes for book in books])
+    indices, weights = top_k(accumulators, 4)
+    cosines = ", ".join(f"{level} {book.report.mean_cosine:.3f}" for level, book in zip(regions.levels, books, strict=True))
+    print(f"{n_atoms} atoms: mean cosine {cosines}; codes {list(indices.shape)}, {float((weights > 0).float().mean()):.0%} used")

@@ -1,0 +1,51 @@
+"""A small scene on disk for tests of the command line."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from support import small_scene, unit
+
+from scoup.cli import main
+from scoup.io import save_gaussians, save_png, save_regions, write_colmap
+from scoup.relevancy import CANONICAL_PHRASES
+from scoup.text_table import save_table
+
+WORDS = ("kettle", "mug", "wooden table")
+
+
+def write_scene(folder: Path, count: int = 150, seed: int = 0) -> Path:
+    """point_cloud.ply, images, sparse/0, language_features and words.npz of a random scene."""
+    gaussians, cameras, regions = small_scene(count, seed=seed)
+    save_gaussians(gaussians, folder / "point_cloud.ply")
+    write_colmap(cameras, folder / "sparse" / "0")
+    for camera in cameras:
+        save_png(torch.zeros(camera.height, camera.width, 3, dtype=torch.uint8), folder / "images" / camera.name)
+    save_regions(regions, folder / "language_features")
+    names = [*WORDS, *CANONICAL_PHRASES]
+    vectors = unit(torch.randn(len(names), 16, generator=torch.Generator().manual_seed(seed)))
+    save_table(folder / "words.npz", names, vectors.numpy())
+    return folder
+
+
+def run(*arguments: object) -> tuple[int, str, str]:
+    """Run the command line in this process: exit code, standard output, standard error."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            code = main([str(item) for item in arguments])
+        except SystemExit as stop:  # the parser's own refusals
+            code = stop.code if isinstance(stop.code, int) else 1
+    return code, out.getvalue(), err.getvalue()
+
+
+def run_json(*arguments: object) -> dict[str, Any]:
+    """Run with --json, expect success, and parse what was printed."""
+    code, out, err = run(*arguments, "--json")
+    assert code == 0, err
+    return json.loads(out)
