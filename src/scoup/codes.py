@@ -94,8 +94,20 @@ def cosines_from_codes(weights: Tensor, codebook: Tensor, queries: Tensor) -> Te
     Returns:
         [..., Q]; zero where the coefficients are all zero.
     """
-    gram = codebook @ codebook.T
+    return cosines_from_products(weights, codebook @ queries.T, codebook @ codebook.T)
+
+
+def cosines_from_products(weights: Tensor, scores: Tensor, gram: Tensor) -> Tensor:
+    """``cosines_from_codes`` with its two products at hand: A = C T^T [..., L, Q] and G = C C^T [..., L, L].
+
+    Args:
+        weights: [..., P, L].
+        scores: [..., L, Q].
+        gram: [..., L, L].
+
+    Returns:
+        [..., P, Q]; zero where the coefficients are all zero.
+    """
     squared_norm = ((weights @ gram) * weights).sum(-1, keepdim=True)
-    scores = weights @ (codebook @ queries.T)
     norm = torch.sqrt(squared_norm.clamp(min=torch.finfo(weights.dtype).tiny))
-    return torch.where(squared_norm > 0, scores / norm, 0.0)
+    return torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)

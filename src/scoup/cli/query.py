@@ -87,11 +87,12 @@ class Query(AsksText, AsksViews):
         from scoup.io import save_png
         from scoup.pictures import heat_map, mask_overlay
 
-        title = f"{record['text']}  level {record['level']}  score {record['score']:.2f}"
+        level, score = record["level"], record["score"]
+        remark = f"level {level}, {record['coverage']:.1%} of the view"
         made = {
-            "heat": heat_map(relevancy, rgb, title),
-            "mask": mask.to(dtype=relevancy.dtype).mul(255).byte(),
-            "overlay": mask_overlay(mask, rgb, record["box"], record["pixel"], title),
+            "heat": heat_map(relevancy, rgb, record["text"], level, score),
+            "mask": mask,
+            "overlay": mask_overlay(mask, rgb, record["box"], record["pixel"], record["text"], remark),
         }
         files = {kind: folder / f"{name}_{kind}.png" for kind in made}
         for kind, image in made.items():

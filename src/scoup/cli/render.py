@@ -9,11 +9,15 @@ from typing import TYPE_CHECKING, Literal
 from scoup.cli.asking import AsksText, AsksViews
 from scoup.cli.console import Console, unique_slugs
 
+AXES = 8  # directions of embedding space among which the three colours are chosen
+
 if TYPE_CHECKING:
+    import numpy as np
     from torch import Tensor
 
     from scoup.cameras import Camera
     from scoup.field import LanguageField
+    from scoup.raster import View
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +54,7 @@ class Render(AsksText, AsksViews):
             check_output(path, self.overwrite)
         text = None if self.query is None else self.encode(field, [self.query])
 
-        frames: list[Tensor] = []
+        frames: list[np.ndarray] = []
         with console.progress() as progress:
             progress("render", 0, len(cameras))
             for done, (camera, path) in enumerate(zip(cameras, files, strict=True), start=1):
@@ -66,34 +70,53 @@ class Render(AsksText, AsksViews):
         console.say(f"{len(cameras)} views rendered to {out}")
         console.result({"out": out, "files": written})
 
-    def _picture(self, field: LanguageField, camera: Camera, text: tuple[Tensor, Tensor] | None) -> Tensor:
+    def _picture(self, field: LanguageField, camera: Camera, text: tuple[Tensor, Tensor] | None) -> np.ndarray:
         """[H, W, 3] uint8."""
-        from scoup.pictures import code_picture, heat_map
+        from scoup.pictures import as_picture, heat_map
         from scoup.query import segment
         from scoup.raster import render_colors
 
         view = field.look(camera)
         if self.what == "codes":
-            level = field.level_index(self.level)
-            return code_picture(field.render_codes(camera, view)[level].cpu(), field.codebook[level].cpu())
-        rgb = render_colors(field.gaussians, camera, view).cpu()
+            return self._code_picture(field, camera, view)
+        rgb = render_colors(field.gaussians, camera, view)
         if text is None:
-            return (rgb * 255).round().byte()
+            return as_picture(rgb)
         maps = field.relevancy(camera, *text, view)[:, 0]
         answer = segment(maps)
-        title = f"{self.query}  level {field.levels[answer.level]}  score {answer.score:.2f}"
-        return heat_map(maps[answer.level].cpu(), rgb, title)
+        return heat_map(maps[answer.level], rgb, self.query or "", field.levels[answer.level], answer.score)
+
+    def _code_picture(self, field: LanguageField, camera: Camera, view: View) -> np.ndarray:
+        from scoup.codes import SparseCodes
+        from scoup.pictures import code_basis, code_picture
+
+        level = field.level_index(self.level)
+        # Colours should tell meanings apart, so atoms are placed by their embeddings first; and the same code should
+        # have the same colour in every view, so the axes come from the Gaussians, not from the picture.
+        atoms = field.codebook[level].cpu()
+        directions = _leading_directions(atoms, AXES)
+        codes = SparseCodes(field.code_indices[:, level].cpu(), field.code_weights[:, level].float().cpu(), field.n_atoms)
+        basis = code_basis(codes.to_dense() @ atoms @ directions)
+        rendered = field.render_codes(camera, view)[level].cpu()
+        return code_picture(rendered @ atoms @ directions, basis)
 
 
-def _save_animation(frames: list[Tensor], path: Path, frames_per_second: float, overwrite: bool) -> None:
+def _leading_directions(atoms: Tensor, count: int) -> Tensor:
+    """[D, count] leading right singular vectors of the atoms [L, D]."""
+    import torch
+
+    return torch.linalg.svd(atoms, full_matrices=False).Vh[:count].T
+
+
+def _save_animation(frames: list[np.ndarray], path: Path, frames_per_second: float, overwrite: bool) -> None:
     from PIL import Image
 
     from scoup.errors import InputError
     from scoup.io import atomic_file
 
-    if len({tuple(frame.shape) for frame in frames}) > 1:
+    if len({frame.shape for frame in frames}) > 1:
         raise InputError(f"{path}: the views differ in size; an animation needs one size (see --camera)")
-    pictures = [Image.fromarray(frame.numpy()) for frame in frames]
+    pictures = [Image.fromarray(frame) for frame in frames]
     options = {"save_all": True, "append_images": pictures[1:], "duration": round(1000 / frames_per_second), "loop": 0}
     with atomic_file(path, overwrite) as stream:
         pictures[0].save(stream, format=path.suffix[1:].upper(), **options)

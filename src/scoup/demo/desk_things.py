@@ -153,18 +153,20 @@ def candle() -> Thing:
     ]
     flame = lathe(smooth_curve([(0.01, 14.2), (0.75, 15.2), (0.6, 16.6), (0.01, 18.8)], 14), 14)
 
+    ring = torus(1.8, 0.4, 20).moved((6.6, 0, 1.6), rotation(x=90))
+    wax = cylinder(1.9, 11.6, 0.4, 24).moved((0, 0, 2.2))
+
     def burning(points: Floats, normals: Floats) -> Floats:
         return mix(color("ff9a2a"), color("fff6c8"), (points[:, 2] - 14.4) / 2.2)
 
     return Thing(
         "candle",
         (
-            Piece("candle holder", merged([lathe(dish), torus(1.8, 0.4, 20).moved((6.6, 0, 1.6), rotation(x=90))]),
-                  solid("c9963a"), 2.4, 0.35, gloss=0.9),
-            Piece("candle wax", cylinder(1.9, 11.6, 0.4, 24).moved((0, 0, 2.2)), solid("f6ecd8", 0.04), 2.4, 0.4),
+            Piece("candle holder", merged([lathe(dish), ring]), solid("c9963a"), 2.4, 0.35, gloss=0.9),
+            Piece("candle wax", wax, solid("f6ecd8", 0.04), 2.4, 0.4),
             Piece("flame", flame, burning, 6, 0.22, glow=1.0),
         ),
-    )  # fmt: skip
+    )
 
 
 def photo_camera() -> Thing:

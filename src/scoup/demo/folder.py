@@ -36,8 +36,8 @@ images/              renders of them, in place of photographs
 sparse/0/            their cameras, as COLMAP writes them
 language_features/   simulated regions and embeddings, in LangSplat's layout
 text.npz             simulated text vectors: names [M], vectors [M, 512]
-held_out/            views without regions: images/, transforms.json (nerfstudio's layout), and label/ with the
-                     truth as LERF-OVS label files
+held_out/            views without regions: images/, transforms.json (nerfstudio's layout), and
+                     label/ with the truth as LERF-OVS label files
 
 Build and ask:
     scoup build . --out field.scoup

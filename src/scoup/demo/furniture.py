@@ -88,7 +88,11 @@ def sunflowers() -> Thing:
         out = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0])
         tip = out * lean + np.array([0, 0, height])
         stems.append(
-            tube(smooth_curve([(0, 0, 17), out * lean * 0.35 + np.array([0, 0, 25]), tip], 12), 0.45, 8)
+            tube(
+                smooth_curve([np.array([0, 0, 17]), out * lean * 0.35 + np.array([0, 0, 25]), tip], 12),
+                0.45,
+                8,
+            )
         )
         facing = rotation(y=35 + rng.uniform(-8, 8), z=angle)
         for step in range(13):

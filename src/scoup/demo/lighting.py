@@ -1,4 +1,5 @@
-"""Light baked into the colours: soft sun from the window, sky light with its occlusion, a lamp and highlights.
+"""Light baked into the colours: soft sun from the window, sky light with its occlusion, a lamp and
+highlights.
 
 What blocks the light is found with the z-buffer, one picture of the room from each of many directions.
 """
@@ -72,7 +73,9 @@ def lit(
 
 
 def visible(points: Floats, normals: Floats, direction: Floats, blockers: Mesh) -> Floats:
-    """[n] share 0..1 of the light from ``direction`` (unit, towards the light) that reaches each point [n, 3]."""
+    """[n] share 0..1 of the light from ``direction`` (unit, towards the light) that reaches each point [n,
+    3].
+    """
     frame = _frame(direction)
     flat = blockers.vertices @ frame.T
     low, high = flat.min(0), flat.max(0)
@@ -110,4 +113,4 @@ def _frame(direction: Floats) -> Floats:
     along = direction / np.linalg.norm(direction)
     side = np.cross(along, np.eye(3)[np.abs(along).argmin()])
     side /= np.linalg.norm(side)
-    return np.stack([side, np.cross(along, side), along])
+    return np.asarray(np.stack([side, np.cross(along, side), along]), np.float64)

@@ -99,7 +99,9 @@ def sheet(points: ArrayLike, closed_rows: bool = False, closed_columns: bool = F
 
 
 def with_normals(vertices: Floats, faces: Ints) -> Mesh:
-    """A mesh whose vertex normals are the area-weighted means of the faces around; empty triangles are dropped."""
+    """A mesh whose vertex normals are the area-weighted means of the faces around; empty triangles are
+    dropped.
+    """
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     face_normals = np.cross(b - a, c - a)
     kept = np.linalg.norm(face_normals, axis=1) > 1e-12
@@ -115,8 +117,8 @@ def lathe(profile: ArrayLike, segments: int = 32) -> Mesh:
     """A surface of revolution about z.
 
     Args:
-        profile: [P, 2] radius and height, in the order that keeps the solid on the left (bottom centre, outside
-            upwards, top centre). A point given twice is a sharp edge.
+        profile: [P, 2] radius and height, in the order that keeps the solid on the left (bottom centre,
+            outside upwards, top centre). A point given twice is a sharp edge.
         segments: corners of the circle.
     """
     points = np.asarray(profile, float)
@@ -151,7 +153,9 @@ def cylinder(
 def ellipsoid(
     radii: float | ArrayLike, centre: ArrayLike = (0, 0, 0), segments: int = 24, power: float = 1.0
 ) -> Mesh:
-    """An ellipsoid with the given radii (one number or three); ``power`` below 1 squares it off like a cushion."""
+    """An ellipsoid with the given radii (one number or three); ``power`` below 1 squares it off like a
+    cushion.
+    """
     tilt = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)[None, :]
     turn = (np.arange(segments) * (2 * np.pi / segments))[:, None]
 

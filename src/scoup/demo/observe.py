@@ -1,13 +1,14 @@
 """What a segmenter and an image encoder would make of the photographs, simulated from the true part maps.
 
-Regions. The truth at each level is cut into connected pieces, and all their borders are moved by smooth noise of
-one to two pixels. Of the regions 6 % are missing, 12 % grown or shrunk by some pixels, 4 % merged with a neighbour
-and 5 % split in two (15 % at the fine level). Small ones are dropped.
+Regions. The truth at each level is cut into connected pieces, and all their borders are moved by smooth
+noise of one to two pixels. Of the regions 6 % are missing, 12 % grown or shrunk by some pixels, 4 % merged
+with a neighbour and 5 % split in two (15 % at the fine level). Small ones are dropped.
 
-Embeddings. A region's vector is the mixture of the prototypes of what it really shows, by pixels, plus 2-16 % of what
-surrounds it; at the fine level every part has an offset of its own. Noise is added: isotropic, and along differences of
-prototypes (an encoder errs towards other things); part of it belongs to the view and is shared by all regions of an
-object in it. Small regions get more. 10 % of the regions carry the embedding of a neighbour.
+Embeddings. A region's vector is the mixture of the prototypes of what it really shows, by pixels, plus 2-16
+% of what surrounds it; at the fine level every part has an offset of its own. Noise is added: isotropic,
+and along differences of prototypes (an encoder errs towards other things); part of it belongs to the view
+and is shared by all regions of an object in it. Small regions get more. 10 % of the regions carry the
+embedding of a neighbour.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from scoup.demo.masks import Mask, components, grown, shrunk
 from scoup.demo.meshes import Floats
 from scoup.demo.things import Parts
 from scoup.demo.words import Words, unit
@@ -112,7 +114,7 @@ def make_regions(truth: IntMap, level: str, rng: np.random.Generator) -> IntMap:
         if fate[number] < (bound := bound + RESIZED):
             _resize(window, mask, number, scale, rng)
         elif fate[number] < (bound := bound + MERGED):
-            neighbours = window[ndimage.binary_dilation(mask, iterations=2) & ~mask]
+            neighbours = window[grown(mask, 2) & ~mask]
             neighbours = neighbours[neighbours >= 0]
             if len(neighbours):
                 window[mask] = np.bincount(neighbours).argmax()
@@ -142,15 +144,17 @@ def _moved(part_map: IntMap, rng: np.random.Generator) -> IntMap:
     return part_map[take_rows, take_columns]
 
 
-def _pieces(truth: IntMap, smallest: float) -> list[tuple[tuple[slice, ...], NDArray[np.bool_]]]:
-    """The connected pieces of each name that have at least ``smallest`` pixels: window and mask in the window."""
+def _pieces(truth: IntMap, smallest: float) -> list[tuple[tuple[slice, ...], Mask]]:
+    """The connected pieces of each name that have at least ``smallest`` pixels: window and mask in the
+    window.
+    """
     found = []
     for name, box in enumerate(ndimage.find_objects(truth + 1)):
         if box is None:
             continue
-        components, count = ndimage.label(truth[box] == name)
-        sizes = np.bincount(components.ravel(), minlength=count + 1)
-        found += [(box, components == piece) for piece in range(1, count + 1) if sizes[piece] >= smallest]
+        numbers, count = components(truth[box] == name)
+        sizes = np.bincount(numbers.ravel(), minlength=count + 1)
+        found += [(box, numbers == piece) for piece in range(1, count + 1) if sizes[piece] >= smallest]
     return found
 
 
@@ -158,14 +162,12 @@ def _widened(side: slice, margin: int) -> slice:
     return slice(max(0, side.start - margin), side.stop + margin)
 
 
-def _resize(
-    labels: IntMap, mask: NDArray[np.bool_], number: int, scale: float, rng: np.random.Generator
-) -> None:
+def _resize(labels: IntMap, mask: Mask, number: int, scale: float, rng: np.random.Generator) -> None:
     steps = min(7, max(1, round(rng.uniform(2, 5) * scale)))
     if rng.random() < 0.5:
-        labels[ndimage.binary_dilation(mask, iterations=steps)] = number
+        labels[grown(mask, steps)] = number
         return
-    smaller = ndimage.binary_erosion(mask, iterations=steps)
+    smaller = shrunk(mask, steps)
     if smaller.sum() >= LEAST_KEPT:
         labels[mask & ~smaller] = -1
 
@@ -191,7 +193,7 @@ def _embed(labels: IntMap, level: _Level, rng: np.random.Generator) -> Floats:
         rows, columns = boxes[number]
         window = _widened(rows, 6), _widened(columns, 6)
         mask = labels[window] == number
-        around = ndimage.binary_dilation(mask, iterations=5) & ~mask
+        around = grown(mask, 5) & ~mask
         inside = _share(level.truth[window][mask], len(looks))
         outside = _share(level.truth[window][around], len(looks))
         surroundings = rng.uniform(*SURROUNDINGS) if outside.any() else 0.0

@@ -19,7 +19,8 @@ def color(code: str) -> Floats:
 
 
 def smooth_noise(points: Floats, size: float | ArrayLike, seed: int = 0) -> Floats:
-    """[n] smooth noise between -1 and 1 at ``points`` [n, 3], with blobs of about ``size`` (one number or three).
+    """[n] smooth noise between -1 and 1 at ``points`` [n, 3], with blobs of about ``size`` (one number or
+    three).
 
     Random numbers on a lattice, interpolated; the lattice is hashed, so the noise is the same everywhere.
     """
@@ -108,7 +109,9 @@ def checked(code: str, other: str, axes: tuple[int, int], size: float) -> Paint:
 
 
 def wood(code: str, along: int = 0, size: float = 4.0, planks: float = 0.0, contrast: float = 0.16) -> Paint:
-    """Wood grain running along an axis; ``planks`` is the width of boards laid side by side (0: one board)."""
+    """Wood grain running along an axis; ``planks`` is the width of boards laid side by side (0: one
+    board).
+    """
     across = 1 if along == 0 else 0
 
     def paint(points: Floats, normals: Floats) -> Floats:

@@ -1,12 +1,14 @@
-"""Masks as polygons, for label files: what ``PIL.ImageDraw.polygon`` fills, outline included, is the mask again."""
+"""Masks as polygons, for label files: what ``PIL.ImageDraw.polygon`` fills, outline included, is the mask
+again.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-Mask = NDArray[np.bool_]
+from scoup.demo.masks import Mask, components, filled
+
 Polygon = list[tuple[int, int]]
 
 # Eight neighbours (row, column), clockwise from the left.
@@ -19,11 +21,11 @@ def mask_polygons(mask: Mask) -> list[tuple[Polygon, tuple[int, int, int, int]]]
     A piece with a hole is cut in two at the hole's row, as a polygon cannot have one.
 
     Returns:
-        For each polygon its corners, and the box (x0, y0, x1, y1) around the connected piece it is of, corners
-        inside the piece.
+        For each polygon its corners, and the box (x0, y0, x1, y1) around the connected piece it is of,
+        corners inside the piece.
     """
     polygons = []
-    pieces, count = ndimage.label(mask)
+    pieces, count = components(mask)
     for number, box in enumerate(ndimage.find_objects(pieces, count), start=1):
         rows, columns = box
         outer = (columns.start, rows.start, columns.stop - 1, rows.stop - 1)
@@ -36,23 +38,24 @@ def mask_polygons(mask: Mask) -> list[tuple[Polygon, tuple[int, int, int, int]]]
 def _without_holes(mask: Mask) -> list[Mask]:
     """The connected pieces of a mask, cut into parts that have no holes; all of the mask's shape."""
     done: list[Mask] = []
-    pieces, count = ndimage.label(mask)
+    pieces, count = components(mask)
     left = [pieces == number for number in range(1, count + 1)]
     while left:
         piece = left.pop()
-        holes = ndimage.binary_fill_holes(piece) & ~piece
+        holes = filled(piece) & ~piece
         if not holes.any():
             done.append(piece)
             continue
         cut = int(np.nonzero(holes)[0][0])
         for half in (np.arange(len(piece)) <= cut, np.arange(len(piece)) > cut):
-            labels, count = ndimage.label(piece & half[:, None])
+            labels, count = components(piece & half[:, None])
             left += [labels == number for number in range(1, count + 1)]
     return done
 
 
 def _rim(mask: Mask) -> Polygon:
-    """Corners (x, y) of the rim of one connected piece [H, W], clockwise (Moore's tracing); straight runs are one
+    """Corners (x, y) of the rim of one connected piece [H, W], clockwise (Moore's tracing); straight runs
+    are one
     edge."""
     padded = np.pad(mask, 1)
     rows, columns = np.nonzero(padded)

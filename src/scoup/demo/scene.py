@@ -1,8 +1,8 @@
 """The demo scene: a splat, cameras, regions, words and the truth about them, made from nothing but a seed.
 
-Geometry, colours and cameras are made first; what each pixel truly shows follows from the geometry by ray (a z-buffer
-over the meshes). Regions and embeddings are simulated from that truth (``observe``, ``words``). The rasteriser and the
-method have no part in any of it.
+Geometry, colours and cameras are made first; what each pixel truly shows follows from the geometry by ray
+(a z-buffer over the meshes). Regions and embeddings are simulated from that truth (``observe``, ``words``).
+The rasteriser and the method have no part in any of it.
 """
 
 from __future__ import annotations
@@ -131,8 +131,8 @@ def make_demo_scene(
     """
     if n_gaussians < 2000 or min(width, height) < 32 or n_building < 1 or n_held_out < 0:
         raise InputError(
-            f"a demo scene needs at least 2000 Gaussians, 32 x 32 pixels and one view, not {n_gaussians} Gaussians, "
-            f"{width} x {height} pixels and {n_building} views"
+            "a demo scene needs at least 2000 Gaussians, 32 x 32 pixels and one view, "
+            f"not {n_gaussians} Gaussians, {width} x {height} pixels and {n_building} views"
         )
     # A generator for each trade: changing how one draws leaves the others as they are.
     for_cameras, for_splat, for_words, for_regions = (

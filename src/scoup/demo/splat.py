@@ -1,4 +1,6 @@
-"""From painted meshes to Gaussians: flat discs that cover the surfaces, as a trained splat would have them."""
+"""From painted meshes to Gaussians: flat discs that cover the surfaces, as a trained splat would have
+them.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from scoup.demo.lighting import lit
@@ -15,6 +17,7 @@ from scoup.demo.things import Parts, Piece, Thing
 from scoup.gaussians import Gaussians
 
 SH_C0 = 0.28209479177387814
+DISTANCES = (0.8, 0.65, 0.5)  # least distance of discs, as a share of the mean: tried in this order
 OVERSAMPLING = 6  # candidates for each Gaussian kept
 SPREAD = 0.68  # standard deviation of a disc, as a share of the mean distance between discs
 COARSE_SPREAD = (
@@ -74,8 +77,8 @@ def make_splat(
         n_gaussians: how many; at least a few a piece.
         rng: all randomness.
         lamp: [3] position of the lamp, metres.
-        seen: [F] boolean, the faces of ``Surface.of(things, parts)`` that some photograph shows. Faces far from
-            these stay bare: training puts no Gaussians where no photograph looks. None covers everything.
+        seen: [F] boolean, the faces of ``Surface.of(things, parts)`` that some photograph shows. Faces far
+            from these stay bare: training puts no Gaussians where no photograph looks. None covers all.
         shell: names of things that throw no shadow (the room's own walls).
         n_directions: light directions, see ``lighting.lit``.
     """
@@ -148,7 +151,8 @@ def _cover(
 
 
 def _around(mesh: Mesh, seen: np.ndarray, size: float) -> Mesh:
-    """The faces seen, and the small ones around them, two steps far: a small face may fall between all pixels.
+    """The faces seen, and the small ones around them, two steps far: a small face may fall between all
+    pixels.
 
     ``size``: metres per unit of the mesh.
     """
@@ -184,8 +188,7 @@ def _cover_piece(
 def evenly(mesh: Mesh, count: int, spacing: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """``count`` points spread evenly over a mesh, and their normals, both [count, 3].
 
-    Candidates are thinned so that (almost) none has a neighbour nearer than 0.8 ``spacing``: random points would
-    leave holes.
+    Candidates are thinned until (almost) none has a near neighbour: random points would leave holes.
     """
     areas = mesh.face_areas()
     drawn = (np.arange(count * OVERSAMPLING) + rng.random(count * OVERSAMPLING)) / (count * OVERSAMPLING)
@@ -202,14 +205,21 @@ def evenly(mesh: Mesh, count: int, spacing: float, rng: np.random.Generator) -> 
     shuffled = rng.permutation(len(face))
     points, normals = points[shuffled], normals[shuffled]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    apart = _thinned(points, 0.8 * spacing)
-    chosen = np.concatenate([np.flatnonzero(apart), np.flatnonzero(~apart)])[:count]
-    return points[chosen], normals[chosen]
+    for distance in DISTANCES:
+        # What was apart so far stays: the order decides, and those are now first.
+        apart = _thinned(points, distance * spacing)
+        order = np.concatenate([np.flatnonzero(apart), np.flatnonzero(~apart)])
+        points, normals = points[order], normals[order]
+        if apart.sum() >= count:
+            break
+    return points[:count], normals[:count]
 
 
 def _thinned(points: Floats, radius: float) -> np.ndarray:
-    """Boolean [n]: the points kept when each, in order, is dropped if one kept before lies within ``radius``."""
-    pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
+    """Boolean [n]: the points kept when each, in order, is dropped if one kept before lies within
+    ``radius``.
+    """
+    pairs = KDTree(points).query_pairs(radius, output_type="ndarray")
     first, second = pairs.min(1), pairs.max(1)
     kept, undecided = np.zeros(len(points), bool), np.ones(len(points), bool)
     while undecided.any():
@@ -228,7 +238,7 @@ def _rim(points: Floats, normals: Floats, spacing: float) -> Floats:
     """[n, 3] where the neighbours are not: zero inside a surface, a unit vector along it at its very rim."""
     if len(points) <= RIM_NEIGHBOURS:
         return np.zeros_like(points)
-    _, around = cKDTree(points).query(points, RIM_NEIGHBOURS + 1)
+    around = np.asarray(KDTree(points).query(points, RIM_NEIGHBOURS + 1)[1])
     away = points - points[around[:, 1:]].mean(1)
     away -= np.einsum("nd,nd->n", away, normals)[:, None] * normals
     length = np.linalg.norm(away, axis=1, keepdims=True)
@@ -237,7 +247,9 @@ def _rim(points: Floats, normals: Floats, spacing: float) -> Floats:
 
 
 def _quats(normals: Floats, first: Floats) -> Floats:
-    """[n, 4] rotations that turn z onto the normals [n, 3] and x towards ``first`` [n, 3], as far as it can."""
+    """[n, 4] rotations that turn z onto the normals [n, 3] and x towards ``first`` [n, 3], as far as it
+    can.
+    """
     x_axis = first - np.einsum("nd,nd->n", first, normals)[:, None] * normals
     x_axis /= np.linalg.norm(x_axis, axis=1, keepdims=True)
     frame = np.stack([x_axis, np.cross(normals, x_axis), normals], -1)

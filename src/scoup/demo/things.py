@@ -43,7 +43,9 @@ class Thing:
         name: its name, unique in the room.
         pieces: what it is made of.
         group: the larger whole it belongs to; its own name if it stands alone.
-        turn: [3, 3] rotation, ``place``: [3] position in metres, ``size``: metres per centimetre of the pieces.
+        turn: [3, 3] rotation in the room.
+        place: [3] position in metres.
+        size: metres per centimetre of the pieces.
     """
 
     name: str
@@ -123,7 +125,9 @@ class Parts:
         )
 
     def at_level(self, parts: np.ndarray, level: str) -> np.ndarray:
-        """Part numbers (any shape, -1 = nothing) as numbers of level "s" (parts), "m" (objects) or "l" (groups)."""
+        """Part numbers (any shape, -1 = nothing) as numbers of level "s" (parts), "m" (objects) or "l"
+        (groups).
+        """
         lookup = np.arange(len(self.parts))
         if level != "s":
             lookup = self.object_of_part

@@ -13,7 +13,9 @@ WIDEST = 58.0  # degrees: horizontal angle of view
 
 
 def look_at(eye: Floats, target: Floats, name: str, width: int, height: int, angle: float = WIDEST) -> Camera:
-    """A camera at ``eye`` [3] looking at ``target`` [3], z up; ``angle``: horizontal angle of view in degrees."""
+    """A camera at ``eye`` [3] looking at ``target`` [3], z up; ``angle``: horizontal angle of view in
+    degrees.
+    """
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

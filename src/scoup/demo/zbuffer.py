@@ -36,7 +36,7 @@ def visible_faces(vertices: Floats, faces: Ints, camera: Camera) -> NDArray[np.i
     kept = np.flatnonzero(in_front[faces].all(1))
     # Image rows run downwards, so a face that turns anticlockwise seen from outside turns clockwise here.
     nearest, _ = draw(pixels, 1.0 / depth, faces[kept][:, ::-1], camera.width, camera.height)
-    return np.where(nearest >= 0, kept[nearest], -1)
+    return np.append(kept, -1)[nearest]
 
 
 def draw(
@@ -60,7 +60,8 @@ def draw(
     last = np.floor(high - 0.5).clip(-1, (width - 1, height - 1))
     drawn = np.flatnonzero((area > 0) & (first <= last).all(1))
     a, b, c, area, near = a[drawn], b[drawn], c[drawn], area[drawn], nearness[faces[drawn]]
-    # Over a triangle, the share of each corner and so the nearness is affine: slope_x * x + slope_y * y + level.
+    # Over a triangle, the share of each corner and so the nearness is affine: slope_x * x + slope_y * y +
+    # level.
     shares = np.stack([_share(b, c, area), _share(c, a, area), _share(a, b, area)])  # [3 corners, F, 3 terms]
     plane = np.einsum("cft,fc->ft", shares, near)
 
@@ -68,13 +69,14 @@ def draw(
     buffer = np.full(width * height, -1, np.int64)
     for part in np.array_split(np.arange(len(drawn)), 1 + int(rows.sum()) * 8 // CHUNK):
         face, row = _repeated(part, rows[part], first[drawn[part], 1].astype(np.int64))
-        start, end = _span(shares[:, face], row + 0.5, width)
+        start, end = _span(shares[:, face], np.asarray(row + 0.5, np.float64), width)
         kept = start <= end
         face, row, start, end = face[kept], row[kept], start[kept], end[kept]
         line, x = _repeated(np.arange(len(face)), end - start + 1, start)
         slope_x, rest = plane[face, 0], plane[face, 1] * (row + 0.5) + plane[face, 2]
         value = (slope_x[line] * (x + 0.5) + rest[line]).astype(np.float32)
-        # Bits of a positive float grow with its value, so one integer maximum settles depth and face together.
+        # Bits of a positive float grow with its value, so one integer maximum settles depth and face
+        # together.
         key = value.view(np.int32).astype(np.int64) << 32 | drawn[face][line]
         np.maximum.at(buffer, (row * width)[line] + x, key)
     seen = buffer >= 0

@@ -1,4 +1,6 @@
-"""Pictures of answers, drawn with Pillow alone. All functions take arrays or tensors and give [H, W, 3] uint8."""
+"""Pictures of answers, drawn with Pillow alone. All functions take arrays or tensors and give [H, W, 3]
+uint8.
+"""
 
 from scoup.pictures.colors import as_picture, code_basis, code_picture, heat_colors, label_colors
 from scoup.pictures.lettering import captioned

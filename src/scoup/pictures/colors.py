@@ -59,7 +59,7 @@ def heat_colors(amounts: ArrayOrTensor) -> NDArray[np.float64]:
 
 def grey(picture: Picture) -> NDArray[np.float64]:
     """[H, W, 1] lightness 0..255."""
-    return (picture @ _LIGHTNESS)[..., None]
+    return (picture.astype(np.float64) @ _LIGHTNESS)[..., None]
 
 
 def label_colors(count: int) -> Picture:
@@ -80,8 +80,8 @@ def code_basis(codes: ArrayOrTensor) -> tuple[NDArray[np.float64], NDArray[np.fl
         codes: [..., L] rendered codes; all-zero rows are left out.
 
     Returns:
-        [L + 1, 3] an affine map from codes to three principal components (the last row is added), and [2, 3] their
-        ranges.
+        [L + 1, 3] an affine map from codes to three principal components (the last row is added), and [2,
+        3] their ranges.
     """
     rows = as_array(codes).reshape(-1, codes.shape[-1]).astype(np.float64)
     rows = rows[(rows != 0).any(1)]
@@ -118,7 +118,8 @@ def code_basis(codes: ArrayOrTensor) -> tuple[NDArray[np.float64], NDArray[np.fl
 def code_picture(
     codes: ArrayOrTensor, basis: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 ) -> Picture:
-    """Codes as colours: their three principal components as red, green and blue. Alike colours mean alike codes.
+    """Codes as colours: their three principal components as red, green and blue. Alike colours mean alike
+    codes.
 
     Args:
         codes: [H, W, L], for example one level of ``render_codes``.

@@ -25,7 +25,9 @@ def text_width(text: str, face: Font) -> int:
 
 
 def fitted(text: str, width: int, size: float) -> tuple[str, Font]:
-    """The text and a font such that it is at most ``width`` pixels wide: smaller first, then shortened with dots."""
+    """The text and a font such that it is at most ``width`` pixels wide: smaller first, then shortened with
+    dots.
+    """
     while size > SMALLEST_FONT and text_width(text, font(size)) > width:
         size -= 1
     face = font(size)

@@ -33,16 +33,17 @@ def heat_map(
     score: float | None = None,
     span: tuple[float, float] | None = None,
 ) -> Picture:
-    """A relevancy map over the greyed colour render. Low relevancy is see-through; a legend gives the numbers.
+    """A relevancy map over the greyed colour render. Low relevancy is see-through; a legend gives the
+    numbers.
 
     Args:
         relevancy: [H, W].
         rgb: [H, W, 3] float 0..1 or uint8.
-        query: the text asked for, written above.
+        query: the text asked for, written above; no strip if there is neither text, level nor score.
         level: the level shown, for example "m".
         score: written beside the level.
-        span: relevancy at the two ends of the colours; by default from the median of the map (at least half of
-            the picture stays clear) to its maximum.
+        span: relevancy at the two ends of the colours; by default from the median of the map (at least half
+            of the picture stays clear) to its maximum.
 
     Returns:
         [H + two strips, max(W, 120), 3] uint8.
@@ -61,8 +62,14 @@ def heat_map(
     opacity = STRONGEST * _presence(amounts)[..., None]
     shown = BACKDROP * grey(picture) * (1 - opacity) + heat_colors(amounts) * opacity
     remark = ", ".join(part for part in (f"level {level}" if level else "", _number(score)) if part)
-    titled = captioned(shown.astype(np.uint8), query or "relevancy", remark)
-    return np.concatenate([titled, _legend(titled.shape[1], low, high)])
+    drawn = shown.astype(np.uint8)
+    titled = captioned(drawn, query or "relevancy", remark) if query or remark else drawn
+    legend = _legend(titled.shape[1], low, high)
+    if legend.shape[1] > titled.shape[1]:
+        margin = legend.shape[1] - titled.shape[1]
+        sides = ((0, 0), (margin // 2, margin - margin // 2), (0, 0))
+        titled = np.pad(titled, sides)
+    return np.concatenate([titled, legend])
 
 
 def mask_overlay(
@@ -94,7 +101,8 @@ def mask_overlay(
     _check_size(inside, picture, "mask")
     shown = np.where(inside[..., None], picture * 0.55 + np.array(color) * 0.45, picture * 0.72)
     width = max(1, round(picture.shape[1] / 320))
-    rim = inside & ~ndimage.binary_erosion(inside, iterations=width, border_value=1)
+    core = np.asarray(ndimage.binary_erosion(inside, iterations=width, border_value=1), bool)
+    rim = inside & ~core
     shown[rim] = np.minimum(np.array(color) * 0.75 + 64, 255)
     canvas = Image.fromarray(shown.astype(np.uint8))
     draw = ImageDraw.Draw(canvas)
@@ -108,7 +116,8 @@ def mask_overlay(
 
 
 def region_overlay(labels: ArrayOrTensor, rgb: ArrayOrTensor, opacity: float = 0.6) -> Picture:
-    """Regions in different colours over the greyed render, with dark borders; pixels without a region stay grey.
+    """Regions in different colours over the greyed render, with dark borders; pixels without a region stay
+    grey.
 
     Args:
         labels: [H, W] integers, -1 for no region.
@@ -154,7 +163,9 @@ def _number(score: float | None) -> str:
 
 
 def _legend(width: int, low: float, high: float) -> Picture:
-    """[strip, width, 3]: the colours, with the relevancy at both ends and, where there is room, in the middle."""
+    """[strip, width, 3]: the colours, with the relevancy at both ends and, where there is room, in the
+    middle.
+    """
     width = max(width, LEAST_WIDTH)
     height = strip_height(width)
     canvas = Image.new("RGB", (width, height), PAPER)

@@ -2,7 +2,7 @@
 
 A tile's Gaussians are taken front to back in chunks. For one chunk the blending weights of G Gaussians at P
 pixels are a matrix E [G, P]; rendering is E^T @ values, and the region sums are E @ one-hot(regions). Several
-tiles go through together so that each torch call has enough to do; memory is bounded by TILES x CHUNK x P.
+tiles are blended together so that each torch call has enough to do; what a tile needs is then one matrix product.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes, cosines_from_codes
+from scoup.codes import SparseCodes, cosines_from_products
 from scoup.gaussians import Gaussians
 from scoup.raster.binning import Bins, bin_to_tiles
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
@@ -120,14 +120,10 @@ def add_codes(
 def render_channels(view: ReferenceView, values: Tensor) -> tuple[Tensor, Tensor]:
     """See ``raster.render_channels``."""
     channels = values.shape[1]
-    extended = torch.cat([values, torch.ones_like(values[:, :1])], 1)  # the last channel sums to alpha
     tiles = _empty_tiles(view, channels + 1, values.device)
-    for batch in _batches(view):
-        painted = torch.zeros(len(batch.tiles), view.bins.tile**2, channels + 1, device=values.device)
-        for slots, ranks, weights in _blend(view, batch):
-            chunk = extended[view.projection.ids[ranks]]
-            painted[slots] += torch.bmm(weights.transpose(1, 2), chunk)
-        tiles[batch.tiles] = painted
+    for tile, ids, weights in _tile_weights(view):
+        tiles[tile, :, :channels] = weights.T @ values[ids]
+        tiles[tile, :, channels] = weights.sum(0)
     image = _from_tiles(tiles, view)
     return image[..., :channels], image[..., channels]
 
@@ -136,8 +132,8 @@ def render_codes(view: ReferenceView, indices: Tensor, weights: Tensor, n_atoms:
     """See ``raster.render_codes``."""
     levels = indices.shape[1]
     tiles = _empty_tiles(view, levels * n_atoms, weights.device)
-    for batch in _batches(view):
-        tiles[batch.tiles] = _render_codes_batch(view, batch, indices, weights, n_atoms)
+    for tile, ids, blending in _tile_weights(view):
+        tiles[tile] = blending.T @ _dense_codes(indices[ids], weights[ids], n_atoms)
     image = _from_tiles(tiles, view)
     return image.reshape(view.height, view.width, levels, n_atoms).permute(2, 0, 1, 3).contiguous()
 
@@ -148,12 +144,13 @@ def render_cosines(
     """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
     levels, n_atoms, _ = codebook.shape
     count = len(queries)
+    scores, grams = codebook @ queries.T, codebook @ codebook.transpose(1, 2)
     tiles = _empty_tiles(view, levels * count, weights.device)
-    for batch in _batches(view):
-        painted = _render_codes_batch(view, batch, indices, weights, n_atoms)
-        by_level = painted.view(*painted.shape[:2], levels, n_atoms)
-        cosines = [cosines_from_codes(by_level[:, :, s], codebook[s], queries) for s in range(levels)]
-        tiles[batch.tiles] = torch.cat(cosines, 2)
+    for tile, ids, blending in _tile_weights(view):
+        painted = blending.T @ _dense_codes(indices[ids], weights[ids], n_atoms)
+        by_level = painted.view(-1, levels, n_atoms).transpose(0, 1)
+        cosines = cosines_from_products(by_level, scores, grams)  # [S, P, Q]
+        tiles[tile] = cosines.transpose(0, 1).flatten(1)
     image = _from_tiles(tiles, view).reshape(view.height, view.width, levels, count)
     return image.permute(2, 3, 0, 1).contiguous()
 
@@ -176,6 +173,20 @@ def _batches(view: ReferenceView) -> Iterator[_Batch]:
     for first in range(0, len(order), TILES):
         tiles = order[first : first + TILES]
         yield _Batch(tiles, starts[tiles], starts[tiles + 1])
+
+
+def _tile_weights(view: ReferenceView) -> Iterator[tuple[int, Tensor, Tensor]]:
+    """Tile by tile (tile, ids [G], weights [G, P]): the Gaussians that paint it and how much of each pixel."""
+    for batch in _batches(view):
+        parts = []
+        for slots, ranks, weights in _blend(view, batch):
+            painting = torch.nonzero(weights.amax(2), as_tuple=True)
+            parts.append((slots[painting[0]], ranks[painting], weights[painting]))
+        slots, ranks, weights = (torch.cat(items) for items in zip(*parts, strict=True))
+        order = torch.argsort(slots, stable=True)  # chunks come front to back, so each tile stays front to back
+        ids, weights = view.projection.ids[ranks[order]], weights[order]
+        counts = torch.bincount(slots, minlength=len(batch.tiles)).tolist()
+        yield from zip(batch.tiles.tolist(), ids.split(counts), weights.split(counts), strict=True)
 
 
 def _blend(view: ReferenceView, batch: _Batch) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
@@ -240,20 +251,12 @@ def _alpha(view: ReferenceView, tiles: Tensor, ranks: Tensor, valid: Tensor) -> 
     return alpha.flatten(2)
 
 
-def _render_codes_batch(
-    view: ReferenceView, batch: _Batch, indices: Tensor, weights: Tensor, n_atoms: int
-) -> Tensor:
-    """[T, P, S * L] rendered coefficients of a batch of tiles."""
-    levels = indices.shape[1]
+def _dense_codes(indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
+    """[G, S * L] of sparse codes [G, S, K]."""
+    count, levels, _ = indices.shape
     offsets = torch.arange(levels, device=indices.device)[:, None] * n_atoms
-    painted = torch.zeros(len(batch.tiles), view.bins.tile**2, levels * n_atoms, device=weights.device)
-    for slots, ranks, blending in _blend(view, batch):
-        ids = view.projection.ids[ranks.reshape(-1)]
-        dense = torch.zeros(len(ids), levels * n_atoms, device=weights.device)
-        columns = indices[ids].long() + offsets
-        dense.scatter_add_(1, columns.flatten(1), weights[ids].float().flatten(1))
-        painted[slots] += torch.bmm(blending.transpose(1, 2), dense.view(*ranks.shape, -1))
-    return painted
+    dense = torch.zeros(count, levels * n_atoms, device=weights.device)
+    return dense.scatter_add_(1, (indices.long() + offsets).flatten(1), weights.float().flatten(1))
 
 
 def _one_hot_columns(keys: Tensor, n_keys: int) -> tuple[Tensor, Tensor]:

@@ -1,0 +1,66 @@
+"""The demo's contact sheet: what was asked, what is true, what was found."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from scoup.demo.run import METHOD, DemoResult, rows_by_name
+from scoup.evaluate.lerf_ovs import PairScore
+from scoup.pictures import contact_sheet, heat_map, mask_overlay
+from scoup.pictures.colors import Picture
+from scoup.query import localize, segment
+from scoup.raster import render_colors
+
+TRUTH_COLOR = (70, 200, 110)
+FAVOURITES = ("teapot", "rubber duck", "fruit bowl", "alarm clock", "sunflowers")  # shown if they are in sight
+
+
+def query_sheet(result: DemoResult) -> Picture:
+    """Rows of truth, relevancy and mask: some favourites, and the worst answer of all, so that nobody is misled.
+
+    Each name is shown in the view where its score is the median of its views, not the best.
+    """
+    pairs = [pair for name in names_to_show(result) if (pair := _median_pair(result, name)) is not None]
+    tiles: list[Picture] = []
+    titles: list[str] = []
+    remarks: list[str] = []
+    for pair in pairs:
+        truth, heat, found = _row(result, pair)
+        tiles += [truth, heat, found]
+        level = result.field.levels[pair.level]
+        titles += [f'"{pair.label}": truth', "relevancy", "found"]
+        remarks += [pair.frame, f"level {level}", f"IoU {pair.iou:.2f}"]
+    score = result.scores[METHOD]
+    heading = f"{len(score.pairs)} questions in held-out views: mIoU {score.miou:.2f}, localisation {score.accuracy:.0%}"
+    footer = (
+        "Scene, regions and embeddings are simulated; the truth comes from the scene's geometry. Each name in its view of "
+        "median score. The last row is the worst answer of the run."
+    )
+    return contact_sheet(tiles, titles, columns=3, width=1200, heading=heading, footer=footer, remarks=remarks)
+
+
+def names_to_show(result: DemoResult) -> list[str]:
+    """Favourites in sight (or the best answered), then the name answered worst."""
+    rows = rows_by_name(result)
+    known = {row.name for row in rows}
+    chosen = [name for name in FAVOURITES if name in known] or [row.name for row in rows[:4]]
+    worst = rows[-1].name
+    return [name for name in chosen if name != worst] + [worst]
+
+
+def _median_pair(result: DemoResult, name: str) -> PairScore | None:
+    pairs = sorted((pair for pair in result.scores[METHOD].pairs if pair.label == name), key=lambda pair: pair.iou)
+    return pairs[len(pairs) // 2] if pairs else None
+
+
+def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture]:
+    scene, field = result.scene, result.field
+    camera = scene.held_out[pair.frame]
+    view = field.look(camera)
+    rgb = render_colors(field.gaussians, camera, view)
+    maps: Tensor = field.relevancy(camera, scene.text_vectors([pair.label]), scene.canonical, view)[:, 0]
+    shape, place = segment(maps), localize(maps)
+    truth = mask_overlay(scene.mask(camera.name, pair.label), rgb, color=TRUTH_COLOR)
+    heat = heat_map(maps[shape.level], rgb, pair.label, field.levels[shape.level], shape.score)
+    found = mask_overlay(shape.mask, rgb, shape.box, place.pixel)
+    return truth, heat, found
