@@ -21,22 +21,14 @@ def query_sheet(result: DemoResult) -> Picture:
     Each name is shown in the view where its score is the median of its views, not the best.
     """
     pairs = [pair for name in names_to_show(result) if (pair := _median_pair(result, name)) is not None]
-    tiles: list[Picture] = []
-    titles: list[str] = []
-    remarks: list[str] = []
-    for pair in pairs:
-        truth, heat, found = _row(result, pair)
-        tiles += [truth, heat, found]
-        level = result.field.levels[pair.level]
-        titles += [f'"{pair.label}": truth', "relevancy", "found"]
-        remarks += [pair.frame, f"level {level}", f"IoU {pair.iou:.2f}"]
+    tiles = [tile for pair in pairs for tile in _row(result, pair)]
     score = result.scores[METHOD]
     heading = f"{len(score.pairs)} questions in held-out views: mIoU {score.miou:.2f}, localisation {score.accuracy:.0%}"
     footer = (
         "Scene, regions and embeddings are simulated; the truth comes from the scene's geometry. Each name in its view of "
         "median score. The last row is the worst answer of the run."
     )
-    return contact_sheet(tiles, titles, columns=3, width=1200, heading=heading, footer=footer, remarks=remarks)
+    return contact_sheet(tiles, columns=3, width=1200, heading=heading, footer=footer)
 
 
 def names_to_show(result: DemoResult) -> list[str]:
@@ -60,7 +52,9 @@ def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture
     rgb = render_colors(field.gaussians, camera, view)
     maps: Tensor = field.relevancy(camera, scene.text_vectors([pair.label]), scene.canonical, view)[:, 0]
     shape, place = segment(maps), localize(maps)
-    truth = mask_overlay(scene.mask(camera.name, pair.label), rgb, color=TRUTH_COLOR)
-    heat = heat_map(maps[shape.level], rgb, pair.label, field.levels[shape.level], shape.score)
-    found = mask_overlay(shape.mask, rgb, shape.box, place.pixel)
+    truth = mask_overlay(
+        scene.mask(camera.name, pair.label), rgb, label=f'"{pair.label}"', remark=f"truth, {pair.frame}", color=TRUTH_COLOR
+    )
+    heat = heat_map(maps[shape.level], rgb, "relevancy", field.levels[shape.level], shape.score)
+    found = mask_overlay(shape.mask, rgb, shape.box, place.pixel, "found", f"IoU {pair.iou:.2f}")
     return truth, heat, found
