@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import sys
 from typing import Annotated
 
@@ -11,6 +13,7 @@ from scoup.cli.build import Build
 from scoup.cli.console import Console, run_verb
 from scoup.cli.demo import Demo
 from scoup.cli.info import Info
+from scoup.cli.options import Common
 from scoup.cli.query import Query
 from scoup.cli.render import Render
 from scoup.cli.select import Select
@@ -30,8 +33,10 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup build SCENE --gaussians point_cloud.ply --out scene.scoup
   scoup query scene.scoup "kettle" "wooden table" --camera all
   scoup select scene.scoup "kettle" --out kettle.ply
+  scoup render scene.scoup --what codes --camera all
+  scoup info scene.scoup
 
-Exit codes: 0 done, 1 a fault of the program, 2 bad input, 130 interrupted."""
+`scoup VERB --help` explains a verb. Exit codes: 0 done, 1 a fault of the program, 2 bad input, 130 interrupted."""
 
 
 def run(arguments: list[str]) -> int:
@@ -41,20 +46,41 @@ def run(arguments: list[str]) -> int:
 
         print(f"scoup {__version__}")
         return 0
-    verb = tyro.cli(
-        Verb,  # pyright: ignore[reportArgumentType]
-        prog="scoup",
-        description=DESCRIPTION,
-        args=arguments or ["--help"],
-        config=(tyro.conf.FlagCreatePairsOff,),
-        compact_help=False,
-    )
+    for_machines = "--json" in arguments
+    refusal = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(refusal) if for_machines else contextlib.nullcontext():
+            verb = tyro.cli(
+                Verb,  # pyright: ignore[reportArgumentType]
+                prog="scoup",
+                description=DESCRIPTION,
+                args=arguments or ["--help"],
+                config=(tyro.conf.FlagCreatePairsOff,),
+                compact_help=False,
+            )
+    except SystemExit as stop:
+        code = stop.code if isinstance(stop.code, int) else 0
+        return Console(Common(as_json=True)).fail(_in_one_line(refusal.getvalue()), code) if for_machines and code else code
     return run_verb(verb, verb, verb.run)
 
 
 def entry() -> None:
     """The console script."""
-    sys.exit(run(sys.argv[1:]))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # File names and texts may hold letters that the terminal's encoding lacks.
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:  # before a verb has begun
+        code = 130
+    sys.exit(code)
+
+
+def _in_one_line(box: str) -> str:
+    """What the parser says in a frame of several lines."""
+    lines = [line.strip("│ ") for line in box.splitlines() if not line.startswith(("╭", "╰"))]
+    return " ".join(" ".join(line for line in lines if line.strip("─ ")).split())
 
 
 __all__ = ["Console", "entry", "run"]

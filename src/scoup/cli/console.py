@@ -3,38 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
-
+from scoup.cli.options import Common as Common
+from scoup.cli.options import WritesCommon as WritesCommon
 from scoup.errors import ScoupError, ScoupWarning
 from scoup.progress import Progress, no_progress
 
-
-@dataclass(frozen=True)
-class Common:
-    """Options every verb takes."""
-
-    device: str = "cpu"
-    """Where tensors live: cpu, or cuda where torch has a GPU."""
-    quiet: bool = False
-    """Print nothing but warnings and errors."""
-    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False
-    """Print one JSON object on standard output instead of text, for other programs."""
-
-
-@dataclass(frozen=True)
-class WritesCommon(Common):
-    """Options of verbs that write files."""
-
-    overwrite: bool = False
-    """Replace outputs that are already there."""
+_OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
 
 
 class Console:
@@ -49,8 +31,14 @@ class Console:
 
     def say(self, *parts: Any) -> None:
         """Print a line, or a rich table, for people."""
-        if not self.common.quiet and not self.common.as_json:
-            self._rich().print(*parts, highlight=False, soft_wrap=True)
+        if self.common.quiet or self.common.as_json:
+            return
+        if all(isinstance(part, str) for part in parts):
+            print(*parts)  # as it stands: file names and texts may look like rich's markup
+            return
+        from rich.console import Console as RichConsole
+
+        RichConsole().print(*parts, highlight=False, soft_wrap=True)
 
     def result(self, record: dict[str, Any]) -> None:
         """Print the machine-readable result, if asked for."""
@@ -60,8 +48,17 @@ class Console:
             print(json.dumps(record, indent=2, default=_plain))
 
     def warn(self, message: str) -> None:
-        self.warnings.append(message)
-        print(f"warning: {message}", file=sys.stderr)
+        """Print a warning, once however often it comes, and keep it for the JSON result."""
+        if message not in self.warnings:
+            self.warnings.append(message)
+            print(f"warning: {message}", file=sys.stderr)
+
+    def fail(self, message: str, code: int) -> int:
+        """Print an error as one line, and in the JSON result; returns the exit code."""
+        message = " ".join(message.splitlines())
+        print(f"error: {message}", file=sys.stderr)
+        self.result({"error": message})
+        return code
 
     @contextmanager
     def progress(self) -> Iterator[Progress]:
@@ -73,7 +70,12 @@ class Console:
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
 
-        columns = (TextColumn("{task.description:<14}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        columns = (
+            TextColumn("{task.description:<14}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+        )
         with Bars(*columns, console=RichConsole(stderr=True)) as bars:
             tasks: dict[str, Any] = {}
 
@@ -83,11 +85,6 @@ class Console:
                 bars.update(tasks[stage], completed=done, total=total)
 
             yield report
-
-    def _rich(self) -> Any:
-        from rich.console import Console as RichConsole
-
-        return RichConsole()
 
 
 def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
@@ -110,13 +107,24 @@ def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
         try:
             check_device(common.device)
             run(console)
+            sys.stdout.flush()
             return 0
         except ScoupError as error:
-            return _fail(console, str(error), 2)
+            return console.fail(str(error), 2)
         except KeyboardInterrupt:
-            return _fail(console, "interrupted", 130)
+            return console.fail("interrupted", 130)
         except MemoryError:
-            return _fail(console, "not enough memory; use fewer or smaller views, or a machine with more", 2)
+            return console.fail(_OUT_OF_MEMORY, 2)
+        except BrokenPipeError:  # whoever read the output, such as head, has seen enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except OSError as error:  # a full disk, a file that vanished: the system's refusals, not faults of ours
+            where = f"{error.filename}: " if error.filename else ""
+            return console.fail(f"{where}the system refused ({error.strerror or error}); mend it and try again", 2)
+        except RuntimeError as error:
+            if "allocate" not in str(error) and "out of memory" not in str(error):
+                raise
+            return console.fail(_OUT_OF_MEMORY, 2)  # as torch tells it
 
 
 def check_device(device: str) -> None:
@@ -128,36 +136,12 @@ def check_device(device: str) -> None:
     from scoup.errors import InputError
 
     try:
-        usable = torch.device(device).type == "cuda" and torch.cuda.is_available()
+        wanted = torch.device(device)
+        usable = wanted.type == "cuda" and (wanted.index or 0) < torch.cuda.device_count()
     except RuntimeError:
         usable = False
     if not usable:
         raise InputError(f"--device {device}: this torch ({torch.__version__}) has no such device; use cpu")
-
-
-def slug(text: str) -> str:
-    """A file name for a text: letters, digits and dashes."""
-    kept = "".join(char if char.isalnum() else "-" for char in text.lower()).strip("-")
-    while "--" in kept:
-        kept = kept.replace("--", "-")
-    return kept[:60] or "text"
-
-
-def unique_slugs(texts: list[str]) -> list[str]:
-    """Slugs that differ even where the texts' letters do not."""
-    seen: dict[str, int] = {}
-    names = []
-    for text in texts:
-        name = slug(text)
-        seen[name] = seen.get(name, 0) + 1
-        names.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
-    return names
-
-
-def _fail(console: Console, message: str, code: int) -> int:
-    print(f"error: {message}", file=sys.stderr)
-    console.result({"error": message})
-    return code
 
 
 def _plain(value: Any) -> Any:

@@ -76,7 +76,7 @@ def region_weights(view: ReferenceView, labels: Tensor) -> tuple[Tensor, Tensor,
     levels = labels.shape[0]
     stride = int(labels.max()) + 1 if labels.numel() else 0
     found: list[tuple[Tensor, Tensor, Tensor]] = []
-    tiled = _to_tiles(labels, view.bins, fill=-1)  # [tiles, S, P]
+    tiled = to_tiles(labels.long(), view.bins, fill=-1)  # [tiles, S, P]
     offsets = torch.arange(levels, device=labels.device)[:, None] * stride
     for batch in _batches(view):
         keys = torch.where(tiled[batch.tiles] >= 0, tiled[batch.tiles] + offsets, -1)  # [T, S, P]
@@ -121,7 +121,7 @@ def render_channels(view: ReferenceView, values: Tensor) -> tuple[Tensor, Tensor
     """See ``raster.render_channels``."""
     channels = values.shape[1]
     tiles = _empty_tiles(view, channels + 1, values.device)
-    for tile, ids, weights in _tile_weights(view):
+    for tile, ids, weights in tile_weights(view):
         tiles[tile, :, :channels] = weights.T @ values[ids]
         tiles[tile, :, channels] = weights.sum(0)
     image = _from_tiles(tiles, view)
@@ -132,7 +132,7 @@ def render_codes(view: ReferenceView, indices: Tensor, weights: Tensor, n_atoms:
     """See ``raster.render_codes``."""
     levels = indices.shape[1]
     tiles = _empty_tiles(view, levels * n_atoms, weights.device)
-    for tile, ids, blending in _tile_weights(view):
+    for tile, ids, blending in tile_weights(view):
         tiles[tile] = blending.T @ _dense_codes(indices[ids], weights[ids], n_atoms)
     image = _from_tiles(tiles, view)
     return image.reshape(view.height, view.width, levels, n_atoms).permute(2, 0, 1, 3).contiguous()
@@ -146,7 +146,7 @@ def render_cosines(
     count = len(queries)
     scores, grams = codebook @ queries.T, codebook @ codebook.transpose(1, 2)
     tiles = _empty_tiles(view, levels * count, weights.device)
-    for tile, ids, blending in _tile_weights(view):
+    for tile, ids, blending in tile_weights(view):
         painted = blending.T @ _dense_codes(indices[ids], weights[ids], n_atoms)
         by_level = painted.view(-1, levels, n_atoms).transpose(0, 1)
         cosines = cosines_from_products(by_level, scores, grams)  # [S, P, Q]
@@ -175,7 +175,7 @@ def _batches(view: ReferenceView) -> Iterator[_Batch]:
         yield _Batch(tiles, starts[tiles], starts[tiles + 1])
 
 
-def _tile_weights(view: ReferenceView) -> Iterator[tuple[int, Tensor, Tensor]]:
+def tile_weights(view: ReferenceView) -> Iterator[tuple[int, Tensor, Tensor]]:
     """Tile by tile (tile, ids [G], weights [G, P]): the Gaussians that paint it and how much of each pixel."""
     for batch in _batches(view):
         parts = []
@@ -298,11 +298,11 @@ def _empty_tiles(view: ReferenceView, channels: int, device: torch.device) -> Te
     return torch.zeros(view.bins.across * view.bins.down, view.bins.tile**2, channels, device=device)
 
 
-def _to_tiles(maps: Tensor, bins: Bins, fill: int) -> Tensor:
-    """[S, H, W] -> [tiles, S, P] int64; pixels beyond the image get ``fill``."""
+def to_tiles(maps: Tensor, bins: Bins, fill: int) -> Tensor:
+    """[S, H, W] -> [tiles, S, P]; pixels beyond the image get ``fill``."""
     levels, height, width = maps.shape
     padded = torch.nn.functional.pad(
-        maps.long(), (0, bins.across * bins.tile - width, 0, bins.down * bins.tile - height), value=fill
+        maps, (0, bins.across * bins.tile - width, 0, bins.down * bins.tile - height), value=fill
     )
     blocks = padded.view(levels, bins.down, bins.tile, bins.across, bins.tile)
     return blocks.permute(1, 3, 0, 2, 4).reshape(bins.across * bins.down, levels, bins.tile**2)

@@ -1,0 +1,125 @@
+"""What the method's shortcuts save on the reference rasteriser: ratios on one view, interleaved in one run.
+
+    python -m benchmarks.reference [--n-gaussians 160000] [--width 480] [--height 360] [--repeats 5] [--out FILE]
+
+Uses the demo scene, so it needs no data. Compared: uplift through region sums against codes per pixel and against
+dense 512-d uplift; cosines by the Gram shortcut against decoding a 512-d feature map.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import torch
+import tyro
+from torch import Tensor
+
+from scoup import raster
+from scoup.codes import SparseCodes
+from scoup.demo import make_demo_scene
+from scoup.raster import reference
+
+
+@dataclass(frozen=True)
+class Arguments:
+    n_gaussians: int = 160_000
+    """Of the demo scene."""
+    width: int = 480
+    """Of the view, in pixels."""
+    height: int = 360
+    """Of the view, in pixels."""
+    repeats: int = 5
+    """Interleaved repetitions; medians are printed."""
+    out: Path | None = None
+    """Where to write the figures as JSON."""
+
+
+def main(arguments: Arguments) -> dict[str, float]:
+    """Time every stage and print the table."""
+    scene = make_demo_scene(0, arguments.n_gaussians, arguments.width, arguments.height, 2, 1)
+    camera, gaussians = scene.building[0], scene.gaussians
+    labels, embeddings = scene.regions.load_view(camera.name, camera.width, camera.height)
+    generator = torch.Generator().manual_seed(0)
+    codes = [SparseCodes.from_dense(torch.rand(len(rows), 64, generator=generator), 4) for rows in embeddings]
+    count = len(gaussians)
+    indices = torch.randint(64, (count, 3, 4), generator=generator, dtype=torch.uint8)
+    weights = torch.rand(count, 3, 4, generator=generator)
+    codebook = torch.randn(3, 64, 512, generator=generator)
+    queries = torch.nn.functional.normalize(torch.randn(5, 512, generator=generator), dim=1)
+    view = raster.look(gaussians, camera)
+    colors = raster.view_colors(gaussians, camera)
+
+    stages: dict[str, Callable[[], object]] = {
+        "look": lambda: raster.look(gaussians, camera),
+        "colour render": lambda: raster.render_channels(view, colors),
+        "uplift, region sums": lambda: raster.uplift_view(view, labels, codes, torch.zeros(count, 3, 64)),
+        "uplift, codes per pixel": lambda: per_pixel_uplift(view, labels, codes, torch.zeros(count, 192)),
+        "uplift, dense 512-d": lambda: dense_uplift(view, labels, embeddings, count),
+        "cosines, Gram shortcut": lambda: raster.render_cosines(view, indices, weights, codebook, queries),
+        "cosines, decoded to 512-d": lambda: decoded_cosines(view, indices, weights, codebook, queries),
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in stages}
+    for _ in range(arguments.repeats):
+        for name, stage in stages.items():
+            started = time.perf_counter()
+            stage()
+            seconds[name].append(time.perf_counter() - started)
+    medians = {name: median(values) for name, values in seconds.items()}
+    print(
+        f"{count:,} Gaussians, {camera.width} x {camera.height}, 3 levels, torch {torch.__version__}, "
+        f"{torch.get_num_threads()} threads; medians of {arguments.repeats}"
+    )
+    print("| stage | ms | relative to the colour render |\n|---|---|---|")
+    for name, value in medians.items():
+        print(f"| {name} | {1e3 * value:.0f} | {value / medians['colour render']:.2f} |")
+    for shortcut, others in (
+        ("uplift, region sums", ("uplift, codes per pixel", "uplift, dense 512-d")),
+        ("cosines, Gram shortcut", ("cosines, decoded to 512-d",)),
+    ):
+        for other in others:
+            print(f"{shortcut}: {medians[other] / medians[shortcut]:.1f} x faster than {other}")
+    if arguments.out is not None:
+        arguments.out.write_text(json.dumps(medians, indent=1))
+    return medians
+
+
+def per_pixel_uplift(view: raster.View, labels: Tensor, codes: list[SparseCodes], out: Tensor) -> None:
+    """The plain form: the code of every pixel, times the weight of every Gaussian there."""
+    dense = [torch.cat([item.to_dense(), torch.zeros(1, item.n_atoms)]) for item in codes]  # last row: no region
+    image = torch.cat([rows[level.long()] for rows, level in zip(dense, labels, strict=True)], 2)
+    _add_image(view, image, out)
+
+
+def dense_uplift(view: raster.View, labels: Tensor, embeddings: list[Tensor], count: int) -> None:
+    """The same with full embeddings instead of codes, level by level."""
+    for rows, level in zip(embeddings, labels, strict=True):
+        image = torch.cat([rows, torch.zeros(1, rows.shape[1])])[level.long()]
+        _add_image(view, image, torch.zeros(count, rows.shape[1]))
+
+
+def _add_image(view: raster.View, image: Tensor, out: Tensor) -> None:
+    """out [N, C] += sum over pixels of e_i(p) * image [H, W, C]."""
+    tiled = reference.to_tiles(image.permute(2, 0, 1), view.bins, fill=0)  # [tiles, C, P]
+    for tile, ids, weights in reference.tile_weights(view):
+        out.index_add_(0, ids, weights @ tiled[tile].T)
+
+
+def decoded_cosines(
+    view: raster.View, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> list[Tensor]:
+    """Coefficient maps written out, decoded to 512 channels, normalised, compared."""
+    maps = raster.render_codes(view, indices, weights, codebook.shape[1])
+    return [
+        torch.nn.functional.normalize(level @ atoms, dim=-1) @ queries.T
+        for level, atoms in zip(maps, codebook, strict=True)
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(0 if main(tyro.cli(Arguments, description=__doc__)) else 1)

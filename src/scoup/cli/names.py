@@ -1,0 +1,28 @@
+"""File names for texts and cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+_MOST_BYTES = 80  # of a name: endings and the marks of temporary files need room too
+
+
+def slug(text: str) -> str:
+    """A file name for a text: letters, digits and dashes."""
+    kept = "".join(char if char.isalnum() else "-" for char in text.lower()).strip("-")
+    while "--" in kept:
+        kept = kept.replace("--", "-")
+    return kept.encode("utf-8", "ignore")[:_MOST_BYTES].decode("utf-8", "ignore") or "text"
+
+
+def unique_slugs(texts: Iterable[str]) -> list[str]:
+    """Slugs that differ even where the texts' letters do not."""
+    names: list[str] = []
+    for text in texts:
+        name, number = slug(text), 1
+        candidate = name
+        while candidate in names:
+            number += 1
+            candidate = f"{name}-{number}"
+        names.append(candidate)
+    return names

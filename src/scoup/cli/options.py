@@ -1,0 +1,53 @@
+"""Options that verbs share, and how options are shown in the help."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import tyro
+
+Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
+"""A switch that is off by default."""
+
+# The help of these tells the default in words, which says more than "None".
+OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
+OptionalText = Annotated[str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")]
+OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")]
+
+FieldFile = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FIELD", help_behavior_hint="")]
+Texts = Annotated[
+    tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="TEXT [TEXT ...]", help_behavior_hint="")
+]
+
+Verb = TypeVar("Verb", bound=type)
+
+
+@dataclass(frozen=True)
+class Common:
+    """Options every verb takes."""
+
+    device: str = "cpu"
+    """Where tensors live: cpu, or cuda where torch has a GPU."""
+    quiet: Flag = False
+    """Print nothing but warnings and errors."""
+    as_json: Annotated[bool, tyro.conf.arg(name="json", help_behavior_hint="")] = False
+    """Print one JSON object on standard output instead of text, for other programs."""
+
+
+@dataclass(frozen=True)
+class WritesCommon(Common):
+    """Options of verbs that write files."""
+
+    overwrite: Flag = False
+    """Replace outputs that are already there."""
+
+
+def common_last(verb: Verb) -> Verb:
+    """Show a verb's own options before those that every verb has."""
+    fields = verb.__dataclass_fields__
+    for name in WritesCommon.__dataclass_fields__:
+        if name in fields:
+            fields[name] = fields.pop(name)  # to the end; all are keywords, so nothing else changes
+    return verb
