@@ -80,7 +80,9 @@ def score_kitchen(arguments: Arguments, kitchen: Path, features: Path) -> dict:
             accumulators = uplift(sums, [book.codes for book in books])
         codebook = torch.stack([book.atoms for book in books])
         for name, keep in ((METHOD, 4), (ALL_ATOMS, None)):
-            variants.append(sparse_variant(f"{name}, seed {seed}", gaussians, accumulators, codebook, keep, "inria"))
+            variants.append(
+                sparse_variant(f"{name}, seed {seed}", gaussians, accumulators, codebook, keep, "inria")
+            )
 
     frames = match_frames(read_labels(kitchen / "label"), cameras)
     labels = sorted({label for frame, _ in frames for label in frame.labels})
@@ -88,8 +90,12 @@ def score_kitchen(arguments: Arguments, kitchen: Path, features: Path) -> dict:
     vectors = dict(zip(labels, encoder.encode(labels), strict=True))
     canonical = encoder.encode(list(CANONICAL_PHRASES))
     with timed(seconds, "scoring"):
-        scores = score_variants(variants, gaussians, frames, vectors, canonical, scene="kitchen", progress=report)
-    return summarise(scores, arguments, seconds, {variant.name: variant.bytes_per_gaussian for variant in variants})
+        scores = score_variants(
+            variants, gaussians, frames, vectors, canonical, scene="kitchen", progress=report
+        )
+    return summarise(
+        scores, arguments, seconds, {variant.name: variant.bytes_per_gaussian for variant in variants}
+    )
 
 
 def summarise(scores: dict[str, SceneScore], arguments: Arguments, seconds: dict, sizes: dict) -> dict:
@@ -111,7 +117,9 @@ def summarise(scores: dict[str, SceneScore], arguments: Arguments, seconds: dict
             "ious": ious,
         }
     labels = [pair.label for pair in next(iter(scores.values())).pairs]
-    print(f"\nkitchen, LERF-OVS 2D protocol, {pairs} (frame, query) pairs, codebook seeds {list(arguments.seeds)}\n")
+    print(
+        f"\nkitchen, LERF-OVS 2D protocol, {pairs} (frame, query) pairs, codebook seeds {list(arguments.seeds)}\n"
+    )
     print("| variant | mIoU | 95 % interval over queries | localisation accuracy | bytes a Gaussian |")
     print("|---|---|---|---|---|")
     for family, row in rows.items():

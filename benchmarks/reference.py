@@ -91,7 +91,9 @@ def main(arguments: Arguments) -> dict[str, float]:
 
 def per_pixel_uplift(view: raster.View, labels: Tensor, codes: list[SparseCodes], out: Tensor) -> None:
     """The plain form: the code of every pixel, times the weight of every Gaussian there."""
-    dense = [torch.cat([item.to_dense(), torch.zeros(1, item.n_atoms)]) for item in codes]  # last row: no region
+    dense = [
+        torch.cat([item.to_dense(), torch.zeros(1, item.n_atoms)]) for item in codes
+    ]  # last row: no region
     image = torch.cat([rows[level.long()] for rows, level in zip(dense, labels, strict=True)], 2)
     _add_image(view, image, out)
 

@@ -1,6 +1,6 @@
 """Cut the Gaussians that answer a text out of a scene and save them as a splat.
 
-    python examples/02_cut_out_a_thing.py demo/demo.scoup demo/scene/text.npz teapot teapot.ply
+python examples/02_cut_out_a_thing.py demo/demo.scoup demo/scene/text.npz teapot teapot.ply
 """
 
 import sys

@@ -21,5 +21,8 @@ for n_atoms in (32, 64):
     books = [scoup.fit_codes(rows, n_atoms, k=4, epochs=300) for rows in embeddings]
     accumulators = scoup.uplift(sums, [book.codes for book in books])
     indices, weights = top_k(accumulators, 4)
-    cosines = ", ".join(f"{level} {book.report.mean_cosine:.3f}" for level, book in zip(regions.levels, books, strict=True))
-    print(f"{n_atoms} atoms: mean cosine {cosines}; codes {list(indices.shape)}, {float((weights > 0).float().mean()):.0%} used")
+    cosines = ", ".join(
+        f"{level} {book.report.mean_cosine:.3f}" for level, book in zip(regions.levels, books, strict=True)
+    )
+    coded = int((weights > 0).flatten(1).any(1).sum())
+    print(f"{n_atoms} atoms: mean cosine {cosines}; codes {list(indices.shape)}, {coded} Gaussians coded")

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from support import small_scene, unit
 
 from scoup.cli import main
 from scoup.io import save_gaussians, save_png, save_regions, write_colmap
 from scoup.relevancy import CANONICAL_PHRASES
 from scoup.text_table import save_table
+from support import small_scene, unit
 
 WORDS = ("kettle", "mug", "wooden table")
 
@@ -25,7 +25,9 @@ def write_scene(folder: Path, count: int = 150, seed: int = 0) -> Path:
     save_gaussians(gaussians, folder / "point_cloud.ply")
     write_colmap(cameras, folder / "sparse" / "0")
     for camera in cameras:
-        save_png(torch.zeros(camera.height, camera.width, 3, dtype=torch.uint8), folder / "images" / camera.name)
+        save_png(
+            torch.zeros(camera.height, camera.width, 3, dtype=torch.uint8), folder / "images" / camera.name
+        )
     save_regions(regions, folder / "language_features")
     names = [*WORDS, *CANONICAL_PHRASES]
     vectors = unit(torch.randn(len(names), 16, generator=torch.Generator().manual_seed(seed)))

@@ -11,10 +11,23 @@ from scoup.cameras import Camera, Cameras
 from scoup.gaussians import Gaussians
 from scoup.regions import LEVELS, RegionMap, Regions
 
-KINDS = ("plain", "behind", "huge", "needle", "opacity 0", "opacity 1", "opacity inf", "nan", "tiny", "zero quat")
+KINDS = (
+    "plain",
+    "behind",
+    "huge",
+    "needle",
+    "opacity 0",
+    "opacity 1",
+    "opacity inf",
+    "nan",
+    "tiny",
+    "zero quat",
+)
 
 
-def random_gaussians(count: int, seed: int, kinds: tuple[str, ...] = ("plain",), degree: int = 0) -> Gaussians:
+def random_gaussians(
+    count: int, seed: int, kinds: tuple[str, ...] = ("plain",), degree: int = 0
+) -> Gaussians:
     """``count`` Gaussians in front of the default camera, each of a kind drawn from ``kinds``."""
     generator = torch.Generator().manual_seed(seed)
     means = torch.randn(count, 3, generator=generator) * torch.tensor([1.0, 0.8, 0.7])
@@ -46,7 +59,9 @@ def random_gaussians(count: int, seed: int, kinds: tuple[str, ...] = ("plain",),
     return Gaussians(means, quats, scales, opacities, sh)
 
 
-def make_camera(width: int = 40, height: int = 30, focal: float = 36.0, seed: int | None = None, **changes) -> Camera:
+def make_camera(
+    width: int = 40, height: int = 30, focal: float = 36.0, seed: int | None = None, **changes
+) -> Camera:
     """A camera at the origin looking along +z; with ``seed`` its principal point and pose are shaken."""
     viewmat = torch.eye(4, dtype=torch.float64)
     cx, cy = width / 2, height / 2
@@ -86,11 +101,19 @@ def random_labels(levels: int, height: int, width: int, regions: int, seed: int)
 
 
 def small_scene(
-    count: int = 150, views: int = 4, width: int = 40, height: int = 30, regions: int = 6, dim: int = 16, seed: int = 0
+    count: int = 150,
+    views: int = 4,
+    width: int = 40,
+    height: int = 30,
+    regions: int = 6,
+    dim: int = 16,
+    seed: int = 0,
 ) -> tuple[Gaussians, Cameras, Regions]:
     """Random Gaussians seen by a few cameras, with random blocks of regions at three levels."""
     gaussians = random_gaussians(count, seed)
-    cameras = Cameras(make_camera(width, height, seed=seed + i, name=f"view_{i:02d}.png") for i in range(views))
+    cameras = Cameras(
+        make_camera(width, height, seed=seed + i, name=f"view_{i:02d}.png") for i in range(views)
+    )
     generator = torch.Generator().manual_seed(seed)
     maps = {}
     for number, camera in enumerate(cameras):

@@ -6,10 +6,10 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from support import unit
 
 from scoup.codes import SparseCodes, cosines_from_codes, index_dtype
 from scoup.errors import InputError
+from support import unit
 
 
 @given(rows=st.integers(0, 20), atoms=st.integers(1, 30), k=st.integers(1, 12), seed=st.integers(0, 999))
@@ -48,7 +48,7 @@ def test_indices_widen_beyond_256_atoms():
 def test_wrong_parts_are_refused():
     with pytest.raises(InputError, match="must both be"):
         SparseCodes(torch.zeros(2, 3, dtype=torch.uint8), torch.zeros(2, 4), 8)
-    with pytest.raises(InputError, match="expected torch.uint8"):
+    with pytest.raises(InputError, match=r"expected torch\.uint8"):
         SparseCodes(torch.zeros(2, 3, dtype=torch.int64), torch.zeros(2, 3), 8)
 
 
@@ -59,5 +59,5 @@ def test_gram_shortcut_equals_decoding(seed, scale):
     weights[0, 0] = 0
     codebook = torch.randn(8, 32, generator=generator)
     queries = unit(torch.randn(4, 32, generator=generator))
-    decoded = unit((weights.double() @ codebook.double())) @ queries.double().T
+    decoded = unit(weights.double() @ codebook.double()) @ queries.double().T
     assert torch.allclose(cosines_from_codes(weights, codebook, queries).double(), decoded, atol=1e-5)

@@ -10,7 +10,6 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support import make_camera, random_gaussians, small_scene, unit
 
 import scoup
 from scoup import raster
@@ -29,6 +28,7 @@ from scoup.field import FieldInfo, LanguageField
 from scoup.pipeline import BuildSettings, build
 from scoup.regions import Regions
 from scoup.uplifting import region_sums, top_k, uplift
+from support import make_camera, random_gaussians, small_scene, unit
 
 QUICK = BuildSettings(n_atoms=8, k=3, keep=3, epochs=20)
 
@@ -47,7 +47,8 @@ def test_uplift_from_kept_sums_equals_streaming(scene, field):
     gaussians, cameras, regions = scene
     sums = region_sums(gaussians, cameras, regions)
     codes = [
-        scoup.fit_codes(regions.embeddings(level)[0], 8, 3, solver="adam", epochs=20).codes for level in regions.levels
+        scoup.fit_codes(regions.embeddings(level)[0], 8, 3, solver="adam", epochs=20).codes
+        for level in regions.levels
     ]
     assert torch.equal(uplift(sums, codes), field.accumulators)
     indices, weights = top_k(field.accumulators, 3)
@@ -75,7 +76,12 @@ def test_unpainted_gaussians_have_empty_codes_and_render_as_nothing(scene):
     gaussians, cameras, regions = scene
     hidden = random_gaussians(5, 1, ("behind",))
     hidden.means[:, 2] -= 50
-    both = scoup.Gaussians(*(torch.cat([getattr(gaussians, n), getattr(hidden, n)]) for n in ("means", "quats", "scales", "opacities", "sh")))
+    both = scoup.Gaussians(
+        *(
+            torch.cat([getattr(gaussians, n), getattr(hidden, n)])
+            for n in ("means", "quats", "scales", "opacities", "sh")
+        )
+    )
     field = build(both, cameras, regions, settings=QUICK)
     assert not field.coded()[-5:].any()
     relevancy = field.gaussian_relevancy(unit(torch.randn(2, 16)), unit(torch.randn(3, 16)))
@@ -213,7 +219,14 @@ def test_a_checkpoint_of_other_inputs_is_not_used(scene, tmp_path):
         build(*scene, settings=QUICK, checkpoint=checkpoint, progress=stop)
     seen: list[str] = []
     other = BuildSettings(n_atoms=8, k=2, keep=2, epochs=20)
-    build(gaussians, cameras, regions, settings=other, checkpoint=checkpoint, progress=lambda *a: seen.append(a[0]))
+    build(
+        gaussians,
+        cameras,
+        regions,
+        settings=other,
+        checkpoint=checkpoint,
+        progress=lambda *a: seen.append(a[0]),
+    )
     assert seen[0] == "coding s"
     checkpoint.write_bytes(b"damaged")
     with pytest.warns(ScoupWarning, match="starting over"):
@@ -230,7 +243,7 @@ def test_cameras_that_see_nothing(scene):
 
 
 def test_almost_nothing_seen_is_told(scene):
-    gaussians, cameras, regions = scene
+    _, cameras, regions = scene
     many = random_gaussians(400, 3)
     many.means[1:] -= 100
     many.means[0] = torch.tensor([0.0, 0.0, 3.0])
@@ -296,10 +309,12 @@ def test_damaged_files_never_crash(field_bytes, tmp_path, data):
             damaged[data.draw(st.integers(0, max(0, limit - 1)))] = data.draw(st.integers(0, 255))
     path: Path = tmp_path / "damaged.scoup"
     path.write_bytes(damaged)
+    message = "damaged.scoup"
     try:
         LanguageField.load(path)
     except ScoupError as error:
-        assert "damaged.scoup" in str(error)
+        message = str(error)
+    assert "damaged.scoup" in message
 
 
 def test_other_files_are_named_for_what_they_are(tmp_path):
@@ -322,7 +337,8 @@ def test_importing_scoup_is_light():
     import subprocess
     import sys
 
-    code = "import sys, scoup; print([m for m in ('torch', 'numpy', 'transformers', 'PIL', 'scipy') if m in sys.modules])"
+    heavy = ("torch", "numpy", "transformers", "PIL", "scipy")
+    code = f"import sys, scoup; print([name for name in {heavy} if name in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 

@@ -8,11 +8,11 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from support import make_camera, random_gaussians, small_scene, unit
 
 from scoup.cameras import Camera, Cameras
 from scoup.errors import InputError, UnknownNameError, nearest_names
 from scoup.regions import RegionMap, Regions, resize_labels
+from support import make_camera, random_gaussians, small_scene, unit
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,10 @@ def main(extras: list[str]) -> int:
         print("creating .venv")
         venv.create(VENV, with_pip=True)
     if not runs("-c", "import torch", quiet=True) and not install_torch():
-        print("torch could not be installed; install it into .venv by hand, then run this again", file=sys.stderr)
+        print(
+            "torch could not be installed; install it into .venv by hand, then run this again",
+            file=sys.stderr,
+        )
         return 1
     wanted = f"{ROOT}[{','.join(extras)}]" if extras else str(ROOT)
     return 0 if runs("-m", "pip", "install", "--quiet", "--editable", wanted) else 1

@@ -39,7 +39,6 @@ _HOMES = {
 __all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 if TYPE_CHECKING:
-    from scoup.pipeline import build as build
     from scoup.cameras import Camera as Camera
     from scoup.cameras import Cameras as Cameras
     from scoup.codes import SparseCodes as SparseCodes
@@ -53,6 +52,7 @@ if TYPE_CHECKING:
     from scoup.io import load_gaussians as load_gaussians
     from scoup.io import load_regions as load_regions
     from scoup.io import save_gaussians as save_gaussians
+    from scoup.pipeline import build as build
     from scoup.query import localize as localize
     from scoup.query import segment as segment
     from scoup.query import select as select

@@ -129,7 +129,16 @@ def read_tensors(path: Path, schema: str, what: str) -> tuple[dict[str, Tensor],
             return {name: stream.get_tensor(name) for name in stream.keys()}, header  # noqa: SIM118
     except ScoupError:
         raise
-    except (SafetensorError, ValueError, KeyError, TypeError, OSError, RuntimeError, OverflowError, RecursionError) as error:
+    except (
+        SafetensorError,
+        ValueError,
+        KeyError,
+        TypeError,
+        OSError,
+        RuntimeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise FileFormatError(path, f"is not {what} or is damaged ({reason})", _REBUILD) from error
 
@@ -141,19 +150,30 @@ def _load_accumulators(path: Path, info: FieldInfo, codebook: Tensor) -> Tensor 
     tensors, header = read_tensors(sibling, "scoup.accumulators", "the accumulators of a language field")
     accumulators = tensors.get("accumulators")
     shape = (info.n_gaussians, len(info.levels), codebook.shape[1])
-    if accumulators is None or tuple(accumulators.shape) != shape or header.get("fingerprint") != info.fingerprint:
-        raise FileFormatError(sibling, f"does not belong to {path.name}", "delete it, or build the field again")
+    if (
+        accumulators is None
+        or tuple(accumulators.shape) != shape
+        or header.get("fingerprint") != info.fingerprint
+    ):
+        raise FileFormatError(
+            sibling, f"does not belong to {path.name}", "delete it, or build the field again"
+        )
     return accumulators
 
 
-def _write(path: Path, tensors: dict[str, Tensor], schema: str, header: dict[str, Any], overwrite: bool) -> None:
+def _write(
+    path: Path, tensors: dict[str, Tensor], schema: str, header: dict[str, Any], overwrite: bool
+) -> None:
     from safetensors.torch import save_file
 
     # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
     metadata = {METADATA_KEY: json.dumps({"schema": schema, "version": VERSION, **header}, sort_keys=True)}
     with atomic_path(path, overwrite) as temporary:
         try:
+            temporary.touch(exist_ok=False)
+            permissions = temporary.stat().st_mode  # as of any new file; safetensors makes private ones
             save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary, metadata)
+            temporary.chmod(permissions)
         except OSError as error:
             raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
 

@@ -44,7 +44,9 @@ class Camera:
         for field, shape in (("viewmat", (4, 4)), ("K", (3, 3))):
             tensor = torch.as_tensor(getattr(self, field), dtype=torch.float64)
             if tuple(tensor.shape) != shape:
-                raise InputError(f"camera {self.name!r}: {field} has shape {list(tensor.shape)}, expected {list(shape)}")
+                raise InputError(
+                    f"camera {self.name!r}: {field} has shape {list(tensor.shape)}, expected {list(shape)}"
+                )
             if not torch.isfinite(tensor).all():
                 raise InputError(f"camera {self.name!r}: {field} has values that are not finite")
             object.__setattr__(self, field, tensor)
@@ -122,7 +124,9 @@ class Cameras:
             return self._cameras[key]
         if key in self._by_name:
             return self._by_name[key]
-        same_stem = [camera for camera in self._cameras if Path(camera.name).stem == key or camera.stem == key]
+        same_stem = [
+            camera for camera in self._cameras if Path(camera.name).stem == key or camera.stem == key
+        ]
         if len(same_stem) == 1:
             return same_stem[0]
         raise UnknownNameError("camera", key, self.names)

@@ -74,7 +74,9 @@ class Checkpoint:
             import warnings
 
             warnings.warn(
-                f"{self.path}: the checkpoint cannot be used ({error}); starting over", ScoupWarning, stacklevel=2
+                f"{self.path}: the checkpoint cannot be used ({error}); starting over",
+                ScoupWarning,
+                stacklevel=2,
             )
             return None
 
@@ -86,7 +88,11 @@ class Checkpoint:
             return
         tensors = {"accumulators": state.accumulators}
         for s, codes in enumerate(state.codes):
-            tensors |= {f"atoms.{s}": state.atoms[s], f"indices.{s}": codes.indices, f"weights.{s}": codes.weights}
+            tensors |= {
+                f"atoms.{s}": state.atoms[s],
+                f"indices.{s}": codes.indices,
+                f"weights.{s}": codes.weights,
+            }
         header = {"key": self.key, "reports": state.reports, "views_done": state.views_done}
         write_tensors(self.path, tensors, _SCHEMA, header)
         self._written = time.monotonic()
@@ -97,7 +103,9 @@ class Checkpoint:
             self.path.unlink(missing_ok=True)
 
 
-def build_key(fingerprint: str, cameras: Sequence[Camera], embeddings: Sequence[Tensor], settings: dict[str, Any]) -> str:
+def build_key(
+    fingerprint: str, cameras: Sequence[Camera], embeddings: Sequence[Tensor], settings: dict[str, Any]
+) -> str:
     """SHA-256 over everything a build's result depends on, region maps excepted (they are large; their
     embeddings stand for them)."""
     digest = hashlib.sha256(json.dumps([fingerprint, settings], sort_keys=True).encode())

@@ -120,6 +120,11 @@ class LanguageField:
         return (self.code_weights > 0).flatten(1).any(1)
 
     @property
+    def has_geometry(self) -> bool:
+        """Whether the geometry is in memory: given, embedded in the file, or loaded before."""
+        return self._gaussians is not None
+
+    @property
     def gaussians(self) -> Gaussians:
         """The geometry, loaded on first use.
 
@@ -145,9 +150,14 @@ class LanguageField:
             GeometryMismatchError: it is not.
         """
         if len(gaussians) != self.info.n_gaussians or gaussians.fingerprint() != self.info.fingerprint:
+            difference = (
+                "as many Gaussians, but others"
+                if len(gaussians) == self.info.n_gaussians
+                else f"{len(gaussians)} Gaussians, the field has {self.info.n_gaussians}"
+            )
             raise GeometryMismatchError(
-                f"{source}: not the geometry this field was built on ({len(gaussians)} Gaussians, the field has "
-                f"{self.info.n_gaussians}, or their shapes differ); pass the original file or build the field again"
+                f"{source}: not the geometry this field was built on ({difference}); "
+                "give the original splat, or build the field again"
             )
         self._gaussians = gaussians
 
@@ -167,7 +177,9 @@ class LanguageField:
         index = self.level_index(level)
         view = view or self.look(camera)
         chosen = slice(index, index + 1)
-        codes = raster.render_codes(view, self.code_indices[:, chosen], self.code_weights[:, chosen], self.n_atoms)
+        codes = raster.render_codes(
+            view, self.code_indices[:, chosen], self.code_weights[:, chosen], self.n_atoms
+        )
         return torch.nn.functional.normalize(codes[0] @ self.codebook[index], dim=-1)
 
     def relevancy(
@@ -202,9 +214,9 @@ class LanguageField:
                     1, self.code_indices[rows, level].long(), self.code_weights[rows, level].float()
                 )
                 cosines = cosines_from_codes(dense, self.codebook[level], both).T
-                out[level, :, rows] = relevancy(
-                    cosines[None, : len(queries)], cosines[None, len(queries) :]
-                )[0]
+                out[level, :, rows] = relevancy(cosines[None, : len(queries)], cosines[None, len(queries) :])[
+                    0
+                ]
         return out
 
     def level_index(self, level: str | int) -> int:

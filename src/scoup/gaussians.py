@@ -44,7 +44,12 @@ class Gaussians:
             if actual != shape:
                 raise InputError(f"Gaussians.{name} has shape {list(actual)}, expected {list(shape)}")
         bases = {(degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1)}
-        if self.sh.dim() != 3 or self.sh.shape[0] != count or self.sh.shape[2] != 3 or self.sh.shape[1] not in bases:
+        if (
+            self.sh.dim() != 3
+            or self.sh.shape[0] != count
+            or self.sh.shape[2] != 3
+            or self.sh.shape[1] not in bases
+        ):
             raise InputError(
                 f"Gaussians.sh has shape {list(self.sh.shape)}, expected [{count}, B, 3] with B in {sorted(bases)}"
             )
@@ -53,7 +58,9 @@ class Gaussians:
             if tensor.dtype != torch.float32:
                 raise InputError(f"Gaussians.{field.name} is {tensor.dtype}, expected torch.float32")
             if tensor.device != self.means.device:
-                raise InputError(f"Gaussians.{field.name} is on {tensor.device}, means on {self.means.device}")
+                raise InputError(
+                    f"Gaussians.{field.name} is on {tensor.device}, means on {self.means.device}"
+                )
 
     def __len__(self) -> int:
         return self.means.shape[0]

@@ -52,7 +52,14 @@ class BuildSettings:
 
     def __post_init__(self) -> None:
         if not 1 <= self.k <= self.n_atoms or not 0 <= self.keep <= self.n_atoms:
-            raise InputError(f"k = {self.k} and keep = {self.keep} must lie within the {self.n_atoms} atoms (k >= 1)")
+            raise InputError(
+                f"k ({self.k}) and keep ({self.keep}) must not exceed the {self.n_atoms} atoms, and k must be at "
+                "least 1"
+            )
+        if self.tolerance is not None and not self.tolerance >= 0:
+            raise InputError(f"the tolerance must be 0 or more, got {self.tolerance}")
+        if not 0 <= self.seed < 1 << 63:
+            raise InputError(f"the seed must be 0 to 2^63 - 1, got {self.seed}")
 
 
 def build(
@@ -102,10 +109,22 @@ def build(
     keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), key)
     state = keeper.read()
     if state is None:
-        state = _learn_codes([rows for rows, _ in stacked], regions.levels, settings, len(gaussians), progress)
+        state = _learn_codes(
+            [rows for rows, _ in stacked], regions.levels, settings, len(gaussians), progress
+        )
         keeper.write(state, now=True)
     try:
-        _lift(gaussians, views, regions, [rows for _, rows in stacked], state, settings, backend, keeper, progress)
+        _lift(
+            gaussians,
+            views,
+            regions,
+            [rows for _, rows in stacked],
+            state,
+            settings,
+            backend,
+            keeper,
+            progress,
+        )
     except KeyboardInterrupt:
         keeper.write(state, now=True)
         raise
@@ -199,4 +218,6 @@ def _check_seen(accumulators: Tensor) -> None:
     if share == 0:
         raise InputError(f"the cameras see nothing: no Gaussian paints a region in any view; {advice}")
     if share < FEW_GAUSSIANS:
-        warnings.warn(f"only {share:.2%} of the Gaussians paint a region; {advice}", ScoupWarning, stacklevel=3)
+        warnings.warn(
+            f"only {share:.2%} of the Gaussians paint a region; {advice}", ScoupWarning, stacklevel=3
+        )

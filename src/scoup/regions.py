@@ -30,7 +30,9 @@ class RegionMap:
 
     def __post_init__(self) -> None:
         if self.labels.dim() != 2 or self.labels.dtype != torch.int32:
-            raise InputError(f"region labels must be int32 [H, W], got {self.labels.dtype} {list(self.labels.shape)}")
+            raise InputError(
+                f"region labels must be int32 [H, W], got {self.labels.dtype} {list(self.labels.shape)}"
+            )
         if self.embeddings.dim() != 2 or self.embeddings.dtype != torch.float32:
             raise InputError(
                 f"region embeddings must be float32 [R, D], got {self.embeddings.dtype} {list(self.embeddings.shape)}"
@@ -54,8 +56,12 @@ def resize_labels(labels: Tensor, width: int, height: int) -> Tensor:
     rows, columns = labels.shape
     if (columns, rows) == (width, height):
         return labels
-    take_rows = ((torch.arange(height, dtype=torch.float64) + 0.5) * (rows / height)).long().clamp_(max=rows - 1)
-    take_columns = ((torch.arange(width, dtype=torch.float64) + 0.5) * (columns / width)).long().clamp_(max=columns - 1)
+    take_rows = (
+        ((torch.arange(height, dtype=torch.float64) + 0.5) * (rows / height)).long().clamp_(max=rows - 1)
+    )
+    take_columns = (
+        ((torch.arange(width, dtype=torch.float64) + 0.5) * (columns / width)).long().clamp_(max=columns - 1)
+    )
     return labels[take_rows][:, take_columns]
 
 
@@ -89,7 +95,9 @@ class Regions:
         levels = tuple(next(iter(maps.values()))) if maps else LEVELS
         for name, by_level in maps.items():
             if tuple(by_level) != levels:
-                raise InputError(f"view {name!r} has levels {list(by_level)}, the first view has {list(levels)}")
+                raise InputError(
+                    f"view {name!r} has levels {list(by_level)}, the first view has {list(levels)}"
+                )
         return cls(levels, maps, lambda name, level: maps[name][level])
 
     def __len__(self) -> int:

@@ -178,7 +178,7 @@ def test_stems_are_cut_at_the_first_dot(tmp_path):
 
 def test_missing_features(tmp_path):
     cameras = some_cameras(4)
-    with pytest.raises(MissingFileError, match=r"no such folder.*scoup extract"):
+    with pytest.raises(MissingFileError, match=r"no such folder.*make them first"):
         load_regions(tmp_path / "none", cameras)
     with pytest.raises(
         MissingFileError, match=r"none of the 4 cameras: expected view_00_s\.npy.*no \*_s\.npy"

@@ -22,7 +22,9 @@ class Truth:
 
 def blending_weights(gaussians, camera, preset: str, margin: float = 2e-3) -> Truth:
     near, alpha_max = CONSTANTS[preset]
-    means, quats, scales = (getattr(gaussians, n).numpy().astype(np.float64) for n in ("means", "quats", "scales"))
+    means, quats, scales = (
+        getattr(gaussians, n).numpy().astype(np.float64) for n in ("means", "quats", "scales")
+    )
     opacities = gaussians.opacities.numpy().astype(np.float64)
     view, K = camera.viewmat.numpy(), camera.K.numpy()
     height, width = camera.height, camera.width

@@ -7,12 +7,12 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from raster.brute_force import blending_weights
-from support import KINDS, make_camera, random_gaussians, random_labels, scenes
 
+from raster.brute_force import blending_weights
 from scoup import raster
 from scoup.codes import SparseCodes
 from scoup.errors import InputError, UnknownNameError
+from support import KINDS, make_camera, random_gaussians, random_labels, scenes
 
 BACKENDS = sorted(raster.BACKENDS)
 RELATIVE = 1e-5
@@ -77,7 +77,9 @@ def test_uplift_by_regions_equals_uplift_per_pixel(backend, scene, seed):
     generator = torch.Generator().manual_seed(seed)
     levels, n_atoms, regions = 2, 6, 5
     labels = random_labels(levels, camera.height, camera.width, regions, seed)
-    codes = [SparseCodes.from_dense(torch.rand(regions, n_atoms, generator=generator), 3) for _ in range(levels)]
+    codes = [
+        SparseCodes.from_dense(torch.rand(regions, n_atoms, generator=generator), 3) for _ in range(levels)
+    ]
     view = raster.look(gaussians, camera, backend=backend)
     out = torch.zeros(len(gaussians), levels, n_atoms)
     raster.uplift_view(view, labels, codes, out)
@@ -151,7 +153,9 @@ def test_stop_rule_leaves_out_the_gaussian_that_would_cross_it(backend):
     gaussians.means[:, 2] += torch.arange(6) * 0.1
     gaussians.scales[:] = 1e4
     gaussians.opacities[:] = 0.95
-    image, alpha = raster.render_channels(raster.look(gaussians, make_camera(9, 9), backend=backend), torch.eye(6))
+    image, alpha = raster.render_channels(
+        raster.look(gaussians, make_camera(9, 9), backend=backend), torch.eye(6)
+    )
     # 0.05^3 = 1.25e-4 stays above the bound, 0.05^4 does not: exactly three are drawn.
     assert (image > 0).flatten(0, 1).all(0).tolist() == [True] * 3 + [False] * 3
     assert torch.allclose(alpha, torch.full_like(alpha, 1 - 0.05**3), atol=1e-6)

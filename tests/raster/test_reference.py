@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support import make_camera, random_gaussians
 
 from scoup import raster
 from scoup.cameras import Camera
@@ -15,11 +14,15 @@ from scoup.gaussians import Gaussians
 from scoup.raster import reference
 from scoup.raster.presets import raster_preset
 from scoup.raster.projection import project
+from support import make_camera, random_gaussians
 
 
 @pytest.mark.parametrize("tile", [4, 8, 32])
 def test_answer_does_not_depend_on_tile_size(tile):
-    gaussians, camera = random_gaussians(400, 4, ("plain", "needle", "huge", "tiny")), make_camera(75, 51, 60.0)
+    gaussians, camera = (
+        random_gaussians(400, 4, ("plain", "needle", "huge", "tiny")),
+        make_camera(75, 51, 60.0),
+    )
     preset = raster_preset("inria")
     values = torch.rand(400, 3)
     expected, _ = reference.render_channels(reference.look(gaussians, camera, preset), values)
@@ -76,7 +79,13 @@ def test_projection_equals_gsplats_on_garden(data_folder: Path):
         torch.zeros(count, 1, 3),
     )
     for viewmat, K in zip(garden["viewmats"], garden["Ks"], strict=True):
-        camera = Camera("garden", torch.from_numpy(viewmat), torch.from_numpy(K), int(garden["width"]), int(garden["height"]))
+        camera = Camera(
+            "garden",
+            torch.from_numpy(viewmat),
+            torch.from_numpy(K),
+            int(garden["width"]),
+            int(garden["height"]),
+        )
         assert _compare_with_gsplat(gaussians, camera) > 1000
 
 

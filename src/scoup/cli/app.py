@@ -60,7 +60,11 @@ def run(arguments: list[str]) -> int:
             )
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else 0
-        return Console(Common(as_json=True)).fail(_in_one_line(refusal.getvalue()), code) if for_machines and code else code
+        return (
+            Console(Common(as_json=True)).fail(_in_one_line(refusal.getvalue()), code)
+            if for_machines and code
+            else code
+        )
     return run_verb(verb, verb, verb.run)
 
 

@@ -2,39 +2,61 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from scoup.cli.console import WritesCommon
+from scoup.cli.options import FieldFile, OptionalPath, OptionalText, WritesCommon
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from scoup.cameras import Camera, Cameras
     from scoup.field import LanguageField
+    from scoup.raster import View
+
+LONGEST_SIDE = 16384  # of a picture, in pixels
+
+_SAME_FRAME = "check that cameras and splat are in the same frame"
 
 
 @dataclass(frozen=True, kw_only=True)
 class AsksField(WritesCommon):
     """Options of verbs that open a language field."""
 
-    field: tyro.conf.Positional[Path]
+    field: FieldFile
     """The .scoup file."""
-    gaussians: Path | None = None
-    """The splat it belongs to, if it has moved."""
+    gaussians: OptionalPath = None
+    """The splat the field was built on, if it has moved since. Default: the one the field names."""
 
     def open_field(self) -> LanguageField:
-        """The field, with its geometry checked where one is named."""
+        """The field with its geometry: a missing or wrong one is told now, not after other work.
+
+        Raises:
+            MissingFileError, FileFormatError: the field or its geometry is missing or damaged.
+            GeometryMismatchError: the geometry is not the one the field was built on.
+        """
+        from scoup.errors import InputError, MissingFileError
         from scoup.field import LanguageField
         from scoup.io import load_gaussians
 
-        given = None if self.gaussians is None else load_gaussians(self.gaussians)
-        field = LanguageField.load(self.field, given)
-        _ = field.gaussians  # a missing or wrong geometry is told now, not after other work
+        field = LanguageField.load(self.field)
+        if self.gaussians is not None:
+            field.attach(load_gaussians(self.gaussians), str(self.gaussians))
+        elif not field.has_geometry:
+            if field.geometry_path is None:
+                raise InputError(
+                    f"{self.field}: does not say where its Gaussians are; name them with --gaussians"
+                )
+            try:
+                field.attach(load_gaussians(field.geometry_path), str(field.geometry_path))
+            except MissingFileError as error:
+                problem = f"is not there, and {self.field} was built on it"
+                raise MissingFileError(error.path, problem, "say where it is now with --gaussians") from error
         return field.to(self.device)
 
 
@@ -42,10 +64,12 @@ class AsksField(WritesCommon):
 class AsksViews(AsksField):
     """Options of verbs that look through cameras."""
 
-    camera: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    camera: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
+    ] = ()
     """Name of a camera (with or without extension), or all; repeat it for several. Default: the first."""
-    scene: Path | None = None
-    """Take the cameras from this scene folder or cameras file instead of those the field was built from."""
+    scene: OptionalPath = None
+    """Look through the cameras of this scene folder or cameras file. Default: those the field was built from."""
     scale: float = 1.0
     """Size of the pictures relative to the cameras' own."""
 
@@ -54,50 +78,103 @@ class AsksViews(AsksField):
 
         Raises:
             UnknownNameError: there is no camera of that name.
-            InputError: there are no cameras.
+            InputError: there are no cameras, or the pictures would be too large.
         """
-        from scoup.errors import InputError
+        from scoup.errors import InputError, UnknownNameError
         from scoup.io import load_cameras
 
         cameras: Cameras | None = field.cameras
         if self.scene is not None:
-            cameras = load_cameras(self.scene, missing_images="keep")
+            # Rendering is always through the ideal pinhole, so distortion is no obstacle here.
+            cameras = load_cameras(self.scene, distorted="undistort", missing_images="keep")
         if cameras is None or not len(cameras):
-            raise InputError(f"{self.field}: holds no cameras; name a scene with --scene")
-        if not self.scale > 0:
-            raise InputError(f"--scale must be above 0, got {self.scale}")
+            raise InputError(f"{self.field}: holds no cameras; name a scene that has them with --scene")
+        longest = max(max(camera.width, camera.height) for camera in cameras)
+        if not (self.scale > 0 and math.isfinite(self.scale)) or longest * self.scale > LONGEST_SIDE:
+            most = LONGEST_SIDE / longest
+            raise InputError(
+                f"--scale {self.scale}: must be above 0 and at most {most:.3g} for these cameras"
+            )
         cameras = cameras.scaled(self.scale) if self.scale != 1 else cameras
         if "all" in self.camera:
             return list(cameras)
-        return [cameras[name] for name in self.camera] if self.camera else [cameras[0]]
+        try:
+            found = [cameras[name] for name in self.camera] or [cameras[0]]
+        except UnknownNameError as error:
+            raise UnknownNameError(
+                "camera", error.name, cameras.names, str(self.scene or self.field)
+            ) from error
+        return list(dict.fromkeys(found))
+
+    def tell_blind(self, blind: list[Camera], count: int) -> None:
+        """Say which of ``count`` cameras see nothing.
+
+        Raises:
+            InputError: none of them sees anything.
+        """
+        from scoup.errors import InputError, ScoupWarning
+
+        names = ", ".join(camera.name for camera in blind[:3]) + (", ..." if len(blind) > 3 else "")
+        if blind and len(blind) == count:
+            raise InputError(
+                f"{self.scene or self.field}: the cameras see nothing of the field ({names}); {_SAME_FRAME}"
+            )
+        if blind:
+            message = f"{len(blind)} of {count} cameras see nothing of the field ({names}); {_SAME_FRAME}"
+            warnings.warn(message, ScoupWarning, stacklevel=2)
 
 
 @dataclass(frozen=True, kw_only=True)
 class AsksText(AsksField):
     """Options of verbs that take words."""
 
-    text: str | None = None
-    """Where words become vectors: a table (.npz, .json, .safetensors), or a CLIP model by id or folder, or
-    open_clip:ARCHITECTURE/PRETRAINED. Default: the model the field names."""
+    text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
+    """What turns words into vectors: a table of words (.npz, .json, .safetensors), a CLIP model by id or folder,
+    or open_clip:ARCHITECTURE/PRETRAINED. Default: the one the field names."""
 
     def encode(self, field: LanguageField, phrases: Iterable[str]) -> tuple[Tensor, Tensor]:
         """Vectors of the phrases [Q, D] and of the canonical phrases [P, D].
 
         Raises:
             UnknownNameError: a word is not in the table; the nearest names are listed.
-            InputError: the vectors have another size than the field's embeddings.
+            InputError: the vectors have another size than the field's embeddings, or the table lacks the
+                canonical phrases.
         """
-        from scoup.errors import InputError
+        from scoup.errors import InputError, UnknownNameError
         from scoup.relevancy import CANONICAL_PHRASES
         from scoup.text import TextEncoder
 
-        source = self.text or field.info.embedding_model
+        source = self.text or self._named_by(field)
         if not source:
             raise InputError(f"{self.field}: names no embedding model; give a table or model with --text")
         with TextEncoder.open(source, device=self.device) as encoder:
             if encoder.dim != field.dim:
                 raise InputError(
-                    f"{source}: gives vectors of {encoder.dim} dimensions, {self.field} holds embeddings of "
-                    f"{field.dim}; use the model the regions were encoded with ({field.info.embedding_model})"
+                    f"{source}: gives vectors of {encoder.dim} dimensions, but {self.field} holds embeddings of "
+                    f"{field.dim}; name the model its regions were encoded with ({field.info.embedding_model}) "
+                    "or a table made with it"
                 )
-            return encoder.encode(list(phrases)), encoder.encode(list(CANONICAL_PHRASES))
+            queries = encoder.encode(list(phrases))
+            try:
+                return queries, encoder.encode(list(CANONICAL_PHRASES))
+            except UnknownNameError as error:
+                raise InputError(
+                    f"{source}: lacks {error.name!r}; relevancy compares every text with the phrases "
+                    f"{', '.join(CANONICAL_PHRASES)}, so encode them into the table too"
+                ) from error
+
+    def _named_by(self, field: LanguageField) -> str:
+        """The model the field names; a table is sought beside the field, as its geometry is."""
+        from scoup.text_table import is_table
+
+        name = field.info.embedding_model
+        beside = self.field.parent / name
+        return str(beside) if name and is_table(name) and beside.is_file() else name
+
+
+def sees_nothing(field: LanguageField, view: View) -> bool:
+    """Whether no Gaussian with a code paints a pixel of the view."""
+    from scoup.raster import render_channels
+
+    image, _ = render_channels(view, field.coded()[:, None].float())
+    return not bool(image.any())

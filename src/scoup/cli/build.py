@@ -5,15 +5,20 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from scoup.cli.console import Console, WritesCommon
+from scoup.cli.console import Console
+from scoup.cli.options import Flag, OptionalNumber, OptionalPath, WritesCommon, common_last
+
+if TYPE_CHECKING:
+    from scoup.regions import Regions
 
 CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 
 
+@common_last
 @dataclass(frozen=True, kw_only=True)
 class Build(WritesCommon):
     """Build a language field from a trained splat, its cameras, and region features.
@@ -22,22 +27,25 @@ class Build(WritesCommon):
     Interrupted, the same command goes on where it stopped.
     """
 
-    scene: tyro.conf.Positional[Path]
+    scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
     """Folder with cameras (and usually the photographs), or a cameras file."""
-    gaussians: Path | None = None
-    """The trained splat: .ply, .splat, gsplat checkpoint. Default: the one in SCENE."""
-    features: Path | None = None
+    gaussians: OptionalPath = None
+    """The trained splat: .ply, .splat, or a gsplat checkpoint. Default: the one in SCENE."""
+    features: OptionalPath = None
     """Folder of region features in LangSplat's layout. Default: SCENE/language_features."""
-    out: Path | None = None
-    """The field to write. Default: <name of SCENE>.scoup here."""
-    images: Path | None = None
+    out: OptionalPath = None
+    """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
+    images: OptionalPath = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
-    downscale: Literal[1, 2, 4, 8] | None = None
-    """Work at 1/N of the full image size."""
-    undistort: bool = False
+    downscale: Annotated[
+        Literal[1, 2, 4, 8] | None, tyro.conf.arg(metavar="{1,2,4,8}", help_behavior_hint="")
+    ] = None
+    """Work at 1/N of the full image size: faster and coarser. Default: the size of the photographs found."""
+    undistort: Flag = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
     model: str = CLIP_MODEL
-    """Model (or table of words) the region embeddings belong to; queries use it by default."""
+    """What the region embeddings were made with, and so what queries will use: a CLIP model by id, or
+    open_clip:ARCHITECTURE/PRETRAINED, or a table of words (.npz, .json, .safetensors)."""
     n_atoms: int = 64
     """Atoms in the codebook of each level (L)."""
     k: int = 4
@@ -45,33 +53,42 @@ class Build(WritesCommon):
     keep: int = 4
     """Atoms each Gaussian keeps after the vote; 0 keeps all."""
     solver: str = "adam"
-    """How codes are learned: adam (the paper's)."""
+    """How codes are learned; adam is the paper's."""
     epochs: int = 4000
-    """Epochs of the adam solver."""
-    tolerance: float | None = None
-    """Stop coding early once its loss falls by less than this in 100 epochs."""
+    """Epochs of the adam solver; fewer are faster and a little worse."""
+    tolerance: OptionalNumber = None
+    """Stop coding early once its loss falls by less than this in 100 epochs. Default: never."""
     seed: int = 0
     """Seed of the codebook's start; the same seed gives the same file."""
     preset: Literal["auto", "inria", "gsplat"] = "auto"
     """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
     weight_bits: Literal[8, 16] = 16
     """Bits of a stored code weight."""
-    embed_geometry: bool = False
+    embed_geometry: Flag = False
     """Put the Gaussians into the field's file, so that it stands alone."""
-    keep_accumulators: bool = False
+    keep_accumulators: Flag = False
     """Also write the sums before the vote, needed to add views later."""
 
     def run(self, console: Console) -> None:
         """Build, save and report."""
         from scoup.artefact import accumulators_path
-        from scoup.io import check_output, default_preset, find_gaussians, load_cameras, load_gaussians, load_regions
+        from scoup.errors import InputError
+        from scoup.io import (
+            check_output,
+            default_preset,
+            load_cameras,
+            load_gaussians,
+            load_regions,
+        )
         from scoup.pipeline import BuildSettings, build
 
         out = self.out or Path(f"{self.scene.resolve().name}.scoup")
+        if out.suffix.lower() != ".scoup":
+            raise InputError(f"{out}: give a name that ends in .scoup")
         check_output(out, self.overwrite)
         if self.keep_accumulators:
             check_output(accumulators_path(out), self.overwrite)
-        source = find_gaussians(self.gaussians or self.scene)
+        source = self._splat()
         settings = BuildSettings(
             n_atoms=self.n_atoms,
             k=self.k,
@@ -85,9 +102,11 @@ class Build(WritesCommon):
         gaussians = load_gaussians(source).to(self.device)
         distorted = "undistort" if self.undistort else "refuse"
         cameras = load_cameras(self.scene, self.images, self.downscale, distorted)
-        folder = self.features or (self.scene if self.scene.is_dir() else self.scene.parent)
-        regions = load_regions(folder, cameras)
-        console.say(f"{len(gaussians):,} Gaussians, {len(regions)} views with regions of {len(cameras)} cameras")
+        regions = load_regions(self._features(), cameras)
+        model = self._model(regions, out)
+        console.say(
+            f"{len(gaussians):,} Gaussians, {len(regions)} views with regions of {len(cameras)} cameras"
+        )
 
         started = time.perf_counter()
         with console.progress() as progress:
@@ -96,7 +115,7 @@ class Build(WritesCommon):
                 cameras,
                 regions,
                 settings=settings,
-                embedding_model=self.model,
+                embedding_model=model,
                 geometry_path=source,
                 keep_accumulators=self.keep_accumulators,
                 checkpoint=out.with_name(out.name + ".partial"),
@@ -126,3 +145,47 @@ class Build(WritesCommon):
                 "coding": field.info.provenance["coding"],
             }
         )
+
+    def _splat(self) -> Path:
+        from scoup.errors import FileFormatError
+        from scoup.io import find_gaussians
+
+        if self.gaussians is not None:
+            return find_gaussians(self.gaussians)
+        try:
+            return find_gaussians(self.scene)
+        except FileFormatError as error:
+            if not self.scene.exists():
+                raise FileFormatError(self.scene, "there is no such scene", "check the path") from error
+            problem = error.problem if self.scene.is_dir() else "is no splat, and none is named"
+            raise FileFormatError(error.path, problem, "name the trained splat with --gaussians") from error
+
+    def _features(self) -> Path:
+        from scoup.errors import MissingFileError
+        from scoup.io.langsplat import FOLDER_NAME
+
+        if self.features is not None:
+            return self.features
+        folder = (self.scene if self.scene.is_dir() else self.scene.parent) / FOLDER_NAME
+        if not folder.is_dir():
+            problem = "there is no such folder (the region features were expected here)"
+            raise MissingFileError(folder, problem, "say where they are with --features")
+        return folder
+
+    def _model(self, regions: Regions, out: Path) -> str:
+        """The name of the embedding model for the field; a table is checked, and named relative to the field."""
+        import os
+
+        from scoup.errors import InputError
+        from scoup.text_table import is_table, load_table
+
+        if not is_table(self.model):
+            return self.model
+        dim = load_table(self.model).vectors.shape[1]
+        wanted = regions.load_embeddings(regions.view_names[0], regions.levels[0]).shape[1]
+        if dim != wanted:
+            raise InputError(
+                f"{self.model}: holds vectors of {dim} dimensions, but {self._features()} holds embeddings of "
+                f"{wanted}; give the table that was made with the same model"
+            )
+        return Path(os.path.relpath(self.model, out.absolute().parent)).as_posix()

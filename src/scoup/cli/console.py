@@ -11,8 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from scoup.cli.options import Common as Common
-from scoup.cli.options import WritesCommon as WritesCommon
+from scoup.cli.options import Common
 from scoup.errors import ScoupError, ScoupWarning
 from scoup.progress import Progress, no_progress
 
@@ -118,9 +117,13 @@ def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
         except BrokenPipeError:  # whoever read the output, such as head, has seen enough
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
-        except OSError as error:  # a full disk, a file that vanished: the system's refusals, not faults of ours
+        except (
+            OSError
+        ) as error:  # a full disk, a file that vanished: the system's refusals, not faults of ours
             where = f"{error.filename}: " if error.filename else ""
-            return console.fail(f"{where}the system refused ({error.strerror or error}); mend it and try again", 2)
+            return console.fail(
+                f"{where}the system refused ({error.strerror or error}); mend it and try again", 2
+            )
         except RuntimeError as error:
             if "allocate" not in str(error) and "out of memory" not in str(error):
                 raise

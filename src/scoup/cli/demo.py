@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scoup.cli.console import Console, WritesCommon
+from scoup.cli.console import Console
+from scoup.cli.options import WritesCommon, common_last
 
 if TYPE_CHECKING:
     from scoup.demo.run import DemoResult
 
 
+@common_last
 @dataclass(frozen=True, kw_only=True)
 class Demo(WritesCommon):
     """Make a table-top scene, build its language field, ask for every object, and score the answers.
@@ -48,7 +50,9 @@ class Demo(WritesCommon):
         for path in (sheet, scores):
             check_output(path, self.overwrite)
         settings = DemoSettings(self.seed, self.n_gaussians, self.width, self.height, self.views, self.epochs)
-        console.say(f"a scene of {self.n_gaussians:,} Gaussians, {self.views} views of {self.width} x {self.height}")
+        console.say(
+            f"a scene of {self.n_gaussians:,} Gaussians, {self.views} views of {self.width} x {self.height}"
+        )
         with console.progress() as progress:
             result = run_demo(self.out, settings, self.overwrite, progress)
         save_png(query_sheet(result), sheet, self.overwrite)
@@ -90,7 +94,9 @@ def _print(console: Console, result: DemoResult) -> None:
     for heading in ("views", "IoU", "hit", "levels", f"IoU {ALL_ATOMS}", f"IoU {DENSE}"):
         table.add_column(heading, justify="right")
     for row in rows_by_name(result):
-        levels = " ".join(f"{level}{count}" for level, count in sorted(row.levels.items(), key=lambda item: -item[1]))
+        levels = " ".join(
+            f"{level}{count}" for level, count in sorted(row.levels.items(), key=lambda item: -item[1])
+        )
         table.add_row(
             row.name,
             str(row.views),

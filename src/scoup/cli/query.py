@@ -6,31 +6,40 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import tyro
-
-from scoup.cli.asking import AsksText, AsksViews
-from scoup.cli.console import Console, unique_slugs
+from scoup.cli.asking import AsksText, AsksViews, sees_nothing
+from scoup.cli.console import Console
+from scoup.cli.names import unique_slugs
+from scoup.cli.options import OptionalNumber, OptionalPath, Texts, common_last
+from scoup.cli.staging import check_folder, check_outputs, staged
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from scoup.cameras import Camera
+    from scoup.query import QueryPreset
 
+RECORD = "query.json"
+PICTURES = ("heat", "mask", "overlay")
+
+
+@common_last
 @dataclass(frozen=True, kw_only=True)
 class Query(AsksText, AsksViews):
     """Ask a field where things are, in the views of its cameras.
 
-    For each view and text it writes a heat map over the colour render, the mask, the mask drawn with its box and
-    point, and one query.json with level, score, pixel, coverage and box.
+    For each view and text it writes three pictures: the relevancy as a heat map over the colour render, the mask,
+    and the mask drawn over the render with its box and point. One query.json holds level, score, pixel, coverage
+    and box of every answer.
     """
 
-    texts: tyro.conf.Positional[tuple[str, ...]]
+    texts: Texts
     """What to look for, for example "kettle" "wooden table"."""
-    out: Path | None = None
+    out: OptionalPath = None
     """Folder for the pictures and query.json. Default: <name of FIELD>_queries here."""
     rule: Literal["scoup", "langsplatv2", "langsplat"] = "scoup"
-    """Whose rules turn relevancy into masks and points."""
-    threshold: float | None = None
-    """Of the mask, 0..1. Default: the rule's own."""
+    """Whose constants turn relevancy into masks and points: sides of the boxes that smooth, and threshold."""
+    threshold: OptionalNumber = None
+    """A pixel is in the mask above this, 0 to 1, once relevancy is rescaled over the view. Default: the rule's."""
     pictures: Literal["all", "none"] = "all"
     """none: write query.json only."""
 
@@ -39,25 +48,35 @@ class Query(AsksText, AsksViews):
         import json
 
         from scoup.errors import InputError
-        from scoup.io import check_output, write_text
+        from scoup.io import write_text
         from scoup.query import query_preset
 
         if not self.texts:
-            raise InputError("name at least one text to look for")
+            raise InputError('name at least one text to look for, for example "kettle"')
         preset = query_preset(self.rule, threshold=self.threshold)
         out = self.out or Path(f"{self.field.stem}_queries")
-        check_output(out / "query.json", self.overwrite)
+        check_folder(out)
+        check_outputs(out, [RECORD], self.overwrite)
         field = self.open_field()
         cameras = self.open_cameras(field)
         queries, canonical = self.encode(field, self.texts)
-        names = unique_slugs(list(self.texts))
-        folders = unique_slugs([camera.stem for camera in cameras])
+
+        names = unique_slugs(self.texts)
+        folders = unique_slugs(camera.stem for camera in cameras)
+        files = [RECORD]
+        if self.pictures == "all":
+            files += [
+                f"{folder}/{name}_{kind}.png" for folder in folders for name in names for kind in PICTURES
+            ]
         records: list[dict[str, Any]] = []
-        with console.progress() as progress:
+        blind: list[Camera] = []
+        with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
             progress("query", 0, len(cameras))
             for done, (camera, folder) in enumerate(zip(cameras, folders, strict=True), start=1):
                 view = field.look(camera)
                 relevancy = field.relevancy(camera, queries, canonical, view)
+                if bool((relevancy == 0.5).all()) and sees_nothing(field, view):
+                    blind.append(camera)
                 rgb = None
                 if self.pictures == "all":
                     from scoup.raster import render_colors
@@ -68,39 +87,45 @@ class Query(AsksText, AsksViews):
                     mask = record.pop("mask")
                     if rgb is not None:
                         level = field.levels.index(record["level"])
-                        record["files"] = self._draw(out / folder, name, maps[level].cpu(), mask, rgb, record)
+                        drawn = _draw(hidden / folder, name, maps[level].cpu(), mask, rgb, record)
+                        record["files"] = {
+                            kind: (out / folder / file).as_posix() for kind, file in drawn.items()
+                        }
                     records.append(record)
                 progress("query", done, len(cameras))
-        write_text(out / "query.json", json.dumps({"field": str(self.field), "answers": records}, indent=2), self.overwrite)
+            self.tell_blind(blind, len(cameras))
+            write_text(hidden / RECORD, json.dumps({"field": str(self.field), "answers": records}, indent=2))
         for record in records:
             box = "no pixel" if record["box"] is None else f"box {record['box']}"
             console.say(
                 f"{record['camera']}  {record['text']}: score {record['score']:.2f} at level {record['level']}, "
                 f"pixel {record['pixel']}, {box}, {record['coverage']:.1%} of the view"
             )
-        console.say(f"{out}/query.json: {len(records)} answers")
+        console.say(f"{out / RECORD}: {len(records)} answers")
         console.result({"out": out, "answers": records})
 
-    def _draw(
-        self, folder: Path, name: str, relevancy: Tensor, mask: Tensor, rgb: Tensor, record: dict[str, Any]
-    ) -> dict[str, str]:
-        from scoup.io import save_png
-        from scoup.pictures import heat_map, mask_overlay
 
-        level, score = record["level"], record["score"]
-        remark = f"level {level}, {record['coverage']:.1%} of the view"
-        made = {
-            "heat": heat_map(relevancy, rgb, record["text"], level, score),
-            "mask": mask,
-            "overlay": mask_overlay(mask, rgb, record["box"], record["pixel"], record["text"], remark),
-        }
-        files = {kind: folder / f"{name}_{kind}.png" for kind in made}
-        for kind, image in made.items():
-            save_png(image, files[kind], self.overwrite)
-        return {kind: path.as_posix() for kind, path in files.items()}
+def _draw(
+    folder: Path, name: str, relevancy: Tensor, mask: Tensor, rgb: Tensor, record: dict[str, Any]
+) -> dict[str, str]:
+    """Write the pictures of one answer; the file name of each kind."""
+    from scoup.io import save_png
+    from scoup.pictures import heat_map, mask_overlay
+
+    level, score = record["level"], record["score"]
+    remark = f"level {level}, {record['coverage']:.1%} of the view"
+    made = {
+        "heat": heat_map(relevancy, rgb, record["text"], level, score),
+        "mask": mask,
+        "overlay": mask_overlay(mask, rgb, record["box"], record["pixel"], record["text"], remark),
+    }
+    files = {kind: f"{name}_{kind}.png" for kind in PICTURES}
+    for kind, file in files.items():
+        save_png(made[kind], folder / file)
+    return files
 
 
-def _answer(maps: Tensor, levels: tuple[str, ...], preset: Any) -> dict[str, Any]:
+def _answer(maps: Tensor, levels: tuple[str, ...], preset: QueryPreset) -> dict[str, Any]:
     """What one text gets in one view: relevancy maps [S, H, W] to a record, and the mask."""
     from scoup.query import localize, segment
 

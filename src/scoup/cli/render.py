@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from scoup.cli.asking import AsksText, AsksViews
-from scoup.cli.console import Console, unique_slugs
+from scoup.cli.asking import AsksText, AsksViews, sees_nothing
+from scoup.cli.console import Console
+from scoup.cli.names import unique_slugs
+from scoup.cli.options import OptionalPath, OptionalText, common_last
+from scoup.cli.staging import check_folder, staged
 
 AXES = 8  # directions of embedding space among which the three colours are chosen
+ANIMATIONS = (".webp", ".gif")
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,86 +24,107 @@ if TYPE_CHECKING:
     from scoup.field import LanguageField
     from scoup.raster import View
 
+    Draw = Callable[[Camera, View], np.ndarray]
 
+
+@common_last
 @dataclass(frozen=True, kw_only=True)
 class Render(AsksText, AsksViews):
-    """Render views of a field: colours, codes as colours (same code, same colour), or relevancy to a text."""
+    """Render views of a field: its colours, its codes as colours (same code, same colour), or relevancy to a text."""
 
     what: Literal["color", "codes", "relevancy"] = "color"
-    """color: the splat. codes: a projection of the rendered codes to RGB. relevancy: needs --query."""
-    query: str | None = None
+    """color: the splat as it is. codes: the rendered codes, as colours that tell meanings apart. relevancy: a heat
+    map of the text given with --query."""
+    query: OptionalText = None
     """The text whose relevancy is drawn."""
-    level: str = "m"
-    """Level of the codes (relevancy takes the level that answers best)."""
-    out: Path | None = None
-    """Folder of the pictures, or a .webp or .gif file for an animation. Default: <name of FIELD>_<what> here."""
+    level: OptionalText = None
+    """Level of the codes: s, m or l (relevancy takes the level that answers best). Default: m."""
+    out: OptionalPath = None
+    """Folder of the pictures; or a .png file for one picture, or a .webp or .gif file for an animation of all.
+    Default: <name of FIELD>_<what> here."""
     frames_per_second: float = 12.0
-    """Of an animation."""
+    """Speed of an animation."""
 
     def run(self, console: Console) -> None:
         """Render each camera asked for."""
         from scoup.errors import InputError
-        from scoup.io import check_output, save_png
+        from scoup.io import save_png
 
         if (self.what == "relevancy") != (self.query is not None):
-            raise InputError("--what relevancy and --query TEXT belong together")
+            raise InputError("--what relevancy and --query TEXT belong together; give both or neither")
+        if not 0.1 <= self.frames_per_second <= 100:
+            raise InputError(f"--frames-per-second must be 0.1 to 100, got {self.frames_per_second}")
         out = self.out or Path(f"{self.field.stem}_{self.what}")
-        animation = out.suffix.lower() in (".webp", ".gif")
-        if not self.frames_per_second > 0:
-            raise InputError(f"--frames-per-second must be above 0, got {self.frames_per_second}")
+        kind = out.suffix.lower()
+        animation = kind in ANIMATIONS
+        one_file = animation or kind == ".png"
+        if not one_file:
+            check_folder(out)
         field = self.open_field()
-        field.level_index(self.level)
+        draw = self._drawing(field)
         cameras = self.open_cameras(field)
-        files = [out / f"{name}.png" for name in unique_slugs([camera.stem for camera in cameras])]
-        for path in [out] if animation else files:
-            check_output(path, self.overwrite)
-        text = None if self.query is None else self.encode(field, [self.query])
+        if kind == ".png" and len(cameras) > 1:
+            raise InputError(
+                f"{out}: one picture cannot hold {len(cameras)} views; give a folder, .webp or .gif"
+            )
+        folder = out.parent if one_file else out
+        files = [out.name] if one_file else [f"{name}.png" for name in unique_slugs(c.stem for c in cameras)]
 
         frames: list[np.ndarray] = []
-        with console.progress() as progress:
+        blind: list[Camera] = []
+        with staged(folder, files, self.overwrite) as hidden, console.progress() as progress:
             progress("render", 0, len(cameras))
-            for done, (camera, path) in enumerate(zip(cameras, files, strict=True), start=1):
-                picture = self._picture(field, camera, text)
+            for done, camera in enumerate(cameras):
+                view = field.look(camera)
+                if sees_nothing(field, view):
+                    blind.append(camera)
+                picture = draw(camera, view)
                 if animation:
                     frames.append(picture)
                 else:
-                    save_png(picture, path, self.overwrite)
-                progress("render", done, len(cameras))
-        if animation:
-            _save_animation(frames, out, self.frames_per_second, self.overwrite)
-        written = [out] if animation else files
-        console.say(f"{len(cameras)} views rendered to {out}")
-        console.result({"out": out, "files": written})
+                    save_png(picture, hidden / files[done])
+                progress("render", done + 1, len(cameras))
+            self.tell_blind(blind, len(cameras))
+            if animation:
+                _save_animation(frames, hidden / out.name, self.frames_per_second)
+        console.say(f"{len(cameras)} {'view' if len(cameras) == 1 else 'views'} rendered to {out}")
+        console.result({"out": out, "files": [(folder / file).as_posix() for file in files]})
 
-    def _picture(self, field: LanguageField, camera: Camera, text: tuple[Tensor, Tensor] | None) -> np.ndarray:
-        """[H, W, 3] uint8."""
+    def _drawing(self, field: LanguageField) -> Draw:
+        """The function that draws one view as [H, W, 3] uint8."""
         from scoup.pictures import as_picture, heat_map
         from scoup.query import segment
         from scoup.raster import render_colors
 
-        view = field.look(camera)
         if self.what == "codes":
-            return self._code_picture(field, camera, view)
-        rgb = render_colors(field.gaussians, camera, view)
-        if text is None:
-            return as_picture(rgb)
-        maps = field.relevancy(camera, *text, view)[:, 0]
-        answer = segment(maps)
-        return heat_map(maps[answer.level], rgb, self.query or "", field.levels[answer.level], answer.score)
+            return self._codes_drawing(field)
+        if self.query is None:
+            return lambda camera, view: as_picture(render_colors(field.gaussians, camera, view))
+        vectors = self.encode(field, [self.query])
+        text = self.query
 
-    def _code_picture(self, field: LanguageField, camera: Camera, view: View) -> np.ndarray:
+        def draw(camera: Camera, view: View) -> np.ndarray:
+            maps = field.relevancy(camera, *vectors, view)[:, 0].cpu()
+            answer = segment(maps)
+            rgb = render_colors(field.gaussians, camera, view).cpu()
+            return heat_map(maps[answer.level], rgb, text, field.levels[answer.level], answer.score)
+
+        return draw
+
+    def _codes_drawing(self, field: LanguageField) -> Draw:
         from scoup.codes import SparseCodes
         from scoup.pictures import code_basis, code_picture
 
-        level = field.level_index(self.level)
+        level = len(field.levels) // 2 if self.level is None else field.level_index(self.level)
         # Colours should tell meanings apart, so atoms are placed by their embeddings first; and the same code should
         # have the same colour in every view, so the axes come from the Gaussians, not from the picture.
         atoms = field.codebook[level].cpu()
-        directions = _leading_directions(atoms, AXES)
-        codes = SparseCodes(field.code_indices[:, level].cpu(), field.code_weights[:, level].float().cpu(), field.n_atoms)
-        basis = code_basis(codes.to_dense() @ atoms @ directions)
-        rendered = field.render_codes(camera, view)[level].cpu()
-        return code_picture(rendered @ atoms @ directions, basis)
+        placed = atoms @ _leading_directions(atoms, AXES)  # [L, axes]
+        indices, weights = field.code_indices[:, level].cpu(), field.code_weights[:, level].float().cpu()
+        basis = code_basis(SparseCodes(indices, weights, field.n_atoms).to_dense() @ placed)
+        return lambda camera, view: code_picture(
+            field.render_codes(camera, view)[level].cpu() @ placed, basis
+        )
 
 
 def _leading_directions(atoms: Tensor, count: int) -> Tensor:
@@ -108,15 +134,21 @@ def _leading_directions(atoms: Tensor, count: int) -> Tensor:
     return torch.linalg.svd(atoms, full_matrices=False).Vh[:count].T
 
 
-def _save_animation(frames: list[np.ndarray], path: Path, frames_per_second: float, overwrite: bool) -> None:
+def _save_animation(frames: list[np.ndarray], path: Path, frames_per_second: float) -> None:
     from PIL import Image
 
     from scoup.errors import InputError
-    from scoup.io import atomic_file
 
     if len({frame.shape for frame in frames}) > 1:
-        raise InputError(f"{path}: the views differ in size; an animation needs one size (see --camera)")
+        raise InputError(
+            f"{path.name}: the views differ in size, and an animation needs one size; choose views with --camera"
+        )
     pictures = [Image.fromarray(frame) for frame in frames]
-    options = {"save_all": True, "append_images": pictures[1:], "duration": round(1000 / frames_per_second), "loop": 0}
-    with atomic_file(path, overwrite) as stream:
-        pictures[0].save(stream, format=path.suffix[1:].upper(), **options)
+    pictures[0].save(
+        path,
+        format=path.suffix[1:].upper(),
+        save_all=True,
+        append_images=pictures[1:],
+        duration=round(1000 / frames_per_second),
+        loop=0,
+    )

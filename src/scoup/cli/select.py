@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import tyro
-
 from scoup.cli.asking import AsksText
 from scoup.cli.console import Console
+from scoup.cli.options import Flag, Texts, common_last
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
     from scoup.io import PlyTable
 
 
+@common_last
 @dataclass(frozen=True, kw_only=True)
 class Select(AsksText):
     """Write the Gaussians that answer a text as a 3DGS PLY: those chosen, the rest, or all with an id column.
@@ -26,19 +26,20 @@ class Select(AsksText):
     copied byte for byte.
     """
 
-    texts: tyro.conf.Positional[tuple[str, ...]]
-    """What to look for; of several, a Gaussian that answers any is chosen."""
+    texts: Texts
+    """What to look for, for example "kettle"; of several texts, a Gaussian that answers any is chosen."""
     out: Path
     """The PLY to write."""
     write: Literal["chosen", "rest", "ids"] = "chosen"
-    """chosen: only the Gaussians found. rest: all others. ids: every Gaussian, with a property `selected` that is
-    0, or the number of the last text (from 1) that it answers."""
+    """chosen: only the Gaussians found. rest: all others. ids: every Gaussian, with a property `selected` that holds
+    the number of the last text it answers (counted from 1), or 0."""
     threshold: float = 0.6
-    """A Gaussian is chosen above this, after relevancy is rescaled to 0..1 over the scene."""
-    absolute: bool = False
-    """Put the threshold on the relevancy itself (0.5 is a draw with the canonical phrases)."""
+    """A Gaussian is chosen above this, 0 to 1, once relevancy is rescaled over the scene."""
+    absolute: Flag = False
+    """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases."""
     neighbours: int = 0
-    """Blend each Gaussian half and half with the mean of so many nearest neighbours (10 is usual; 0: do not)."""
+    """Blend the relevancy of each Gaussian half and half with the mean of so many nearest neighbours: smoother and
+    slower. 10 is usual, 0 does without."""
 
     def run(self, console: Console) -> None:
         """Choose and write."""
@@ -48,12 +49,26 @@ class Select(AsksText):
         from scoup.io import check_output, write_ply_table
         from scoup.query import select
 
-        check_output(self.out, self.overwrite)
-        if self.out.suffix.lower() != ".ply":
-            raise InputError(f"{self.out}: give a name that ends in .ply")
         if not self.texts:
-            raise InputError("name at least one text to look for")
+            raise InputError('name at least one text to look for, for example "kettle"')
+        if not 0 <= self.threshold <= 1:
+            raise InputError(f"--threshold must be 0 to 1, got {self.threshold}")
+        if self.neighbours < 0:
+            raise InputError(f"--neighbours must be 0 or more, got {self.neighbours}")
+        if self.out.suffix.lower() != ".ply":
+            raise InputError(f"{self.out}: selections are written as PLY; give a name that ends in .ply")
+        check_output(self.out, self.overwrite)
         field = self.open_field()
+        for geometry in (self.gaussians, field.geometry_path):
+            if (
+                geometry is not None
+                and self.out.exists()
+                and geometry.exists()
+                and self.out.samefile(geometry)
+            ):
+                raise InputError(
+                    f"{self.out}: is the splat the field was built on; give another name with --out"
+                )
         queries, canonical = self.encode(field, self.texts)
         found = select(field, queries, canonical, self.threshold, self.neighbours or None, not self.absolute)
         chosen = found.any(0)
@@ -69,7 +84,10 @@ class Select(AsksText):
             wanted = torch.zeros(len(kept), dtype=torch.bool)
             wanted[kept] = chosen if self.write == "chosen" else ~chosen
             if not wanted.any():
-                raise InputError(f"nothing to write: {int(chosen.sum())} of {len(chosen)} Gaussians were chosen")
+                advice = "try a lower --threshold" if self.write == "chosen" else "try a higher --threshold"
+                raise InputError(
+                    f"{self.out}: nothing to write, {int(chosen.sum())} of {len(chosen)} Gaussians answer; {advice}"
+                )
             table = table.select(wanted.numpy())
         write_ply_table(table, self.out, self.overwrite)
         for text, count in counts.items():
@@ -82,16 +100,17 @@ class Select(AsksText):
         import torch
 
         from scoup.errors import InputError
-        from scoup.io import gaussians_from_table, read_ply_table
+        from scoup.io import find_gaussians, gaussians_from_table, read_ply_table
         from scoup.io.ply import table_from_gaussians
 
         path = self.gaussians or field.geometry_path
-        if path is not None and path.suffix.lower() == ".ply" and path.is_file():
-            table = read_ply_table(path)
-            try:
+        try:
+            path = None if path is None else find_gaussians(path)
+            if path is not None and path.suffix.lower() == ".ply":
+                table = read_ply_table(path)
                 gaussians, kept = gaussians_from_table(table)
-            except InputError:  # compressed: its rows do not stand alone
-                gaussians, kept = None, None
-            if kept is not None and gaussians.fingerprint() == field.info.fingerprint:
-                return table, torch.from_numpy(kept)
+                if gaussians.fingerprint() == field.info.fingerprint:
+                    return table, torch.from_numpy(kept)
+        except InputError:
+            pass  # compressed, so its rows do not stand alone; or gone, and the field has its geometry embedded
         return table_from_gaussians(field.gaussians.to("cpu")), torch.ones(len(field), dtype=torch.bool)

@@ -169,7 +169,9 @@ def summary(result: DemoResult) -> dict[str, dict[str, float | list[float]]]:
     """By variant: mIoU with its 95 % interval over names, localisation accuracy, bytes a Gaussian."""
     table = {}
     for variant, score in result.scores.items():
-        interval = bootstrap_interval([pair.iou for pair in score.pairs], [pair.label for pair in score.pairs])
+        interval = bootstrap_interval(
+            [pair.iou for pair in score.pairs], [pair.label for pair in score.pairs]
+        )
         table[variant] = {
             "miou": score.miou,
             "interval": [interval.low, interval.high],

@@ -12,7 +12,13 @@ from scoup.query import localize, segment
 from scoup.raster import render_colors
 
 TRUTH_COLOR = (70, 200, 110)
-FAVOURITES = ("teapot", "rubber duck", "fruit bowl", "alarm clock", "sunflowers")  # shown if they are in sight
+FAVOURITES = (
+    "teapot",
+    "rubber duck",
+    "fruit bowl",
+    "alarm clock",
+    "sunflowers",
+)  # shown if they are in sight
 
 
 def query_sheet(result: DemoResult) -> Picture:
@@ -23,10 +29,11 @@ def query_sheet(result: DemoResult) -> Picture:
     pairs = [pair for name in names_to_show(result) if (pair := _median_pair(result, name)) is not None]
     tiles = [tile for pair in pairs for tile in _row(result, pair)]
     score = result.scores[METHOD]
-    heading = f"{len(score.pairs)} questions in held-out views: mIoU {score.miou:.2f}, localisation {score.accuracy:.0%}"
+    asked = f"{len(score.pairs)} questions in held-out views"
+    heading = f"{asked}: mIoU {score.miou:.2f}, localisation {score.accuracy:.0%}"
     footer = (
-        "Scene, regions and embeddings are simulated; the truth comes from the scene's geometry. Each name in its view of "
-        "median score. The last row is the worst answer of the run."
+        "Scene, regions and embeddings are simulated; the truth comes from the scene's geometry. "
+        "Each name in its view of median score. The last row is the worst answer of the run."
     )
     return contact_sheet(tiles, columns=3, width=1200, heading=heading, footer=footer)
 
@@ -41,7 +48,9 @@ def names_to_show(result: DemoResult) -> list[str]:
 
 
 def _median_pair(result: DemoResult, name: str) -> PairScore | None:
-    pairs = sorted((pair for pair in result.scores[METHOD].pairs if pair.label == name), key=lambda pair: pair.iou)
+    pairs = sorted(
+        (pair for pair in result.scores[METHOD].pairs if pair.label == name), key=lambda pair: pair.iou
+    )
     return pairs[len(pairs) // 2] if pairs else None
 
 
@@ -53,7 +62,11 @@ def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture
     maps: Tensor = field.relevancy(camera, scene.text_vectors([pair.label]), scene.canonical, view)[:, 0]
     shape, place = segment(maps), localize(maps)
     truth = mask_overlay(
-        scene.mask(camera.name, pair.label), rgb, label=f'"{pair.label}"', remark=f"truth, {pair.frame}", color=TRUTH_COLOR
+        scene.mask(camera.name, pair.label),
+        rgb,
+        label=f'"{pair.label}"',
+        remark=f"truth, {pair.frame}",
+        color=TRUTH_COLOR,
     )
     heat = heat_map(maps[shape.level], rgb, "relevancy", field.levels[shape.level], shape.score)
     found = mask_overlay(shape.mask, rgb, shape.box, place.pixel, "found", f"IoU {pair.iou:.2f}")

@@ -41,7 +41,12 @@ class Variant:
 
 
 def sparse_variant(
-    name: str, gaussians: Gaussians, accumulators: Tensor, codebook: Tensor, keep: int | None, raster_preset: str
+    name: str,
+    gaussians: Gaussians,
+    accumulators: Tensor,
+    codebook: Tensor,
+    keep: int | None,
+    raster_preset: str,
 ) -> Variant:
     """Codes with the ``keep`` largest atoms of each accumulator [N, S, L] (all, for None) over codebook [S, L, D]."""
     indices, weights = top_k(accumulators, keep)

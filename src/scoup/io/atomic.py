@@ -20,7 +20,7 @@ def check_output(path: str | Path, overwrite: bool = False) -> Path:
 
     Raises:
         OutputExistsError: there is a file already and ``overwrite`` is false.
-        InputError: the path is a folder or a special file, or one of its parents is a file.
+        InputError: the path is a folder or a special file, or its folder is a file or cannot be written to.
     """
     path = Path(path)
     if os.path.isdir(path):
@@ -34,6 +34,10 @@ def check_output(path: str | Path, overwrite: bool = False) -> Path:
         if os.path.lexists(parent):
             if not os.path.isdir(parent):
                 raise InputError(f"{path}: cannot be written because {parent} is not a folder")
+            if not os.access(parent, os.W_OK | os.X_OK):
+                raise InputError(
+                    f"{path}: cannot be written, {parent} is read-only for you; choose another folder"
+                )
             break
     return path
 

@@ -58,7 +58,7 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
         ScoupWarning: some cameras have no features; says how many.
     """
     folder = existing_folder(
-        folder, "a folder of language features", "run scoup extract first, or check the path"
+        folder, "a folder of language features", "make them first, or check the path"
     )
     if (folder / FOLDER_NAME).is_dir():
         folder = folder / FOLDER_NAME
@@ -200,7 +200,7 @@ def _refuse_without_features(folder: Path, cameras: list[Camera]) -> None:
     raise MissingFileError(
         folder,
         f"has features of none of the {len(cameras)} cameras: expected {expected}; {listed}",
-        "give the features of these images, or run scoup extract",
+        "give the features of these images",
     )
 
 

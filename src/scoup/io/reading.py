@@ -19,7 +19,8 @@ Distorted = Literal["refuse", "undistort"]
 MAX_IMAGE_SIDE = 100_000  # a longer side is a damaged number, not a photograph
 
 _UNDISTORT_REMEDY = (
-    "undistort the images first (colmap image_undistorter), or ask for it here with distorted='undistort'"
+    "undistort the images first (colmap image_undistorter), or have it done here: --undistort "
+    "(distorted='undistort' in Python)"
 )
 
 

@@ -102,7 +102,9 @@ def uplift_view(view: View, labels: Tensor, codes: list[SparseCodes], out: Tenso
         if highest >= len(level_codes):
             raise InputError(f"level {level}: label {highest} has no code, there are {len(level_codes)}")
         if level_codes.n_atoms != out.shape[2]:
-            raise InputError(f"level {level}: codes over {level_codes.n_atoms} atoms, accumulators {out.shape[2]}")
+            raise InputError(
+                f"level {level}: codes over {level_codes.n_atoms} atoms, accumulators {out.shape[2]}"
+            )
     _module(view.backend).uplift_view(view, labels, codes, out)
 
 
@@ -152,7 +154,11 @@ def render_cosines(view: View, indices: Tensor, weights: Tensor, codebook: Tenso
         [S, Q, H, W] float32.
     """
     _check_codes(view, indices, weights)
-    if codebook.dim() != 3 or codebook.shape[0] != indices.shape[1] or queries.shape[1:] != codebook.shape[2:]:
+    if (
+        codebook.dim() != 3
+        or codebook.shape[0] != indices.shape[1]
+        or queries.shape[1:] != codebook.shape[2:]
+    ):
         raise InputError(
             f"codebook {list(codebook.shape)} and queries {list(queries.shape)} do not fit {indices.shape[1]} levels"
         )
@@ -176,7 +182,9 @@ def _module(name: str) -> ModuleType:
 
 def _check_labels(view: View, labels: Tensor) -> None:
     if labels.dim() != 3 or tuple(labels.shape[1:]) != (view.height, view.width):
-        raise InputError(f"labels {list(labels.shape)} do not fit a view of {view.height} x {view.width} (H x W)")
+        raise InputError(
+            f"labels {list(labels.shape)} do not fit a view of {view.height} x {view.width} (H x W)"
+        )
     if labels.is_floating_point():
         raise InputError(f"labels must be integers, got {labels.dtype}")
 

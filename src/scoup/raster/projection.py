@@ -102,8 +102,14 @@ def _image_plane_factor(
     if preset.centred_clamp:
         x_low, x_high, y_low, y_high = -1.3 * tan_x, 1.3 * tan_x, -1.3 * tan_y, 1.3 * tan_y
     else:
-        x_low, x_high = -camera.cx / camera.fx - 0.3 * tan_x, (camera.width - camera.cx) / camera.fx + 0.3 * tan_x
-        y_low, y_high = -camera.cy / camera.fy - 0.3 * tan_y, (camera.height - camera.cy) / camera.fy + 0.3 * tan_y
+        x_low, x_high = (
+            -camera.cx / camera.fx - 0.3 * tan_x,
+            (camera.width - camera.cx) / camera.fx + 0.3 * tan_x,
+        )
+        y_low, y_high = (
+            -camera.cy / camera.fy - 0.3 * tan_y,
+            (camera.height - camera.cy) / camera.fy + 0.3 * tan_y,
+        )
     ray_x = (points[:, 0] / depth).clamp(x_low, x_high)
     ray_y = (points[:, 1] / depth).clamp(y_low, y_high)
 

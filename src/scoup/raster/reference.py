@@ -55,7 +55,7 @@ class ReferenceView:
 def look(gaussians: Gaussians, camera: Camera, preset: RasterPreset, tile: int = TILE) -> ReferenceView:
     """Project, bin and sort. ``tile`` changes the speed, never the answer beyond rounding."""
     projection = project(gaussians, camera, preset)
-    xx, xy, yy = projection.covariances.unbind(1)
+    _, xy, yy = projection.covariances.unbind(1)
     # exp(-q/2) with q = (dx - slope dy)^2 / var(x | y) + dy^2 / yy: two squares instead of the conic's three
     # terms, which cancel badly for needles.
     ellipses = torch.stack(
@@ -84,7 +84,9 @@ def region_weights(view: ReferenceView, labels: Tensor) -> tuple[Tensor, Tensor,
         for slots, ranks, weights in _blend(view, batch):
             sums = torch.bmm(weights, one_hot[slots])  # [t, G, C]
             at = torch.nonzero(sums, as_tuple=True)
-            found.append((view.projection.ids[ranks[at[0], at[1]]], keys_of_column[slots[at[0]], at[2]], sums[at]))
+            found.append(
+                (view.projection.ids[ranks[at[0], at[1]]], keys_of_column[slots[at[0]], at[2]], sums[at])
+            )
     if not found:
         empty = torch.zeros(0, dtype=torch.int64, device=labels.device)
         return empty, empty, torch.zeros(0, device=labels.device)
@@ -114,7 +116,9 @@ def add_codes(
         rows = key[chosen] - level * stride
         base = (gaussian[chosen] * len(codes) + level) * n_atoms
         target = base[:, None] + level_codes.indices[rows].long()
-        flat.scatter_add_(0, target.reshape(-1), (weight[chosen, None] * level_codes.weights[rows]).reshape(-1))
+        flat.scatter_add_(
+            0, target.reshape(-1), (weight[chosen, None] * level_codes.weights[rows]).reshape(-1)
+        )
 
 
 def render_channels(view: ReferenceView, values: Tensor) -> tuple[Tensor, Tensor]:
@@ -183,7 +187,9 @@ def tile_weights(view: ReferenceView) -> Iterator[tuple[int, Tensor, Tensor]]:
             painting = torch.nonzero(weights.amax(2), as_tuple=True)
             parts.append((slots[painting[0]], ranks[painting], weights[painting]))
         slots, ranks, weights = (torch.cat(items) for items in zip(*parts, strict=True))
-        order = torch.argsort(slots, stable=True)  # chunks come front to back, so each tile stays front to back
+        order = torch.argsort(
+            slots, stable=True
+        )  # chunks come front to back, so each tile stays front to back
         ids, weights = view.projection.ids[ranks[order]], weights[order]
         counts = torch.bincount(slots, minlength=len(batch.tiles)).tolist()
         yield from zip(batch.tiles.tolist(), ids.split(counts), weights.split(counts), strict=True)
