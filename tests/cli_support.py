@@ -17,6 +17,8 @@ from scoup.text_table import save_table
 from support import small_scene, unit
 
 WORDS = ("kettle", "mug", "wooden table")
+QUICK = ("--epochs", "20", "--n-atoms", "8")
+"""Options that make a build quick."""
 
 
 def write_scene(folder: Path, count: int = 150, seed: int = 0) -> Path:
@@ -51,3 +53,29 @@ def run_json(*arguments: object) -> dict[str, Any]:
     code, out, err = run(*arguments, "--json")
     assert code == 0, err
     return json.loads(out)
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    """Contents of every file below a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def refused(*arguments: object, folder: Path | None = None) -> str:
+    """Run what must be refused, for people and for machines; the one sentence said.
+
+    Checks that it is one line on standard error, the same in the JSON object, exit code 2, and that no file below
+    ``folder`` (the current one) changed, appeared or went.
+    """
+    folder = folder or Path.cwd()
+    before = snapshot(folder)
+    code, out, err = run(*arguments)
+    assert code == 2, (code, out, err)
+    lines = err.splitlines()
+    assert len(lines) == 1, err
+    assert lines[0].startswith("error: ")
+    message = lines[0].removeprefix("error: ")
+    code, out, err = run(*arguments, "--json")
+    assert (code, json.loads(out)) == (2, {"error": message})
+    assert err.splitlines() == lines
+    assert snapshot(folder) == before
+    return message

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import torch
-from support import small_scene, unit
 
 from scoup import raster
 from scoup.baselines.dense import dense_features, dense_relevancy
 from scoup.evaluate.variants import dense_variant, sparse_variant
 from scoup.relevancy import relevancy
 from scoup.uplifting import region_sums
+from support import small_scene, unit
 
 
 def test_dense_features_are_the_weighted_mean_of_embeddings():

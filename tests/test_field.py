@@ -169,6 +169,21 @@ def test_nothing_is_overwritten_unasked(field, tmp_path):
     assert len(LanguageField.load(path)) == len(field)
 
 
+def test_accumulators_of_an_earlier_field_are_not_taken(scene, field, tmp_path):
+    path = tmp_path / "f.scoup"
+    field.save(path)
+    assert LanguageField.load(path).accumulators is not None
+    build(*scene, settings=QUICK).save(path, overwrite=True)
+    assert accumulators_path(path).exists()
+    assert LanguageField.load(path).accumulators is None
+    other = BuildSettings(n_atoms=8, k=2, keep=2, epochs=20)
+    stale = accumulators_path(path).read_bytes()
+    build(*scene, settings=other, keep_accumulators=True).save(path, overwrite=True)
+    accumulators_path(path).write_bytes(stale)
+    with pytest.raises(FileFormatError, match="does not belong"):
+        LanguageField.load(path)
+
+
 def test_adding_a_view_equals_building_with_it(scene, field, tmp_path):
     """With the codes the codebook gives to the new regions, the vote is that of all views together."""
     gaussians, cameras, regions = scene

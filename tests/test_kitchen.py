@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from cli_support import run
 
 import scoup
+from cli_support import run
 from scoup.evaluate.lerf_ovs import match_frames, read_labels, score_scene
 from scoup.relevancy import CANONICAL_PHRASES
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +16,6 @@ from torch import Tensor
 
 from scoup.cameras import Camera, Cameras
 from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupError
-from scoup.field import FieldInfo, LanguageField
 from scoup.gaussians import Gaussians
 from scoup.io.atomic import atomic_path, check_output
 
@@ -23,46 +26,87 @@ _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
 _REBUILD = "build the field again, or copy the file again if it was cut short"
 
 
-def save_field(
-    field: LanguageField, path: Path, overwrite: bool, embed_geometry: bool, weight_bits: int
-) -> None:
-    """See ``LanguageField.save``."""
+@dataclass(frozen=True)
+class FieldInfo:
+    """What a field is, without its tensors.
+
+    Attributes:
+        levels: level names, fine to coarse.
+        embedding_model: id of the model whose embeddings were coded; queries must come from the same model.
+        fingerprint: of the geometry the field belongs to (``Gaussians.fingerprint``).
+        n_gaussians: N of that geometry.
+        raster_preset: rasteriser constants the field was lifted with and is rendered with.
+        provenance: software version, settings, source hashes, coding reports; plain JSON values.
+    """
+
+    levels: tuple[str, ...]
+    embedding_model: str
+    fingerprint: str
+    n_gaussians: int
+    raster_preset: str = "inria"
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldParts:
+    """Everything a ``.scoup`` file holds; attributes as those of ``LanguageField``.
+
+    ``gaussians`` are those embedded in the file, or to be embedded; None for none.
+    """
+
+    code_indices: Tensor  # [N, S, K]
+    code_weights: Tensor  # [N, S, K]
+    codebook: Tensor  # [S, L, D]
+    info: FieldInfo
+    gaussians: Gaussians | None
+    geometry_path: Path | None
+    accumulators: Tensor | None  # [N, S, L]
+    cameras: Cameras | None
+
+
+def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int) -> None:
+    """Write a field, and its accumulators beside it if there are any; see ``LanguageField.save``."""
     if weight_bits not in (8, 16):
         raise InputError(f"weights are stored with 8 or 16 bits, not {weight_bits}")
-    siblings = accumulators_path(path)
+    sibling = accumulators_path(path)
     check_output(path, overwrite)
-    if field.accumulators is not None:
-        check_output(siblings, overwrite)
-    weights = field.code_weights
+    if parts.accumulators is not None:
+        check_output(sibling, overwrite)
+    weights = parts.code_weights
     if weight_bits == 8:
         weights = (weights.float() * 255).round().to(torch.uint8)
-    tensors = {"code_indices": field.code_indices, "code_weights": weights, "codebook": field.codebook}
-    if embed_geometry:
-        tensors |= {f"geometry.{name}": getattr(field.gaussians, name) for name in _GEOMETRY}
-    if field.cameras is not None:
-        tensors |= _camera_tensors(field.cameras)
+    tensors = {"code_indices": parts.code_indices, "code_weights": weights, "codebook": parts.codebook}
+    if parts.gaussians is not None:
+        tensors |= {f"geometry.{name}": getattr(parts.gaussians, name) for name in _GEOMETRY}
+    if parts.cameras is not None:
+        tensors |= _camera_tensors(parts.cameras)
     header = {
-        "levels": list(field.levels),
-        "embedding_model": field.info.embedding_model,
-        "raster_preset": field.info.raster_preset,
+        "levels": list(parts.info.levels),
+        "embedding_model": parts.info.embedding_model,
+        "raster_preset": parts.info.raster_preset,
         "geometry": {
-            "fingerprint": field.info.fingerprint,
-            "n_gaussians": field.info.n_gaussians,
-            "path": None if field.geometry_path is None else _relative(field.geometry_path, path),
+            "fingerprint": parts.info.fingerprint,
+            "n_gaussians": parts.info.n_gaussians,
+            "path": None if parts.geometry_path is None else _relative(parts.geometry_path, path),
         },
-        "cameras": None if field.cameras is None else list(field.cameras.names),
-        "provenance": field.info.provenance,
+        "cameras": None if parts.cameras is None else list(parts.cameras.names),
+        "accumulators": parts.accumulators is not None,
+        "provenance": parts.info.provenance,
     }
-    if field.accumulators is not None:
-        reference = {"fingerprint": field.info.fingerprint}
-        _write(siblings, {"accumulators": field.accumulators}, "scoup.accumulators", reference, overwrite)
+    if parts.accumulators is not None:
+        belongs = {"belongs_to": _digest(parts.code_indices, weights)}
+        _write(sibling, {"accumulators": parts.accumulators}, "scoup.accumulators", belongs, overwrite)
     _write(path, tensors, SCHEMA, header, overwrite)
 
 
-def load_field(path: Path, gaussians: Gaussians | None) -> LanguageField:
-    """See ``LanguageField.load``."""
+def read_field(path: Path) -> FieldParts:
+    """Read what a ``.scoup`` file holds; see ``LanguageField.load``. The parts are not yet checked for sense.
+
+    Raises:
+        MissingFileError, FileFormatError: it is not there, or no language field.
+    """
     tensors, header = read_tensors(path, SCHEMA, "a SCOUP language field")
-    try:
+    with field_damage_named(path):
         geometry = header["geometry"]
         info = FieldInfo(
             levels=tuple(str(level) for level in header["levels"]),
@@ -76,29 +120,40 @@ def load_field(path: Path, gaussians: Gaussians | None) -> LanguageField:
         if geometry_path is not None:
             geometry_path = Path(os.path.normpath(path.absolute().parent / str(geometry_path)))
         weights = tensors["code_weights"]
+        stored = weights
         if weights.dtype == torch.uint8:
             weights = weights.float() / 255
         elif weights.dtype != torch.float16:
             raise InputError(f"code weights are {weights.dtype}, expected float16 or uint8")
-        accumulators = _load_accumulators(path, info, tensors["codebook"])
-        field = LanguageField(
+        gaussians = None
+        if "geometry.means" in tensors:
+            gaussians = Gaussians(*(tensors[f"geometry.{name}"] for name in _GEOMETRY))
+        accumulators = None
+        if header["accumulators"]:
+            shape = (*tensors["code_indices"].shape[:2], tensors["codebook"].shape[1])
+            accumulators = _read_accumulators(path, _digest(tensors["code_indices"], stored), shape)
+        return FieldParts(
             tensors["code_indices"],
             weights,
             tensors["codebook"].float(),
             info,
-            None,
+            gaussians,
             geometry_path,
             accumulators,
             _cameras(tensors, header["cameras"]),
         )
-        if gaussians is None and "geometry.means" in tensors:
-            gaussians = Gaussians(*(tensors[f"geometry.{name}"] for name in _GEOMETRY))
+
+
+@contextmanager
+def field_damage_named(path: Path) -> Iterator[None]:
+    """Failures while putting a field together become one FileFormatError that names the file."""
+    try:
+        yield
+    except FileFormatError:
+        raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
         raise FileFormatError(path, f"is not a complete language field ({reason})", _REBUILD) from error
-    if gaussians is not None:
-        field.attach(gaussians, f"{path} with the Gaussians given")
-    return field
 
 
 def accumulators_path(path: Path) -> Path:
@@ -114,6 +169,8 @@ def read_tensors(path: Path, schema: str, what: str) -> tuple[dict[str, Tensor],
     """
     from safetensors import SafetensorError, safe_open
 
+    if path.is_dir():
+        raise MissingFileError(path, f"is a folder, not {what}", "give the file itself")
     if not path.is_file():
         raise MissingFileError(path, f"there is no such file ({what} was expected)", "check the path")
     try:
@@ -143,22 +200,26 @@ def read_tensors(path: Path, schema: str, what: str) -> tuple[dict[str, Tensor],
         raise FileFormatError(path, f"is not {what} or is damaged ({reason})", _REBUILD) from error
 
 
-def _load_accumulators(path: Path, info: FieldInfo, codebook: Tensor) -> Tensor | None:
+def _read_accumulators(path: Path, belongs_to: str, shape: tuple[int, ...]) -> Tensor | None:
+    """The accumulators beside a field; None where the file is gone (the field answers without them)."""
     sibling = accumulators_path(path)
     if not sibling.is_file():
         return None
     tensors, header = read_tensors(sibling, "scoup.accumulators", "the accumulators of a language field")
     accumulators = tensors.get("accumulators")
-    shape = (info.n_gaussians, len(info.levels), codebook.shape[1])
-    if (
-        accumulators is None
-        or tuple(accumulators.shape) != shape
-        or header.get("fingerprint") != info.fingerprint
-    ):
+    if accumulators is None or tuple(accumulators.shape) != shape or header.get("belongs_to") != belongs_to:
         raise FileFormatError(
             sibling, f"does not belong to {path.name}", "delete it, or build the field again"
         )
     return accumulators
+
+
+def _digest(code_indices: Tensor, code_weights: Tensor) -> str:
+    """SHA-256 of the codes as stored: which field an accumulators file belongs to."""
+    digest = hashlib.sha256()
+    for tensor in (code_indices, code_weights):
+        digest.update(tensor.cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def _write(

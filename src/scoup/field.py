@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.artefact import FieldInfo, FieldParts, field_damage_named, read_field, write_field
 from scoup.cameras import Camera, Cameras
 from scoup.codes import cosines_from_codes, index_dtype
 from scoup.errors import GeometryMismatchError, InputError
@@ -19,27 +19,6 @@ from scoup.relevancy import relevancy
 from scoup.uplifting import top_k
 
 GAUSSIANS_AT_A_TIME = 65536
-
-
-@dataclass(frozen=True)
-class FieldInfo:
-    """What a field is, without its tensors.
-
-    Attributes:
-        levels: level names, fine to coarse.
-        embedding_model: id of the model whose embeddings were coded; queries must come from the same model.
-        fingerprint: of the geometry the field belongs to (``Gaussians.fingerprint``).
-        n_gaussians: N of that geometry.
-        raster_preset: rasteriser constants the field was lifted with and is rendered with.
-        provenance: software version, settings, source hashes, coding reports; plain JSON values.
-    """
-
-    levels: tuple[str, ...]
-    embedding_model: str
-    fingerprint: str
-    n_gaussians: int
-    raster_preset: str = "inria"
-    provenance: dict[str, Any] = field(default_factory=dict)
 
 
 class LanguageField:
@@ -205,11 +184,11 @@ class LanguageField:
         """Relevancy of every Gaussian's own code, without rendering: [S, Q, N] float32; 0.5 without a code."""
         both = self._check_queries(queries, canonical)
         count, levels, _ = self.code_indices.shape
-        out = torch.empty(levels, len(queries), count)
+        out = torch.empty(levels, len(queries), count, device=both.device)
         for start in range(0, count, GAUSSIANS_AT_A_TIME):
             rows = slice(start, min(count, start + GAUSSIANS_AT_A_TIME))
             for level in range(levels):
-                dense = torch.zeros(rows.stop - rows.start, self.n_atoms)
+                dense = torch.zeros(rows.stop - rows.start, self.n_atoms, device=both.device)
                 dense.scatter_add_(
                     1, self.code_indices[rows, level].long(), self.code_weights[rows, level].float()
                 )
@@ -286,9 +265,17 @@ class LanguageField:
         Raises:
             OutputExistsError: the file is there and ``overwrite`` is false.
         """
-        from scoup.artefact import save_field
-
-        save_field(self, Path(path), overwrite, embed_geometry, weight_bits)
+        parts = FieldParts(
+            self.code_indices,
+            self.code_weights,
+            self.codebook,
+            self.info,
+            self.gaussians if embed_geometry else None,
+            self.geometry_path,
+            self.accumulators,
+            self.cameras,
+        )
+        write_field(parts, Path(path), overwrite, weight_bits)
 
     @classmethod
     def load(cls, path: str | Path, gaussians: Gaussians | None = None) -> LanguageField:
@@ -302,9 +289,24 @@ class LanguageField:
             FileFormatError: the file is not a language field, or damaged.
             GeometryMismatchError: ``gaussians`` are not those it was built on.
         """
-        from scoup.artefact import load_field
-
-        return load_field(Path(path), gaussians)
+        path = Path(path)
+        parts = read_field(path)
+        with field_damage_named(path):
+            loaded = cls(
+                parts.code_indices,
+                parts.code_weights,
+                parts.codebook,
+                parts.info,
+                None,
+                parts.geometry_path,
+                parts.accumulators,
+                parts.cameras,
+            )
+        if gaussians is not None:
+            loaded.attach(gaussians, f"{path} with the Gaussians given")
+        elif parts.gaussians is not None:
+            loaded.attach(parts.gaussians, f"{path}, the Gaussians embedded in it")
+        return loaded
 
     def _check(self) -> None:
         shape = tuple(self.code_indices.shape)

@@ -128,7 +128,11 @@ def build(
     except KeyboardInterrupt:
         keeper.write(state, now=True)
         raise
-    _check_seen(state.accumulators)
+    try:
+        _check_seen(state.accumulators)
+    except InputError:
+        keeper.remove()  # going on from it would end here again
+        raise
 
     indices, weights = top_k(state.accumulators, settings.keep or None)
     provenance: dict[str, Any] = {
@@ -152,7 +156,7 @@ def build(
         Cameras(views),
     )
     keeper.remove()
-    return field
+    return field.to(gaussians.device)
 
 
 def _learn_codes(

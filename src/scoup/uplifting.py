@@ -66,7 +66,8 @@ def iterate_region_sums(
         labels = labels.to(gaussians.device)
         view = raster.look(gaussians, camera, raster_preset, backend)
         gaussian, key, weight = raster.region_weights(view, labels)
-        yield ViewSums(camera.name, gaussian, key, weight, int(labels.max()) + 1)
+        # Sums are small next to a view; the accumulators they go to may be too large for a GPU.
+        yield ViewSums(camera.name, gaussian.cpu(), key.cpu(), weight.cpu(), int(labels.max()) + 1)
 
 
 class RegionSums:

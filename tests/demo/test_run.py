@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 
 import pytest
-from cli_support import run
 
+from cli_support import run
 from scoup.errors import OutputExistsError
 
 SMALL = ("--n-gaussians", 12000, "--width", 160, "--height", 120, "--views", 6, "--epochs", 150)

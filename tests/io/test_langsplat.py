@@ -83,7 +83,7 @@ def test_rows_without_pixels_belong_to_the_level_before():
 @pytest.mark.parametrize(
     ("planes", "rows", "message"),
     [
-        (planes_of([0], [1], [2], [4]), 4, "labels from 4 to 4, but there are 4 embeddings"),
+        (planes_of([0], [1], [2], [4]), 4, "labels from 4 to 4, but view_00_f.npy has 4 embeddings"),
         (planes_of([0], [1], [2], [-2]), 4, "labels from -2"),
         (planes_of([0], [1, 2], [2], [3]), 4, "'m' starts at row 2, inside the level before"),
         (planes_of([0], [3], [2], [1]), 4, "starts at row 2"),

@@ -40,7 +40,7 @@ def dense_relevancy(view: raster.View, features: Tensor, queries: Tensor, canoni
     """
     image, _ = raster.render_channels(view, features)
     both = torch.cat([queries, canonical])
-    cosines = torch.empty(len(both), view.height, view.width)
+    cosines = torch.empty(len(both), view.height, view.width, device=features.device)
     for rows in torch.arange(view.height).split(ROWS_AT_A_TIME):
         unit = torch.nn.functional.normalize(image[rows], dim=-1)
         cosines[:, rows] = (unit @ both.T).permute(2, 0, 1)

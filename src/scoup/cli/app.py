@@ -60,11 +60,9 @@ def run(arguments: list[str]) -> int:
             )
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else 0
-        return (
+        if for_machines and code:
             Console(Common(as_json=True)).fail(_in_one_line(refusal.getvalue()), code)
-            if for_machines and code
-            else code
-        )
+        return code
     return run_verb(verb, verb, verb.run)
 
 
@@ -82,9 +80,10 @@ def entry() -> None:
 
 
 def _in_one_line(box: str) -> str:
-    """What the parser says in a frame of several lines."""
+    """What the parser says in a frame of several lines, up to the frame's first rule."""
     lines = [line.strip("│ ") for line in box.splitlines() if not line.startswith(("╭", "╰"))]
-    return " ".join(" ".join(line for line in lines if line.strip("─ ")).split())
+    first = next((number for number, line in enumerate(lines) if not line.strip("─")), len(lines))
+    return " ".join(" ".join(lines[:first]).split()) + "; see scoup --help, or scoup VERB --help"
 
 
 __all__ = ["Console", "entry", "run"]

@@ -129,8 +129,7 @@ class AsksText(AsksField):
     """Options of verbs that take words."""
 
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
-    """What turns words into vectors: a table of words (.npz, .json, .safetensors), a CLIP model by id or folder,
-    or open_clip:ARCHITECTURE/PRETRAINED. Default: the one the field names."""
+    """Turns words into vectors: a table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
     def encode(self, field: LanguageField, phrases: Iterable[str]) -> tuple[Tensor, Tensor]:
         """Vectors of the phrases [Q, D] and of the canonical phrases [P, D].

@@ -44,8 +44,7 @@ class Build(WritesCommon):
     undistort: Flag = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
     model: str = CLIP_MODEL
-    """What the region embeddings were made with, and so what queries will use: a CLIP model by id, or
-    open_clip:ARCHITECTURE/PRETRAINED, or a table of words (.npz, .json, .safetensors)."""
+    """What made the region embeddings: a CLIP model by id, or a table of words. Queries will use it too."""
     n_atoms: int = 64
     """Atoms in the codebook of each level (L)."""
     k: int = 4

@@ -33,15 +33,13 @@ class Render(AsksText, AsksViews):
     """Render views of a field: its colours, its codes as colours (same code, same colour), or relevancy to a text."""
 
     what: Literal["color", "codes", "relevancy"] = "color"
-    """color: the splat as it is. codes: the rendered codes, as colours that tell meanings apart. relevancy: a heat
-    map of the text given with --query."""
+    """color: the splat. codes: their meaning as colours. relevancy: a heat map of the text in --query."""
     query: OptionalText = None
     """The text whose relevancy is drawn."""
     level: OptionalText = None
     """Level of the codes: s, m or l (relevancy takes the level that answers best). Default: m."""
     out: OptionalPath = None
-    """Folder of the pictures; or a .png file for one picture, or a .webp or .gif file for an animation of all.
-    Default: <name of FIELD>_<what> here."""
+    """Folder, .png (one view), .webp or .gif (animation). Default: folder <name of FIELD>_<what> here."""
     frames_per_second: float = 12.0
     """Speed of an animation."""
 

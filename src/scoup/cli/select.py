@@ -31,15 +31,13 @@ class Select(AsksText):
     out: Path
     """The PLY to write."""
     write: Literal["chosen", "rest", "ids"] = "chosen"
-    """chosen: only the Gaussians found. rest: all others. ids: every Gaussian, with a property `selected` that holds
-    the number of the last text it answers (counted from 1), or 0."""
+    """chosen: those found. rest: all others. ids: all, with a property `selected`: number of text, or 0."""
     threshold: float = 0.6
     """A Gaussian is chosen above this, 0 to 1, once relevancy is rescaled over the scene."""
     absolute: Flag = False
     """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases."""
     neighbours: int = 0
-    """Blend the relevancy of each Gaussian half and half with the mean of so many nearest neighbours: smoother and
-    slower. 10 is usual, 0 does without."""
+    """Blend each half and half with the mean of so many nearest neighbours: 10 is usual, 0 is off."""
 
     def run(self, console: Console) -> None:
         """Choose and write."""

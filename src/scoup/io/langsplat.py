@@ -169,9 +169,10 @@ def _used_range(path: Path, plane: np.ndarray, name: str, rows: int) -> tuple[in
             raise FileFormatError(path, f"level {name!r} has labels that are not whole numbers", _REMEDY)
     low, high = int(values.min()), int(values.max())
     if low < -1 or high >= rows:
+        embeddings = path.name.replace("_s.npy", "_f.npy")
         raise FileFormatError(
             path,
-            f"level {name!r} has labels from {low} to {high}, but there are {rows} embeddings",
+            f"level {name!r} has labels from {low} to {high}, but {embeddings} has {rows} embeddings",
             "the two files do not belong together; " + _REMEDY,
         )
     if high < 0:

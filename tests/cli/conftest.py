@@ -1,0 +1,30 @@
+"""A scene and its field, built once, and a copy of both for every test."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cli_support import QUICK, run, write_scene
+
+
+@pytest.fixture(scope="session")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with ``scene`` and its field ``f.scoup``; nobody writes into it."""
+    folder = tmp_path_factory.mktemp("cli")
+    write_scene(folder / "scene")
+    table = folder / "scene" / "words.npz"
+    code, _, err = run("build", folder / "scene", *QUICK, "--out", folder / "f.scoup", "--model", table)
+    assert code == 0, err
+    return folder
+
+
+@pytest.fixture
+def here(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder: a copy of ``original``."""
+    folder = tmp_path / "here"
+    shutil.copytree(original, folder)
+    monkeypatch.chdir(folder)
+    return folder

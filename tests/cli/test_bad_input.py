@@ -1,0 +1,398 @@
+"""What is missing, damaged or mismatched: one sentence that names the file and the remedy, and nothing changes."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from cli_support import QUICK, WORDS, refused, run, write_scene
+from PIL import Image
+from support import make_camera, random_gaussians
+
+from scoup.cameras import Cameras
+from scoup.io import save_gaussians, save_png, write_colmap
+from scoup.relevancy import CANONICAL_PHRASES
+from scoup.text_table import save_table
+
+pytestmark = pytest.mark.usefixtures("here")
+
+BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
+ASK = {
+    "query": ("query", "f.scoup", "kettle", "--out", "answers"),
+    "select": ("select", "f.scoup", "kettle", "--out", "a.ply"),
+    "render": ("render", "f.scoup", "--what", "relevancy", "--query", "kettle", "--out", "answers"),
+}
+
+PLY, CAMERAS, IMAGES = "scene/point_cloud.ply", "scene/sparse/0/cameras.bin", "scene/sparse/0/images.bin"
+LABELS, ROWS = "scene/language_features/view_01_s.npy", "scene/language_features/view_01_f.npy"
+PHOTO, TABLE, FIELD = "scene/images/view_01.png", "scene/words.npz", "f.scoup"
+
+
+def cut(file: str) -> None:
+    Path(file).write_bytes(Path(file).read_bytes()[: Path(file).stat().st_size * 3 // 5])
+
+
+def emptied(file: str) -> None:
+    Path(file).write_bytes(b"")
+
+
+def text(file: str) -> None:
+    Path(file).write_text("these are not the bytes you are looking for\n" * 9)
+
+
+def a_folder(file: str) -> None:
+    Path(file).unlink()
+    Path(file).mkdir()
+
+
+DAMAGES = (cut, emptied, text)
+
+
+# ---- files that are damaged
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("file", [PLY, CAMERAS, IMAGES, LABELS, ROWS, PHOTO])
+def test_damaged_inputs_of_build(file, damage):
+    damage(file)
+    if (file, damage) == (PHOTO, cut):  # build looks only at the size, which stands at the start
+        assert run(*BUILD)[0] == 0
+        return
+    message = refused(*BUILD)
+    assert Path(file).name in message
+    assert ";" in message  # the remedy
+
+
+@pytest.mark.parametrize("damage", [*DAMAGES, a_folder])
+@pytest.mark.parametrize("verb", ASK)
+def test_damaged_inputs_of_verbs_that_ask(verb, damage):
+    for file in (TABLE, PLY, FIELD):
+        damage(file)
+        assert Path(file).name in refused(*ASK[verb])
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("file", [FIELD, PLY, TABLE, CAMERAS])
+def test_damaged_inputs_of_info(file, damage):
+    damage(file)
+    assert Path(file).name in refused("info", file)
+
+
+@pytest.mark.parametrize("file", [PLY, CAMERAS, IMAGES])
+def test_folders_where_files_are_needed(file):
+    a_folder(file)
+    assert "scene" in refused(*BUILD)
+
+
+def test_a_build_checkpoint_that_is_damaged_costs_only_time():
+    Path("a.scoup.partial").write_bytes(b"damaged")
+    code, _, err = run(*BUILD)
+    assert code == 0
+    assert err.startswith("warning: a.scoup.partial: the checkpoint cannot be used")
+    assert not Path("a.scoup.partial").exists()
+
+
+# ---- files that are not there, or not what they should be
+
+
+@pytest.mark.parametrize(
+    ("missing", "arguments", "named", "remedy"),
+    [
+        ("scene", BUILD, "scene", "check the path"),
+        (PLY, BUILD, "scene: holds no trained splat", "--gaussians"),
+        ("scene/sparse", BUILD, "scene: holds no cameras", "COLMAP"),
+        ("scene/language_features", BUILD, "scene/language_features", "--features"),
+        (None, (*BUILD, "--gaussians", "no.ply"), "no.ply", "check the path"),
+        (None, (*BUILD, "--features", "no"), "no: there is no such folder", "check the path"),
+        (None, (*BUILD, "--images", "no"), "no: there is no such folder of images", "check the path"),
+        (None, (*BUILD, "--model", "no.npz"), "no.npz: there is no such file", "check the path"),
+        (FIELD, ASK["query"], "f.scoup: there is no such file", "check the path"),
+        (FIELD, ASK["select"], "f.scoup: there is no such file", "check the path"),
+        (FIELD, ASK["render"], "f.scoup: there is no such file", "check the path"),
+        (PLY, ASK["query"], "point_cloud.ply: is not there", "--gaussians"),
+        (PLY, ASK["select"], "point_cloud.ply: is not there", "--gaussians"),
+        (PLY, ("render", "f.scoup"), "point_cloud.ply: is not there", "--gaussians"),
+        (TABLE, ASK["query"], "scene/words.npz: there is no such file", "check the path"),
+        (None, (*ASK["query"], "--scene", "no"), "no: there is no such file or folder", "check the path"),
+        (None, (*ASK["query"], "--gaussians", "no.ply"), "no.ply: there is no such file", "check the path"),
+        (None, (*ASK["select"], "--text", "no.json"), "no.json: there is no such file", "check the path"),
+    ],
+)  # fmt: skip
+def test_missing_files(missing, arguments, named, remedy):
+    if missing is not None:
+        shutil.rmtree(missing) if Path(missing).is_dir() else Path(missing).unlink()
+    message = refused(*arguments)
+    assert named in message
+    assert remedy in message
+
+
+def test_the_field_given_where_the_splat_belongs_and_the_reverse():
+    assert "f.scoup: is not a kind of splat" in refused(*BUILD, "--gaussians", "f.scoup")
+    assert "point_cloud.ply: is not a SCOUP language field" in refused("query", PLY, "kettle")
+    assert "scene: is a folder" in refused("query", "scene", "kettle")
+    assert "is a file, not a folder" in refused(*BUILD, "--features", PLY)
+    assert "cameras.bin: is no splat, and none is named; name the trained splat with --gaussians" in refused(
+        "build", CAMERAS, "--out", "a.scoup"
+    )
+
+
+def test_a_scene_with_several_splats():
+    shutil.copy(PLY, "scene/other.ply")
+    assert "holds 2 splats (other.ply, point_cloud.ply); name the trained splat with --gaussians" in refused(*BUILD)
+
+
+# ---- files of another scene
+
+
+def rewrite(file: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
+    np.save(file, change(np.load(file)))
+
+
+def test_features_of_other_photographs():
+    rewrite(LABELS, lambda labels: labels[:, :, :20])
+    assert "view_01_s.npy: is 20 x 30, of another shape than its image; these are features of other" in refused(*BUILD)
+
+
+def test_features_of_another_size_and_the_same_shape_are_resampled():
+    for number in range(4):
+        rewrite(f"scene/language_features/view_0{number}_s.npy", lambda labels: labels[:, ::2, ::2])
+    assert run(*BUILD)[0] == 0
+
+
+def test_features_of_several_models():
+    rewrite(ROWS, lambda rows: rows[:, :8])
+    assert "view_01_f.npy: has 8 dimensions, but view_00_f.npy has 16" in refused(*BUILD)
+
+
+def test_features_of_another_model_than_the_table():
+    for number in range(4):
+        rewrite(f"scene/language_features/view_0{number}_f.npy", lambda rows: rows[:, :8])
+    message = refused(*BUILD, "--model", TABLE)
+    assert "scene/words.npz: holds vectors of 16 dimensions, but scene/language_features holds embeddings of 8" in message
+    assert run("build", "scene", *QUICK, "--out", "a.scoup")[0] == 0
+    message = refused("query", "a.scoup", "kettle", "--text", TABLE)
+    assert "scene/words.npz: gives vectors of 16 dimensions, but a.scoup holds embeddings of 8" in message
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "said"),
+    [
+        (ROWS, lambda rows: rows * np.nan, "not finite"),
+        (ROWS, lambda rows: rows[:3], "belong together"),
+        (ROWS, lambda rows: rows[0], "expected floating point [regions, dimensions]"),
+        (ROWS, lambda rows: rows.astype(np.int32), "expected floating point"),
+        (LABELS, lambda labels: labels * np.nan, "not whole numbers"),
+        (LABELS, lambda labels: labels + 0.5, "not whole numbers"),
+        (LABELS, lambda labels: labels + 1000, "belong together"),
+        (LABELS, lambda labels: labels[0], "expected [4, height, width]"),
+        (LABELS, lambda labels: labels[:3], "expected [4, height, width]"),
+        (LABELS, lambda labels: labels[:, :0], "expected [4, height, width]"),
+    ],
+)
+def test_features_of_wrong_values_and_shapes(file, change, said):
+    rewrite(file, change)
+    message = refused(*BUILD)
+    assert Path(file).name in message
+    assert said in message
+
+
+def test_features_of_other_names():
+    for path in list(Path("scene/language_features").iterdir()):
+        path.rename(path.with_name("frame_" + path.name))
+    message = refused(*BUILD)
+    assert "scene/language_features: has features of none of the 4 cameras: expected view_00_s.npy" in message
+    assert "it has frame_view_00_s.npy" in message
+
+
+def test_views_without_any_region():
+    for number in range(4):
+        rewrite(f"scene/language_features/view_0{number}_s.npy", lambda labels: np.full_like(labels, -1))
+    assert "region" in refused(*BUILD)
+
+
+def test_photographs_of_another_shape():
+    save_png(torch.zeros(40, 30, 3, dtype=torch.uint8), PHOTO, overwrite=True)
+    assert "view_01.png: is 30 x 40 pixels, another shape than its camera (40 x 30)" in refused(*BUILD)
+
+
+def test_a_splat_without_finite_values():
+    gaussians = random_gaussians(20, 0)
+    gaussians.means[:] = torch.nan
+    save_gaussians(gaussians, "nan.ply")
+    code, out, err = run(*BUILD, "--gaussians", "nan.ply")
+    assert (code, out) == (2, "")
+    assert "error: nan.ply: holds no Gaussians with finite values" in err.splitlines()[-1]
+    assert not Path("a.scoup").exists()
+
+
+def test_geometry_of_another_field():
+    save_gaussians(random_gaussians(150, 5), "other.ply")
+    save_gaussians(random_gaussians(30, 5), "small.ply")
+    for verb in ASK:
+        message = refused(*ASK[verb], "--gaussians", "other.ply")
+        assert "other.ply: not the geometry this field was built on (as many Gaussians, but others)" in message
+        message = refused(*ASK[verb], "--gaussians", "small.ply")
+        assert "small.ply: not the geometry this field was built on (30 Gaussians, the field has 150)" in message
+    shutil.move("other.ply", PLY)
+    assert "point_cloud.ply: not the geometry" in refused(*ASK["query"])
+
+
+def test_accumulators_of_another_field():
+    assert run(*BUILD, "--keep-accumulators")[0] == 0
+    write_scene(Path("second"), seed=4)
+    assert run("build", "second", *QUICK, "--out", "b.scoup", "--keep-accumulators")[0] == 0
+    shutil.copy("a.scoup.accumulators", "b.scoup.accumulators")
+    assert "b.scoup.accumulators: does not belong to b.scoup" in refused("info", "b.scoup")
+
+
+def test_cameras_that_see_nothing():
+    cameras = Cameras(make_camera(name=f"view_0{number}.png") for number in range(4))
+    for camera in cameras:
+        camera.viewmat[2, 3] = -1000
+    shutil.rmtree("scene/sparse")
+    write_colmap(cameras, "scene/sparse/0")
+    assert "the cameras see nothing: no Gaussian paints a region in any view; check" in refused(*BUILD)
+    for verb in ("query", "render"):
+        message = refused(*ASK[verb], "--scene", "scene", "--camera", "all")
+        assert message.startswith("scene: the cameras see nothing of the field (view_00.png, view_01.png, ")
+        assert message.endswith("check that cameras and splat are in the same frame")
+    assert not Path("answers").exists()
+
+
+# ---- words
+
+
+def test_a_word_that_is_not_in_the_table():
+    for verb in ("query", "select"):
+        message = refused(verb, "f.scoup", "ketle", "--out", "a.ply" if verb == "select" else "answers")
+        assert message.startswith("scene/words.npz: no text embedding named 'ketle'; nearest names: 'kettle'")
+    assert "no text embedding named 'ketle'" in refused("render", "f.scoup", "--what", "relevancy", "--query", "ketle")
+
+
+def test_a_table_of_another_dimension():
+    names = [*WORDS, *CANONICAL_PHRASES]
+    save_table("wide.npz", names, np.random.default_rng(0).normal(size=(len(names), 24)))
+    for arguments in ASK.values():
+        message = refused(*arguments, "--text", "wide.npz")
+        assert "wide.npz: gives vectors of 24 dimensions, but f.scoup holds embeddings of 16" in message
+
+
+def test_a_table_without_the_canonical_phrases():
+    save_table("bare.npz", WORDS, np.random.default_rng(0).normal(size=(len(WORDS), 16)))
+    message = refused(*ASK["query"], "--text", "bare.npz")
+    assert message.startswith("bare.npz: lacks 'object'; relevancy compares every text with the phrases object, things")
+
+
+def test_blank_texts():
+    assert "blank" in refused("query", "f.scoup", " ")
+    assert "name at least one text" in refused("query", "f.scoup")
+
+
+def test_models_that_are_not_there(monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "open_clip", None)
+    message = refused(*ASK["query"], "--text", "open_clip:ViT-B-16/laion2b_s34b_b88k")
+    assert "pip install 'scoup[open-clip]'" in message
+    assert "ARCHITECTURE/PRETRAINED" in refused(*ASK["query"], "--text", "open_clip:ViT")
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    assert "pip install 'scoup[models]'" in refused(*ASK["query"], "--text", "some/model")
+
+
+def test_a_model_that_cannot_be_fetched(monkeypatch):
+    pytest.importorskip("transformers")
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    message = refused(*ASK["query"], "--text", "nobody/has-this-model")
+    assert "text model 'nobody/has-this-model' cannot be loaded" in message
+    assert "use a table file" in message
+
+
+# ---- options
+
+
+def test_cameras_that_are_not_there():
+    for arguments in (ASK["query"], ASK["render"]):
+        message = refused(*arguments, "--camera", "view_9")
+        assert message.startswith("f.scoup: no camera named 'view_9'; nearest names: 'view_0")
+
+
+def test_a_field_without_cameras_or_geometry():
+    from scoup.field import LanguageField
+
+    field = LanguageField.load("f.scoup")
+    bare = LanguageField(field.code_indices, field.code_weights, field.codebook, field.info)
+    bare.save("bare.scoup")
+    assert "bare.scoup: does not say where its Gaussians are; name them with --gaussians" in refused(
+        "query", "bare.scoup", "kettle"
+    )
+    assert "bare.scoup: holds no cameras; name a scene that has them with --scene" in refused(
+        "query", "bare.scoup", "kettle", "--gaussians", PLY
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--k", "9"), "k (9) and keep (4) must not exceed the 8 atoms"),
+        (("--k", "0"), "k must be at least 1"),
+        (("--n-atoms", "0"), "atoms"),
+        (("--n-atoms", "70000"), "70000"),
+        (("--epochs", "-1"), "epochs must not be negative"),
+        (("--tolerance", "nan"), "tolerance"),
+        (("--seed", "-1"), "seed"),
+        (("--solver", "magic"), "there is no solver 'magic'; solvers: 'adam'"),
+        (("--out", "a.ply"), "a.ply: give a name that ends in .scoup"),
+        (("--out", "scene"), "scene: give a name that ends in .scoup"),
+    ],
+)
+def test_settings_out_of_range(options, said):
+    assert said in refused(*BUILD, *options)
+
+
+@pytest.mark.parametrize("number", ["0", "-1", "nan", "inf", "1e9"])
+def test_scales_out_of_range(number):
+    assert "--scale" in refused(*ASK["query"], "--scale", number)
+
+
+def test_thresholds_out_of_range():
+    assert "the threshold must be 0 to 1" in refused(*ASK["query"], "--threshold", "1.5")
+
+
+# ---- outputs
+
+
+def test_outputs_that_cannot_be():
+    Path("file").write_text("precious")
+    Path("d.scoup").mkdir()
+    assert "d.scoup: is a folder" in refused(*BUILD, "--out", "d.scoup", "--overwrite")
+    assert "file is not a folder" in refused(*BUILD, "--out", "file/a.scoup")
+    assert "file is not a folder" in refused("select", "f.scoup", "kettle", "--out", "file/a.ply")
+    assert "file: is a file" in refused("query", "f.scoup", "kettle", "--out", "file", "--overwrite")
+    assert "file: is a file" in refused("render", "f.scoup", "--out", "file", "--overwrite")
+    assert "several files" in refused("query", "f.scoup", "kettle", "--out", "a.json")
+
+
+def test_folders_that_may_not_be_written_to(monkeypatch):
+    Path("locked").mkdir()
+    locked = Path("locked").absolute()
+    access = os.access  # the tests may run as root, who may write everywhere
+    monkeypatch.setattr(os, "access", lambda path, mode, **rest: Path(path) != locked and access(path, mode, **rest))
+    for arguments in (
+        (*BUILD, "--out", "locked/a.scoup"),
+        ("query", "f.scoup", "kettle", "--out", "locked/deep"),
+        ("select", "f.scoup", "kettle", "--out", "locked/a.ply"),
+        ("render", "f.scoup", "--out", "locked"),
+    ):
+        assert "is read-only for you; choose another folder" in refused(*arguments)
+
+
+def test_images_are_not_decoded_where_only_sizes_count():
+    with Image.open(PHOTO) as picture:
+        assert picture.size == (40, 30)

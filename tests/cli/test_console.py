@@ -1,0 +1,154 @@
+"""What all verbs share: help, version, output for people and machines, exit codes."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+import scoup
+from cli_support import run, run_json
+from scoup.cli.app import Build, Info, Query, Render, Select
+from scoup.cli.console import Console, run_verb
+from scoup.cli.names import slug, unique_slugs
+from scoup.cli.options import Common
+from scoup.errors import InputError, ScoupWarning
+
+VERBS = {"build": Build, "query": Query, "select": Select, "render": Render, "info": Info}
+MACHINES = Common(as_json=True)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_mentions_every_option(verb):
+    code, out, err = run(verb, "--help")
+    assert (code, err) == (0, "")
+    for field in dataclasses.fields(VERBS[verb]):
+        if field.name in ("scene", "field", "texts", "path") and field.default is dataclasses.MISSING:
+            continue  # positional
+        name = {"as_json": "json"}.get(field.name, field.name.replace("_", "-"))
+        assert f"--{name} " in out, name
+    assert "None" not in out
+    own = [field.name for field in dataclasses.fields(VERBS[verb])]
+    assert own.index("device") > max(own.index(name) for name in own if name in ("out", "path", "gaussians"))
+
+
+def test_help_without_arguments_lists_the_verbs():
+    for arguments in ((), ("--help",), ("-h",)):
+        code, out, _ = run(*arguments)
+        assert code == 0
+        assert all(verb in out for verb in ("demo", *VERBS))
+        assert "Exit codes" in out
+
+
+def test_version():
+    assert run("--version") == (0, f"scoup {scoup.__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    "arguments", [("nonsense",), ("build",), ("build", "s", "--epochs", "many"), ("info", "x", "--nonsense")]
+)
+def test_what_cannot_be_parsed_is_bad_input(arguments):
+    code, out, err = run(*arguments)
+    assert (code, out) == (2, "")
+    assert "--help" in err
+    code, out, err = run(*arguments, "--json")
+    assert code == 2
+    assert list(json.loads(out)) == ["error"]
+    assert err == f"error: {json.loads(out)['error']}\n"
+
+
+@pytest.mark.usefixtures("here")
+def test_quiet_prints_nothing():
+    assert run("query", "f.scoup", "kettle", "--quiet") == (0, "", "")
+    assert run("info", "f.scoup", "--quiet") == (0, "", "")
+    code, out, err = run("info", "nowhere", "--quiet")
+    assert (code, out, len(err.splitlines())) == (2, "", 1)
+
+
+@pytest.mark.usefixtures("here")
+def test_warnings_stand_in_the_json_object():
+    Path("scene/language_features/view_01_s.npy").unlink()
+    record = run_json("info", "scene")
+    assert len(record["warnings"]) == 1
+    assert "skipped 1 of 4 cameras" in record["warnings"][0]
+
+
+def test_a_warning_is_told_once(capsys):
+    def verb(console: Console) -> None:
+        for _ in range(3):
+            warnings.warn("twice is too often", ScoupWarning, stacklevel=1)
+        console.result({"a": 1})
+
+    assert run_verb(None, MACHINES, verb) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out) == {"a": 1, "warnings": ["twice is too often"]}
+    assert err == "warning: twice is too often\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (InputError("a.ply: is\nodd"), 2, "a.ply: is odd"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (MemoryError(), 2, "not enough memory"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory"), 2, "not enough memory"),
+        (OSError(28, "No space left on device", "a.png"), 2, "a.png: the system refused (No space left on device)"),
+    ],
+)
+def test_errors_are_one_line_and_one_object(capsys, error, code, said):
+    def verb(console: Console) -> None:
+        raise error
+
+    assert run_verb(None, MACHINES, verb) == code
+    out, err = capsys.readouterr()
+    assert json.loads(out)["error"].startswith(said)
+    assert err == f"error: {json.loads(out)['error']}\n"
+
+
+def test_faults_of_the_program_are_not_hidden():
+    def verb(console: Console) -> None:
+        raise RuntimeError("a fault")
+
+    with pytest.raises(RuntimeError, match="a fault"):
+        run_verb(None, Common(), verb)
+
+
+def test_texts_print_as_they_stand(capsys):
+    Console(Common()).say("a [red] :smile: [31, 9]")
+    assert capsys.readouterr().out == "a [red] :smile: [31, 9]\n"
+
+
+@pytest.mark.usefixtures("here")
+def test_a_device_that_is_not_there():
+    for device in ("cuda:99", "toaster", "meta"):
+        code, _, err = run("info", "f.scoup", "--device", device)
+        assert code == 2
+        assert f"--device {device}" in err
+
+
+def test_the_command_itself(here):
+    command = [sys.executable, "-c", "from scoup.cli.app import entry; entry()"]
+    done = subprocess.run([*command, "info", "nowhere"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: nowhere: ")
+    # A reader that has seen enough, such as head, is no error.
+    reader = subprocess.Popen([*command, "info", "f.scoup"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert reader.stdout is not None
+    assert reader.stderr is not None
+    reader.stdout.close()
+    assert reader.wait() == 0
+    assert reader.stderr.read() == b""
+    reader.stderr.close()
+
+
+def test_file_names_of_texts():
+    assert slug("Wooden  table!") == "wooden-table"
+    assert slug("???") == "text"
+    assert slug("茶壶") == "茶壶"
+    assert len(slug("𝒶" * 200).encode()) <= 80
+    assert unique_slugs(["a", "a", "a-2", "A!"]) == ["a", "a-2", "a-2-2", "a-3"]

@@ -1,0 +1,105 @@
+"""Every input of build and query, cut, flipped and spliced: the verb does its work or says what is wrong."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from cli_support import run, snapshot, write_scene
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+BUILD = ("--epochs", "2", "--n-atoms", "4", "--quiet", "--overwrite")
+# Two views suffice, and the fewer the quicker.
+GONE = [f"{folder}/view_0{number}{end}" for number in (2, 3) for folder, end in
+        (("images", ".png"), ("language_features", "_s.npy"), ("language_features", "_f.npy"))]  # fmt: skip
+BUILT_FROM = {
+    "splat": "point_cloud.ply",
+    "cameras": "sparse/0/cameras.bin",
+    "images": "sparse/0/images.bin",
+    "labels": "language_features/view_01_s.npy",
+    "embeddings": "language_features/view_01_f.npy",
+    "photograph": "images/view_01.png",
+    "table": "words.npz",
+}
+ASKED_FROM = {"field": "f.scoup", "splat": "point_cloud.ply", "table": "words.npz"}
+SPLICES = [
+    *(struct.pack("<Q", value) for value in (0, 1, 10**12, 2**63, 2**64 - 1)),
+    *(struct.pack("<f", value) for value in (float("nan"), float("inf"), -1e38, 0.0)),
+    *(b"-1", b"999999999999", b"{}", b"\n", b"", b"\xff\xff"),
+]
+
+many = settings(
+    max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene with its field inside."""
+    folder = write_scene(tmp_path_factory.mktemp("sound") / "scene", count=40)
+    for name in GONE:
+        (folder / name).unlink()
+    out = folder / "f.scoup"
+    code, _, err = run("build", folder, *BUILD, "--out", out, "--model", folder / "words.npz", "--embed-geometry")
+    assert code == 0, err
+    return folder
+
+
+@st.composite
+def damages(draw: st.DrawFn) -> Callable[[bytes], bytes]:
+    """A way to damage a file: places are shares of its length."""
+    places = st.floats(0, 1, exclude_max=True)
+    keep = draw(st.one_of(st.none(), places))
+    # Headers decide most, so most of the damage is near the start.
+    edits = draw(st.lists(st.tuples(places, st.sampled_from([1.0, 0.1, 0.02]), st.sampled_from(SPLICES), st.booleans()), max_size=4))
+
+    def damage(data: bytes) -> bytes:
+        content = bytearray(data)
+        for place, near, splice, inserted in edits:
+            start = int(place * near * len(content))
+            content[start : start + (0 if inserted else len(splice))] = splice
+        return bytes(content if keep is None else content[: int(keep * len(content))])
+
+    return damage
+
+
+def check(folder: Path, *arguments: object) -> None:
+    """The verb ends with 0 or 2, says why in one line, and leaves no rubbish."""
+    before = snapshot(folder)
+    code, _, err = run(*arguments)  # anything raised fails the test
+    assert code in (0, 2), err
+    errors = [line for line in err.splitlines() if not line.startswith("warning: ")]
+    assert len(errors) == (1 if code else 0), err
+    assert all(line.startswith("error: ") and len(line) < 600 for line in errors), err
+    if code:
+        assert snapshot(folder) == before
+    assert not list(folder.rglob(".scoup-*"))
+
+
+@pytest.mark.parametrize("target", BUILT_FROM)
+@many
+@given(damage=damages())
+def test_build(sound, tmp_path, target, damage):
+    scene = tmp_path / "scene"
+    shutil.copytree(sound, scene, dirs_exist_ok=True)
+    file = scene / BUILT_FROM[target]
+    file.write_bytes(damage(file.read_bytes()))
+    check(tmp_path, "build", scene, *BUILD, "--out", tmp_path / "a.scoup", "--model", scene / "words.npz")
+
+
+@pytest.mark.parametrize("target", ASKED_FROM)
+@many
+@given(damage=damages())
+def test_query(sound, tmp_path, target, damage):
+    scene = tmp_path / "scene"
+    shutil.copytree(sound, scene, dirs_exist_ok=True)
+    file = scene / ASKED_FROM[target]
+    file.write_bytes(damage(file.read_bytes()))
+    # The field has its geometry embedded, so the splat is read only where it is named.
+    given = ("--gaussians", file) if target == "splat" else ()
+    out = tmp_path / "answers"
+    check(tmp_path, "query", scene / "f.scoup", "kettle", "--out", out, *given, "--quiet", "--overwrite", "--scale", "0.5")

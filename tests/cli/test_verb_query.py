@@ -1,0 +1,174 @@
+"""scoup query."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from cli_support import run, run_json, snapshot
+from scoup.cameras import Cameras
+from scoup.errors import InputError
+from scoup.io import write_colmap
+from support import make_camera
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+def test_the_main_path_says_what_it_found():
+    code, out, err = run("query", "f.scoup", "kettle", "wooden table")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].startswith("view_00.png  kettle: score 0.")
+    assert lines[1].startswith("view_00.png  wooden table: score 0.")
+    assert lines[2] == "f_queries/query.json: 2 answers"
+    found = sorted(str(path) for path in Path("f_queries").rglob("*.png"))
+    assert found == [
+        f"f_queries/view-00/{name}_{kind}.png"
+        for name in ("kettle", "wooden-table")
+        for kind in ("heat", "mask", "overlay")
+    ]
+
+
+def test_the_record_of_an_answer():
+    record = run_json("query", "f.scoup", "kettle", "--out", "answers")
+    assert record["out"] == "answers"
+    (answer,) = record["answers"]
+    assert json.loads(Path("answers/query.json").read_text()) == {"field": "f.scoup", "answers": [answer]}
+    assert (answer["camera"], answer["text"]) == ("view_00.png", "kettle")
+    assert answer["level"] in "sml"
+    assert answer["pixel_level"] in "sml"
+    assert 0 < answer["score"] < 1
+    assert 0 < answer["pixel_score"] < 1
+    x, y = answer["pixel"]
+    assert 0 <= x < 40
+    assert 0 <= y < 30
+    mask = np.asarray(Image.open(answer["files"]["mask"]))
+    assert mask.shape == (30, 40)
+    assert set(np.unique(mask)) <= {0, 255}
+    assert answer["coverage"] == pytest.approx((mask > 0).mean(), abs=1e-6)
+    rows, columns = np.nonzero(mask)
+    assert answer["box"] == [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+    for kind in ("heat", "overlay"):
+        with Image.open(answer["files"][kind]) as picture:
+            assert picture.mode == "RGB"
+            assert picture.width >= 40
+            assert picture.height > 30  # the strip with the text
+
+
+def test_cameras_by_name_several_and_all():
+    ask = ("query", "f.scoup", "kettle", "--pictures", "none", "--overwrite")
+    cameras = lambda *options: [answer["camera"] for answer in run_json(*ask, *options)["answers"]]  # noqa: E731
+    assert cameras() == ["view_00.png"]
+    assert cameras("--camera", "view_02") == ["view_02.png"]
+    assert cameras("--camera", "view_03.png", "--camera", "view_01", "--camera", "view_03") == [
+        "view_03.png",
+        "view_01.png",
+    ]
+    assert cameras("--camera", "all") == [f"view_0{number}.png" for number in range(4)]
+
+
+def test_no_pictures_on_request():
+    record = run_json("query", "f.scoup", "kettle", "--pictures", "none")
+    assert "files" not in record["answers"][0]
+    assert [path.name for path in Path("f_queries").rglob("*")] == ["query.json"]
+
+
+def test_pictures_of_another_size():
+    answer = run_json("query", "f.scoup", "kettle", "--scale", "2")["answers"][0]
+    with Image.open(answer["files"]["mask"]) as picture:
+        assert picture.size == (80, 60)
+
+
+def test_rules_and_thresholds_change_the_mask():
+    ask = ("query", "f.scoup", "kettle", "--pictures", "none", "--overwrite")
+    coverage = lambda *options: run_json(*ask, *options)["answers"][0]["coverage"]  # noqa: E731
+    assert coverage("--threshold", "0.1") > coverage("--threshold", "0.9")
+    assert coverage("--rule", "langsplatv2") != coverage()
+    assert coverage("--rule", "langsplat") != coverage()
+
+
+def test_cameras_of_another_scene():
+    write_colmap(Cameras([make_camera(64, 48, name="new.png", seed=9)]), "other/sparse/0")
+    code, out, err = run("query", "f.scoup", "kettle", "--scene", "other", "--json")
+    assert code == 0
+    record = json.loads(out)
+    assert record["answers"][0]["camera"] == "new.png"
+    # Nobody needs photographs to be asked, but it is said that there are none.
+    assert all("image" in warning for warning in record.get("warnings", []))
+    assert len(err.splitlines()) == len(record.get("warnings", []))
+
+
+def test_views_that_see_nothing_are_counted():
+    away = make_camera(name="away.png")
+    away.viewmat[2, 3] = -1000
+    write_colmap(Cameras([make_camera(name="good.png"), away]), "other/sparse/0")
+    code, out, err = run("query", "f.scoup", "kettle", "--scene", "other", "--camera", "all", "--json")
+    assert code == 0
+    answers = {answer["camera"]: answer for answer in json.loads(out)["answers"]}
+    assert answers["away.png"]["box"] is None
+    assert answers["away.png"]["score"] == 0.5
+    assert "warning: 1 of 2 cameras see nothing of the field (away.png)" in err
+
+
+def test_geometry_that_moved_is_named():
+    shutil.move("scene/point_cloud.ply", "elsewhere.ply")
+    assert run("query", "f.scoup", "kettle")[0] == 2
+    assert run_json("query", "f.scoup", "kettle", "--gaussians", "elsewhere.ply")["answers"]
+
+
+def test_words_that_look_alike_or_strange_get_files_of_their_own():
+    texts = ("Kettle", "kettle", "KETTLE ")
+    answers = run_json("query", "f.scoup", *texts)["answers"]
+    files = [file for answer in answers for file in answer["files"].values()]
+    assert len(set(files)) == 9
+    assert all(Path(file).is_file() for file in files)
+
+
+def test_nothing_is_replaced_unasked():
+    run_json("query", "f.scoup", "kettle")
+    Path("f_queries/query.json").unlink()  # as if only pictures were left
+    before = snapshot(Path())
+    code, _, err = run("query", "f.scoup", "mug", "kettle")
+    assert (code, snapshot(Path())) == (2, before)
+    assert "kettle_heat.png: already exists" in err
+    assert run("query", "f.scoup", "mug", "kettle", "--overwrite")[0] == 0
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("no"), OSError(28, "No space left on device")])
+def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
+    run_json("query", "f.scoup", "kettle", "--camera", "all")
+    before = snapshot(Path())
+    from scoup import pictures
+
+    overlay, drawn = pictures.mask_overlay, []
+
+    def failing(*arguments):
+        drawn.append(arguments)
+        if len(drawn) == 3:
+            raise error
+        return overlay(*arguments)
+
+    monkeypatch.setattr(pictures, "mask_overlay", failing)
+    code, out, err = run("query", "f.scoup", "mug", "kettle", "--camera", "all", "--overwrite", "--threshold", "0.1")
+    assert code == (130 if isinstance(error, KeyboardInterrupt) else 2)
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert snapshot(Path()) == before
+
+
+def test_the_table_named_on_the_command_line_wins():
+    from scoup.text_table import load_table, save_table
+
+    table = load_table("scene/words.npz")
+    swapped = torch.from_numpy(table.vectors)[[1, 0, *range(2, len(table.names))]]
+    save_table("swapped.npz", table.names, swapped.numpy())
+    ask = ("query", "f.scoup", "--pictures", "none", "--overwrite")
+    mug = run_json(*ask, "mug")["answers"][0]
+    kettle = run_json(*ask, "kettle", "--text", "swapped.npz")["answers"][0]
+    assert {**mug, "text": "kettle"} == kettle

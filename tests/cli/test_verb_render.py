@@ -1,0 +1,82 @@
+"""scoup render."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cli_support import refused, run, run_json
+from scoup.field import LanguageField
+from scoup.raster import render_colors
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+def pixels(path: str) -> np.ndarray:
+    with Image.open(path) as picture:
+        return np.asarray(picture.convert("RGB")).astype(int)
+
+
+def test_colours_are_those_of_the_splat():
+    code, out, err = run("render", "f.scoup")
+    assert (code, out, err) == (0, "1 view rendered to f_color\n", "")
+    field = LanguageField.load("f.scoup")
+    assert field.cameras is not None
+    expected = render_colors(field.gaussians, field.cameras[0]).numpy() * 255
+    assert np.abs(pixels("f_color/view-00.png") - expected).max() <= 1
+
+
+def test_codes_of_all_cameras():
+    record = run_json("render", "f.scoup", "--what", "codes", "--camera", "all")
+    assert record["files"] == [f"f_codes/view-0{number}.png" for number in range(4)]
+    pictures = [pixels(file) for file in record["files"]]
+    assert {picture.shape for picture in pictures} == {(30, 40, 3)}
+    assert all(picture.std() > 5 for picture in pictures)
+    run_json("render", "f.scoup", "--what", "codes", "--level", "s", "--out", "fine")
+    assert (pixels("fine/view-00.png") != pictures[0]).any()
+
+
+def test_relevancy_of_a_text():
+    run_json("render", "f.scoup", "--what", "relevancy", "--query", "kettle", "--scale", "3")
+    picture = pixels("f_relevancy/view-00.png")
+    assert picture.shape[1] >= 120
+    assert picture.shape[0] > 90  # with title and legend
+
+
+def test_one_picture_by_its_name():
+    assert run_json("render", "f.scoup", "--out", "deep/a.png", "--camera", "view_01")["files"] == ["deep/a.png"]
+    run_json("render", "f.scoup", "--out", "all", "--camera", "all")
+    assert (pixels("deep/a.png") == pixels("all/view-01.png")).all()
+    assert "one picture cannot hold 4 views" in refused("render", "f.scoup", "--out", "b.png", "--camera", "all")
+
+
+@pytest.mark.parametrize("name", ["turn.webp", "turn.gif"])
+def test_an_animation(name):
+    record = run_json("render", "f.scoup", "--camera", "all", "--out", name, "--frames-per-second", "5")
+    assert record["files"] == [name]
+    with Image.open(name) as picture:
+        assert getattr(picture, "n_frames", 1) == 4
+        assert picture.size == (40, 30)
+        picture.seek(1)
+        picture.load()
+        assert picture.info["duration"] == 200
+
+
+def test_nothing_is_replaced_unasked():
+    run_json("render", "f.scoup", "--camera", "view_01", "--out", "all")
+    assert "view-01.png: already exists" in refused("render", "f.scoup", "--camera", "all", "--out", "all")
+    assert [path.name for path in Path("all").iterdir()] == ["view-01.png"]
+    assert run("render", "f.scoup", "--camera", "all", "--out", "all", "--overwrite")[0] == 0
+
+
+def test_bad_options():
+    assert "belong together" in refused("render", "f.scoup", "--what", "relevancy")
+    assert "belong together" in refused("render", "f.scoup", "--query", "kettle")
+    assert "there is no level 'x'; levels: s, m, l" in refused("render", "f.scoup", "--what", "codes", "--level", "x")
+    for number in ("0", "nan", "inf", "-3"):
+        assert "--frames-per-second" in refused("render", "f.scoup", "--frames-per-second", number)
+        assert "--scale" in refused("render", "f.scoup", "--scale", number)
+    assert "several files" in refused("render", "f.scoup", "--out", "film.mp4", "--camera", "all")
