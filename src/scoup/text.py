@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -129,24 +130,21 @@ def _open_transformers(model_id: str, revision: str | None, device: torch.device
     options: dict[str, Any] = {"revision": revision} if revision else {}
     with_reason = f"text model {model_id!r} cannot be loaded"
     try:
-        config = transformers.AutoConfig.from_pretrained(model_id, **options)
-        tokenizer = transformers.AutoTokenizer.from_pretrained(model_id, **options)
-        is_clip = config.model_type in ("clip", "clip_text_model")
-        kind: Any = transformers.CLIPTextModelWithProjection if is_clip else transformers.AutoModel
-        wanted = getattr(config, "text_config", config) if is_clip else config
-        if is_clip:
-            # The size of the projection is written twice, and only the outer one is always right.
-            wanted.projection_dim = config.projection_dim
-        with _quiet():  # it would list the weights of the image tower, which are not wanted here
-            # Safetensors only: loading a pickled checkpoint runs whatever it contains.
-            model, loading = kind.from_pretrained(
-                model_id, config=wanted, use_safetensors=True, output_loading_info=True, **options
-            )
+        with _quiet():
+            try:
+                # What is on this machine first: the hub's client waits half a minute for a network that is not there.
+                loaded = _load_transformers(transformers, model_id, {**options, "local_files_only": True})
+            except Exception:
+                if os.path.exists(model_id):
+                    raise
+                loaded = _load_transformers(transformers, model_id, options)
     except Exception as error:  # hub, network, JSON and safetensors each raise kinds of their own
         raise ScoupError(
             f"{with_reason} ({_first_line(error)}); check the id, pip install 'scoup[models]', and fetch the "
             "weights (safetensors) while online, or use a table file of text embeddings"
         ) from error
+    config, tokenizer, model, loading = loaded
+    is_clip = _is_clip(config)
     if not is_clip and not hasattr(model, "get_text_features"):
         raise ScoupError(
             f"{with_reason}: {config.model_type!r} models have no text features; use CLIP or SigLIP"
@@ -178,18 +176,45 @@ def _open_transformers(model_id: str, revision: str | None, device: torch.device
     return int(encode(["object"]).shape[1]), encode
 
 
+def _load_transformers(
+    transformers: Any, model_id: str, options: dict[str, Any]
+) -> tuple[Any, Any, Any, dict[str, Any]]:
+    """Config, tokenizer, text model, and what transformers reports of loading it."""
+    config = transformers.AutoConfig.from_pretrained(model_id, **options)
+    tokenizer = transformers.AutoTokenizer.from_pretrained(model_id, **options)
+    kind: Any = transformers.CLIPTextModelWithProjection if _is_clip(config) else transformers.AutoModel
+    wanted = config
+    if _is_clip(config):
+        wanted = getattr(config, "text_config", config)
+        # The size of the projection is written twice, and only the outer one is always right.
+        wanted.projection_dim = config.projection_dim
+    # Safetensors only: loading a pickled checkpoint runs whatever it contains.
+    model, loading = kind.from_pretrained(
+        model_id, config=wanted, use_safetensors=True, output_loading_info=True, **options
+    )
+    return config, tokenizer, model, loading
+
+
+def _is_clip(config: Any) -> bool:
+    return config.model_type in ("clip", "clip_text_model")
+
+
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """No reports and progress bars of transformers; its errors are raised, not printed."""
+    """No reports, retries and progress bars of transformers and its hub; errors are raised, not printed."""
+    from huggingface_hub.utils import logging as hub_logging
     from transformers.utils import logging
 
     verbosity, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
-    logging.set_verbosity_error()
+    hub_verbosity = hub_logging.get_verbosity()
+    logging.set_verbosity_error()  # it would list the weights of the image tower, which are not wanted here
     logging.disable_progress_bar()
+    hub_logging.set_verbosity_error()
     try:
         yield
     finally:
         logging.set_verbosity(verbosity)
+        hub_logging.set_verbosity(hub_verbosity)
         if bars:
             logging.enable_progress_bar()
 

@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cli_support import QUICK, WORDS, refused, run, write_scene
-from PIL import Image
-from support import make_camera, random_gaussians
 
+from cli_support import QUICK, WORDS, refused, run, write_scene
 from scoup.cameras import Cameras
 from scoup.io import save_gaussians, save_png, write_colmap
 from scoup.relevancy import CANONICAL_PHRASES
 from scoup.text_table import save_table
+from support import make_camera, random_gaussians
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -143,7 +142,9 @@ def test_the_field_given_where_the_splat_belongs_and_the_reverse():
 
 def test_a_scene_with_several_splats():
     shutil.copy(PLY, "scene/other.ply")
-    assert "holds 2 splats (other.ply, point_cloud.ply); name the trained splat with --gaussians" in refused(*BUILD)
+    assert "holds 2 splats (other.ply, point_cloud.ply); name the trained splat with --gaussians" in refused(
+        *BUILD
+    )
 
 
 # ---- files of another scene
@@ -155,7 +156,10 @@ def rewrite(file: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
 
 def test_features_of_other_photographs():
     rewrite(LABELS, lambda labels: labels[:, :, :20])
-    assert "view_01_s.npy: is 20 x 30, of another shape than its image; these are features of other" in refused(*BUILD)
+    assert (
+        "view_01_s.npy: is 20 x 30, of another shape than its image; these are features of other"
+        in refused(*BUILD)
+    )
 
 
 def test_features_of_another_size_and_the_same_shape_are_resampled():
@@ -173,7 +177,10 @@ def test_features_of_another_model_than_the_table():
     for number in range(4):
         rewrite(f"scene/language_features/view_0{number}_f.npy", lambda rows: rows[:, :8])
     message = refused(*BUILD, "--model", TABLE)
-    assert "scene/words.npz: holds vectors of 16 dimensions, but scene/language_features holds embeddings of 8" in message
+    assert (
+        "scene/words.npz: holds vectors of 16 dimensions, but scene/language_features holds embeddings of 8"
+        in message
+    )
     assert run("build", "scene", *QUICK, "--out", "a.scoup")[0] == 0
     message = refused("query", "a.scoup", "kettle", "--text", TABLE)
     assert "scene/words.npz: gives vectors of 16 dimensions, but a.scoup holds embeddings of 8" in message
@@ -235,9 +242,13 @@ def test_geometry_of_another_field():
     save_gaussians(random_gaussians(30, 5), "small.ply")
     for verb in ASK:
         message = refused(*ASK[verb], "--gaussians", "other.ply")
-        assert "other.ply: not the geometry this field was built on (as many Gaussians, but others)" in message
+        assert (
+            "other.ply: not the geometry this field was built on (as many Gaussians, but others)" in message
+        )
         message = refused(*ASK[verb], "--gaussians", "small.ply")
-        assert "small.ply: not the geometry this field was built on (30 Gaussians, the field has 150)" in message
+        assert (
+            "small.ply: not the geometry this field was built on (30 Gaussians, the field has 150)" in message
+        )
     shutil.move("other.ply", PLY)
     assert "point_cloud.ply: not the geometry" in refused(*ASK["query"])
 
@@ -271,7 +282,9 @@ def test_a_word_that_is_not_in_the_table():
     for verb in ("query", "select"):
         message = refused(verb, "f.scoup", "ketle", "--out", "a.ply" if verb == "select" else "answers")
         assert message.startswith("scene/words.npz: no text embedding named 'ketle'; nearest names: 'kettle'")
-    assert "no text embedding named 'ketle'" in refused("render", "f.scoup", "--what", "relevancy", "--query", "ketle")
+    assert "no text embedding named 'ketle'" in refused(
+        "render", "f.scoup", "--what", "relevancy", "--query", "ketle"
+    )
 
 
 def test_a_table_of_another_dimension():
@@ -285,7 +298,9 @@ def test_a_table_of_another_dimension():
 def test_a_table_without_the_canonical_phrases():
     save_table("bare.npz", WORDS, np.random.default_rng(0).normal(size=(len(WORDS), 16)))
     message = refused(*ASK["query"], "--text", "bare.npz")
-    assert message.startswith("bare.npz: lacks 'object'; relevancy compares every text with the phrases object, things")
+    assert message.startswith(
+        "bare.npz: lacks 'object'; relevancy compares every text with the phrases object, things"
+    )
 
 
 def test_blank_texts():
@@ -383,7 +398,9 @@ def test_folders_that_may_not_be_written_to(monkeypatch):
     Path("locked").mkdir()
     locked = Path("locked").absolute()
     access = os.access  # the tests may run as root, who may write everywhere
-    monkeypatch.setattr(os, "access", lambda path, mode, **rest: Path(path) != locked and access(path, mode, **rest))
+    monkeypatch.setattr(
+        os, "access", lambda path, mode, **rest: Path(path) != locked and access(path, mode, **rest)
+    )
     for arguments in (
         (*BUILD, "--out", "locked/a.scoup"),
         ("query", "f.scoup", "kettle", "--out", "locked/deep"),
@@ -391,8 +408,3 @@ def test_folders_that_may_not_be_written_to(monkeypatch):
         ("render", "f.scoup", "--out", "locked"),
     ):
         assert "is read-only for you; choose another folder" in refused(*arguments)
-
-
-def test_images_are_not_decoded_where_only_sizes_count():
-    with Image.open(PHOTO) as picture:
-        assert picture.size == (40, 30)

@@ -97,7 +97,11 @@ def test_a_warning_is_told_once(capsys):
         (KeyboardInterrupt(), 130, "interrupted"),
         (MemoryError(), 2, "not enough memory"),
         (RuntimeError("DefaultCPUAllocator: can't allocate memory"), 2, "not enough memory"),
-        (OSError(28, "No space left on device", "a.png"), 2, "a.png: the system refused (No space left on device)"),
+        (
+            OSError(28, "No space left on device", "a.png"),
+            2,
+            "a.png: the system refused (No space left on device)",
+        ),
     ],
 )
 def test_errors_are_one_line_and_one_object(capsys, error, code, said):

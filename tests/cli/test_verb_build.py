@@ -51,7 +51,14 @@ def test_settings_reach_the_field():
     field = LanguageField.load("a.scoup")
     settings = field.info.provenance["settings"]
     assert settings["raster_preset"] == field.info.raster_preset == "gsplat"
-    assert [settings[name] for name in ("k", "keep", "seed", "epochs", "n_atoms", "tolerance")] == [2, 3, 5, 20, 8, 0.5]
+    assert [settings[name] for name in ("k", "keep", "seed", "epochs", "n_atoms", "tolerance")] == [
+        2,
+        3,
+        5,
+        20,
+        8,
+        0.5,
+    ]
     assert field.code_indices.shape == (150, 3, 3)
 
 
@@ -160,7 +167,11 @@ def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(pipeline, "fit_codes", no_coding)
-        patch.setattr(pipeline, "add_view", lambda *arguments: (added.append(arguments[0].view_name), add_view(*arguments)))
+        patch.setattr(
+            pipeline,
+            "add_view",
+            lambda *arguments: (added.append(arguments[0].view_name), add_view(*arguments)),
+        )
         run_json("build", "scene", *QUICK, "--out", "a.scoup")
     assert added == ["view_00.png", "view_01.png", "view_02.png", "view_03.png"]
     assert Path("a.scoup").read_bytes() == Path("whole.scoup").read_bytes()
@@ -172,3 +183,9 @@ def test_python_opens_what_the_command_wrote():
     field = LanguageField.load("a.scoup")
     text = scoup.TextEncoder.open("scene/words.npz")
     assert scoup.select(field, text.encode(["kettle"])[0], text.encode(["object"])).shape == (150,)
+
+
+def test_same_permissions_as_any_other_file():
+    run_json("build", "scene", *QUICK, "--out", "a.scoup")
+    Path("plain").write_text("x")
+    assert Path("a.scoup").stat().st_mode == Path("plain").stat().st_mode

@@ -15,7 +15,14 @@ pytestmark = pytest.mark.usefixtures("here")
 
 def test_a_field():
     record = run_json("info", "f.scoup")
-    expected = {"kind": "language field", "gaussians": 150, "levels": ["s", "m", "l"], "atoms": 8, "k": 4, "dim": 16}
+    expected = {
+        "kind": "language field",
+        "gaussians": 150,
+        "levels": ["s", "m", "l"],
+        "atoms": 8,
+        "k": 4,
+        "dim": 16,
+    }
     assert {key: record[key] for key in expected} == expected
     assert record["embedding_model"] == "scene/words.npz"
     assert record["cameras"] == 4
@@ -69,7 +76,12 @@ def test_a_table_of_words():
 
 def test_region_features():
     record = run_json("info", "scene/language_features")
-    assert (record["kind"], record["views"], record["dim"], record["regions"]) == ("region features", 4, 16, 72)
+    assert (record["kind"], record["views"], record["dim"], record["regions"]) == (
+        "region features",
+        4,
+        16,
+        72,
+    )
 
 
 def test_what_is_nothing_of_ours():

@@ -140,7 +140,9 @@ def test_nothing_is_replaced_unasked():
     assert run("query", "f.scoup", "mug", "kettle", "--overwrite")[0] == 0
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("no"), OSError(28, "No space left on device")])
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), InputError("no"), OSError(28, "No space left on device")]
+)
 def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
     run_json("query", "f.scoup", "kettle", "--camera", "all")
     before = snapshot(Path())
@@ -155,7 +157,9 @@ def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
         return overlay(*arguments)
 
     monkeypatch.setattr(pictures, "mask_overlay", failing)
-    code, out, err = run("query", "f.scoup", "mug", "kettle", "--camera", "all", "--overwrite", "--threshold", "0.1")
+    code, out, err = run(
+        "query", "f.scoup", "mug", "kettle", "--camera", "all", "--overwrite", "--threshold", "0.1"
+    )
     assert code == (130 if isinstance(error, KeyboardInterrupt) else 2)
     assert out == ""
     assert len(err.splitlines()) == 1

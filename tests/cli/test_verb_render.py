@@ -47,10 +47,14 @@ def test_relevancy_of_a_text():
 
 
 def test_one_picture_by_its_name():
-    assert run_json("render", "f.scoup", "--out", "deep/a.png", "--camera", "view_01")["files"] == ["deep/a.png"]
+    assert run_json("render", "f.scoup", "--out", "deep/a.png", "--camera", "view_01")["files"] == [
+        "deep/a.png"
+    ]
     run_json("render", "f.scoup", "--out", "all", "--camera", "all")
     assert (pixels("deep/a.png") == pixels("all/view-01.png")).all()
-    assert "one picture cannot hold 4 views" in refused("render", "f.scoup", "--out", "b.png", "--camera", "all")
+    assert "one picture cannot hold 4 views" in refused(
+        "render", "f.scoup", "--out", "b.png", "--camera", "all"
+    )
 
 
 @pytest.mark.parametrize("name", ["turn.webp", "turn.gif"])
@@ -75,7 +79,9 @@ def test_nothing_is_replaced_unasked():
 def test_bad_options():
     assert "belong together" in refused("render", "f.scoup", "--what", "relevancy")
     assert "belong together" in refused("render", "f.scoup", "--query", "kettle")
-    assert "there is no level 'x'; levels: s, m, l" in refused("render", "f.scoup", "--what", "codes", "--level", "x")
+    assert "there is no level 'x'; levels: s, m, l" in refused(
+        "render", "f.scoup", "--what", "codes", "--level", "x"
+    )
     for number in ("0", "nan", "inf", "-3"):
         assert "--frames-per-second" in refused("render", "f.scoup", "--frames-per-second", number)
         assert "--scale" in refused("render", "f.scoup", "--scale", number)

@@ -67,7 +67,9 @@ def test_rows_that_are_not_finite_belong_to_nobody():
 
 def test_a_splat_of_another_kind_is_written_as_ply():
     save_gaussians(load_gaussians("scene/point_cloud.ply"), "g.splat")
-    run_json("build", "scene", *QUICK, "--gaussians", "g.splat", "--out", "a.scoup", "--model", "scene/words.npz")
+    run_json(
+        "build", "scene", *QUICK, "--gaussians", "g.splat", "--out", "a.scoup", "--model", "scene/words.npz"
+    )
     count = run_json("select", "a.scoup", "kettle", "--out", "a.ply")["written"]
     assert len(load_gaussians("a.ply")) == count
 
