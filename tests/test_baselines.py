@@ -33,7 +33,9 @@ def test_dense_relevancy_is_that_of_the_rendered_features():
     queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
     view = raster.look(gaussians, cameras[0])
     image = unit(raster.render_channels(view, features)[0])
-    expected = relevancy((image @ queries.T).permute(2, 0, 1)[None], (image @ canonical.T).permute(2, 0, 1)[None])
+    expected = relevancy(
+        (image @ queries.T).permute(2, 0, 1)[None], (image @ canonical.T).permute(2, 0, 1)[None]
+    )
     assert torch.allclose(dense_relevancy(view, features, queries, canonical), expected[0], atol=1e-6)
 
 

@@ -217,9 +217,18 @@ def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, tmp_path, 
     seen: list[tuple[str, int]] = []
     again = build(*scene, settings=QUICK, checkpoint=checkpoint, progress=lambda *a: seen.append(a[:2]))
     assert seen[0] == ("uplift", 2)  # neither coded nor lifted again
-    assert not checkpoint.exists()
     again.save(tmp_path / "resumed.scoup")
     assert (tmp_path / "resumed.scoup").read_bytes() == (tmp_path / "whole.scoup").read_bytes()
+
+
+def test_building_from_kept_sums_gives_the_same_bytes(scene, tmp_path):
+    gaussians, cameras, regions = scene
+    sums = region_sums(gaussians, cameras, regions)
+    build(*scene, settings=QUICK).save(tmp_path / "streamed.scoup")
+    build(*scene, settings=QUICK, sums=sums).save(tmp_path / "kept.scoup")
+    assert (tmp_path / "streamed.scoup").read_bytes() == (tmp_path / "kept.scoup").read_bytes()
+    with pytest.raises(InputError, match="lack 2 of the views"):
+        build(*scene, settings=QUICK, sums=region_sums(gaussians, cameras[:2], regions))
 
 
 def test_a_checkpoint_of_other_inputs_is_not_used(scene, tmp_path):

@@ -46,7 +46,8 @@ def test_kitchen_from_files_to_scores(data_folder: Path, tmp_path: Path):
     encoder = scoup.TextEncoder.open(data_folder / "clip" / "text_vit_b16_laion2b.npz")
     canonical = encoder.encode(list(CANONICAL_PHRASES))
     answers = [
-        (frame, field.relevancy(camera, encoder.encode(list(frame.labels)), canonical)) for frame, camera in frames[:3]
+        (frame, field.relevancy(camera, encoder.encode(list(frame.labels)), canonical))
+        for frame, camera in frames[:3]
     ]
     score = score_scene("kitchen", answers)
     # The dense reference with all views and full size has 0.77 and 0.93; chance is near 0.05.

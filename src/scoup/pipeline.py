@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,14 @@ from scoup.field import FieldInfo, LanguageField
 from scoup.gaussians import Gaussians
 from scoup.progress import Progress, no_progress
 from scoup.regions import Regions
-from scoup.uplifting import add_view, cameras_with_regions, iterate_region_sums, top_k
+from scoup.uplifting import (
+    RegionSums,
+    ViewSums,
+    add_view,
+    cameras_with_regions,
+    iterate_region_sums,
+    top_k,
+)
 
 FEW_GAUSSIANS = 0.01  # share of coded Gaussians under which the frames of splat and cameras are doubted
 
@@ -75,6 +83,7 @@ def build(
     keep_accumulators: bool = False,
     backend: str | None = None,
     checkpoint: str | Path | None = None,
+    sums: RegionSums | None = None,
     progress: Progress = no_progress,
 ) -> LanguageField:
     """Build a language field (method.md, stages 1 and 2): learn codes per level, lift them view by view, vote.
@@ -93,7 +102,9 @@ def build(
         keep_accumulators: keep the float sums, so that views can be added later (N x S x L x 4 bytes).
         backend: rasteriser backend by name.
         checkpoint: file where the state is kept while building; an interrupted build with the same inputs goes
-            on from it. Removed at the end.
+            on from it. It stays, so that nothing is lost if the field cannot be saved; delete it afterwards.
+        sums: region sums of these very Gaussians, cameras and regions (``region_sums``), if they are at hand;
+            nothing is rasterised then.
         progress: called as ``progress(stage, done, total)``.
 
     Raises:
@@ -113,15 +124,15 @@ def build(
             [rows for rows, _ in stacked], regions.levels, settings, len(gaussians), progress
         )
         keeper.write(state, now=True)
+    left = [camera for camera in views if camera.name not in set(state.views_done)]
     try:
         _lift(
-            gaussians,
-            views,
-            regions,
+            _kept_sums(sums, left, len(gaussians))
+            if sums is not None
+            else iterate_region_sums(gaussians, left, regions, settings.raster_preset, backend),
             [rows for _, rows in stacked],
             state,
-            settings,
-            backend,
+            len(views),
             keeper,
             progress,
         )
@@ -155,7 +166,6 @@ def build(
         state.accumulators if keep_accumulators else None,
         Cameras(views),
     )
-    keeper.remove()
     return field.to(gaussians.device)
 
 
@@ -192,27 +202,38 @@ def _learn_codes(
     return BuildState(atoms, codes, reports, torch.zeros(shape), [])
 
 
+def _kept_sums(sums: RegionSums, views: list[Camera], n_gaussians: int) -> Iterator[ViewSums]:
+    """The sums of these views, from those at hand.
+
+    Raises:
+        InputError: they are of other Gaussians, or lack a view.
+    """
+    by_name = {view.view_name: view for view in sums.views}
+    missing = [camera.name for camera in views if camera.name not in by_name]
+    if sums.n_gaussians != n_gaussians or missing:
+        raise InputError(
+            f"the region sums given are of {sums.n_gaussians} Gaussians and lack {len(missing)} of the views; "
+            "make them with region_sums from the same Gaussians, cameras and regions"
+        )
+    return (by_name[camera.name] for camera in views)
+
+
 def _lift(
-    gaussians: Gaussians,
-    views: list[Camera],
-    regions: Regions,
+    sums_of_views: Iterable[ViewSums],
     rows: list[dict[str, slice]],
     state: BuildState,
-    settings: BuildSettings,
-    backend: str | None,
+    n_views: int,
     keeper: Checkpoint,
     progress: Progress,
 ) -> None:
-    done = set(state.views_done)
-    left = [camera for camera in views if camera.name not in done]
-    progress("uplift", len(done), len(views))
-    for sums in iterate_region_sums(gaussians, left, regions, settings.raster_preset, backend):
+    progress("uplift", len(state.views_done), n_views)
+    for sums in sums_of_views:
         codes = [state.codes[s].rows(rows[s][sums.view_name]) for s in range(len(state.codes))]
         state.between_views = False
         add_view(sums, codes, state.accumulators)
         state.views_done.append(sums.view_name)
         state.between_views = True
-        progress("uplift", len(state.views_done), len(views))
+        progress("uplift", len(state.views_done), n_views)
         keeper.write(state)
 
 

@@ -29,7 +29,7 @@ def test_the_main_path_says_what_it_found():
     assert lines[2] == "f_queries/query.json: 2 answers"
     found = sorted(str(path) for path in Path("f_queries").rglob("*.png"))
     assert found == [
-        f"f_queries/view-00/{name}_{kind}.png"
+        f"f_queries/view_00/{name}_{kind}.png"
         for name in ("kettle", "wooden-table")
         for kind in ("heat", "mask", "overlay")
     ]

@@ -26,22 +26,22 @@ def test_colours_are_those_of_the_splat():
     field = LanguageField.load("f.scoup")
     assert field.cameras is not None
     expected = render_colors(field.gaussians, field.cameras[0]).numpy() * 255
-    assert np.abs(pixels("f_color/view-00.png") - expected).max() <= 1
+    assert np.abs(pixels("f_color/view_00.png") - expected).max() <= 1
 
 
 def test_codes_of_all_cameras():
     record = run_json("render", "f.scoup", "--what", "codes", "--camera", "all")
-    assert record["files"] == [f"f_codes/view-0{number}.png" for number in range(4)]
+    assert record["files"] == [f"f_codes/view_0{number}.png" for number in range(4)]
     pictures = [pixels(file) for file in record["files"]]
     assert {picture.shape for picture in pictures} == {(30, 40, 3)}
     assert all(picture.std() > 5 for picture in pictures)
     run_json("render", "f.scoup", "--what", "codes", "--level", "s", "--out", "fine")
-    assert (pixels("fine/view-00.png") != pictures[0]).any()
+    assert (pixels("fine/view_00.png") != pictures[0]).any()
 
 
 def test_relevancy_of_a_text():
     run_json("render", "f.scoup", "--what", "relevancy", "--query", "kettle", "--scale", "3")
-    picture = pixels("f_relevancy/view-00.png")
+    picture = pixels("f_relevancy/view_00.png")
     assert picture.shape[1] >= 120
     assert picture.shape[0] > 90  # with title and legend
 
@@ -51,7 +51,7 @@ def test_one_picture_by_its_name():
         "deep/a.png"
     ]
     run_json("render", "f.scoup", "--out", "all", "--camera", "all")
-    assert (pixels("deep/a.png") == pixels("all/view-01.png")).all()
+    assert (pixels("deep/a.png") == pixels("all/view_01.png")).all()
     assert "one picture cannot hold 4 views" in refused(
         "render", "f.scoup", "--out", "b.png", "--camera", "all"
     )
@@ -71,8 +71,8 @@ def test_an_animation(name):
 
 def test_nothing_is_replaced_unasked():
     run_json("render", "f.scoup", "--camera", "view_01", "--out", "all")
-    assert "view-01.png: already exists" in refused("render", "f.scoup", "--camera", "all", "--out", "all")
-    assert [path.name for path in Path("all").iterdir()] == ["view-01.png"]
+    assert "view_01.png: already exists" in refused("render", "f.scoup", "--camera", "all", "--out", "all")
+    assert [path.name for path in Path("all").iterdir()] == ["view_01.png"]
     assert run("render", "f.scoup", "--camera", "all", "--out", "all", "--overwrite")[0] == 0
 
 

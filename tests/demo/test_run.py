@@ -40,6 +40,8 @@ def test_the_demos_folder_can_be_built_and_asked_from_the_command_line(tmp_path)
     assert run("demo", "--out", out, *SMALL)[0] == 0
     scene, field = out / "scene", tmp_path / "again.scoup"
     assert run("build", scene, "--out", field, "--epochs", 150)[0] == 0
-    code, printed, err = run("query", field, "teapot", "--text", scene / "text.npz", "--out", tmp_path / "q", "--json")
+    code, printed, err = run(
+        "query", field, "teapot", "--text", scene / "text.npz", "--out", tmp_path / "q", "--json"
+    )
     assert code == 0, err
     assert json.loads(printed)["answers"][0]["text"] == "teapot"

@@ -107,6 +107,7 @@ class Build(WritesCommon):
             f"{len(gaussians):,} Gaussians, {len(regions)} views with regions of {len(cameras)} cameras"
         )
 
+        checkpoint = out.with_name(out.name + ".partial")
         started = time.perf_counter()
         with console.progress() as progress:
             field = build(
@@ -117,10 +118,11 @@ class Build(WritesCommon):
                 embedding_model=model,
                 geometry_path=source,
                 keep_accumulators=self.keep_accumulators,
-                checkpoint=out.with_name(out.name + ".partial"),
+                checkpoint=checkpoint,
                 progress=progress,
             )
         field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)
+        checkpoint.unlink(missing_ok=True)
         seconds = time.perf_counter() - started
         coded = int(field.coded().sum())
         for level, report in field.info.provenance["coding"].items():

@@ -8,8 +8,8 @@ _MOST_BYTES = 80  # of a name: endings and the marks of temporary files need roo
 
 
 def slug(text: str) -> str:
-    """A file name for a text: letters, digits and dashes."""
-    kept = "".join(char if char.isalnum() else "-" for char in text.lower()).strip("-")
+    """A file name for a text: letters, digits, underscores and dashes."""
+    kept = "".join(char if char.isalnum() or char == "_" else "-" for char in text.lower()).strip("-")
     while "--" in kept:
         kept = kept.replace("--", "-")
     return kept.encode("utf-8", "ignore")[:_MOST_BYTES].decode("utf-8", "ignore") or "text"

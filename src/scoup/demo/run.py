@@ -114,7 +114,9 @@ def run_demo(
         gaussians = load_gaussians(splat)
         cameras = load_cameras(folder)
         regions = load_regions(folder, cameras)
-    with _timed(seconds, "build the field (coding and uplift)"):
+    with _timed(seconds, "rasterise: region sums of all views"):
+        sums = region_sums(gaussians, cameras, regions, progress=progress)
+    with _timed(seconds, "build the field: coding, uplift, vote"):
         field = build(
             gaussians,
             cameras,
@@ -123,13 +125,13 @@ def run_demo(
             embedding_model=EMBEDDING_MODEL,
             geometry_path=splat,
             keep_accumulators=True,
+            sums=sums,
             progress=progress,
         )
     assert field.accumulators is not None
     accumulators, field.accumulators = field.accumulators, None  # not worth a file of its own here
     field.save(path, overwrite)
     with _timed(seconds, "dense 512-d uplift, to compare"):
-        sums = region_sums(gaussians, cameras, regions, progress=progress)
         dense = dense_variant(DENSE, sums, [regions.embeddings(level)[0] for level in regions.levels])
     keep = field.code_indices.shape[2]
     variants = [

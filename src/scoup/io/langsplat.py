@@ -57,9 +57,7 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
     Warns:
         ScoupWarning: some cameras have no features; says how many.
     """
-    folder = existing_folder(
-        folder, "a folder of language features", "make them first, or check the path"
-    )
+    folder = existing_folder(folder, "a folder of language features", "make them first, or check the path")
     if (folder / FOLDER_NAME).is_dir():
         folder = folder / FOLDER_NAME
     views: dict[str, _Files] = {}
