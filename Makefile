@@ -1,5 +1,5 @@
 # make demo   create the environment, install, build and query a small scene (pictures and a table in demo/)
-# make test   create the environment, install, run the tests
+# make test   create the environment, install, run the tests (two processes of one thread each)
 # make lint   ruff and pyright
 
 PYTHON ?= python3
@@ -11,7 +11,7 @@ demo: .venv/installed
 	$(BIN)/scoup demo --out demo --overwrite
 
 test: .venv/installed-dev
-	$(BIN)/python -m pytest -n 2
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check .

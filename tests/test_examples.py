@@ -1,0 +1,47 @@
+"""The examples run as they stand in the repository."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cli_support import run, write_scene
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scene(tmp_path_factory.mktemp("examples") / "scene")
+
+
+def example(name: str, *arguments: object) -> str:
+    """What an example prints."""
+    command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_build_and_ask(scene):
+    printed = example("01_build_and_ask.py", scene, scene / "words.npz", "kettle")
+    assert printed.count("view_0") == 3
+    assert "level" in printed
+
+
+def test_cut_out_a_thing(scene, tmp_path):
+    field, out = tmp_path / "f.scoup", tmp_path / "kettle.ply"
+    assert run("build", scene, "--out", field, "--epochs", 20, "--n-atoms", 8)[0] == 0
+    assert "of 150 Gaussians saved" in example(
+        "02_cut_out_a_thing.py", field, scene / "words.npz", "kettle", out
+    )
+    assert out.is_file()
+
+
+def test_rasterise_once_code_often(scene):
+    printed = example("03_rasterise_once_code_often.py", scene)
+    assert "32 atoms" in printed
+    assert "64 atoms" in printed
