@@ -156,3 +156,9 @@ def test_file_names_of_texts():
     assert slug("茶壶") == "茶壶"
     assert len(slug("𝒶" * 200).encode()) <= 80
     assert unique_slugs(["a", "a", "a-2", "A!"]) == ["a", "a-2", "a-2-2", "a-3"]
+
+
+def test_the_help_does_not_wait_for_torch():
+    code = "import sys; from scoup.cli.app import run; run(['--help']); print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "False", done.stderr

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from scoup.errors import InputError
-from scoup.io import check_output
 
 
 @contextmanager
@@ -48,6 +47,8 @@ def staged(folder: Path, files: Sequence[str], overwrite: bool) -> Iterator[Path
 
 def check_outputs(folder: Path, files: Sequence[str], overwrite: bool) -> None:
     """Check that all files may be written into a folder; see ``io.check_output``."""
+    from scoup.io import check_output  # loads torch: not before a verb runs
+
     for file in files:
         check_output(folder / file, overwrite)
 
