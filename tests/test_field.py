@@ -135,7 +135,7 @@ def test_file_round_trip(scene, field, tmp_path):
 def test_eight_bit_weights_are_close(field, tmp_path):
     field.save(tmp_path / "f.scoup", weight_bits=8)
     back = LanguageField.load(tmp_path / "f.scoup")
-    assert (back.code_weights.float() - field.code_weights.float()).abs().max() <= 0.5 / 255 + 1e-3
+    assert (back.code_weights.float() - field.code_weights.float()).abs().max() <= 1.5 / 255
     with pytest.raises(InputError, match="8 or 16"):
         field.save(tmp_path / "g.scoup", weight_bits=4)
 
@@ -181,7 +181,7 @@ def test_accumulators_of_an_earlier_field_are_not_taken(scene, field, tmp_path):
     build(*scene, settings=other, keep_accumulators=True).save(path, overwrite=True)
     accumulators_path(path).write_bytes(stale)
     with pytest.raises(FileFormatError, match="does not belong"):
-        LanguageField.load(path)
+        _ = LanguageField.load(path).accumulators
 
 
 def test_adding_a_view_equals_building_with_it(scene, field, tmp_path):
@@ -199,8 +199,69 @@ def test_adding_a_view_equals_building_with_it(scene, field, tmp_path):
         for s, level in enumerate(regions.levels)
     ]
     assert torch.allclose(grown.accumulators, fewer.accumulators + uplift(only, codes), rtol=1e-5, atol=1e-6)
+    with pytest.raises(InputError, match="votes once"):
+        grown.update(cameras[3], regions)
     with pytest.raises(InputError, match="keep-accumulators"):
         build(gaussians, cameras[:3], regions, settings=QUICK).update(cameras[3], regions)
+
+
+def test_added_regions_get_codes_of_k_atoms_whatever_a_gaussian_keeps(scene):
+    gaussians, cameras, regions = scene
+    everything = BuildSettings(n_atoms=8, k=2, keep=0, epochs=20)
+    field = build(gaussians, cameras[:3], regions, settings=everything, keep_accumulators=True)
+    grown = field.update(cameras[3], regions)
+    before, after = field.accumulators, grown.accumulators
+    assert before is not None
+    assert after is not None
+    # A Gaussian that one region paints alone gains exactly that region's two atoms.
+    gained = ((after - before) > 0).sum(2)
+    painted = gained > 0
+    assert int(gained[painted].min()) <= 2
+
+
+def test_an_interrupted_save_leaves_field_and_accumulators_together(scene, field, tmp_path, monkeypatch):
+    from scoup import artefact
+
+    path = tmp_path / "f.scoup"
+    field.save(path)
+    before = path.read_bytes(), accumulators_path(path).read_bytes()
+    write = artefact._write
+
+    def full_disk(target, *rest):
+        if target == path:
+            raise InputError("disk full")
+        write(target, *rest)
+
+    other = build(*scene, settings=BuildSettings(n_atoms=8, k=2, epochs=20), keep_accumulators=True)
+    monkeypatch.setattr(artefact, "_write", full_disk)
+    with pytest.raises(InputError, match="disk full"):
+        other.save(path, overwrite=True)
+    assert (path.read_bytes(), accumulators_path(path).read_bytes()) == before
+    assert {item.name for item in tmp_path.iterdir()} == {"f.scoup", "f.scoup.accumulators"}
+
+
+def test_eight_bits_take_no_code_away(scene, tmp_path):
+    wide = BuildSettings(n_atoms=600, k=4, keep=0, epochs=2)
+    field = build(*scene, settings=wide)
+    assert field.code_indices.dtype == torch.uint16
+    even = LanguageField(
+        field.code_indices, torch.full_like(field.code_weights, 1 / 600), field.codebook, field.info, scene[0]
+    )
+    even.save(tmp_path / "f.scoup", weight_bits=8)
+    assert LanguageField.load(tmp_path / "f.scoup").coded().all()
+
+
+def test_more_than_256_atoms_from_build_to_answers(scene, tmp_path):
+    gaussians, cameras, regions = scene
+    field = build(gaussians, cameras, regions, settings=BuildSettings(n_atoms=300, epochs=5))
+    field.save(tmp_path / "f.scoup")
+    back = LanguageField.load(tmp_path / "f.scoup", gaussians)
+    queries = unit(torch.randn(2, 16))
+    features = back.render_features(cameras[0], "m")
+    expected = (features @ queries.T).permute(2, 0, 1)
+    best = expected.amax(0, keepdim=True)
+    actual = back.relevancy(cameras[0], queries, queries)[1]
+    assert torch.allclose(actual, torch.sigmoid(10 * (expected - best)), atol=1e-4)
 
 
 def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, tmp_path, monkeypatch):
@@ -229,6 +290,36 @@ def test_building_from_kept_sums_gives_the_same_bytes(scene, tmp_path):
     assert (tmp_path / "streamed.scoup").read_bytes() == (tmp_path / "kept.scoup").read_bytes()
     with pytest.raises(InputError, match="lack 2 of the views"):
         build(*scene, settings=QUICK, sums=region_sums(gaussians, cameras[:2], regions))
+
+
+def test_label_maps_changed_during_an_interruption(scene, tmp_path):
+    gaussians, cameras, regions = scene
+    checkpoint = tmp_path / "f.partial"
+
+    def stop_after_two(stage, done, total):
+        if stage == "uplift" and done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build(*scene, settings=QUICK, checkpoint=checkpoint, progress=stop_after_two)
+    flipped = Regions.from_maps(
+        {
+            name: {
+                level: scoup.RegionMap(
+                    regions.load(name, level).labels.flip(1), regions.load(name, level).embeddings
+                )
+                for level in regions.levels
+            }
+            for name in regions.view_names
+        }
+    )
+    with pytest.warns(ScoupWarning, match="label maps of 'view_00.png' have changed"):
+        resumed = build(gaussians, cameras, flipped, settings=QUICK, checkpoint=checkpoint)
+    fresh = build(gaussians, cameras, flipped, settings=QUICK)
+    assert torch.equal(resumed.code_weights, fresh.code_weights)
+    assert (
+        resumed.info.provenance["label_maps"] != build(*scene, settings=QUICK).info.provenance["label_maps"]
+    )
 
 
 def test_a_checkpoint_of_other_inputs_is_not_used(scene, tmp_path):
@@ -280,6 +371,20 @@ def test_cameras_and_regions_of_different_scenes(scene):
     gaussians, _, regions = scene
     with pytest.raises(InputError, match="names agree"):
         build(gaussians, Cameras([make_camera(name="other.png")]), regions, settings=QUICK)
+
+
+def test_embeddings_that_cannot_be_coded_are_refused(scene):
+    gaussians, cameras, _ = scene
+    labels = torch.zeros(30, 40, dtype=torch.int32)
+
+    def regions_of(**embeddings: torch.Tensor) -> Regions:
+        maps = {level: scoup.RegionMap(labels, rows) for level, rows in embeddings.items()}
+        return Regions.from_maps({camera.name: maps for camera in cameras})
+
+    with pytest.raises(InputError, match="zero embeddings"):
+        build(gaussians, cameras, regions_of(m=torch.zeros(1, 16)), settings=QUICK)
+    with pytest.raises(InputError, match="different sizes"):
+        build(gaussians, cameras, regions_of(s=torch.ones(1, 16), m=torch.ones(1, 8)), settings=QUICK)
 
 
 def test_a_level_without_regions_is_refused(scene):

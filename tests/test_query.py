@@ -18,12 +18,10 @@ from scoup.query import (
     QueryPreset,
     box_mean,
     localize,
-    localize_all,
     mask_box,
     query_preset,
     rescale,
     segment,
-    segment_all,
     select,
 )
 
@@ -159,13 +157,6 @@ def test_ties_are_all_reported_row_by_row_and_the_first_level_wins() -> None:
     assert place.pixels.tolist() == [[10, 10], [30, 10]]
     assert place.level == 0
     assert place.pixel in [(10, 10), (30, 10)]
-
-
-def test_all_queries_one_by_one() -> None:
-    relevancy = torch.rand(2, 3, 12, 10, generator=torch.Generator().manual_seed(0))
-    for query, (place, found) in enumerate(zip(localize_all(relevancy), segment_all(relevancy), strict=True)):
-        assert place.pixel == localize(relevancy[:, query]).pixel
-        assert found.mask.equal(segment(relevancy[:, query]).mask)
 
 
 def test_rescale_and_mask_box() -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
@@ -47,6 +48,10 @@ class FieldInfo:
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
+Accumulators: TypeAlias = "Tensor | Callable[[], Tensor | None] | None"
+"""Accumulators, or how to read them when they are first needed, or none."""
+
+
 @dataclass(frozen=True, eq=False)
 class FieldParts:
     """Everything a ``.scoup`` file holds; attributes as those of ``LanguageField``.
@@ -60,7 +65,7 @@ class FieldParts:
     info: FieldInfo
     gaussians: Gaussians | None
     geometry_path: Path | None
-    accumulators: Tensor | None  # [N, S, L]
+    accumulators: Accumulators  # [N, S, L]
     cameras: Cameras | None
 
 
@@ -70,11 +75,14 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
         raise InputError(f"weights are stored with 8 or 16 bits, not {weight_bits}")
     sibling = accumulators_path(path)
     check_output(path, overwrite)
-    if parts.accumulators is not None:
+    accumulators = parts.accumulators() if callable(parts.accumulators) else parts.accumulators
+    if accumulators is not None:
         check_output(sibling, overwrite)
     weights = parts.code_weights
     if weight_bits == 8:
-        weights = (weights.float() * 255).round().to(torch.uint8)
+        # In steps of each code's largest weight, so that no code is rounded away.
+        largest = weights.float().amax(-1, keepdim=True).clamp(min=torch.finfo(torch.float16).tiny)
+        weights = (weights.float() / largest * 255).round().to(torch.uint8)
     tensors = {"code_indices": parts.code_indices, "code_weights": weights, "codebook": parts.codebook}
     if parts.gaussians is not None:
         tensors |= {f"geometry.{name}": getattr(parts.gaussians, name) for name in _GEOMETRY}
@@ -90,13 +98,15 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
             "path": None if parts.geometry_path is None else _relative(parts.geometry_path, path),
         },
         "cameras": None if parts.cameras is None else list(parts.cameras.names),
-        "accumulators": parts.accumulators is not None,
+        "accumulators": accumulators is not None,
         "provenance": parts.info.provenance,
     }
-    if parts.accumulators is not None:
-        belongs = {"belongs_to": _digest(parts.code_indices, weights)}
-        _write(sibling, {"accumulators": parts.accumulators}, "scoup.accumulators", belongs, overwrite)
-    _write(path, tensors, SCHEMA, header, overwrite)
+    with ExitStack() as together:  # neither file is replaced before both are written
+        if accumulators is not None:
+            belongs = {"belongs_to": _digest(parts.code_indices, weights)}
+            temporary = together.enter_context(atomic_path(sibling, overwrite))
+            _write(sibling, temporary, {"accumulators": accumulators}, "scoup.accumulators", belongs)
+        _write(path, together.enter_context(atomic_path(path, overwrite)), tensors, SCHEMA, header)
 
 
 def read_field(path: Path) -> FieldParts:
@@ -122,7 +132,7 @@ def read_field(path: Path) -> FieldParts:
         weights = tensors["code_weights"]
         stored = weights
         if weights.dtype == torch.uint8:
-            weights = weights.float() / 255
+            weights = weights.float() / weights.float().sum(-1, keepdim=True).clamp(min=1)
         elif weights.dtype != torch.float16:
             raise InputError(f"code weights are {weights.dtype}, expected float16 or uint8")
         gaussians = None
@@ -131,7 +141,8 @@ def read_field(path: Path) -> FieldParts:
         accumulators = None
         if header["accumulators"]:
             shape = (*tensors["code_indices"].shape[:2], tensors["codebook"].shape[1])
-            accumulators = _read_accumulators(path, _digest(tensors["code_indices"], stored), shape)
+            belongs_to = _digest(tensors["code_indices"], stored)
+            accumulators = partial(_read_accumulators, path, belongs_to, shape)
         return FieldParts(
             tensors["code_indices"],
             weights,
@@ -223,25 +234,26 @@ def _digest(code_indices: Tensor, code_weights: Tensor) -> str:
 
 
 def _write(
-    path: Path, tensors: dict[str, Tensor], schema: str, header: dict[str, Any], overwrite: bool
+    path: Path, temporary: Path, tensors: dict[str, Tensor], schema: str, header: dict[str, Any]
 ) -> None:
+    """Write what will become ``path`` to ``temporary``."""
     from safetensors.torch import save_file
 
     # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
     metadata = {METADATA_KEY: json.dumps({"schema": schema, "version": VERSION, **header}, sort_keys=True)}
-    with atomic_path(path, overwrite) as temporary:
-        try:
-            temporary.touch(exist_ok=False)
-            permissions = temporary.stat().st_mode  # as of any new file; safetensors makes private ones
-            save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary, metadata)
-            temporary.chmod(permissions)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
+    try:
+        temporary.touch(exist_ok=False)
+        permissions = temporary.stat().st_mode  # as of any new file; safetensors makes private ones
+        save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary, metadata)
+        temporary.chmod(permissions)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def write_tensors(path: Path, tensors: dict[str, Tensor], schema: str, header: dict[str, Any]) -> None:
     """Write a safetensors file of ours atomically, replacing what is there."""
-    _write(path, tensors, schema, header, overwrite=True)
+    with atomic_path(path, overwrite=True) as temporary:
+        _write(path, temporary, tensors, schema, header)
 
 
 def _camera_tensors(cameras: Cameras) -> dict[str, Tensor]:

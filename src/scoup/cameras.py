@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -120,8 +121,8 @@ class Cameras:
         """
         if isinstance(key, slice):
             return Cameras(self._cameras[key])
-        if isinstance(key, int):
-            return self._cameras[key]
+        if not isinstance(key, str):
+            return self._cameras[operator.index(key)]
         if key in self._by_name:
             return self._by_name[key]
         same_stem = [

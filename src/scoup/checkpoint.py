@@ -8,11 +8,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
 
+from scoup import __version__
 from scoup.artefact import read_tensors, write_tensors
 from scoup.cameras import Camera
 from scoup.codes import SparseCodes
@@ -20,6 +21,9 @@ from scoup.errors import FileFormatError, ScoupWarning
 
 SECONDS_BETWEEN_WRITES = 30.0
 _SCHEMA = "scoup.build_checkpoint"
+
+Embeddings: TypeAlias = tuple[Tensor, dict[str, slice]]
+"""All embeddings of a level [R, D], and the rows of each view in them."""
 
 
 @dataclass(eq=False)
@@ -31,7 +35,7 @@ class BuildState:
         codes: per level, the codes of all regions.
         reports: per level, the coding report as JSON values.
         accumulators: [N, S, L] float32.
-        views_done: names of the views already added.
+        views_done: names of the views already added, each with the digest of its label maps.
         between_views: false while a view is being added; such a state is never stored.
     """
 
@@ -39,7 +43,7 @@ class BuildState:
     codes: list[SparseCodes]
     reports: list[dict[str, Any]]
     accumulators: Tensor
-    views_done: list[str]
+    views_done: dict[str, str]
     between_views: bool = True
 
 
@@ -68,9 +72,9 @@ class Checkpoint:
             n_atoms = tensors["accumulators"].shape[2]
             codes = [SparseCodes(tensors[f"indices.{s}"], tensors[f"weights.{s}"], n_atoms) for s in levels]
             atoms = [tensors[f"atoms.{s}"] for s in levels]
-            views = [str(name) for name in header["views_done"]]
+            views = {str(name): str(digest) for name, digest in header["views_done"].items()}
             return BuildState(atoms, codes, header["reports"], tensors["accumulators"], views)
-        except (FileFormatError, KeyError, ValueError, IndexError, TypeError) as error:
+        except (FileFormatError, KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
             import warnings
 
             warnings.warn(
@@ -104,14 +108,22 @@ class Checkpoint:
 
 
 def build_key(
-    fingerprint: str, cameras: Sequence[Camera], embeddings: Sequence[Tensor], settings: dict[str, Any]
+    fingerprint: str, cameras: Sequence[Camera], embeddings: dict[str, Embeddings], settings: dict[str, Any]
 ) -> str:
-    """SHA-256 over everything a build's result depends on, region maps excepted (they are large; their
-    embeddings stand for them)."""
-    digest = hashlib.sha256(json.dumps([fingerprint, settings], sort_keys=True).encode())
+    """SHA-256 over everything a build's result depends on but the label maps, which are hashed view by view.
+
+    Args:
+        fingerprint: of the Gaussians.
+        cameras: the views.
+        embeddings: per level, as from ``Regions.embeddings``.
+        settings: plain JSON values.
+    """
+    digest = hashlib.sha256(json.dumps([__version__, fingerprint, settings], sort_keys=True).encode())
     for camera in cameras:
         digest.update(json.dumps([camera.name, camera.width, camera.height, camera.distortion]).encode())
         digest.update(torch.cat([camera.viewmat.flatten(), camera.K.flatten()]).numpy().tobytes())
-    for rows in embeddings:
+    for level, (rows, of_views) in embeddings.items():
+        ends = {name: of_view.stop for name, of_view in of_views.items()}
+        digest.update(json.dumps([level, list(rows.shape), ends]).encode())
         digest.update(rows.contiguous().numpy().tobytes())
     return digest.hexdigest()

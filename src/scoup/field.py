@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.artefact import FieldInfo, FieldParts, field_damage_named, read_field, write_field
+from scoup.artefact import Accumulators, FieldInfo, FieldParts, field_damage_named, read_field, write_field
 from scoup.cameras import Camera, Cameras
 from scoup.codes import cosines_from_codes, index_dtype
 from scoup.errors import GeometryMismatchError, InputError
@@ -31,7 +31,8 @@ class LanguageField:
         info: levels, model, fingerprint, provenance.
         gaussians: the geometry; None loads it from ``geometry_path`` when first needed.
         geometry_path: where the geometry lies.
-        accumulators: [N, S, L] float32 sums before the top-K step, needed only to add views later.
+        accumulators: [N, S, L] float32 sums before the top-K step, needed only to add views later, or a function
+            that reads them.
         cameras: the views it was built from, so that it can be asked without its scene folder.
 
     Raises:
@@ -47,7 +48,7 @@ class LanguageField:
         info: FieldInfo,
         gaussians: Gaussians | None = None,
         geometry_path: Path | None = None,
-        accumulators: Tensor | None = None,
+        accumulators: Accumulators = None,
         cameras: Cameras | None = None,
     ) -> None:
         self.code_indices = code_indices
@@ -55,7 +56,7 @@ class LanguageField:
         self.codebook = codebook
         self.info = info
         self.geometry_path = geometry_path
-        self.accumulators = accumulators
+        self._accumulators = accumulators
         self.cameras = cameras
         self._gaussians = None
         self._check()
@@ -88,11 +89,22 @@ class LanguageField:
             self.codebook.to(device),
             self.info,
             geometry_path=self.geometry_path,
-            accumulators=self.accumulators,
+            accumulators=self._accumulators,
             cameras=self.cameras,
         )
         moved._gaussians = None if self._gaussians is None else self._gaussians.to(device)
         return moved
+
+    @property
+    def accumulators(self) -> Tensor | None:
+        """[N, S, L] float32 sums before the top-K step, read on first use; None if they were not kept.
+
+        Raises:
+            FileFormatError: the file beside the field is damaged or belongs to another field.
+        """
+        if callable(self._accumulators):
+            self._accumulators = self._accumulators()
+        return self._accumulators
 
     def coded(self) -> Tensor:
         """Boolean [N]: Gaussians with a code at any level."""
@@ -118,7 +130,7 @@ class LanguageField:
                 )
             from scoup.io import load_gaussians
 
-            self.attach(load_gaussians(self.geometry_path), str(self.geometry_path))
+            self.attach(load_gaussians(self.geometry_path).to(self.codebook.device), str(self.geometry_path))
         assert self._gaussians is not None
         return self._gaussians
 
@@ -218,34 +230,46 @@ class LanguageField:
             regions: ``Regions`` that hold the camera's name, with this field's levels.
 
         Raises:
-            InputError: the field was loaded or built without its accumulators, or the levels differ.
+            InputError: the field was loaded or built without its accumulators, the view is in the vote already,
+                or levels or embeddings do not fit.
         """
         from scoup.coding.encode import encode
         from scoup.uplifting import add_view, iterate_region_sums
 
+        voted = [*self.info.provenance.get("views", []), *self.info.provenance.get("added_views", [])]
+        if camera.name in voted:
+            raise InputError(f"the view {camera.name!r} is in the field already; a view votes once")
         if self.accumulators is None:
             raise InputError(
                 "adding a view needs the accumulators; build with keep_accumulators=True (--keep-accumulators)"
             )
         if tuple(regions.levels) != self.levels:
             raise InputError(f"the regions have levels {list(regions.levels)}, the field {list(self.levels)}")
-        k = self.code_indices.shape[2]
-        codes = [
-            encode(regions.load_embeddings(camera.name, level), self.codebook[s], k)
-            for s, level in enumerate(self.levels)
-        ]
+        keep = self.code_indices.shape[2]
+        k = int(self.info.provenance.get("settings", {}).get("k", keep))  # of a region's code
+        codes = []
+        for level, atoms in zip(self.levels, self.codebook.cpu(), strict=True):
+            rows = regions.load_embeddings(camera.name, level)
+            if rows.shape[1] != self.dim:
+                raise InputError(
+                    f"the regions of {camera.name!r} have embeddings of {rows.shape[1]} dimensions, "
+                    f"the field {self.dim}"
+                )
+            codes.append(encode(rows, atoms, k))
         accumulators = self.accumulators.clone()
         for sums in iterate_region_sums(self.gaussians, [camera], regions, self.info.raster_preset):
             add_view(sums, codes, accumulators)
-        indices, weights = top_k(accumulators, k)
+        indices, weights = top_k(accumulators, keep)
         added = [*self.info.provenance.get("added_views", []), camera.name]
         info = replace(self.info, provenance={**self.info.provenance, "added_views": added})
         cameras = self.cameras
         if cameras is not None and camera.name not in cameras.names:
             cameras = Cameras([*cameras, camera])
-        return LanguageField(
-            indices, weights, self.codebook, info, self.gaussians, self.geometry_path, accumulators, cameras
-        )
+        grown = LanguageField(
+            indices, weights, self.codebook.cpu(), info, None, self.geometry_path, accumulators, cameras
+        ).to(self.codebook.device)
+        grown._gaussians = self._gaussians
+        return grown
 
     def save(
         self,
@@ -253,6 +277,7 @@ class LanguageField:
         overwrite: bool = False,
         embed_geometry: bool = False,
         weight_bits: int = 16,
+        with_accumulators: bool = True,
     ) -> None:
         """Write the field to one ``.scoup`` file (docs/formats.md), atomically.
 
@@ -260,7 +285,8 @@ class LanguageField:
             path: the file. Accumulators, if kept, go to a sibling ``<path>.accumulators``.
             overwrite: replace what is there.
             embed_geometry: put the Gaussians into the file too.
-            weight_bits: 16 (float16) or 8 (linear steps of 1/255).
+            weight_bits: 16 (float16) or 8 (255 steps of each code's largest weight).
+            with_accumulators: write the accumulators too, if the field has them.
 
         Raises:
             OutputExistsError: the file is there and ``overwrite`` is false.
@@ -272,7 +298,7 @@ class LanguageField:
             self.info,
             self.gaussians if embed_geometry else None,
             self.geometry_path,
-            self.accumulators,
+            self._accumulators if with_accumulators else None,
             self.cameras,
         )
         write_field(parts, Path(path), overwrite, weight_bits)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,7 @@ from torch import Tensor
 
 from scoup import __version__
 from scoup.cameras import Camera, Cameras
-from scoup.checkpoint import BuildState, Checkpoint, build_key
+from scoup.checkpoint import BuildState, Checkpoint, Embeddings, build_key
 from scoup.codes import SparseCodes
 from scoup.coding import fit_codes
 from scoup.errors import InputError, ScoupWarning
@@ -27,6 +29,7 @@ from scoup.uplifting import (
     ViewSums,
     add_view,
     cameras_with_regions,
+    digest_of_labels,
     iterate_region_sums,
     top_k,
 )
@@ -41,7 +44,7 @@ class BuildSettings:
     Attributes:
         n_atoms: L, atoms in each level's codebook.
         k: K, atoms in the code of a region.
-        keep: atoms kept for each Gaussian by the vote; 0 keeps all (no top-K step).
+        keep: atoms kept for each Gaussian by the vote; None (default) keeps k, 0 keeps all (no top-K step).
         solver: how codes are learned, see ``fit_codes``.
         epochs: epochs of the "adam" solver.
         tolerance: stop the solver once its loss has fallen by less than this over 100 epochs; None never.
@@ -51,7 +54,7 @@ class BuildSettings:
 
     n_atoms: int = 64
     k: int = 4
-    keep: int = 4
+    keep: int | None = None
     solver: str = "adam"
     epochs: int = 4000
     tolerance: float | None = None
@@ -59,9 +62,12 @@ class BuildSettings:
     raster_preset: str = "inria"
 
     def __post_init__(self) -> None:
-        if not 1 <= self.k <= self.n_atoms or not 0 <= self.keep <= self.n_atoms:
+        if self.keep is None:
+            object.__setattr__(self, "keep", self.k)
+        keep = self.keep or 0
+        if not 1 <= self.k <= self.n_atoms or not 0 <= keep <= self.n_atoms:
             raise InputError(
-                f"k ({self.k}) and keep ({self.keep}) must not exceed the {self.n_atoms} atoms, and k must be at "
+                f"k ({self.k}) and keep ({keep}) must not exceed the {self.n_atoms} atoms, and k must be at "
                 "least 1"
             )
         if self.tolerance is not None and not self.tolerance >= 0:
@@ -89,20 +95,21 @@ def build(
     """Build a language field (method.md, stages 1 and 2): learn codes per level, lift them view by view, vote.
 
     The parts can be called one by one: ``fit_codes``, ``region_sums``, ``uplift``, ``top_k``, ``LanguageField``.
-    Memory does not grow with the number of views.
+    Beyond the embeddings, and then the codes, of all regions, memory does not grow with the number of views.
 
     Args:
         gaussians: the trained scene; never changed.
         cameras: posed views; those without regions are passed over.
         regions: region maps and embeddings.
-        n_atoms, k: size of the codebook and of a code, where ``settings`` are not given (``keep`` follows ``k``).
+        n_atoms, k: size of the codebook and of a code, where ``settings`` are not given.
         settings: everything else that decides the result.
         embedding_model: id of the model the embeddings come from, kept in the field.
         geometry_path: file of the Gaussians, kept in the field as a reference.
         keep_accumulators: keep the float sums, so that views can be added later (N x S x L x 4 bytes).
         backend: rasteriser backend by name.
-        checkpoint: file where the state is kept while building; an interrupted build with the same inputs goes
-            on from it. It stays, so that nothing is lost if the field cannot be saved; delete it afterwards.
+        checkpoint: file where the codes, and now and then the sums, are kept while building; an interrupted build
+            with the same inputs goes on from it. It stays, so that the codes are not lost if the field cannot be
+            saved; delete it afterwards.
         sums: region sums of these very Gaussians, cameras and regions (``region_sums``), if they are at hand;
             nothing is rasterised then.
         progress: called as ``progress(stage, done, total)``.
@@ -110,32 +117,33 @@ def build(
     Raises:
         InputError: no camera has regions, the cameras see nothing, or the inputs do not fit.
     """
-    settings = settings or BuildSettings(n_atoms=n_atoms, k=k, keep=k)
+    settings = settings or BuildSettings(n_atoms=n_atoms, k=k)
     views = cameras_with_regions(cameras, regions)
     regions = regions.select(camera.name for camera in views)
-    stacked = [regions.embeddings(level) for level in regions.levels]
+    embeddings = {level: regions.embeddings(level) for level in regions.levels}
+    _check_embeddings(embeddings)
+    rows = [of_views for _, of_views in embeddings.values()]
+    if sums is not None:
+        _check_sums(sums, views, rows, len(gaussians), settings.raster_preset)
     fingerprint = gaussians.fingerprint()
-    key = build_key(fingerprint, views, [rows for rows, _ in stacked], dataclasses.asdict(settings))
+    key = build_key(fingerprint, views, embeddings, dataclasses.asdict(settings))
 
     keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), key)
     state = keeper.read()
     if state is None:
-        state = _learn_codes(
-            [rows for rows, _ in stacked], regions.levels, settings, len(gaussians), progress
-        )
+        state = _learn_codes(embeddings, settings, len(gaussians), progress)
         keeper.write(state, now=True)
-    left = [camera for camera in views if camera.name not in set(state.views_done)]
+    else:
+        _forget_other_maps(state, views, regions)
+    del embeddings  # the uplift needs the codes only
+    left = [camera for camera in views if camera.name not in state.views_done]
+    if sums is not None:
+        wanted = {camera.name for camera in left}
+        sums_of_views = (view for view in sums.views if view.view_name in wanted)
+    else:
+        sums_of_views = iterate_region_sums(gaussians, left, regions, settings.raster_preset, backend)
     try:
-        _lift(
-            _kept_sums(sums, left, len(gaussians))
-            if sums is not None
-            else iterate_region_sums(gaussians, left, regions, settings.raster_preset, backend),
-            [rows for _, rows in stacked],
-            state,
-            len(views),
-            keeper,
-            progress,
-        )
+        _lift(sums_of_views, rows, state, len(views), keeper, progress)
     except KeyboardInterrupt:
         keeper.write(state, now=True)
         raise
@@ -146,10 +154,12 @@ def build(
         raise
 
     indices, weights = top_k(state.accumulators, settings.keep or None)
+    maps = hashlib.sha256(json.dumps(state.views_done, sort_keys=True).encode())
     provenance: dict[str, Any] = {
         "software": f"scoup {__version__}",
         "settings": dataclasses.asdict(settings),
         "inputs": key,
+        "label_maps": maps.hexdigest(),
         "views": [camera.name for camera in views],
         "coding": dict(zip(regions.levels, state.reports, strict=True)),
     }
@@ -161,27 +171,70 @@ def build(
         weights,
         torch.stack(state.atoms),
         info,
-        gaussians,
+        None,
         None if geometry_path is None else Path(geometry_path),
         state.accumulators if keep_accumulators else None,
         Cameras(views),
+    ).to(gaussians.device)
+    field.attach(gaussians)
+    return field
+
+
+def _check_embeddings(embeddings: dict[str, Embeddings]) -> None:
+    dimensions = {level: rows.shape[1] for level, (rows, _) in embeddings.items()}
+    if len(set(dimensions.values())) > 1:
+        raise InputError(f"the levels have embeddings of different sizes {dimensions}: they mix models")
+    for level, (rows, _) in embeddings.items():
+        if not len(rows):
+            raise InputError(f"level {level!r} has no regions in any view; every level needs some")
+        if not rows.any():
+            raise InputError(f"level {level!r} has only zero embeddings; make the region features again")
+
+
+def _check_sums(
+    sums: RegionSums, views: list[Camera], rows: list[dict[str, slice]], n_gaussians: int, raster_preset: str
+) -> None:
+    """Refuse region sums of another scene."""
+    known = {view.view_name for view in sums.views}
+    missing = sum(camera.name not in known for camera in views)
+    same_rows = len(sums.rows) == len(rows) and all(
+        kept.get(name) == part
+        for kept, own in zip(sums.rows, rows, strict=True)
+        for name, part in own.items()
     )
-    return field.to(gaussians.device)
+    if missing or not same_rows or sums.n_gaussians != n_gaussians or sums.raster_preset != raster_preset:
+        raise InputError(
+            f"the region sums given do not fit: {sums.n_gaussians} Gaussians (the scene has {n_gaussians}), preset "
+            f"{sums.raster_preset} (wanted {raster_preset}), they lack {missing} of the views"
+            f"{'' if same_rows else ', and their regions are others'}; make them with region_sums from the same "
+            "Gaussians, cameras and regions"
+        )
+
+
+def _forget_other_maps(state: BuildState, views: list[Camera], regions: Regions) -> None:
+    """Start the uplift over if label maps have changed since views were added to a checkpoint."""
+    for camera in views:
+        if camera.name in state.views_done:
+            labels, _ = regions.load_view(camera.name, camera.width, camera.height)
+            if digest_of_labels(labels) != state.views_done[camera.name]:
+                warnings.warn(
+                    f"the label maps of {camera.name!r} have changed since the build was interrupted; "
+                    "all views are lifted again",
+                    ScoupWarning,
+                    stacklevel=3,
+                )
+                state.accumulators.zero_()
+                state.views_done.clear()
+                return
 
 
 def _learn_codes(
-    embeddings: list[Tensor],
-    levels: tuple[str, ...],
-    settings: BuildSettings,
-    n_gaussians: int,
-    progress: Progress,
+    embeddings: dict[str, Embeddings], settings: BuildSettings, n_gaussians: int, progress: Progress
 ) -> BuildState:
     atoms: list[Tensor] = []
     codes: list[SparseCodes] = []
     reports: list[dict[str, Any]] = []
-    for level, rows in zip(levels, embeddings, strict=True):
-        if not len(rows):
-            raise InputError(f"level {level!r} has no regions in any view; every level needs some")
+    for level, (rows, _) in embeddings.items():
         name = f"coding {level}"
         book = fit_codes(
             rows,
@@ -198,24 +251,8 @@ def _learn_codes(
         # Seconds would make two equal builds write different bytes.
         report = {key: value for key, value in dataclasses.asdict(book.report).items() if key != "seconds"}
         reports.append(report)
-    shape = (n_gaussians, len(levels), settings.n_atoms)
-    return BuildState(atoms, codes, reports, torch.zeros(shape), [])
-
-
-def _kept_sums(sums: RegionSums, views: list[Camera], n_gaussians: int) -> Iterator[ViewSums]:
-    """The sums of these views, from those at hand.
-
-    Raises:
-        InputError: they are of other Gaussians, or lack a view.
-    """
-    by_name = {view.view_name: view for view in sums.views}
-    missing = [camera.name for camera in views if camera.name not in by_name]
-    if sums.n_gaussians != n_gaussians or missing:
-        raise InputError(
-            f"the region sums given are of {sums.n_gaussians} Gaussians and lack {len(missing)} of the views; "
-            "make them with region_sums from the same Gaussians, cameras and regions"
-        )
-    return (by_name[camera.name] for camera in views)
+    shape = (n_gaussians, len(embeddings), settings.n_atoms)
+    return BuildState(atoms, codes, reports, torch.zeros(shape), {})
 
 
 def _lift(
@@ -231,7 +268,7 @@ def _lift(
         codes = [state.codes[s].rows(rows[s][sums.view_name]) for s in range(len(state.codes))]
         state.between_views = False
         add_view(sums, codes, state.accumulators)
-        state.views_done.append(sums.view_name)
+        state.views_done[sums.view_name] = sums.labels_digest
         state.between_views = True
         progress("uplift", len(state.views_done), n_views)
         keeper.write(state)

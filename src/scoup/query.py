@@ -57,7 +57,8 @@ DATASET_THRESHOLDS: dict[str, dict[str, float]] = {
     "3d-ovs": {"scoup": 0.3, "langsplatv2": 0.25},
     "mipnerf360": {"scoup": 0.45, "langsplatv2": 0.4},
 }
-"""Thresholds as the papers tuned them per data set."""
+"""Thresholds as the papers tuned them per data set. Only the thresholds: how 3D-OVS and Mip-NeRF360 choose the level is
+another rule, not implemented here."""
 
 
 def query_preset(name: str, dataset: str = "lerf-ovs", threshold: float | None = None) -> QueryPreset:
@@ -147,16 +148,6 @@ def segment(relevancy: Tensor, preset: QueryPreset = PRESETS["scoup"]) -> Segmen
     mask = rescale(smoothed[level]) > preset.threshold
     mask = box_mean(mask.float(), preset.smoothing) > 0.5
     return Segmentation(mask, level, float(peaks[level]), float(mask.float().mean()), mask_box(mask))
-
-
-def localize_all(relevancy: Tensor, preset: QueryPreset = PRESETS["scoup"]) -> list[Localization]:
-    """``localize`` for each query of [S, Q, H, W]."""
-    return [localize(relevancy[:, query], preset) for query in range(relevancy.shape[1])]
-
-
-def segment_all(relevancy: Tensor, preset: QueryPreset = PRESETS["scoup"]) -> list[Segmentation]:
-    """``segment`` for each query of [S, Q, H, W]."""
-    return [segment(relevancy[:, query], preset) for query in range(relevancy.shape[1])]
 
 
 def rescale(values: Tensor) -> Tensor:

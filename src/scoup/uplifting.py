@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -32,6 +33,7 @@ class ViewSums:
         key: [T] int64 = level * stride + region of this view.
         weight: [T] float32, positive.
         stride: see ``key``.
+        labels_digest: SHA-256 of the label maps, to tell whether they are the same later.
     """
 
     view_name: str
@@ -39,6 +41,7 @@ class ViewSums:
     key: Tensor  # [T]
     weight: Tensor  # [T]
     stride: int
+    labels_digest: str = ""
 
     def level(self, level: int) -> tuple[Tensor, Tensor, Tensor]:
         """(gaussian, region, weight) of one level."""
@@ -67,7 +70,16 @@ def iterate_region_sums(
         view = raster.look(gaussians, camera, raster_preset, backend)
         gaussian, key, weight = raster.region_weights(view, labels)
         # Sums are small next to a view; the accumulators they go to may be too large for a GPU.
-        yield ViewSums(camera.name, gaussian.cpu(), key.cpu(), weight.cpu(), int(labels.max()) + 1)
+        stride = int(labels.max()) + 1
+        parts = (gaussian.cpu(), key.cpu(), weight.cpu())
+        yield ViewSums(camera.name, *parts, stride, digest_of_labels(labels))
+
+
+def digest_of_labels(labels: Tensor) -> str:
+    """SHA-256 of label maps [S, H, W]."""
+    digest = hashlib.sha256(str(list(labels.shape)).encode())
+    digest.update(labels.int().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
 
 
 class RegionSums:
@@ -81,6 +93,7 @@ class RegionSums:
         levels: level names.
         views: one ViewSums a view.
         rows: per level, the rows of each view in the stacked embeddings (``Regions.embeddings``).
+        raster_preset: the rasteriser constants they were made with.
     """
 
     def __init__(
@@ -89,11 +102,13 @@ class RegionSums:
         levels: Sequence[str],
         views: Sequence[ViewSums],
         rows: Sequence[dict[str, slice]],
+        raster_preset: str = "inria",
     ) -> None:
         self.n_gaussians = n_gaussians
         self.levels = tuple(levels)
         self.views = tuple(views)
         self.rows = tuple(rows)
+        self.raster_preset = raster_preset
 
     def matrix(self, level: int) -> csr_array:
         """A [N, R] of one level as a scipy CSR matrix, float32; R counts the regions of all views."""
@@ -124,7 +139,7 @@ def region_sums(
         views.append(sums)
         progress("region sums", len(views), len(chosen))
     rows = [_rows_of_views(regions, level) for level in regions.levels]
-    return RegionSums(len(gaussians), regions.levels, views, rows)
+    return RegionSums(len(gaussians), regions.levels, views, rows, raster_preset)
 
 
 def cameras_with_regions(cameras: Cameras, regions: Regions) -> list[Camera]:

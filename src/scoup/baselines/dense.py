@@ -15,7 +15,7 @@ from scoup import raster
 from scoup.relevancy import relevancy
 from scoup.uplifting import RegionSums
 
-ROWS_AT_A_TIME = 128  # image rows whose D-channel features are in memory together
+ROWS_AT_A_TIME = 128  # image rows normalised and compared together
 
 
 def dense_features(sums: RegionSums, embeddings: Sequence[Tensor], level: int) -> Tensor:
@@ -32,6 +32,8 @@ def dense_features(sums: RegionSums, embeddings: Sequence[Tensor], level: int) -
 
 def dense_relevancy(view: raster.View, features: Tensor, queries: Tensor, canonical: Tensor) -> Tensor:
     """Relevancy of one level from rendered D-channel features: [Q, H, W] float32.
+
+    The whole D-channel image is made, a few times H x W x D x 4 bytes: that is what a dense field costs.
 
     Args:
         view: from ``raster.look``.

@@ -49,8 +49,8 @@ class Build(WritesCommon):
     """Atoms in the codebook of each level (L)."""
     k: int = 4
     """Atoms in the code of a region (K)."""
-    keep: int = 4
-    """Atoms each Gaussian keeps after the vote; 0 keeps all."""
+    keep: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Atoms each Gaussian keeps after the vote; 0 keeps all. Default: as many as K."""
     solver: str = "adam"
     """How codes are learned; adam is the paper's."""
     epochs: int = 4000
@@ -58,7 +58,7 @@ class Build(WritesCommon):
     tolerance: OptionalNumber = None
     """Stop coding early once its loss falls by less than this in 100 epochs. Default: never."""
     seed: int = 0
-    """Seed of the codebook's start; the same seed gives the same file."""
+    """Seed of the codebook's start; the same seed and number of threads give the same file."""
     preset: Literal["auto", "inria", "gsplat"] = "auto"
     """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
     weight_bits: Literal[8, 16] = 16

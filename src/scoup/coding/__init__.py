@@ -48,7 +48,8 @@ def fit_codes(
     """Learn a codebook of L atoms and a K-sparse non-negative code for every embedding (method.md, stage 1).
 
     Every embedding counts alike, whatever its norm. Embeddings of norm zero get empty codes. There may be
-    fewer embeddings than atoms; some atoms are then copies of each other. Same input and seed, same result.
+    fewer embeddings than atoms; some atoms are then copies of each other. Same input, seed and
+    number of threads, same result.
 
     Args:
         embeddings: [R, D] floating point, one row a region.

@@ -20,7 +20,7 @@ def encode(
 
     Under the cosine loss only the direction of w C matters, so the best weights on a support solve
     non-negative least squares. The support is chosen by orthogonal least squares: at each step the atom that
-    lowers the residual most (docs/coding.md, CODE without its swap pass). Greedy, hence near the optimum but
+    lowers the residual most (without exchanging atoms afterwards). Greedy, hence near the optimum but
     not guaranteed to be it.
 
     Args:

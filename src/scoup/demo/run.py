@@ -129,8 +129,8 @@ def run_demo(
             progress=progress,
         )
     assert field.accumulators is not None
-    accumulators, field.accumulators = field.accumulators, None  # not worth a file of its own here
-    field.save(path, overwrite)
+    accumulators = field.accumulators
+    field.save(path, overwrite, with_accumulators=False)
     with _timed(seconds, "dense 512-d uplift, to compare"):
         dense = dense_variant(DENSE, sums, [regions.embeddings(level)[0] for level in regions.levels])
     keep = field.code_indices.shape[2]

@@ -38,7 +38,7 @@ class ReferenceView:
         preset: the rasteriser constants used.
         projection: the visible Gaussians, nearest first.
         bins: which of them reach which tile.
-        ellipses: [M, 4] float64 (ku, slope, kv, log opacity): see ``_exponent_terms``.
+        ellipses: [M, 4] float64 (ku, slope, kv, log opacity): see ``_alpha``.
     """
 
     n_gaussians: int
