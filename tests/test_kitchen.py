@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,8 @@ import torch
 import scoup
 from cli_support import run
 from scoup.evaluate.lerf_ovs import match_frames, read_labels, score_scene
+from scoup.io import load_image
+from scoup.raster import render_colors
 from scoup.relevancy import CANONICAL_PHRASES
 
 
@@ -54,3 +57,15 @@ def test_kitchen_from_files_to_scores(data_folder: Path, tmp_path: Path):
     assert score.miou > 0.5
     assert score.accuracy > 0.7
     assert torch.isfinite(field.codebook).all()
+
+
+@pytest.mark.data
+def test_a_render_is_the_scenes_own_image(data_folder: Path):
+    """The kitchen's images were rendered from its splat by another rasteriser, then saved as JPEG."""
+    kitchen = data_folder / "kitchen"
+    if not kitchen.is_dir():
+        pytest.skip(f"no kitchen in {data_folder}")
+    camera = scoup.load_cameras(kitchen)["frame_00006"]
+    rendered = render_colors(scoup.load_gaussians(kitchen / "scene" / "model.splat"), camera)
+    error = (rendered - load_image(camera).float() / 255).square().mean()
+    assert -10 * math.log10(float(error)) > 42  # dB; what JPEG leaves
