@@ -264,16 +264,21 @@ def test_more_than_256_atoms_from_build_to_answers(scene, tmp_path):
     assert torch.allclose(actual, torch.sigmoid(10 * (expected - best)), atol=1e-4)
 
 
-def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, tmp_path, monkeypatch):
-    build(*scene, settings=QUICK).save(tmp_path / "whole.scoup")
-    checkpoint = tmp_path / "f.partial"
+def interrupt_build(scene, checkpoint: Path, views: int) -> None:
+    """Build until so many views are lifted, then Ctrl-C."""
 
-    def stop_after_two(stage, done, total):
-        if stage == "uplift" and done == 2:
+    def stop(stage, done, total):
+        if stage == "uplift" and done == views:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        build(*scene, settings=QUICK, checkpoint=checkpoint, progress=stop_after_two)
+        build(*scene, settings=QUICK, checkpoint=checkpoint, progress=stop)
+
+
+def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, tmp_path):
+    build(*scene, settings=QUICK).save(tmp_path / "whole.scoup")
+    checkpoint = tmp_path / "f.partial"
+    interrupt_build(scene, checkpoint, views=2)
     assert checkpoint.exists()
     seen: list[tuple[str, int]] = []
     again = build(*scene, settings=QUICK, checkpoint=checkpoint, progress=lambda *a: seen.append(a[:2]))
@@ -295,13 +300,7 @@ def test_building_from_kept_sums_gives_the_same_bytes(scene, tmp_path):
 def test_label_maps_changed_during_an_interruption(scene, tmp_path):
     gaussians, cameras, regions = scene
     checkpoint = tmp_path / "f.partial"
-
-    def stop_after_two(stage, done, total):
-        if stage == "uplift" and done == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        build(*scene, settings=QUICK, checkpoint=checkpoint, progress=stop_after_two)
+    interrupt_build(scene, checkpoint, views=2)
     flipped = Regions.from_maps(
         {
             name: {
@@ -325,13 +324,7 @@ def test_label_maps_changed_during_an_interruption(scene, tmp_path):
 def test_a_checkpoint_of_other_inputs_is_not_used(scene, tmp_path):
     checkpoint = tmp_path / "f.partial"
     gaussians, cameras, regions = scene
-
-    def stop(stage, done, total):
-        if stage == "uplift" and done == 1:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        build(*scene, settings=QUICK, checkpoint=checkpoint, progress=stop)
+    interrupt_build(scene, checkpoint, views=1)
     seen: list[str] = []
     other = BuildSettings(n_atoms=8, k=2, keep=2, epochs=20)
     build(

@@ -111,3 +111,23 @@ def cosines_from_products(weights: Tensor, scores: Tensor, gram: Tensor) -> Tens
     squared_norm = ((weights @ gram) * weights).sum(-1, keepdim=True)
     norm = torch.sqrt(squared_norm.clamp(min=torch.finfo(weights.dtype).tiny))
     return torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)
+
+
+def add_codes(
+    gaussian: Tensor, key: Tensor, weight: Tensor, stride: int, codes: list[SparseCodes], out: Tensor
+) -> None:
+    """out[gaussian, level] += weight * code of the region, for triplets with key = level * stride + region.
+
+    One sequential scatter per level: additions happen in the order of the triplets, so the sum is the same
+    whatever the number of threads.
+    """
+    n_atoms = out.shape[2]
+    flat = out.view(-1)
+    for level, level_codes in enumerate(codes):
+        chosen = (key >= level * stride) & (key < (level + 1) * stride)
+        rows = key[chosen] - level * stride
+        base = (gaussian[chosen] * len(codes) + level) * n_atoms
+        target = base[:, None] + level_codes.indices[rows].long()
+        flat.scatter_add_(
+            0, target.reshape(-1), (weight[chosen, None] * level_codes.weights[rows]).reshape(-1)
+        )

@@ -16,7 +16,7 @@ from scoup.errors import GeometryMismatchError, InputError
 from scoup.gaussians import Gaussians
 from scoup.regions import Regions
 from scoup.relevancy import relevancy
-from scoup.uplifting import top_k
+from scoup.uplifting import add_view, iterate_region_sums, top_k
 
 GAUSSIANS_AT_A_TIME = 65536
 
@@ -234,7 +234,6 @@ class LanguageField:
                 or levels or embeddings do not fit.
         """
         from scoup.coding.encode import encode
-        from scoup.uplifting import add_view, iterate_region_sums
 
         voted = [*self.info.provenance.get("views", []), *self.info.provenance.get("added_views", [])]
         if camera.name in voted:

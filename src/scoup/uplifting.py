@@ -12,11 +12,10 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.cameras import Camera, Cameras
-from scoup.codes import SparseCodes, index_dtype
+from scoup.codes import SparseCodes, add_codes, index_dtype
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
 from scoup.progress import Progress, no_progress
-from scoup.raster.reference import add_codes
 from scoup.regions import Regions
 
 if TYPE_CHECKING:
@@ -138,7 +137,7 @@ def region_sums(
     for sums in iterate_region_sums(gaussians, chosen, regions, raster_preset, backend):
         views.append(sums)
         progress("region sums", len(views), len(chosen))
-    rows = [_rows_of_views(regions, level) for level in regions.levels]
+    rows = [regions.embeddings(level)[1] for level in regions.levels]
     return RegionSums(len(gaussians), regions.levels, views, rows, raster_preset)
 
 
@@ -196,13 +195,3 @@ def top_k(accumulators: Tensor, k: int | None) -> tuple[Tensor, Tensor]:
         codes = SparseCodes.from_dense(accumulators[:, level], keep)
         indices[:, level], weights[:, level] = codes.indices, codes.weights
     return indices, weights
-
-
-def _rows_of_views(regions: Regions, level: str) -> dict[str, slice]:
-    rows: dict[str, slice] = {}
-    start = 0
-    for name in regions.view_names:
-        count = len(regions.load_embeddings(name, level))
-        rows[name] = slice(start, start + count)
-        start += count
-    return rows

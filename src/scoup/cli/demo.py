@@ -68,7 +68,9 @@ class Demo(WritesCommon):
 def _record(result: DemoResult, out: Path) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from scoup.demo.run import rows_by_name, summary, thread_count
+    import torch
+
+    from scoup.demo.run import rows_by_name, summary
 
     return {
         "protocol": "lerf-ovs 2D on held-out views",
@@ -78,7 +80,7 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
         "variants": summary(result),
         "names": [asdict(row) for row in rows_by_name(result)],
         "seconds": {stage: round(value, 2) for stage, value in result.seconds.items()},
-        "threads": thread_count(),
+        "threads": torch.get_num_threads(),
         "coding": result.field.info.provenance["coding"],
         "out": str(out),
     }

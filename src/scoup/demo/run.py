@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
 
-import torch
-
 from scoup.demo.folder import write_demo_scene
 from scoup.demo.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
 from scoup.evaluate.lerf_ovs import PairScore, SceneScore
@@ -188,8 +186,3 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     started = time.perf_counter()
     yield
     seconds[stage] = time.perf_counter() - started
-
-
-def thread_count() -> int:
-    """Threads torch computes with, for reports."""
-    return torch.get_num_threads()

@@ -26,7 +26,7 @@ def query_sheet(result: DemoResult) -> Picture:
 
     Each name is shown in the view where its score is the median of its views, not the best.
     """
-    pairs = [pair for name in names_to_show(result) if (pair := _median_pair(result, name)) is not None]
+    pairs = [_median_pair(result, name) for name in names_to_show(result)]
     tiles = [tile for pair in pairs for tile in _row(result, pair)]
     score = result.scores[METHOD]
     asked = f"{len(score.pairs)} questions in held-out views"
@@ -47,11 +47,11 @@ def names_to_show(result: DemoResult) -> list[str]:
     return [name for name in chosen if name != worst] + [worst]
 
 
-def _median_pair(result: DemoResult, name: str) -> PairScore | None:
+def _median_pair(result: DemoResult, name: str) -> PairScore:
     pairs = sorted(
         (pair for pair in result.scores[METHOD].pairs if pair.label == name), key=lambda pair: pair.iou
     )
-    return pairs[len(pairs) // 2] if pairs else None
+    return pairs[len(pairs) // 2]
 
 
 def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture]:

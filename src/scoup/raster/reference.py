@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes, cosines_from_products
+from scoup.codes import SparseCodes, add_codes, cosines_from_products
 from scoup.gaussians import Gaussians
 from scoup.raster.binning import Bins, bin_to_tiles
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
@@ -99,26 +99,6 @@ def uplift_view(view: ReferenceView, labels: Tensor, codes: list[SparseCodes], o
     gaussian, key, weight = region_weights(view, labels)
     stride = int(labels.max()) + 1 if labels.numel() else 0
     add_codes(gaussian, key, weight, stride, codes, out)
-
-
-def add_codes(
-    gaussian: Tensor, key: Tensor, weight: Tensor, stride: int, codes: list[SparseCodes], out: Tensor
-) -> None:
-    """out[gaussian, level] += weight * code of the region, for triplets with key = level * stride + region.
-
-    One sequential scatter per level: additions happen in the order of the triplets, so the sum is the same
-    whatever the number of threads.
-    """
-    n_atoms = out.shape[2]
-    flat = out.view(-1)
-    for level, level_codes in enumerate(codes):
-        chosen = (key >= level * stride) & (key < (level + 1) * stride)
-        rows = key[chosen] - level * stride
-        base = (gaussian[chosen] * len(codes) + level) * n_atoms
-        target = base[:, None] + level_codes.indices[rows].long()
-        flat.scatter_add_(
-            0, target.reshape(-1), (weight[chosen, None] * level_codes.weights[rows]).reshape(-1)
-        )
 
 
 def render_channels(view: ReferenceView, values: Tensor) -> tuple[Tensor, Tensor]:
