@@ -1,17 +1,26 @@
 # make demo   create the environment, install, build and query a small scene (pictures and a table in demo/)
 # make test   create the environment, install, run the tests (two processes of one thread each)
+# make test-native   build and run the tests of the compiled core, with sanitizers
 # make lint   ruff and pyright
 
 PYTHON ?= python3
 BIN := .venv/bin
+NATIVE := $(wildcard native/CMakeLists.txt native/*.cmake native/src/*)
+INSTALL := pyproject.toml tools/install.py $(NATIVE)
 
-.PHONY: demo test lint format clean
+.PHONY: demo test test-native lint format clean
 
 demo: .venv/installed
 	$(BIN)/scoup demo --out demo --overwrite
 
 test: .venv/installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+
+test-native: .venv/installed-dev
+	$(BIN)/cmake -S native -B build/native-tests -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN))/ninja \
+	  -DSCOUP_TESTS=ON -DSCOUP_SANITIZE=ON
+	$(BIN)/cmake --build build/native-tests
+	$(BIN)/ctest --test-dir build/native-tests --output-on-failure
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check .
@@ -22,11 +31,11 @@ format: .venv/installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-.venv/installed: pyproject.toml tools/install.py
+.venv/installed: $(INSTALL)
 	$(PYTHON) tools/install.py
 	@touch $@
 
-.venv/installed-dev: pyproject.toml tools/install.py
+.venv/installed-dev: $(INSTALL)
 	$(PYTHON) tools/install.py dev
 	@touch $@ .venv/installed
 

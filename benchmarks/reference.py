@@ -52,11 +52,11 @@ def main(arguments: Arguments) -> dict[str, float]:
     weights = torch.rand(count, 3, 4, generator=generator)
     codebook = torch.randn(3, 64, 512, generator=generator)
     queries = torch.nn.functional.normalize(torch.randn(5, 512, generator=generator), dim=1)
-    view = raster.look(gaussians, camera)
+    view = reference.look(gaussians, camera, raster.PRESETS["inria"])
     colors = raster.view_colors(gaussians, camera)
 
     stages: dict[str, Callable[[], object]] = {
-        "look": lambda: raster.look(gaussians, camera),
+        "look": lambda: reference.look(gaussians, camera, raster.PRESETS["inria"]),
         "colour render": lambda: raster.render_channels(view, colors),
         "uplift, region sums": lambda: raster.uplift_view(view, labels, codes, torch.zeros(count, 3, 64)),
         "uplift, codes per pixel": lambda: per_pixel_uplift(view, labels, codes, torch.zeros(count, 192)),
@@ -89,7 +89,9 @@ def main(arguments: Arguments) -> dict[str, float]:
     return medians
 
 
-def per_pixel_uplift(view: raster.View, labels: Tensor, codes: list[SparseCodes], out: Tensor) -> None:
+def per_pixel_uplift(
+    view: reference.ReferenceView, labels: Tensor, codes: list[SparseCodes], out: Tensor
+) -> None:
     """The plain form: the code of every pixel, times the weight of every Gaussian there."""
     dense = [
         torch.cat([item.to_dense(), torch.zeros(1, item.n_atoms)]) for item in codes
@@ -98,14 +100,14 @@ def per_pixel_uplift(view: raster.View, labels: Tensor, codes: list[SparseCodes]
     _add_image(view, image, out)
 
 
-def dense_uplift(view: raster.View, labels: Tensor, embeddings: list[Tensor], count: int) -> None:
+def dense_uplift(view: reference.ReferenceView, labels: Tensor, embeddings: list[Tensor], count: int) -> None:
     """The same with full embeddings instead of codes, level by level."""
     for rows, level in zip(embeddings, labels, strict=True):
         image = torch.cat([rows, torch.zeros(1, rows.shape[1])])[level.long()]
         _add_image(view, image, torch.zeros(count, rows.shape[1]))
 
 
-def _add_image(view: raster.View, image: Tensor, out: Tensor) -> None:
+def _add_image(view: reference.ReferenceView, image: Tensor, out: Tensor) -> None:
     """out [N, C] += sum over pixels of e_i(p) * image [H, W, C]."""
     tiled = reference.to_tiles(image.permute(2, 0, 1), view.bins, fill=0)  # [tiles, C, P]
     for tile, ids, weights in reference.tile_weights(view):

@@ -8,9 +8,16 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from scoup import native
+
 # Times vary with the load of the machine: a slow example is no failure.
 settings.register_profile("scoup", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("scoup")
+
+if native.missing_reason() is not None:
+    # Tests turn warnings into errors; that the core is missing is said by the tests that skip for it.
+    os.environ["SCOUP_NATIVE"] = "off"
+    native._loaded.cache_clear()
 
 
 @pytest.fixture(scope="session")

@@ -50,7 +50,7 @@ def test_uplift_from_kept_sums_equals_streaming(scene, field):
         scoup.fit_codes(regions.embeddings(level)[0], 8, 3, solver="adam", epochs=20).codes
         for level in regions.levels
     ]
-    assert torch.equal(uplift(sums, codes), field.accumulators)
+    torch.testing.assert_close(uplift(sums, codes), field.accumulators, rtol=1e-5, atol=1e-6)
     indices, weights = top_k(field.accumulators, 3)
     assert torch.equal(indices, field.code_indices)
     assert torch.equal(weights.half(), field.code_weights)

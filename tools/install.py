@@ -3,7 +3,8 @@
     python3 tools/install.py [EXTRA ...]
 
 Where there is no NVIDIA GPU the CPU build of torch is taken: the CUDA build is several gigabytes larger and no
-faster there. A torch that is already in .venv is left alone. Safe to run again.
+faster there. A torch that is already in .venv is left alone. Safe to run again: of the compiled core only what
+changed is built.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 PYTHON = VENV / ("Scripts/python.exe" if platform.system() == "Windows" else "bin/python")
 TORCH = "2.13.0"
+# Kept in .venv: with build tools in a new place every time, pip would compile everything every time.
+BUILD_TOOLS = ("scikit-build-core>=0.10", "nanobind>=2.2", "cmake>=3.26", "ninja")
+WHY_NO_CORE = "import scoup.native, sys; sys.exit(scoup.native.missing_reason())"
 
 
 def main(extras: list[str]) -> int:
@@ -35,7 +39,15 @@ def main(extras: list[str]) -> int:
         )
         return 1
     wanted = f"{ROOT}[{','.join(extras)}]" if extras else str(ROOT)
-    return 0 if runs("-m", "pip", "install", "--quiet", "--editable", wanted) else 1
+    print("installing scoup, with its compiled core where there is a C++ compiler")
+    if not runs("-m", "pip", "install", "--quiet", *BUILD_TOOLS):
+        return 1
+    install = ("-m", "pip", "install", "--no-build-isolation", "--editable", wanted)
+    if not runs(*install, "--quiet"):
+        return 1
+    if not runs("-c", WHY_NO_CORE):  # it says why
+        print("to see what the compiler said:", PYTHON, *install, "--verbose", file=sys.stderr)
+    return 0
 
 
 def install_torch() -> bool:

@@ -20,6 +20,7 @@ from scoup.codes import SparseCodes
 from scoup.errors import FileFormatError, ScoupWarning
 
 SECONDS_BETWEEN_WRITES = 30.0
+WRITES_SHARE = 0.05  # of the time may go into writing
 _SCHEMA = "scoup.build_checkpoint"
 
 Embeddings: TypeAlias = tuple[Tensor, dict[str, slice]]
@@ -48,7 +49,7 @@ class BuildState:
 
 
 class Checkpoint:
-    """Keeps a build's state in a file between writes at least ``SECONDS_BETWEEN_WRITES`` apart.
+    """Keeps a build's state in a file, written at most every ``SECONDS_BETWEEN_WRITES``.
 
     Args:
         path: the file; None keeps nothing.
@@ -59,9 +60,14 @@ class Checkpoint:
         self.path = path
         self.key = key
         self._written = time.monotonic()
+        self._seconds_of_write = 0.0
 
-    def read(self) -> BuildState | None:
-        """The stored state, or None where there is none of this very build."""
+    def read(self, shape: tuple[int, int, int]) -> BuildState | None:
+        """The stored state, or None where there is none of this very build.
+
+        Args:
+            shape: N, S, L of the build's accumulators.
+        """
         if self.path is None or not self.path.is_file():
             return None
         try:
@@ -69,11 +75,14 @@ class Checkpoint:
             if header["key"] != self.key:
                 return None
             levels = range(len(header["reports"]))
-            n_atoms = tensors["accumulators"].shape[2]
+            views = {str(name): str(digest) for name, digest in header["views_done"].items()}
+            accumulators = tensors["accumulators"] if views else torch.zeros(shape)
+            if tuple(accumulators.shape) != shape:
+                raise ValueError(f"accumulators {list(accumulators.shape)} are not {list(shape)}")
+            n_atoms = shape[2]
             codes = [SparseCodes(tensors[f"indices.{s}"], tensors[f"weights.{s}"], n_atoms) for s in levels]
             atoms = [tensors[f"atoms.{s}"] for s in levels]
-            views = {str(name): str(digest) for name, digest in header["views_done"].items()}
-            return BuildState(atoms, codes, header["reports"], tensors["accumulators"], views)
+            return BuildState(atoms, codes, header["reports"], accumulators, views)
         except (FileFormatError, KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
             import warnings
 
@@ -84,13 +93,18 @@ class Checkpoint:
             )
             return None
 
-    def write(self, state: BuildState, now: bool = False) -> None:
-        """Store the state if it is time, or at once with ``now``."""
+    def is_due(self) -> bool:
+        """Whether enough time has gone by since the last write."""
+        pause = max(SECONDS_BETWEEN_WRITES, self._seconds_of_write / WRITES_SHARE)
+        return self.path is not None and time.monotonic() - self._written > pause
+
+    def write(self, state: BuildState) -> None:
+        """Store the state, unless it is in the middle of a view."""
         if self.path is None or not state.between_views:
             return
-        if not (now or time.monotonic() - self._written > SECONDS_BETWEEN_WRITES):
-            return
-        tensors = {"accumulators": state.accumulators}
+        started = time.monotonic()
+        # Before the first view the accumulators are all zero, and large.
+        tensors = {"accumulators": state.accumulators} if state.views_done else {}
         for s, codes in enumerate(state.codes):
             tensors |= {
                 f"atoms.{s}": state.atoms[s],
@@ -100,6 +114,7 @@ class Checkpoint:
         header = {"key": self.key, "reports": state.reports, "views_done": state.views_done}
         write_tensors(self.path, tensors, _SCHEMA, header)
         self._written = time.monotonic()
+        self._seconds_of_write = self._written - started
 
     def remove(self) -> None:
         """Forget the state: the result is safe elsewhere."""

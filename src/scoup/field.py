@@ -16,7 +16,7 @@ from scoup.errors import GeometryMismatchError, InputError
 from scoup.gaussians import Gaussians
 from scoup.regions import Regions
 from scoup.relevancy import relevancy
-from scoup.uplifting import add_view, iterate_region_sums, top_k
+from scoup.uplifting import top_k
 
 GAUSSIANS_AT_A_TIME = 65536
 
@@ -256,8 +256,10 @@ class LanguageField:
                 )
             codes.append(encode(rows, atoms, k))
         accumulators = self.accumulators.clone()
-        for sums in iterate_region_sums(self.gaussians, [camera], regions, self.info.raster_preset):
-            add_view(sums, codes, accumulators)
+        labels, _ = regions.load_view(camera.name, camera.width, camera.height)
+        uplift = raster.Uplift(accumulators)
+        uplift.add(self.look(camera), labels.to(accumulators.device), codes)
+        uplift.flush()
         indices, weights = top_k(accumulators, keep)
         added = [*self.info.provenance.get("added_views", []), camera.name]
         info = replace(self.info, provenance={**self.info.provenance, "added_views": added})

@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import json
 import warnings
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,17 +21,10 @@ from scoup.coding import fit_codes
 from scoup.errors import InputError, ScoupWarning
 from scoup.field import FieldInfo, LanguageField
 from scoup.gaussians import Gaussians
+from scoup.lifting import Lift
 from scoup.progress import Progress, no_progress
 from scoup.regions import Regions
-from scoup.uplifting import (
-    RegionSums,
-    ViewSums,
-    add_view,
-    cameras_with_regions,
-    digest_of_labels,
-    iterate_region_sums,
-    top_k,
-)
+from scoup.uplifting import RegionSums, cameras_with_regions, digest_of_labels, top_k
 
 FEW_GAUSSIANS = 0.01  # share of coded Gaussians under which the frames of splat and cameras are doubted
 
@@ -129,31 +121,26 @@ def build(
     key = build_key(fingerprint, views, embeddings, dataclasses.asdict(settings))
 
     keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), key)
-    state = keeper.read()
+    state = keeper.read((len(gaussians), len(embeddings), settings.n_atoms))
     if state is None:
         state = _learn_codes(embeddings, settings, len(gaussians), progress)
-        keeper.write(state, now=True)
+        keeper.write(state)
     else:
         _forget_other_maps(state, views, regions)
     del embeddings  # the uplift needs the codes only
     left = [camera for camera in views if camera.name not in state.views_done]
+    lift = Lift(state, rows, len(views), keeper, progress)
     if sums is not None:
         wanted = {camera.name for camera in left}
-        sums_of_views = (view for view in sums.views if view.view_name in wanted)
+        lift.add_sums(view for view in sums.views if view.view_name in wanted)
     else:
-        sums_of_views = iterate_region_sums(gaussians, left, regions, settings.raster_preset, backend)
+        lift.add_views(gaussians, left, regions, settings.raster_preset, backend)
+    indices, weights = top_k(state.accumulators, settings.keep or None)
     try:
-        _lift(sums_of_views, rows, state, len(views), keeper, progress)
-    except KeyboardInterrupt:
-        keeper.write(state, now=True)
-        raise
-    try:
-        _check_seen(state.accumulators)
+        _check_seen(weights)
     except InputError:
         keeper.remove()  # going on from it would end here again
         raise
-
-    indices, weights = top_k(state.accumulators, settings.keep or None)
     maps = hashlib.sha256(json.dumps(state.views_done, sort_keys=True).encode())
     provenance: dict[str, Any] = {
         "software": f"scoup {__version__}",
@@ -255,27 +242,9 @@ def _learn_codes(
     return BuildState(atoms, codes, reports, torch.zeros(shape), {})
 
 
-def _lift(
-    sums_of_views: Iterable[ViewSums],
-    rows: list[dict[str, slice]],
-    state: BuildState,
-    n_views: int,
-    keeper: Checkpoint,
-    progress: Progress,
-) -> None:
-    progress("uplift", len(state.views_done), n_views)
-    for sums in sums_of_views:
-        codes = [state.codes[s].rows(rows[s][sums.view_name]) for s in range(len(state.codes))]
-        state.between_views = False
-        add_view(sums, codes, state.accumulators)
-        state.views_done[sums.view_name] = sums.labels_digest
-        state.between_views = True
-        progress("uplift", len(state.views_done), n_views)
-        keeper.write(state)
-
-
-def _check_seen(accumulators: Tensor) -> None:
-    share = float((accumulators > 0).flatten(1).any(1).float().mean()) if len(accumulators) else 0.0
+def _check_seen(weights: Tensor) -> None:
+    """Refuse codes [N, S, K] of a scene that the cameras do not see."""
+    share = float((weights[..., 0] > 0).any(1).float().mean()) if len(weights) else 0.0
     advice = "check that splat and cameras are in the same frame (trainers often normalise the world)"
     if share == 0:
         raise InputError(f"the cameras see nothing: no Gaussian paints a region in any view; {advice}")

@@ -15,11 +15,15 @@ from scoup.cameras import Camera, Cameras
 from scoup.codes import SparseCodes, add_codes, index_dtype
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
+from scoup.native import native_core
 from scoup.progress import Progress, no_progress
 from scoup.regions import Regions
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
+# The compiled vote keeps its best by insertion, which is for short lists; a sort serves longer ones.
+MOST_VOTED_BY_INSERTION = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +193,12 @@ def top_k(accumulators: Tensor, k: int | None) -> tuple[Tensor, Tensor]:
     """
     count, levels, n_atoms = accumulators.shape
     keep = n_atoms if k is None else k
+    core = native_core() if accumulators.device.type == "cpu" else None
+    if core is not None and keep <= min(n_atoms, MOST_VOTED_BY_INSERTION):
+        rows = accumulators.float().contiguous().view(count * levels, n_atoms).numpy()
+        parts = core.vote(rows, keep, torch.get_num_threads())
+        indices, weights = (torch.from_numpy(part).view(count, levels, keep) for part in parts)
+        return indices, weights
     indices = torch.zeros(count, levels, keep, dtype=index_dtype(n_atoms), device=accumulators.device)
     weights = torch.zeros(count, levels, keep, device=accumulators.device)
     for level in range(levels):  # one level at a time bounds the memory of the sort

@@ -135,26 +135,33 @@ def test_nothing_is_replaced_unasked():
     assert Path("a.scoup").read_bytes() != before["a.scoup"]
 
 
-def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch):
-    from scoup import pipeline
+@pytest.mark.parametrize("at", ["view", "between views"])
+def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, at):
+    from scoup import lifting, pipeline, raster
 
     run_json("build", "scene", *QUICK, "--out", "whole.scoup")
-    add_view, added = pipeline.add_view, []
+    add, report, added = raster.Uplift.add, lifting.Lift._report, []
 
-    def interrupted(sums, codes, out):
-        if len(added) == 2:
+    def counted(self, *view):
+        if at == "view" and len(added) == 2:
             raise KeyboardInterrupt
-        added.append(sums.view_name)
-        add_view(sums, codes, out)
+        add(self, *view)
+        added.append(1)
+
+    def reported(self):
+        report(self)
+        if at == "between views" and len(added) == 2:
+            raise KeyboardInterrupt
 
     class Impatient(pipeline.Checkpoint):
         """Stores after every view instead of every half minute."""
 
-        def write(self, state, now=False):
-            super().write(state, True)
+        def is_due(self):
+            return True
 
     with monkeypatch.context() as patch:
-        patch.setattr(pipeline, "add_view", interrupted)
+        patch.setattr(raster.Uplift, "add", counted)
+        patch.setattr(lifting.Lift, "_report", reported)
         patch.setattr(pipeline, "Checkpoint", Impatient)
         code, out, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--json")
     assert (code, err) == (130, "error: interrupted\n")
@@ -165,15 +172,12 @@ def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch):
     def no_coding(*_, **__):
         raise AssertionError("codes were learned already")
 
+    at = ""
     with monkeypatch.context() as patch:
         patch.setattr(pipeline, "fit_codes", no_coding)
-        patch.setattr(
-            pipeline,
-            "add_view",
-            lambda *arguments: (added.append(arguments[0].view_name), add_view(*arguments)),
-        )
+        patch.setattr(raster.Uplift, "add", counted)
         run_json("build", "scene", *QUICK, "--out", "a.scoup")
-    assert added == ["view_00.png", "view_01.png", "view_02.png", "view_03.png"]
+    assert len(added) == 4  # each view once
     assert Path("a.scoup").read_bytes() == Path("whole.scoup").read_bytes()
     assert not Path("a.scoup.partial").exists()
 

@@ -101,7 +101,7 @@ def test_many_atoms_take_sixteen_bits() -> None:
         ({"embeddings": torch.tensor([[1.0, float("inf")]])}, "not finite"),
         ({"embeddings": torch.zeros(3)}, r"\[R, D\]"),
         ({"embeddings": torch.zeros(3, 4, dtype=torch.int32)}, "floating"),
-        ({"solver": "exact"}, "solvers: 'adam'"),
+        ({"solver": "newton"}, "solvers: 'adam', 'exact'"),
         ({"k": 0}, "k must be"),
         ({"n_atoms": 0}, "1 to 65536"),
         ({"epochs": -1}, "epochs"),

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import tyro
 
+from scoup.cli.bench import Bench
 from scoup.cli.build import Build
 from scoup.cli.console import Console, run_verb
 from scoup.cli.demo import Demo
@@ -26,6 +27,7 @@ Verb = (
     | Annotated[Select, tyro.conf.subcommand("select")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
 )
 
 DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, and ask it questions.

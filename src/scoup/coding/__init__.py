@@ -11,6 +11,7 @@ from torch import Tensor
 from scoup.codes import SparseCodes, index_dtype
 from scoup.coding.adam import AdamSettings, solve_adam
 from scoup.coding.codebook import Codebook
+from scoup.coding.exact import solve_exact
 from scoup.coding.report import CodingReport, report_on
 from scoup.coding.rows import unit_rows
 from scoup.errors import InputError
@@ -32,7 +33,14 @@ def _adam(
     return solution.atoms, solution.codes, solution.epochs
 
 
-SOLVERS: dict[str, Solver] = {"adam": _adam}
+def _exact(
+    rows: Tensor, n_atoms: int, k: int, seed: int, epochs: int, tolerance: float | None, progress: Progress
+) -> tuple[Tensor, SparseCodes, int]:
+    solution = solve_exact(rows, n_atoms, k, seed, progress=progress)
+    return solution.atoms, solution.codes, solution.steps
+
+
+SOLVERS: dict[str, Solver] = {"adam": _adam, "exact": _exact}
 
 
 def fit_codes(
@@ -49,17 +57,17 @@ def fit_codes(
 
     Every embedding counts alike, whatever its norm. Embeddings of norm zero get empty codes. There may be
     fewer embeddings than atoms; some atoms are then copies of each other. Same input, seed and
-    number of threads, same result.
+    number of threads, same result; "exact" with the compiled core gives it for any number of threads.
 
     Args:
         embeddings: [R, D] floating point, one row a region.
         n_atoms: L, 1 to 65536.
         k: K, the most atoms a code may use, 1 to 64.
-        solver: one of ``SOLVERS``; "adam" is the paper's.
+        solver: one of ``SOLVERS``; "adam" is the paper's, "exact" reaches a lower loss in a fraction of the time.
         seed: of the random start.
-        epochs: full-batch optimisation steps at most.
-        tolerance: stop early, once the mean of 1 - cosine has fallen by less than this over 100 epochs.
-        progress: told after each epoch. An exception it raises (or Ctrl-C) stops the fit and nothing is kept.
+        epochs: full-batch optimisation steps of "adam" at most; "exact" has a schedule of its own (``solve_exact``).
+        tolerance: "adam" stops early, once the mean of 1 - cosine has fallen by less than this over 100 epochs.
+        progress: told after each epoch or step. An exception it raises (or Ctrl-C) stops the fit and nothing is kept.
 
     Raises:
         InputError: if the embeddings are not [R, D] or not finite, or a setting is out of range.

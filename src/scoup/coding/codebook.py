@@ -18,7 +18,7 @@ class Codebook:
     """Atoms, and the codes of the rows they were learned from.
 
     Attributes:
-        atoms: [L, D] float32, as learned: not of unit norm with the "adam" solver.
+        atoms: [L, D] float32, as learned: of unit norm with the "exact" solver, not with "adam".
         codes: of the rows given to ``fit_codes``, in their order.
         report: quality and cost.
     """

@@ -5,8 +5,10 @@ use the same blending weights e = alpha * transmittance of each Gaussian at each
 what is lifted is exactly what is rendered. Gaussians that are not finite are never drawn; a pixel nothing paints
 is zero.
 
-A backend is one module with these functions. It is chosen by the device of the tensors, or by name; so far there
-is ``reference`` (plain torch, any device).
+A backend is one module with these functions. It is chosen by the device of the tensors, or by name:
+
+* ``native``: the compiled core, SIMD and threads, for tensors on a CPU;
+* ``reference``: plain torch, any device; what the others are tested against.
 """
 
 from __future__ import annotations
@@ -22,20 +24,27 @@ from scoup.cameras import Camera
 from scoup.codes import SparseCodes
 from scoup.errors import InputError, UnknownNameError
 from scoup.gaussians import Gaussians
+from scoup.native import missing_reason, native_core, warn_once_if_missing
+from scoup.raster.cpu import NativeView
 from scoup.raster.presets import PRESETS as PRESETS
 from scoup.raster.presets import RasterPreset as RasterPreset
 from scoup.raster.presets import raster_preset
 from scoup.raster.reference import ReferenceView
 from scoup.raster.spherical_harmonics import view_colors as view_colors
 
-View: TypeAlias = ReferenceView
+View: TypeAlias = ReferenceView | NativeView
 
-BACKENDS = {"reference": "scoup.raster.reference"}
+BACKENDS = {"native": "scoup.raster.cpu", "reference": "scoup.raster.reference"}
 
 
 def default_backend(device: torch.device) -> str:
-    """The fastest backend that serves tensors on this device."""
-    return "reference"
+    """The fastest backend that serves tensors on this device; warns once where the compiled core is missing."""
+    if device.type != "cpu":
+        return "reference"
+    if native_core() is None:
+        warn_once_if_missing()
+        return "reference"
+    return "native"
 
 
 def look(
@@ -54,9 +63,9 @@ def look(
 
     Raises:
         UnknownNameError: no preset or backend has that name.
+        InputError: the backend does not serve the tensors' device, or is not built.
     """
-    name = backend or default_backend(gaussians.device)
-    return _module(name).look(gaussians, camera, raster_preset(preset))
+    return _module(backend, gaussians.device).look(gaussians, camera, raster_preset(preset))
 
 
 def region_weights(view: View, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -74,38 +83,68 @@ def region_weights(view: View, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         InputError: the labels do not have the view's size.
     """
     _check_labels(view, labels)
-    return _module(view.backend).region_weights(view, labels)
+    return _backend_of(view).region_weights(view, labels)
+
+
+class Uplift:
+    """Adds the weighted region codes of views to accumulators: w_i += sum of e_i(p) * W(p) (method.md, stage 2).
+
+    A backend may keep views pending and add several at once, in the order they came: what is in the accumulators is
+    complete after ``flush`` only. The result does not depend on how often that is called.
+
+    Args:
+        out: [N, S, L] float32, contiguous; added to in place.
+        backend: as for ``look``; the views must come from the same one.
+
+    Raises:
+        InputError: the accumulators are of another form.
+    """
+
+    def __init__(self, out: Tensor, backend: str | None = None) -> None:
+        if out.dim() != 3 or not out.is_contiguous() or out.dtype != torch.float32:
+            raise InputError(
+                f"accumulators must be contiguous float32 [N, S, L], not {out.dtype} {list(out.shape)}"
+            )
+        self.out = out
+        self._uplift = _module(backend, out.device).Uplift(out)
+
+    def add(self, view: View, labels: Tensor, codes: list[SparseCodes]) -> None:
+        """Take in a view.
+
+        Args:
+            view: from ``look``.
+            labels: [S, H, W] integer regions, -1 for none.
+            codes: one SparseCodes a level, row r for region r.
+
+        Raises:
+            InputError: shapes disagree, or a label has no code.
+        """
+        _check_labels(view, labels)
+        if len(codes) != len(labels) or tuple(self.out.shape[:2]) != (view.n_gaussians, len(labels)):
+            raise InputError(
+                f"accumulators {list(self.out.shape)} and {len(codes)} levels of codes do not fit "
+                f"{view.n_gaussians} Gaussians and {len(labels)} levels of labels"
+            )
+        for level, level_codes in enumerate(codes):
+            highest = int(labels[level].max()) if labels[level].numel() else -1
+            if highest >= len(level_codes):
+                raise InputError(f"level {level}: label {highest} has no code, there are {len(level_codes)}")
+            if level_codes.n_atoms != self.out.shape[2]:
+                raise InputError(
+                    f"level {level}: codes over {level_codes.n_atoms} atoms, accumulators {self.out.shape[2]}"
+                )
+        self._uplift.add(view, labels, codes)
+
+    def flush(self) -> None:
+        """Add what is pending."""
+        self._uplift.flush()
 
 
 def uplift_view(view: View, labels: Tensor, codes: list[SparseCodes], out: Tensor) -> None:
-    """Add this view's weighted region codes to the accumulators: w_i += sum of e_i(p) * W(p) (method.md, stage 2).
-
-    Args:
-        view: from ``look``.
-        labels: [S, H, W] integer regions, -1 for none.
-        codes: one SparseCodes a level, row r for region r.
-        out: [N, S, L] float32, added to in place.
-
-    Raises:
-        InputError: shapes disagree, or a label has no code.
-    """
-    _check_labels(view, labels)
-    if len(codes) != len(labels) or out.dim() != 3 or tuple(out.shape[:2]) != (view.n_gaussians, len(labels)):
-        raise InputError(
-            f"accumulators {list(out.shape)} and {len(codes)} levels of codes do not fit {view.n_gaussians} "
-            f"Gaussians and {len(labels)} levels of labels"
-        )
-    if not out.is_contiguous() or out.dtype != torch.float32:
-        raise InputError("accumulators must be contiguous float32")
-    for level, level_codes in enumerate(codes):
-        highest = int(labels[level].max()) if labels[level].numel() else -1
-        if highest >= len(level_codes):
-            raise InputError(f"level {level}: label {highest} has no code, there are {len(level_codes)}")
-        if level_codes.n_atoms != out.shape[2]:
-            raise InputError(
-                f"level {level}: codes over {level_codes.n_atoms} atoms, accumulators {out.shape[2]}"
-            )
-    _module(view.backend).uplift_view(view, labels, codes, out)
+    """``Uplift`` of one view: arguments as there."""
+    uplift = Uplift(out, view.backend)
+    uplift.add(view, labels, codes)
+    uplift.flush()
 
 
 def render_channels(view: View, values: Tensor) -> tuple[Tensor, Tensor]:
@@ -119,7 +158,7 @@ def render_channels(view: View, values: Tensor) -> tuple[Tensor, Tensor]:
         image [H, W, C] = sum of e_i * values_i, and alpha [H, W] = sum of e_i (one minus the transmittance left).
     """
     _check_rows(view, values, 2, "values")
-    return _module(view.backend).render_channels(view, values)
+    return _backend_of(view).render_channels(view, values)
 
 
 def render_codes(view: View, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
@@ -135,7 +174,7 @@ def render_codes(view: View, indices: Tensor, weights: Tensor, n_atoms: int) -> 
         [S, H, W, L] float32.
     """
     _check_codes(view, indices, weights)
-    return _module(view.backend).render_codes(view, indices, weights, n_atoms)
+    return _backend_of(view).render_codes(view, indices, weights, n_atoms)
 
 
 def render_cosines(view: View, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor) -> Tensor:
@@ -162,7 +201,7 @@ def render_cosines(view: View, indices: Tensor, weights: Tensor, codebook: Tenso
         raise InputError(
             f"codebook {list(codebook.shape)} and queries {list(queries.shape)} do not fit {indices.shape[1]} levels"
         )
-    return _module(view.backend).render_cosines(view, indices, weights, codebook, queries)
+    return _backend_of(view).render_cosines(view, indices, weights, codebook, queries)
 
 
 def render_colors(
@@ -174,10 +213,20 @@ def render_colors(
     return (image + (1.0 - alpha)[..., None] * background).clamp(0, 1)
 
 
-def _module(name: str) -> ModuleType:
+def _module(name: str | None, device: torch.device) -> ModuleType:
+    name = name or default_backend(device)
     if name not in BACKENDS:
         raise UnknownNameError("raster backend", name, BACKENDS)
+    if name == "native":
+        if native_core() is None:
+            raise InputError(f"the backend 'native' cannot be used: {missing_reason()}")
+        if device.type != "cpu":
+            raise InputError(f"the backend 'native' serves tensors on a CPU, these are on {device}")
     return importlib.import_module(BACKENDS[name])
+
+
+def _backend_of(view: View) -> ModuleType:
+    return importlib.import_module(BACKENDS[view.backend])
 
 
 def _check_labels(view: View, labels: Tensor) -> None:

@@ -94,11 +94,19 @@ def region_weights(view: ReferenceView, labels: Tensor) -> tuple[Tensor, Tensor,
     return _merge(gaussian, key, weight, max(1, levels * stride))
 
 
-def uplift_view(view: ReferenceView, labels: Tensor, codes: list[SparseCodes], out: Tensor) -> None:
-    """See ``raster.uplift_view``."""
-    gaussian, key, weight = region_weights(view, labels)
-    stride = int(labels.max()) + 1 if labels.numel() else 0
-    add_codes(gaussian, key, weight, stride, codes, out)
+class Uplift:
+    """See ``raster.Uplift``. Nothing is ever pending."""
+
+    def __init__(self, out: Tensor) -> None:
+        self._out = out
+
+    def add(self, view: ReferenceView, labels: Tensor, codes: list[SparseCodes]) -> None:
+        gaussian, key, weight = region_weights(view, labels)
+        stride = int(labels.max()) + 1 if labels.numel() else 0
+        add_codes(gaussian, key, weight, stride, codes, self._out)
+
+    def flush(self) -> None:
+        pass
 
 
 def render_channels(view: ReferenceView, values: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,0 +1,175 @@
+"""The whole build of a scene as large as those of LERF: 1M Gaussians, 200 views of 988 x 731, three levels.
+
+    python -m benchmarks.lerf_sized [--n-gaussians 1000000] [--views 200] [--solver NAME] [--threads 2]
+        [--backend NAME] [--out FILE.json]
+
+The synthetic room with simulated regions and embeddings: times mean something, answers do not. From Gaussians,
+cameras and regions in memory to the field in memory: coding, uplift and vote. The paper names 42 s on an RTX A6000,
+coding included.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+import scoup
+from benchmarks.raster import report
+from scoup.bench import (
+    StageClock,
+    describe_environment,
+    make_room,
+    markdown,
+    room_cameras,
+    room_regions,
+    usable_backends,
+    write_json,
+)
+from scoup.bench.environment import in_one_line
+from scoup.bench.measure import torch_threads
+from scoup.bench.room import HEIGHT, REGIONS, WIDTH, Order
+from scoup.io import check_output
+from scoup.pipeline import BuildSettings
+
+PAPER_SECONDS = 42.0
+
+
+@dataclass(frozen=True)
+class Arguments:
+    n_gaussians: int = 1_000_000
+    """Of the room."""
+    views: int = 200
+    """Views, each with regions."""
+    width: int = WIDTH
+    """Of the views, in pixels."""
+    height: int = HEIGHT
+    """Of the views, in pixels."""
+    regions: tuple[int, ...] = REGIONS
+    """Regions in a view at levels s, m, l."""
+    order: Order = "random"
+    """Of the rows; trained scenes have none."""
+    solver: str = BuildSettings.solver
+    """How codes are learned, see `scoup build`."""
+    epochs: int = BuildSettings.epochs
+    """Epochs of the "adam" solver."""
+    n_atoms: int = 64
+    """L."""
+    k: int = 4
+    """K."""
+    backend: str | None = None
+    """Rasteriser; the fastest by default."""
+    threads: int = 2
+    """Threads."""
+    seed: int = 0
+    """Of everything."""
+    out: Path | None = None
+    """Where to write the figures as JSON."""
+    overwrite: bool = False
+    """Replace OUT."""
+
+
+def main(arguments: Arguments) -> dict[str, Any]:
+    """Make the scene, build, print the table, give the record."""
+    if arguments.out is not None:
+        check_output(arguments.out, arguments.overwrite)
+    if arguments.backend is not None:
+        usable_backends([arguments.backend])
+    environment = describe_environment()
+    started = time.perf_counter()
+    gaussians = make_room(arguments.n_gaussians, arguments.seed, arguments.order)
+    cameras = room_cameras(arguments.views, arguments.width, arguments.height)
+    regions = room_regions(cameras, arguments.regions, seed=arguments.seed)
+    preparing = time.perf_counter() - started
+    backend = scoup.raster.look(make_room(8), cameras[0], backend=arguments.backend).backend
+    before = peak_memory()
+
+    settings = BuildSettings(
+        arguments.n_atoms,
+        arguments.k,
+        solver=arguments.solver,
+        epochs=arguments.epochs,
+        seed=arguments.seed,
+    )
+    clock = StageClock(report)
+    with torch_threads(arguments.threads):
+        started = time.perf_counter()
+        field = scoup.build(
+            gaussians,
+            cameras,
+            regions,
+            settings=settings,
+            embedding_model="simulated",
+            backend=arguments.backend,
+            progress=clock,
+        )
+        total = time.perf_counter() - started
+    seconds = clock.stop()
+    memory = peak_memory()
+
+    print(in_one_line(environment))
+    print(
+        f"{arguments.n_gaussians:,} Gaussians, {arguments.views} views of {arguments.width} x {arguments.height}, "
+        f"{arguments.regions} regions a view, solver {arguments.solver}, backend {backend}, "
+        f"{arguments.threads} threads\n"
+    )
+    names = {"start": "stack embeddings, fingerprint", "after uplift": "vote, field"}
+    body = [[names.get(stage, stage), f"{value:.2f}"] for stage, value in seconds.items() if value >= 0.005]
+    per_view = 1e3 * seconds["uplift"] / arguments.views
+    body += [["total", f"{total:.2f}"], ["paper, RTX A6000", f"{PAPER_SECONDS:.0f}"]]
+    print(markdown(["stage", "seconds"], body))
+    print(
+        f"\nuplift of one view: {per_view:.0f} ms; making the scene took {preparing:.1f} s and is not counted"
+    )
+    if memory is not None and before is not None:
+        print(
+            f"peak memory {memory / 1e9:.2f} GB, {before / 1e9:.2f} GB of it before the build (torch, scene)"
+        )
+    record = {
+        "what": "benchmarks.lerf_sized: the whole build",
+        "machine": environment,
+        "settings": {
+            "gaussians": arguments.n_gaussians,
+            "views": arguments.views,
+            "width": arguments.width,
+            "height": arguments.height,
+            "regions": list(arguments.regions),
+            "order": arguments.order,
+            "solver": arguments.solver,
+            "epochs": arguments.epochs if arguments.solver == "adam" else None,
+            "atoms": arguments.n_atoms,
+            "k": arguments.k,
+            "backend": backend,
+            "threads": arguments.threads,
+            "seed": arguments.seed,
+        },
+        "seconds": seconds,
+        "total_s": total,
+        "uplift_of_a_view_s": seconds["uplift"] / arguments.views,
+        "paper_s": PAPER_SECONDS,
+        "coded_gaussians": int(field.coded().sum()),
+        "coding": field.info.provenance["coding"],
+        "peak_memory_bytes": memory,
+        "peak_memory_before_build_bytes": before,
+    }
+    if arguments.out is not None:
+        write_json(arguments.out, record, arguments.overwrite)
+    return record
+
+
+def peak_memory() -> int | None:
+    """Most resident memory of this process so far, in bytes; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most if sys.platform == "darwin" else most * 1024
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))

@@ -1,0 +1,262 @@
+"""Every stage on one view: native against the torch reference, on the synthetic room and on kitchen.
+
+    python -m benchmarks.raster [--n-gaussians 100000 300000 1000000 3000000] [--threads 1 2] [--repeats 5]
+        [--reference-up-to 1000000] [--reference-repeats 5] [--data DATA] [--clock-ghz 2.6] [--out FILE.json]
+
+Runs are interleaved: every round runs each stage under each backend and number of threads once. Where the reference
+was run less often, the headings say so; where it was left out, its cells are empty. The last table compares `alpha`
+with the bound of the arithmetic: bound = E / 16 * 11 / (clock * threads), E the pixel-Gaussian evaluations with
+alpha >= 1/255 before their pixel stops, 16 at a time in 11 cycles of fused multiply-adds. DATA holds kitchen/
+(default: SCOUP_TEST_DATA, else ../shared/data); without it kitchen is left out.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+from PIL import Image
+
+import scoup
+from scoup.bench import (
+    FORMULA,
+    STAGES,
+    Row,
+    Task,
+    Workload,
+    arithmetic_bound,
+    clock_hz,
+    count_evaluations,
+    describe_environment,
+    markdown,
+    room_workload,
+    stage_runs,
+    stage_table,
+    time_tasks,
+    usable_backends,
+    write_json,
+)
+from scoup.bench.environment import in_one_line
+from scoup.bench.report import SPECIFICATION, milliseconds, ratios
+from scoup.bench.room import Order
+from scoup.bench.stages import make_workload
+from scoup.io import check_output
+
+Setting = tuple[str, str, int]  # stage, backend, threads
+
+
+@dataclass(frozen=True)
+class Arguments:
+    n_gaussians: tuple[int, ...] = (100_000, 300_000, 1_000_000, 3_000_000)
+    """Sizes of the room."""
+    width: int = 988
+    """Of the room's view, in pixels."""
+    height: int = 731
+    """Of the room's view, in pixels."""
+    order: Order = "random"
+    """Of the room's rows; trained scenes have none."""
+    threads: tuple[int, ...] = (1, 2)
+    """Numbers of threads."""
+    repeats: int = 5
+    """Interleaved repetitions; medians are printed."""
+    backends: tuple[str, ...] = ()
+    """Rasterisers; all that work here if empty."""
+    stages: tuple[str, ...] = tuple(STAGES)
+    """Stages, see `scoup bench`."""
+    reference_up_to: int = 1_000_000
+    """The reference is not run on scenes of more Gaussians."""
+    reference_repeats: int = 5
+    """Repetitions of the reference, where fewer than those of the others."""
+    kitchen: bool = True
+    """Measure kitchen too."""
+    data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
+    """Folder that holds kitchen/."""
+    clock_ghz: float | None = None
+    """Clock of a core under this load; what the system tells by default, which may be the nominal one."""
+    out: Path | None = None
+    """Where to write the figures as JSON."""
+    overwrite: bool = False
+    """Replace OUT."""
+
+
+def main(arguments: Arguments) -> dict[str, Any]:
+    """Measure everything, print the tables, give the record."""
+    if arguments.out is not None:
+        check_output(arguments.out, arguments.overwrite)
+    backends, reasons = usable_backends(arguments.backends)
+    environment = describe_environment()
+    rows: list[Row] = []
+    evaluations: list[dict[str, Any]] = []
+    views: list[str] = []
+    left_out: list[str] = []  # scenes too large for the reference
+    for work in scenes(arguments):
+        print(f"measuring {work.name}, {len(work.gaussians):,} Gaussians", file=sys.stderr)
+        rows += (own := measure_scene(work, backends, arguments))
+        if SPECIFICATION in backends and not any(row.backend == SPECIFICATION for row in own):
+            left_out.append(f"{work.name} of {len(work.gaussians):,}")
+        views.append(f"{work.name} {work.camera.width} x {work.camera.height}")
+        if any(row.stage == "alpha" for row in own):
+            count = count_evaluations(work.gaussians, work.camera)
+            evaluations.append({"scene": work.name, "gaussians": len(work.gaussians), "evaluations": count})
+        del work
+
+    print(in_one_line(environment))
+    print(
+        f"one view ({', '.join(dict.fromkeys(views))}), three levels, L = 64, K = 4, one query; interleaved, medians"
+        f" of {arguments.repeats}\n"
+    )
+    print(stage_table(rows))
+    for name in arguments.stages:
+        print(f"\n{name}: {STAGES[name]}", end="")
+    print()
+    for name, reason in reasons.items():
+        print(f"backend {name} does not work here: {reason}")
+    if any(len(row.timing.seconds) < arguments.repeats for row in rows):
+        print(f"the reference was run {arguments.reference_repeats} times")
+    if left_out:
+        print(f"the reference was not run on {', '.join(left_out)}")
+    bounds = bound_rows(rows, evaluations, arguments.clock_ghz)
+    if evaluations:
+        print_bounds(bounds)
+    record = {
+        "what": "benchmarks.raster: stages on one view",
+        "machine": environment,
+        "settings": {
+            "width": arguments.width,
+            "height": arguments.height,
+            "order": arguments.order,
+            "repeats": arguments.repeats,
+            "reference_repeats": min(arguments.reference_repeats, arguments.repeats),
+            "reference_left_out": left_out,
+        },
+        "backends": backends,
+        "backends_not_working": reasons,
+        "rows": [row.record() for row in rows],
+        "ratios": [item.record() for item in ratios(rows)],
+        "evaluations": evaluations,
+        "bound": {"formula": FORMULA, "rows": bounds},
+    }
+    if arguments.out is not None:
+        write_json(arguments.out, record, arguments.overwrite)
+    return record
+
+
+def scenes(arguments: Arguments) -> Iterator[Workload]:
+    """What is measured, one after the other, so that only one scene is in memory."""
+    kitchen = arguments.data / "kitchen"
+    if arguments.kitchen and kitchen.is_dir():
+        yield kitchen_workload(kitchen)
+    elif arguments.kitchen:
+        print(f"kitchen is left out: no folder {kitchen.name}/ in DATA", file=sys.stderr)
+    for count in arguments.n_gaussians:
+        yield room_workload(count, arguments.width, arguments.height, order=arguments.order)
+
+
+def kitchen_workload(folder: Path, frame: int = 12) -> Workload:
+    """One view of kitchen with its own region maps; codes are made up."""
+    gaussians = scoup.load_gaussians(folder / "scene" / "model.splat")
+    camera = scoup.load_cameras(folder)[frame]
+    maps = [np.asarray(Image.open(folder / "regions" / f"{camera.stem}_{level}.png")) for level in "sml"]
+    labels = torch.from_numpy(np.stack(maps).astype(np.int32))
+    return make_workload("kitchen", gaussians, camera, torch.where(labels == 65535, -1, labels).int())
+
+
+def measure_scene(work: Workload, backends: list[str], arguments: Arguments) -> list[Row]:
+    """Time all stages of one scene."""
+    runs = {
+        backend: stage_runs(work, backend, arguments.stages)
+        for backend in backends
+        if backend != SPECIFICATION or len(work.gaussians) <= arguments.reference_up_to
+    }
+    tasks: dict[Setting, Task] = {}
+    for stage in arguments.stages:
+        for backend, own in runs.items():
+            repeats = arguments.repeats
+            if backend == SPECIFICATION:
+                repeats = min(repeats, arguments.reference_repeats)
+            for threads in arguments.threads:
+                tasks[stage, backend, threads] = Task(own[stage], threads, repeats)
+    timings = time_tasks(tasks, progress=report)
+    return [Row(work.name, len(work.gaussians), *key, timing) for key, timing in timings.items()]
+
+
+def bound_rows(
+    rows: list[Row], evaluations: list[dict[str, Any]], clock_ghz: float | None
+) -> list[dict[str, Any]]:
+    """For every row of `alpha`: the bound and which part of the time it is."""
+    clock = clock_hz(clock_ghz)
+    if clock is None:
+        return []
+    counts = {(item["scene"], item["gaussians"]): item["evaluations"] for item in evaluations}
+    found = []
+    for row in rows:
+        if row.stage != "alpha":
+            continue
+        count = counts[row.scene, row.n_gaussians]
+        bound = arithmetic_bound(count, clock.hz, row.threads)
+        found.append(
+            {
+                "scene": row.scene,
+                "gaussians": row.n_gaussians,
+                "backend": row.backend,
+                "threads": row.threads,
+                "evaluations": count,
+                "clock_hz": clock.hz,
+                "clock_from": clock.source,
+                "bound_s": bound,
+                "measured_s": row.timing.median,
+                "fraction": bound / row.timing.median,
+            }
+        )
+    return found
+
+
+def print_bounds(bounds: list[dict[str, Any]]) -> None:
+    """The second table."""
+    if not bounds:
+        print("\nno arithmetic bound: the clock is not known; give --clock-ghz")
+        return
+    first = bounds[0]
+    print(f"\n{FORMULA}; clock {first['clock_hz'] / 1e9:.2f} GHz ({first['clock_from']})\n")
+    headers = [
+        "scene",
+        "Gaussians",
+        "backend",
+        "threads",
+        "evaluations",
+        "bound, ms",
+        "alpha, ms",
+        "fraction",
+    ]
+    body = [
+        [
+            item["scene"],
+            f"{item['gaussians']:,}",
+            item["backend"],
+            str(item["threads"]),
+            f"{item['evaluations'] / 1e6:.1f} M",
+            milliseconds(item["bound_s"]),
+            milliseconds(item["measured_s"]),
+            f"{item['fraction']:.3f}",
+        ]
+        for item in bounds
+    ]
+    print(markdown(headers, body, left=3))
+
+
+def report(stage: str, done: int, total: int) -> None:
+    """Progress on a terminal only."""
+    if sys.stderr.isatty():
+        end = "\n" if done == total else ""
+        print(f"\r{stage} {done}/{total} ", end=end, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))

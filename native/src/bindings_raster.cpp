@@ -1,0 +1,249 @@
+// The rasteriser for Python; scoup/raster/cpu.py is its only user.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <limits>
+#include <tuple>
+
+#include "arrays.h"
+#include "python_signals.h"
+#include "region_weights.h"
+#include "render.h"
+#include "uplift.h"
+#include "view.h"
+#include "vote.h"
+
+namespace nb = nanobind;
+
+namespace scoup {
+namespace {
+
+constexpr int64_t kMostPixels = int64_t(1) << 31;
+constexpr int32_t kMostEdge = 65535 * kTile;  // tiles are numbered in 16 bits
+
+void check_size(int64_t width, int64_t height) {
+    if (width < 1 || height < 1 || width > kMostEdge || height > kMostEdge || width * height > kMostPixels)
+        throw std::invalid_argument("an image of " + std::to_string(width) + " x " + std::to_string(height) +
+                                    " pixels cannot be rendered");
+}
+
+View py_look(const Array& means, const Array& quats, const Array& scales, const Array& opacities, const Array& viewmat,
+             std::tuple<double, double, double, double> intrinsics, int64_t width, int64_t height,
+             std::tuple<double, double, double> near_alpha_max_stop, bool stop_inclusive, bool centred_clamp, int threads) {
+    const auto count = int64_t(means.ndim() > 0 ? means.shape(0) : 0);
+    if (count >= std::numeric_limits<int32_t>::max()) throw std::invalid_argument("too many Gaussians for one view");
+    check_size(width, height);
+    const Scene scene{count, data_of<float>(means, "means", {count, 3}), data_of<float>(quats, "quats", {count, 4}),
+                      data_of<float>(scales, "scales", {count, 3}), data_of<float>(opacities, "opacities", {count})};
+    Camera camera{};
+    std::copy_n(data_of<double>(viewmat, "viewmat", {3, 4}), 12, camera.viewmat);
+    std::tie(camera.fx, camera.fy, camera.cx, camera.cy) = intrinsics;
+    for (const double focal : {camera.fx, camera.fy})
+        if (!(focal > 0 && focal < 1e15)) throw std::invalid_argument("focal lengths must be positive and finite");
+    if (!(std::abs(camera.cx) < 1e15 && std::abs(camera.cy) < 1e15))
+        throw std::invalid_argument("the principal point must be finite");
+    for (const double entry : camera.viewmat)
+        if (!(std::abs(entry) < 1e30)) throw std::invalid_argument("viewmat must be finite");
+    camera.width = int32_t(width), camera.height = int32_t(height);
+    const auto [near, alpha_max, stop] = near_alpha_max_stop;
+    if (!(near >= 0 && alpha_max > 0 && alpha_max <= 1 && stop > 0 && stop < 1))
+        throw std::invalid_argument("near must be 0 or more, alpha_max and stop within 0 .. 1");
+    const Preset preset{near, float(alpha_max), float(stop), stop_inclusive, centred_clamp};
+    return without_lock([&] { return look(scene, camera, preset, threads, python_signals()); });
+}
+
+LabelMaps label_maps(const View& view, const Array& labels) {
+    const auto levels = int64_t(labels.ndim() > 0 ? labels.shape(0) : 0);
+    return {data_of<int32_t>(labels, "labels", {levels, view.height, view.width}), int32_t(levels), view.width, view.height};
+}
+
+nb::tuple py_region_weights(const View& view, const Array& labels, int64_t stride, int threads) {
+    const LabelMaps maps = label_maps(view, labels);
+    RegionWeights found = without_lock([&] { return region_weights(view, maps, stride, threads, python_signals()); });
+    const auto count = size_t(found.count);
+    return nb::make_tuple(to_numpy(std::move(found.gaussian), {count}), to_numpy(std::move(found.key), {count}),
+                          to_numpy(std::move(found.weight), {count}));
+}
+
+template <class Index>
+void check_indices(const Index* indices, int64_t count, int32_t n_atoms) {
+    Index largest = 0;
+    for (int64_t i = 0; i < count; ++i) largest = std::max(largest, indices[i]);
+    if (count > 0 && int64_t(largest) >= n_atoms)
+        throw std::invalid_argument("a code refers to atom " + std::to_string(largest) + " of " + std::to_string(n_atoms));
+}
+
+bool holds_bytes(const Array& indices) { return indices.dtype() == nb::dtype<uint8_t>(); }
+
+Uplift py_uplift(const WritableArray& out) {
+    if (out.ndim() != 3 || out.shape(1) > 1024 || out.shape(2) > 65536)
+        throw std::invalid_argument("out must be [N, levels, atoms]");
+    float* sums = data_of<float>(out, "out", {kAnySize, kAnySize, kAnySize});
+    return {sums, int64_t(out.shape(0)), int32_t(out.shape(1)), int32_t(out.shape(2))};
+}
+
+void py_add(Uplift& uplift, const View& view, const Array& labels, const std::vector<std::tuple<Array, Array>>& codes,
+            int threads) {
+    const LabelMaps maps = label_maps(view, labels);
+    if (view.n_gaussians != uplift.n_gaussians() || maps.levels != uplift.levels() || int64_t(codes.size()) != maps.levels)
+        throw std::invalid_argument("the view's Gaussians, the labels' and the codes' levels must fit the accumulators");
+    std::vector<RegionCodes> levels;
+    for (const auto& [indices, weights] : codes) {
+        if (indices.ndim() != 2) throw std::invalid_argument("code indices must be [regions, k]");
+        const auto rows = int64_t(indices.shape(0)), k = int64_t(indices.shape(1));
+        if (k > 65536) throw std::invalid_argument("codes of too many entries");
+        RegionCodes code{nullptr, nullptr, data_of<float>(weights, "code weights", {rows, k}), rows, int32_t(k)};
+        if (holds_bytes(indices)) {
+            code.indices8 = data_of<uint8_t>(indices, "code indices", {rows, k});
+            check_indices(code.indices8, rows * k, uplift.n_atoms());
+        } else {
+            code.indices16 = data_of<uint16_t>(indices, "code indices", {rows, k});
+            check_indices(code.indices16, rows * k, uplift.n_atoms());
+        }
+        levels.push_back(code);
+    }
+    without_lock([&] {
+        uplift.add(view, maps, levels, threads, python_signals());
+        return 0;
+    });
+}
+
+void py_flush(Uplift& uplift, int threads) {
+    without_lock([&] {
+        uplift.flush(threads, python_signals());
+        return 0;
+    });
+}
+
+nb::tuple py_render_channels(const View& view, const Array& values, int threads) {
+    if (values.ndim() != 2) throw std::invalid_argument("values must be [N, channels]");
+    const auto channels = int64_t(values.shape(1));
+    if (channels > 65536) throw std::invalid_argument("too many channels for one render");
+    const float* data = data_of<float>(values, "values", {view.n_gaussians, channels});
+    const int64_t pixels = int64_t(view.width) * view.height;
+    Buffer<float> image(pixels * channels), alpha(pixels);
+    const ChannelImage out{data, int32_t(channels), image.data(), alpha.data()};
+    without_lock([&] {
+        render_channels(view, out, threads, python_signals());
+        return 0;
+    });
+    const auto height = size_t(view.height), width = size_t(view.width);
+    return nb::make_tuple(to_numpy(std::move(image), {height, width, size_t(channels)}),
+                          to_numpy(std::move(alpha), {height, width}));
+}
+
+// float16 weights come as the uint16 of their bits.
+GaussianCodes gaussian_codes(const View& view, const Array& indices, const Array& weights, int64_t n_atoms) {
+    if (indices.ndim() != 3) throw std::invalid_argument("code indices must be [N, levels, k]");
+    if (n_atoms < 1 || n_atoms > 65536) throw std::invalid_argument("there must be 1 to 65536 atoms");
+    const int64_t n = view.n_gaussians, levels = int64_t(indices.shape(1)), k = int64_t(indices.shape(2));
+    if (levels > 1024 || k > n_atoms + 65536) throw std::invalid_argument("codes of too many levels or entries");
+    GaussianCodes codes{nullptr, nullptr, nullptr, nullptr, int32_t(levels), int32_t(k), int32_t(n_atoms)};
+    if (holds_bytes(indices)) {
+        codes.indices8 = data_of<uint8_t>(indices, "code indices", {n, levels, k});
+        if (n_atoms < 256) check_indices(codes.indices8, n * levels * k, codes.n_atoms);
+    } else {
+        codes.indices16 = data_of<uint16_t>(indices, "code indices", {n, levels, k});
+        if (n_atoms < 65536) check_indices(codes.indices16, n * levels * k, codes.n_atoms);
+    }
+    if (weights.dtype() == nb::dtype<uint16_t>())
+        codes.half_weights = data_of<uint16_t>(weights, "code weights", {n, levels, k});
+    else
+        codes.weights = data_of<float>(weights, "code weights", {n, levels, k});
+    return codes;
+}
+
+nb::object py_render_codes(const View& view, const Array& indices, const Array& weights, int64_t n_atoms, int threads) {
+    const GaussianCodes codes = gaussian_codes(view, indices, weights, n_atoms);
+    Buffer<float> out(int64_t(view.width) * view.height * codes.atoms_of_all_levels());
+    without_lock([&] {
+        render_codes(view, codes, out.data(), threads, python_signals());
+        return 0;
+    });
+    return to_numpy(std::move(out), {size_t(codes.levels), size_t(view.height), size_t(view.width), size_t(n_atoms)});
+}
+
+nb::object py_render_cosines(const View& view, const Array& indices, const Array& weights, const Array& grams,
+                             const Array& scores, int threads) {
+    if (grams.ndim() != 3 || scores.ndim() != 3) throw std::invalid_argument("grams and scores must have three axes");
+    const auto n_atoms = int64_t(grams.shape(1)), n_queries = int64_t(scores.shape(2));
+    const GaussianCodes codes = gaussian_codes(view, indices, weights, n_atoms);
+    if (n_queries > 1 << 20) throw std::invalid_argument("too many queries for one render");
+    Buffer<float> out(int64_t(view.width) * view.height * codes.levels * n_queries);
+    const Cosines cosines{data_of<float>(grams, "grams", {codes.levels, n_atoms, n_atoms}),
+                          data_of<float>(scores, "scores", {codes.levels, n_atoms, n_queries}), int32_t(n_queries),
+                          out.data()};
+    without_lock([&] {
+        render_cosines(view, codes, cosines, threads, python_signals());
+        return 0;
+    });
+    return to_numpy(std::move(out),
+                    {size_t(codes.levels), size_t(n_queries), size_t(view.height), size_t(view.width)});
+}
+
+template <class Index>
+nb::tuple voted(Vote task, int threads) {
+    Buffer<Index> indices(task.rows * task.k);
+    Buffer<float> weights(task.rows * task.k);
+    if constexpr (sizeof(Index) == 1)
+        task.indices8 = indices.data();
+    else
+        task.indices16 = indices.data();
+    task.weights = weights.data();
+    without_lock([&] {
+        vote(task, threads, python_signals());
+        return 0;
+    });
+    const auto rows = size_t(task.rows), k = size_t(task.k);
+    return nb::make_tuple(to_numpy(std::move(indices), {rows, k}), to_numpy(std::move(weights), {rows, k}));
+}
+
+nb::tuple py_vote(const Array& sums, int64_t k, int threads) {
+    if (sums.ndim() != 2) throw std::invalid_argument("sums must be [rows, atoms]");
+    const auto rows = int64_t(sums.shape(0)), n_atoms = int64_t(sums.shape(1));
+    if (n_atoms > 65536 || k < 1 || k > n_atoms) throw std::invalid_argument("k must be 1 to the number of atoms (65536)");
+    const Vote task{data_of<float>(sums, "sums", {rows, n_atoms}), rows, int32_t(n_atoms), int32_t(k), nullptr, nullptr,
+                    nullptr};
+    return n_atoms <= 256 ? voted<uint8_t>(task, threads) : voted<uint16_t>(task, threads);
+}
+
+nb::dict py_count_work(const View& view, int threads) {
+    const ViewCounts counts = without_lock([&] { return count_work(view, threads, python_signals()); });
+    nb::dict found;
+    found["pairs"] = counts.all.pairs;
+    found["blocks"] = counts.all.blocks;
+    found["evaluations"] = counts.all.evaluations;
+    found["lanes"] = counts.lanes;
+    return found;
+}
+
+}  // namespace
+
+void bind_raster(nb::module_& m) {
+    nb::class_<View>(m, "View", "A scene as one camera sees it: projected, sorted and binned.")
+        .def_ro("width", &View::width)
+        .def_ro("height", &View::height)
+        .def_ro("n_gaussians", &View::n_gaussians)
+        .def_ro("n_visible", &View::n_visible)
+        .def_prop_ro("n_pairs", [](const View& view) { return view.lists.size(); });
+    m.def("look", &py_look, nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"), nb::arg("viewmat"),
+          nb::arg("intrinsics"), nb::arg("width"), nb::arg("height"), nb::arg("near_alpha_max_stop"),
+          nb::arg("stop_inclusive"), nb::arg("centred_clamp"), nb::arg("threads"));
+    m.def("region_weights", &py_region_weights, nb::arg("view"), nb::arg("labels"), nb::arg("stride"), nb::arg("threads"));
+    nb::class_<Uplift>(m, "Uplift", "Adds the codes of many views to accumulators [N, levels, atoms], some views at a time.")
+        .def("__init__", [](Uplift* self, const WritableArray& out) { new (self) Uplift(py_uplift(out)); }, nb::arg("out"),
+             nb::keep_alive<1, 2>())
+        .def("add", &py_add, nb::arg("view"), nb::arg("labels"), nb::arg("codes"), nb::arg("threads"))
+        .def("flush", &py_flush, nb::arg("threads"));
+    m.def("render_channels", &py_render_channels, nb::arg("view"), nb::arg("values"), nb::arg("threads"));
+    m.def("render_codes", &py_render_codes, nb::arg("view"), nb::arg("indices"), nb::arg("weights"), nb::arg("n_atoms"),
+          nb::arg("threads"));
+    m.def("render_cosines", &py_render_cosines, nb::arg("view"), nb::arg("indices"), nb::arg("weights"), nb::arg("grams"),
+          nb::arg("scores"), nb::arg("threads"));
+    m.def("vote", &py_vote, nb::arg("sums"), nb::arg("k"), nb::arg("threads"));
+    m.def("count_work", &py_count_work, nb::arg("view"), nb::arg("threads"));
+}
+
+}  // namespace scoup

@@ -1,0 +1,62 @@
+// Memory for arrays.
+//
+// Getting fresh pages from the system for every view costs as much as projecting it. Large blocks are therefore asked
+// for in large pages, and up to 512 MB of them are kept for the next view when they are given back.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <new>
+#include <utility>
+
+namespace scoup {
+
+// At least `bytes` (more than 0) of uninitialised memory on a 64 byte boundary. Throws std::bad_alloc.
+void* allocate(size_t bytes);
+void give_back(void* data, size_t bytes);
+
+// An array of a fixed size, not initialised.
+template <class T>
+class Buffer {
+  public:
+    Buffer() = default;
+
+    explicit Buffer(int64_t size) : size_(size) {
+        if (size < 0 || size_t(size) > (std::numeric_limits<size_t>::max() >> 1) / sizeof(T)) throw std::bad_alloc();
+        if (size > 0) data_ = static_cast<T*>(allocate(bytes()));
+    }
+
+    Buffer(Buffer&& other) noexcept { swap(other); }
+    Buffer& operator=(Buffer&& other) noexcept {
+        swap(other);
+        return *this;
+    }
+    Buffer(const Buffer&) = delete;
+    Buffer& operator=(const Buffer&) = delete;
+    ~Buffer() { give_back(data_, bytes()); }
+
+    T* data() { return data_; }
+    const T* data() const { return data_; }
+    int64_t size() const { return size_; }
+    size_t bytes() const { return size_t(size_) * sizeof(T); }
+    T& operator[](int64_t i) { return data_[i]; }
+    const T& operator[](int64_t i) const { return data_[i]; }
+    T* begin() { return data_; }
+    T* end() { return data_ + size_; }
+
+    void fill(const T& value) {
+        for (int64_t i = 0; i < size_; ++i) data_[i] = value;
+    }
+
+  private:
+    void swap(Buffer& other) noexcept {
+        std::swap(data_, other.data_);
+        std::swap(size_, other.size_);
+    }
+
+    T* data_ = nullptr;
+    int64_t size_ = 0;
+};
+
+}  // namespace scoup

@@ -1,0 +1,56 @@
+// Rendering of sparse codes in one tile: coefficient maps, or cosines with the coefficients used up on the spot.
+#pragma once
+
+#include <cstdint>
+
+#include "isa.h"
+#include "tile.h"
+
+namespace scoup {
+
+// Sparse codes of Gaussians, [N, levels, k]. One of the two forms of indices and of weights is null.
+struct GaussianCodes {
+    const uint8_t* indices8;
+    const uint16_t* indices16;
+    const float* weights;
+    const uint16_t* half_weights;  // bits of float16
+    int32_t levels, k, n_atoms;
+
+    int64_t atoms_of_all_levels() const { return int64_t(levels) * n_atoms; }
+};
+
+struct FoundAtom {
+    int32_t atom, place;
+};
+
+struct CodeEntry {
+    int32_t place;
+    float weight;
+};
+
+// Scratch of one worker. Only atoms that occur in a tile get sums.
+struct CodeScratch {
+    float* sums;       // [256 * levels * n_atoms], on a 64 byte boundary
+    int32_t* place;    // [levels * n_atoms]: of an atom's sums, -1 for none; all -1 between tiles
+    FoundAtom* atoms;  // [levels, n_atoms]: the atoms that occur at each level ...
+    int32_t* n_found;  // [levels]: ... and how many
+    float* products;   // [n_atoms, n_atoms + n_queries]: Gram rows and scores of the atoms that occur
+    CodeEntry* entries;  // [16, levels * k]: of the Gaussians at work
+};
+
+struct Cosines {
+    const float* grams;   // [levels, n_atoms, n_atoms], G = C C^T
+    const float* scores;  // [levels, n_atoms, n_queries], A = C T^T
+    int32_t n_queries;
+    float* out;           // [levels, n_queries, height, width]
+};
+
+struct CodeKernels {
+    // out [levels, height, width, n_atoms]
+    void (*render)(const Tile& tile, const GaussianCodes& codes, float* out, const CodeScratch& scratch);
+    void (*cosines)(const Tile& tile, const GaussianCodes& codes, const Cosines& cosines, const CodeScratch& scratch);
+};
+
+SCOUP_KERNEL_TABLE(CodeKernels, code_kernels)
+
+}  // namespace scoup

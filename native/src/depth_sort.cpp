@@ -1,0 +1,64 @@
+#include "depth_sort.h"
+
+#include <algorithm>
+#include <vector>
+
+namespace scoup {
+namespace {
+
+constexpr int kDigitBits = 11;
+constexpr int64_t kDigits = 1 << kDigitBits;
+
+// One stable pass of a radix sort over the digit at `shift`; parts are counted and moved side by side.
+void radix_pass(const Buffer<DepthKey>& from, Buffer<DepthKey>& to, uint64_t lowest, int shift, int64_t n_parts,
+                int n_threads, const Interrupted& interrupted) {
+    const int64_t n = from.size();
+    std::vector<int64_t> places(size_t(n_parts * kDigits), 0);
+    const auto digit = [&](DepthKey key) { return int64_t((key - lowest) >> shift) & (kDigits - 1); };
+    for_chunks(n_parts, n_threads, interrupted, [&](int64_t part, int) {
+        int64_t* count = &places[size_t(part * kDigits)];
+        for (int64_t i = n * part / n_parts; i < n * (part + 1) / n_parts; ++i) ++count[digit(from[i])];
+    });
+    int64_t place = 0;
+    for (int64_t d = 0; d < kDigits; ++d)
+        for (int64_t part = 0; part < n_parts; ++part) {
+            int64_t& here = places[size_t(part * kDigits + d)];
+            place += std::exchange(here, place);
+        }
+    for_chunks(n_parts, n_threads, interrupted, [&](int64_t part, int) {
+        int64_t* next = &places[size_t(part * kDigits)];
+        for (int64_t i = n * part / n_parts; i < n * (part + 1) / n_parts; ++i) to[next[digit(from[i])]++] = from[i];
+    });
+}
+
+// Depths that are equal as floats may differ as doubles.
+void order_ties(Buffer<DepthKey>& keys, const Projected* projected) {
+    const auto before = [projected](DepthKey a, DepthKey b) {
+        const double depth_a = projected[slot_of(a)].depth, depth_b = projected[slot_of(b)].depth;
+        return depth_a != depth_b ? depth_a < depth_b : slot_of(a) < slot_of(b);
+    };
+    const int64_t n = keys.size();
+    for (int64_t first = 0; first < n;) {
+        int64_t end = first + 1;
+        while (end < n && keys[end] >> 32 == keys[first] >> 32) ++end;
+        if (end - first > 1) std::sort(keys.data() + first, keys.data() + end, before);
+        first = end;
+    }
+}
+
+}  // namespace
+
+void sort_by_depth(Buffer<DepthKey>& keys, const Projected* projected, int n_threads, const Interrupted& interrupted) {
+    if (keys.size() < 2) return;
+    const auto [low, high] = std::minmax_element(keys.begin(), keys.end());
+    const uint64_t lowest = *low >> 32 << 32, span = (*high - lowest) >> 32;
+    const int64_t n_parts = std::clamp<int64_t>(keys.size() / 16384, 1, n_threads);
+    Buffer<DepthKey> other(keys.size());
+    for (int shift = 32; shift < 64 && span >> (shift - 32) != 0; shift += kDigitBits) {
+        radix_pass(keys, other, lowest, shift, n_parts, n_threads, interrupted);
+        std::swap(keys, other);
+    }
+    order_ties(keys, projected);
+}
+
+}  // namespace scoup

@@ -1,0 +1,30 @@
+// Ctrl-C in long calls, and the interpreter's lock. For bindings*.cpp files only.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+#include "threads.h"
+
+namespace scoup {
+
+// Ctrl-C, asked from C++: takes the interpreter's lock and runs pending signal handlers. True if one of them raised;
+// the Python error is then set.
+inline Interrupted python_signals() {
+    return [] {
+        const nanobind::gil_scoped_acquire lock;
+        return PyErr_CheckSignals() != 0;
+    };
+}
+
+// Runs work() without the interpreter's lock. An interruption comes out as the Python error it was.
+template <class Work>
+auto without_lock(const Work& work) {
+    try {
+        const nanobind::gil_scoped_release unlocked;
+        return work();
+    } catch (const Cancelled&) {
+        throw nanobind::python_error();
+    }
+}
+
+}  // namespace scoup

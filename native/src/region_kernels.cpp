@@ -1,0 +1,192 @@
+#include "region_records.h"
+#include "walk.h"
+
+namespace scoup::SCOUP_ISA {
+namespace {
+
+constexpr int kPixels = kTile * kTile;
+constexpr int kWords = kPixels / 64;
+
+// A set of a tile's combinations: there are at most as many as pixels.
+struct Combinations {
+    uint64_t words[kWords];
+};
+
+// Where a tile's combinations of regions lie.
+class TileRegions {
+  public:
+    int count = 0;  // combinations with any region, numbered in the order of pixels within blocks
+    int words = 0;  // words of a set of them that are in use
+
+    // Each block holds a few combinations, each in some of its lanes.
+    uint16_t first_part[kBlocks + 1];
+    uint16_t combination[kPixels];
+    Ints lanes[kPixels];
+    Combinations in_block[kBlocks];
+    Blocks pure = 0;  // blocks all of whose lanes, or all that lie inside the image, have the same combination
+
+    SCOUP_INLINE TileRegions(const Tile& tile, const LabelMaps& maps, int32_t* combinations) {
+        __builtin_memset(table_, 0xff, sizeof table_);
+        int parts = 0;
+        for (int block = 0; block < kBlocks; ++block) {
+            first_part[block] = uint16_t(parts);
+            in_block[block] = {};
+            int16_t of_lane[kLanes];
+            int empty = 0;
+            for (int lane = 0; lane < kLanes; ++lane)
+                of_lane[lane] = number(tile, maps, combinations, tile.x + block_x(block) + lane_x(lane),
+                                       tile.y + block_y(block) + lane_y(lane));
+            const int parts_before = parts;
+            for (int lane = 0; lane < kLanes; ++lane) {
+                const int16_t here = of_lane[lane];
+                empty += here == kNone;
+                if (here < 0) continue;
+                Ints same{};
+                for (int other = 0; other < kLanes; ++other) {
+                    if (of_lane[other] != here) continue;
+                    same[other] = -1;
+                    of_lane[other] = kTaken;
+                }
+                combination[parts] = uint16_t(here);
+                lanes[parts++] = same;
+                in_block[block].words[here / 64] |= uint64_t{1} << (here % 64);
+            }
+            if (empty == 0 && parts == parts_before + 1) pure |= Blocks{1} << block;
+        }
+        first_part[kBlocks] = uint16_t(parts);
+        words = (count + 63) / 64;
+    }
+
+  private:
+    static constexpr int16_t kNone = -1, kOutside = -2, kTaken = -3;
+
+    // The number of the combination at a pixel, entered into `combinations` if it is new; kNone where no level has a
+    // region.
+    SCOUP_INLINE int16_t number(const Tile& tile, const LabelMaps& maps, int32_t* combinations, int x, int y) {
+        if (x >= tile.width || y >= tile.height) return kOutside;
+        const int32_t* at = maps.labels + int64_t(y) * maps.width + x;
+        const int64_t plane = maps.plane();
+        if (last_ >= 0 && equals(combinations + last_ * maps.levels, at, plane, maps.levels)) return int16_t(last_);
+        uint32_t hash = 0;
+        bool any = false;
+        for (int level = 0; level < maps.levels; ++level) {
+            const int32_t label = at[level * plane];
+            any |= label >= 0;
+            hash = (hash ^ uint32_t(label)) * 0x9e3779b1u;
+        }
+        if (!any) return kNone;
+        for (uint32_t place = hash >> 23;; place = (place + 1) % kTable) {
+            int found = table_[place];
+            if (found < 0) {
+                found = count++;
+                table_[place] = int16_t(found);
+                for (int level = 0; level < maps.levels; ++level)
+                    combinations[found * maps.levels + level] = at[level * plane];
+            } else if (!equals(combinations + found * maps.levels, at, plane, maps.levels)) {
+                continue;
+            }
+            last_ = found;
+            return int16_t(found);
+        }
+    }
+
+    static SCOUP_INLINE bool equals(const int32_t* combination, const int32_t* at, int64_t plane, int levels) {
+        for (int level = 0; level < levels; ++level)
+            if (combination[level] != at[level * plane]) return false;
+        return true;
+    }
+
+    static constexpr uint32_t kTable = 512;  // 9 bits of hash, twice as many places as combinations
+    int16_t table_[kTable];
+    int last_ = -1;
+};
+
+// Adds up each Gaussian's weights over the lanes of each combination, and writes a record of each sum.
+class RecordSink {
+  public:
+    SCOUP_INLINE RecordSink(const TileRegions& regions, const Projected* projected, Records& out)
+        : regions_(regions), projected_(projected), out_(out), offset_(uint32_t(out.n_combinations)) {
+        for (int c = 0; c < regions.count; ++c) sums_[c] = Floats{};
+    }
+
+    SCOUP_INLINE void begin(const Stage&, int) {
+        for (int i = 0; i < kStage; ++i) painted_[i] = 0;
+    }
+    SCOUP_INLINE void paint(int block, int i, Floats weight) {
+        weights_[i][block] = weight;
+        painted_[i] |= Blocks{1} << block;
+    }
+
+    SCOUP_INLINE void end(const Stage& stage, int count) {
+        if (__builtin_expect(out_.n_records + count * regions_.count > out_.records_capacity, 0))
+            out_.reserve_records(out_, count * regions_.count);
+        for (int i = 0; i < count; ++i) {
+            if (painted_[i] == 0) continue;
+            const uint32_t id = projected_[stage.slot[i]].id;
+            if (regions_.words == 1)
+                record<1>(id, painted_[i], weights_[i]);
+            else
+                record<kWords>(id, painted_[i], weights_[i]);
+        }
+    }
+
+    SCOUP_INLINE void soon(const Projected&) {}
+
+  private:
+    template <int Words>
+    SCOUP_INLINE void record(uint32_t id, Blocks painted, const Floats* weights) {
+        uint64_t touched[Words] = {};
+        for (Blocks blocks = painted; blocks != 0;) {
+            const int block = next(blocks);
+            for (int w = 0; w < Words; ++w) touched[w] |= regions_.in_block[block].words[w];
+        }
+        // Most Gaussians lie inside one combination.
+        if (Words == 1 && (touched[0] & (touched[0] - 1)) == 0 && (painted & ~regions_.pure) == 0) {
+            Floats total{};
+            while (painted != 0) total += weights[next(painted)];
+            return write(id, __builtin_ctzll(touched[0]), sum(total));
+        }
+        while (painted != 0) {
+            const int block = next(painted);
+            const Floats weight = weights[block];
+            for (int part = regions_.first_part[block]; part < regions_.first_part[block + 1]; ++part)
+                sums_[regions_.combination[part]] += only(regions_.lanes[part], weight);
+        }
+        for (int w = 0; w < Words; ++w)
+            while (touched[w] != 0) {
+                const int c = 64 * w + next(touched[w]);
+                write(id, c, sum(sums_[c]));
+                sums_[c] = Floats{};
+            }
+    }
+
+    // Written always, kept only if there is something: cheaper than a branch.
+    SCOUP_INLINE void write(uint32_t id, int c, float total) {
+        out_.records[out_.n_records] = {id, offset_ + uint32_t(c), total};
+        out_.n_records += total > 0;
+    }
+
+    const TileRegions& regions_;
+    const Projected* projected_;
+    Records& out_;
+    uint32_t offset_;
+    Blocks painted_[kStage];
+    Floats weights_[kStage][kBlocks];
+    Floats sums_[kPixels];
+};
+
+void collect(const Tile& tile, const LabelMaps& maps, Records& out) {
+    if (tile.count == 0) return;
+    if (out.n_combinations + kPixels > out.combinations_capacity) out.reserve_combinations(out, kPixels, maps.levels);
+    const TileRegions regions(tile, maps, out.combinations + out.n_combinations * maps.levels);
+    if (regions.count == 0) return;
+    RecordSink sink(regions, tile.projected, out);
+    walk_tile(tile, sink);
+    out.n_combinations += regions.count;
+}
+
+}  // namespace
+
+const RegionKernels region_kernels = {collect};
+
+}  // namespace scoup::SCOUP_ISA

@@ -1,0 +1,96 @@
+#include "render.h"
+
+#include <algorithm>
+#include <functional>
+#include <vector>
+
+#include "view_tile.h"
+
+namespace scoup {
+namespace {
+
+constexpr int64_t kPixels = int64_t(kTile) * kTile;
+
+// Tiles side by side, a few at a time; `body` gets the tile and the number of the worker.
+void for_tiles(const View& view, int n_threads, const Interrupted& interrupted,
+               const std::function<void(const Tile&, int64_t, int)>& body) {
+    constexpr int64_t kTilesAtOnce = 8;
+    const int64_t tiles = view.n_tiles();
+    for_chunks((tiles + kTilesAtOnce - 1) / kTilesAtOnce, n_threads, interrupted, [&](int64_t chunk, int worker) {
+        for (int64_t t = chunk * kTilesAtOnce; t < std::min((chunk + 1) * kTilesAtOnce, tiles); ++t)
+            body(tile_of(view, t), t, worker);
+    });
+}
+
+// One worker's scratch for codes, with the memory that it points to.
+class CodeMemory {
+  public:
+    CodeMemory(const GaussianCodes& codes, int32_t n_queries)
+        : sums_(codes.atoms_of_all_levels() * kPixels), place_(codes.atoms_of_all_levels()),
+          n_found_(codes.levels), atoms_(codes.atoms_of_all_levels()),
+          products_(n_queries < 0 ? 0 : int64_t(codes.n_atoms) * (codes.n_atoms + n_queries)),
+          entries_(16 * int64_t(codes.levels) * codes.k) {
+        place_.fill(-1);
+    }
+
+    CodeScratch scratch() {
+        return {sums_.data(), place_.data(), atoms_.data(), n_found_.data(), products_.data(), entries_.data()};
+    }
+
+  private:
+    Buffer<float> sums_;
+    Buffer<int32_t> place_, n_found_;
+    Buffer<FoundAtom> atoms_;
+    Buffer<float> products_;
+    Buffer<CodeEntry> entries_;
+};
+
+std::vector<CodeMemory> code_memory(const GaussianCodes& codes, int32_t n_queries, int n_threads) {
+    std::vector<CodeMemory> memory;
+    for (int worker = 0; worker < std::max(n_threads, 1); ++worker) memory.emplace_back(codes, n_queries);
+    return memory;
+}
+
+}  // namespace
+
+void render_channels(const View& view, const ChannelImage& out, int n_threads, const Interrupted& interrupted) {
+    const auto& kernels = pick(baseline::channel_kernels, v3::channel_kernels, v4::channel_kernels);
+    std::vector<Buffer<float>> scratch;
+    for (int worker = 0; worker < std::max(n_threads, 1); ++worker) scratch.emplace_back(out.channels * kPixels);
+    for_tiles(view, n_threads, interrupted, [&](const Tile& tile, int64_t, int worker) {
+        kernels.render(tile, out, scratch[size_t(worker)].data());
+    });
+}
+
+void render_codes(const View& view, const GaussianCodes& codes, float* out, int n_threads, const Interrupted& interrupted) {
+    const auto& kernels = pick(baseline::code_kernels, v3::code_kernels, v4::code_kernels);
+    auto memory = code_memory(codes, -1, n_threads);
+    for_tiles(view, n_threads, interrupted, [&](const Tile& tile, int64_t, int worker) {
+        kernels.render(tile, codes, out, memory[size_t(worker)].scratch());
+    });
+}
+
+void render_cosines(const View& view, const GaussianCodes& codes, const Cosines& cosines, int n_threads,
+                    const Interrupted& interrupted) {
+    const auto& kernels = pick(baseline::code_kernels, v3::code_kernels, v4::code_kernels);
+    auto memory = code_memory(codes, cosines.n_queries, n_threads);
+    for_tiles(view, n_threads, interrupted, [&](const Tile& tile, int64_t, int worker) {
+        kernels.cosines(tile, codes, cosines, memory[size_t(worker)].scratch());
+    });
+}
+
+ViewCounts count_work(const View& view, int n_threads, const Interrupted& interrupted) {
+    const auto& kernels = pick(baseline::count_kernels, v3::count_kernels, v4::count_kernels);
+    std::vector<TileCounts> counts(static_cast<size_t>(view.n_tiles()));
+    for_tiles(view, n_threads, interrupted,
+              [&](const Tile& tile, int64_t t, int) { counts[size_t(t)] = kernels.count(tile); });
+    ViewCounts total{{}, kernels.lanes};
+    for (const TileCounts& c : counts) {
+        total.all.pairs += c.pairs;
+        total.all.blocks += c.blocks;
+        total.all.evaluations += c.evaluations;
+    }
+    return total;
+}
+
+}  // namespace scoup

@@ -1,0 +1,26 @@
+// Whole images from a view. All images are written completely; a pixel nothing paints is zero.
+#pragma once
+
+#include "channel_kernels.h"
+#include "code_kernels.h"
+#include "count_kernels.h"
+#include "threads.h"
+#include "view.h"
+
+namespace scoup {
+
+void render_channels(const View& view, const ChannelImage& out, int n_threads, const Interrupted& interrupted);
+
+// out [levels, height, width, n_atoms]
+void render_codes(const View& view, const GaussianCodes& codes, float* out, int n_threads, const Interrupted& interrupted);
+
+void render_cosines(const View& view, const GaussianCodes& codes, const Cosines& cosines, int n_threads,
+                    const Interrupted& interrupted);
+
+struct ViewCounts {
+    TileCounts all;
+    int lanes;
+};
+ViewCounts count_work(const View& view, int n_threads, const Interrupted& interrupted);
+
+}  // namespace scoup

@@ -1,0 +1,64 @@
+// Uplift: out [N, levels, n_atoms] += region sums times codes, over many views.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "bucketed_records.h"
+
+namespace scoup {
+
+// Sparse codes of one level's regions.
+struct RegionCodes {
+    const uint8_t* indices8;    // [rows, k], or null if they are
+    const uint16_t* indices16;  // these
+    const float* weights;       // [rows, k]
+    int64_t rows;
+    int32_t k;
+};
+
+// Collects the records of views and adds them to the accumulators many views at a time, so that each part of the
+// accumulators comes into the cache once for all of those. Additions to one accumulator happen in the order of the
+// views, then of the tiles: the result depends neither on threads nor on when what is pending is added.
+class Uplift {
+  public:
+    // `out` must outlive this object.
+    Uplift(float* out, int64_t n_gaussians, int32_t levels, int32_t n_atoms)
+        : out_(out), n_gaussians_(n_gaussians), levels_(levels), n_atoms_(n_atoms) {}
+    Uplift(Uplift&&) = default;
+
+    // Takes a view in. Throws std::out_of_range, and changes nothing, if a label has no code.
+    void add(const View& view, const LabelMaps& maps, const std::vector<RegionCodes>& codes, int n_threads,
+             const Interrupted& interrupted);
+
+    // Adds what is pending to the accumulators. After an interruption, it can be called again.
+    void flush(int n_threads, const Interrupted& interrupted);
+
+    int64_t n_gaussians() const { return n_gaussians_; }
+    int32_t levels() const { return levels_; }
+    int32_t n_atoms() const { return n_atoms_; }
+
+  private:
+    // What a combination of regions adds for each unit of weight.
+    struct Entry {
+        int32_t place;  // level * n_atoms + atom
+        float weight;
+    };
+    struct Pending {
+        BucketedRecords records;
+        Buffer<Entry> entries;  // [combinations, entries of one]
+        int64_t entries_of_one;
+    };
+
+    Buffer<Entry> expand(const BucketedRecords& records, const std::vector<RegionCodes>& codes) const;
+    void apply(int64_t bucket) const;
+
+    float* out_;
+    int64_t n_gaussians_;
+    int32_t levels_, n_atoms_;
+    std::vector<Pending> pending_;
+    int64_t pending_bytes_ = 0;
+    std::vector<char> applied_;  // buckets done by a flush that was interrupted
+};
+
+}  // namespace scoup

@@ -1,0 +1,342 @@
+// Rounds over the rasteriser. What one function says is checked against what another says of the same view.
+#pragma once
+
+#include <algorithm>
+#include <map>
+
+#include "fuzz_scene.h"
+#include "region_weights.h"
+#include "render.h"
+#include "uplift.h"
+#include "view.h"
+#include "vote.h"
+
+namespace scoup {
+
+// One view, how it was made, and what a round needs to ask it.
+struct Seen {
+    const View& view;
+    const Exact<float>& alpha;
+    int threads;
+
+    int64_t pixels() const { return int64_t(view.width) * view.height; }
+};
+
+inline void check_view(const View& view, int64_t count) {
+    check(view.n_visible >= 0 && view.n_visible <= count, "look: more are visible than there are");
+    check(view.starts[0] == 0 && view.starts[view.n_tiles()] == view.lists.size(), "look: lists have holes");
+    for (int64_t tile = 0; tile < view.n_tiles(); ++tile) {
+        check(view.starts[tile] <= view.starts[tile + 1], "look: a list ends before it begins");
+        for (int64_t i = view.starts[tile]; i < view.starts[tile + 1]; ++i) {
+            const Projected& p = view.projected[view.lists[i]];
+            check(int64_t(p.id) < count, "look: no such Gaussian");
+            if (i == view.starts[tile]) continue;
+            const Projected& before = view.projected[view.lists[i - 1]];
+            check(before.depth < p.depth || (before.depth == p.depth && before.id < p.id), "look: not front to back");
+        }
+    }
+}
+
+inline void check_same_view(const View& a, const View& b, const std::string& what) {
+    check(a.n_visible == b.n_visible, what + ": other Gaussians are visible");
+    check_same(a.starts, b.starts, what);
+    check_same(a.lists, b.lists, what);
+    for (int64_t i = 0; i < a.lists.size(); ++i)
+        check(std::memcmp(&a.projected[a.lists[i]], &b.projected[b.lists[i]], sizeof(Projected)) == 0, what + ": projections");
+}
+
+// [pixels, channels] of values [N, channels]; alpha as well.
+struct Channels {
+    Exact<float> image, alpha;
+};
+inline Channels channels_of(Random& random, const View& view, const Exact<float>& values, int64_t channels, int threads) {
+    const int64_t pixels = int64_t(view.width) * view.height;
+    Channels out{{random, pixels * channels}, {random, pixels}};
+    render_channels(view, {values.data(), int32_t(channels), out.image.data(), out.alpha.data()}, threads, never);
+    return out;
+}
+
+inline void fuzz_channels(Random& random, const Seen& seen) {
+    const int64_t channels = random.one_of<int64_t>({0, 1, 2, 3, 4, 5, 7, 8, 9, 17});
+    Exact<float> values(random, seen.view.n_gaussians * channels);
+    for (int64_t i = 0; i < values.size(); ++i) values[i] = float(random.uniform(-1, 1));
+    const Channels out = channels_of(random, seen.view, values, channels, seen.threads);
+    const Channels alone = channels_of(random, seen.view, values, channels, 1);
+    check_same(out.image, alone.image, "channels: threads");
+    check_same(out.alpha, alone.alpha, "alpha: threads");
+    check_same(out.alpha, seen.alpha, "alpha: with other channels");
+    for (int64_t i = 0; i < out.image.size(); ++i)
+        check(std::abs(out.image[i]) <= out.alpha[i / channels] + 1e-4, "channels: more than what is painted");
+    for (int64_t i = 0; i < values.size(); ++i)
+        if (random.chance(0.1)) values[i] = hostile_float(random);
+    channels_of(random, seen.view, values, channels, seen.threads);
+}
+
+inline Exact<int32_t> random_labels(Random& random, const Seen& seen, int64_t levels, int32_t most) {
+    Exact<int32_t> labels(random, levels * seen.pixels());
+    const bool per_pixel = random.chance(0.3);
+    const int64_t patch = random.between(1, 40);
+    const double none = random.one_of({0.0, 0.1, 1.0});
+    for (int64_t i = 0; i < labels.size(); ++i) {
+        const int64_t level = i / seen.pixels(), x = i % seen.view.width, y = i % seen.pixels() / seen.view.width;
+        const int64_t cell = x / patch * 31 + y / patch * 17 + level;
+        labels[i] = int32_t((per_pixel ? random.below(most) : cell % most));
+        if (random.chance(none)) labels[i] = random.one_of({-1, -2, std::numeric_limits<int32_t>::min()});
+    }
+    return labels;
+}
+
+inline void fuzz_regions(Random& random, const Seen& seen) {
+    const int32_t levels = int32_t(random.one_of({0, 1, 2, 3, 5}));
+    const int32_t most = random.one_of({1, 3, 300, std::numeric_limits<int32_t>::max()});
+    const int64_t stride = int64_t(most) + random.below(3);
+    const Exact<int32_t> labels = random_labels(random, seen, levels, most);
+    const LabelMaps maps{labels.data(), levels, seen.view.width, seen.view.height};
+
+    struct Region {
+        double pixels = 0, alpha = 0, weight = 0;
+    };
+    std::map<int64_t, Region> regions;
+    for (int64_t i = 0; i < labels.size(); ++i) {
+        if (labels[i] < 0) continue;
+        Region& region = regions[i / seen.pixels() * stride + labels[i]];
+        region.pixels += 1;
+        region.alpha += double(seen.alpha[i % seen.pixels()]);
+    }
+    const auto ask = [&](int threads) { return region_weights(seen.view, maps, stride, threads, never); };
+    const RegionWeights found = ask(seen.threads), alone = ask(1);
+    check(found.count == alone.count, "region weights: threads");
+    for (int64_t i = 0; i < found.count; ++i) {
+        check(found.gaussian[i] == alone.gaussian[i] && found.key[i] == alone.key[i] && found.weight[i] == alone.weight[i],
+              "region weights: threads");
+        check(found.gaussian[i] >= 0 && found.gaussian[i] < seen.view.n_gaussians, "region weights: no such Gaussian");
+        check(found.weight[i] > 0 && std::isfinite(found.weight[i]), "region weights: not positive");
+        check(i == 0 || found.gaussian[i - 1] < found.gaussian[i] ||
+                  (found.gaussian[i - 1] == found.gaussian[i] && found.key[i - 1] < found.key[i]),
+              "region weights: not in order");
+        const auto region = regions.find(found.key[i]);
+        check(region != regions.end(), "region weights: no such region");
+        region->second.weight += double(found.weight[i]);
+    }
+    for (const auto& [key, region] : regions)
+        check_near(region.weight, region.alpha, 2e-5 * region.pixels + 1e-4 * region.alpha, "region sum");
+}
+
+struct CodeArrays {
+    Exact<uint8_t> indices8;
+    Exact<uint16_t> indices16;
+    Exact<float> weights;
+    bool bytes;
+
+    int64_t index(int64_t i) const { return bytes ? indices8[i] : indices16[i]; }
+};
+inline CodeArrays random_codes(Random& random, int64_t entries, int32_t n_atoms) {
+    CodeArrays codes{{random, entries}, {random, entries}, {random, entries}, n_atoms <= 256 && random.chance(0.7)};
+    for (int64_t i = 0; i < entries; ++i) {
+        const int64_t atom = random.below(n_atoms);
+        codes.indices8[i] = uint8_t(atom), codes.indices16[i] = uint16_t(atom);
+        codes.weights[i] = random.chance(0.2) ? 0.0f : float(random.uniform());
+    }
+    return codes;
+}
+
+inline void fuzz_uplift(Random& random, const Seen& seen) {
+    const int32_t levels = int32_t(random.between(1, 3)), n_atoms = random.one_of({1, 5, 64, 256, 300});
+    const int64_t n = seen.view.n_gaussians, row = int64_t(levels) * n_atoms;
+    const int32_t rows = int32_t(random.between(1, 20));
+    const int n_views = int(random.between(1, 4));
+    std::vector<CodeArrays> codes;
+    std::vector<RegionCodes> tables;
+    for (int32_t level = 0; level < levels; ++level) {
+        const auto k = int32_t(random.between(0, 4));
+        codes.push_back(random_codes(random, int64_t(rows) * k, n_atoms));
+        const CodeArrays& last = codes.back();
+        tables.push_back({last.bytes ? last.indices8.data() : nullptr, last.bytes ? nullptr : last.indices16.data(),
+                          last.weights.data(), rows, k});
+    }
+    std::vector<Exact<int32_t>> labels;
+    for (int v = 0; v < n_views; ++v) labels.push_back(random_labels(random, seen, levels, rows));
+    const auto maps = [&](int v) { return LabelMaps{labels[size_t(v)].data(), levels, seen.view.width, seen.view.height}; };
+
+    // All in one go on one thread.
+    Exact<float> plain(random, n * row);
+    Uplift simple(plain.data(), n, levels, n_atoms);
+    for (int v = 0; v < n_views; ++v) simple.add(seen.view, maps(v), tables, 1, never);
+    const double seconds = seconds_of([&] { simple.flush(1, never); });
+
+    // With interruptions anywhere, more views after an interrupted flush, and threads.
+    Exact<float> out(random, n * row);
+    Uplift uplift(out.data(), n, levels, n_atoms);
+    const bool interrupts = random.chance(0.15);
+    for (int v = 0; v < n_views; ++v) {
+        uplift.add(seen.view, maps(v), tables, seen.threads, never);
+        if (interrupts)
+            interrupt(random, seconds, [&](const Interrupted& interrupted) { uplift.flush(seen.threads, interrupted); });
+        if (random.chance(0.3)) uplift.flush(seen.threads, never);
+    }
+    uplift.flush(seen.threads, never);
+    check_same(out, plain, interrupts ? "uplift: interruptions" : "uplift: threads and flushes");
+
+    // A label without a code is refused and leaves no trace.
+    Exact<int32_t> beyond = random_labels(random, seen, levels, rows);
+    for (int64_t i = 0; i < beyond.size(); ++i)
+        if (i % 3 == 0) beyond[i] = random.chance(0.5) ? rows : std::numeric_limits<int32_t>::max();
+    try {
+        uplift.add(seen.view, {beyond.data(), levels, seen.view.width, seen.view.height}, tables, seen.threads, never);
+    } catch (const std::out_of_range&) {
+        uplift.flush(seen.threads, never);
+        check_same(out, plain, "uplift: after a label without a code");
+    }
+
+    std::vector<double> expected(size_t(n * row), 0.0);
+    for (int v = 0; v < n_views; ++v) {
+        const RegionWeights found = region_weights(seen.view, maps(v), rows, seen.threads, never);
+        for (int64_t i = 0; i < found.count; ++i) {
+            const auto level = size_t(found.key[i] / rows);
+            const int64_t region = found.key[i] % rows, k = tables[level].k;
+            for (int64_t j = region * k; j < (region + 1) * k; ++j)
+                expected[size_t(found.gaussian[i] * row + int64_t(level) * n_atoms + codes[level].index(j))] +=
+                    double(found.weight[i]) * double(codes[level].weights[j]);
+        }
+    }
+    for (int64_t i = 0; i < n * row; ++i)
+        check_near(plain[i], expected[size_t(i)], 1e-4 * expected[size_t(i)] + 1e-6, "uplift");
+}
+
+// Rendered codes are channels of the codes written out; cosines follow from them.
+inline void fuzz_codes(Random& random, const Seen& seen) {
+    const int64_t n = seen.view.n_gaussians;
+    const auto levels = int32_t(random.between(1, 3)), k = int32_t(random.between(0, 5));
+    const int32_t n_atoms = seen.pixels() > 5000 ? 7 : random.one_of({1, 2, 7, 64, 257});
+    const CodeArrays codes = random_codes(random, n * levels * k, n_atoms);
+    GaussianCodes table{nullptr, nullptr, codes.weights.data(), nullptr, levels, k, n_atoms};
+    if (codes.bytes)
+        table.indices8 = codes.indices8.data();
+    else
+        table.indices16 = codes.indices16.data();
+    const int64_t channels = table.atoms_of_all_levels(), image = seen.pixels() * n_atoms;
+    Exact<float> rendered(random, levels * image), alone(random, levels * image);
+    render_codes(seen.view, table, rendered.data(), seen.threads, never);
+    render_codes(seen.view, table, alone.data(), 1, never);
+    check_same(rendered, alone, "codes: threads");
+
+    Exact<float> dense(random, n * channels);
+    for (int64_t i = 0; i < n * levels * k; ++i)
+        dense[i / k * n_atoms + codes.index(i)] += codes.weights[i];
+    const Channels expected = channels_of(random, seen.view, dense, channels, seen.threads);
+    for (int64_t i = 0; i < rendered.size(); ++i) {
+        const int64_t level = i / image, pixel = i % image / n_atoms, atom = i % n_atoms;
+        check_near(rendered[i], expected.image[pixel * channels + level * n_atoms + atom], 1e-4, "codes");
+    }
+
+    constexpr int64_t kDim = 6;
+    const auto n_queries = int32_t(random.between(0, 4));
+    const int64_t atoms = int64_t(levels) * n_atoms;
+    Exact<float> codebook(random, atoms * kDim), grams(random, atoms * n_atoms), scores(random, atoms * n_queries);
+    for (int64_t i = 0; i < codebook.size(); ++i) codebook[i] = float(random.uniform(-0.2, 1));
+    for (int64_t a = 0; a < atoms; ++a)
+        for (int64_t b = 0; b < n_atoms; ++b)
+            for (int64_t d = 0; d < kDim; ++d)
+                grams[a * n_atoms + b] += codebook[a * kDim + d] * codebook[(a / n_atoms * n_atoms + b) * kDim + d];
+    for (int64_t i = 0; i < scores.size(); ++i) scores[i] = float(random.uniform(-1, 1));
+    Exact<float> cosines(random, levels * n_queries * seen.pixels()), again(random, cosines.size());
+    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, cosines.data()}, seen.threads, never);
+    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, again.data()}, 1, never);
+    check_same(cosines, again, "cosines: threads");
+    for (int64_t i = 0; i < cosines.size(); ++i) {
+        const int64_t level = i / (n_queries * seen.pixels()), query = i / seen.pixels() % n_queries;
+        const float* mine = &rendered[level * image + i % seen.pixels() * n_atoms];
+        double norm2 = 0, own = 0, dot = 0;
+        for (int64_t a = 0; a < n_atoms; ++a) {
+            if (mine[a] == 0) continue;
+            own += double(mine[a]) * mine[a];
+            dot += double(mine[a]) * scores[(level * n_atoms + a) * n_queries + query];
+            for (int64_t b = 0; b < n_atoms; ++b)
+                norm2 += double(mine[a]) * mine[b] * grams[(level * n_atoms + a) * n_atoms + b];
+        }
+        check(std::isfinite(cosines[i]), "cosines: not finite");
+        if (own == 0) check(cosines[i] == 0, "cosines: of nothing");
+        if (norm2 > 0.01 * own && own > 1e-6)
+            check_near(cosines[i], dot / std::sqrt(norm2), 1e-3 * (1 + std::sqrt(own / norm2)), "cosines");
+    }
+
+    // float16 bits of any kind, weights that are no numbers.
+    Exact<uint16_t> half(random, n * levels * k);
+    for (int64_t i = 0; i < half.size(); ++i) half[i] = uint16_t(random.bits());
+    table.weights = nullptr, table.half_weights = half.data();
+    for (int64_t i = 0; i < grams.size(); ++i)
+        if (random.chance(0.1)) grams[i] = hostile_float(random);
+    render_codes(seen.view, table, rendered.data(), seen.threads, never);
+    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, cosines.data()}, seen.threads, never);
+}
+
+inline void fuzz_vote(Random& random, int threads) {
+    const int64_t rows = random.one_of<int64_t>({0, 1, 100, 4095, 4097});
+    const auto n_atoms = int32_t(random.one_of({1, 2, 64, 256, 257})), k = int32_t(random.between(1, std::min(n_atoms, 9)));
+    const bool hostile = random.chance(0.5);
+    Exact<float> sums(random, rows * n_atoms);
+    for (int64_t i = 0; i < sums.size(); ++i) {
+        if (random.chance(0.5)) sums[i] = float(random.below(5)) / 4;  // many equal ones, and zeros
+        else sums[i] = float(random.uniform(-0.5, 1));
+        if (hostile && random.chance(0.1)) sums[i] = hostile_float(random);
+    }
+    Exact<uint8_t> indices8(random, rows * k);
+    Exact<uint16_t> indices16(random, rows * k);
+    Exact<float> weights(random, rows * k), again(random, rows * k);
+    vote({sums.data(), rows, n_atoms, k, nullptr, indices16.data(), weights.data()}, threads, never);
+    if (n_atoms <= 256) {
+        vote({sums.data(), rows, n_atoms, k, indices8.data(), nullptr, again.data()}, 1, never);
+        check_same(weights, again, "vote: threads");
+        for (int64_t i = 0; i < rows * k; ++i) check(indices8[i] == indices16[i], "vote: bytes");
+    }
+    for (int64_t r = 0; r < rows; ++r) {
+        const float* row = sums.data() + r * n_atoms;
+        std::vector<int32_t> order;
+        for (int32_t atom = 0; atom < n_atoms; ++atom)
+            if (row[atom] > 0) order.push_back(atom);
+        std::stable_sort(order.begin(), order.end(), [&](int32_t a, int32_t b) { return row[a] > row[b]; });
+        order.resize(std::min(order.size(), size_t(k)));
+        double total = 0;
+        for (const int32_t atom : order) total += double(row[atom]);
+        for (int32_t j = 0; j < k; ++j) {
+            const float weight = weights[r * k + j];
+            check(indices16[r * k + j] < n_atoms, "vote: no such atom");
+            if (hostile) continue;
+            const bool used = size_t(j) < order.size();
+            check(indices16[r * k + j] == (used ? order[size_t(j)] : 0), "vote: another atom");
+            check_near(weight, used ? double(row[order[size_t(j)]]) / total : 0, 1e-5, "vote: weight");
+        }
+    }
+}
+
+inline void fuzz_raster(Random& random) {
+    const int64_t count = random.one_of<int64_t>({0, 1, 15, 16, 17, 300, 300, 1500, 1500, 3000, 9000});
+    const double hostile = random.one_of({0.0, 0.0, 0.01, 0.1, 0.5});
+    const bool hostile_camera = random.chance(0.3);
+    const SceneArrays arrays = random_scene(random, count, hostile);
+    const Camera camera = random_camera(random, hostile_camera);
+    const Preset preset = random_preset(random, random.chance(0.3));
+    const int threads = int(random.between(1, 4));
+    const auto see = [&](int n_threads, const Interrupted& interrupted) {
+        return look(arrays.scene(), camera, preset, n_threads, interrupted);
+    };
+    const View view = see(threads, never);
+    check_view(view, count);
+    double seconds = 0;
+    seconds = seconds_of([&] { check_same_view(view, see(1, never), "look: threads"); });
+    if (random.chance(0.05)) interrupt(random, seconds, [&](const Interrupted& stop) { see(threads, stop); });
+
+    const Channels alpha = channels_of(random, view, Exact<float>(), 0, threads);
+    for (int64_t i = 0; i < alpha.alpha.size(); ++i)
+        check(alpha.alpha[i] >= 0 && alpha.alpha[i] <= 1, "alpha: not within 0 .. 1");
+    const ViewCounts work = count_work(view, threads, never);
+    check(work.all.pairs <= view.lists.size() && work.all.evaluations <= work.all.blocks * work.lanes, "count_work");
+
+    const Seen seen{view, alpha.alpha, threads};
+    fuzz_channels(random, seen);
+    fuzz_regions(random, seen);
+    fuzz_uplift(random, seen);
+    fuzz_codes(random, seen);
+}
+
+}  // namespace scoup

@@ -1,0 +1,28 @@
+"""Measuring: a synthetic room of any size, the stages of the method, interleaved medians, one table and JSON.
+
+``scoup bench`` and the scripts of ``benchmarks/`` are made of these.
+"""
+
+from scoup.bench.bound import FORMULA as FORMULA
+from scoup.bench.bound import arithmetic_bound as arithmetic_bound
+from scoup.bench.bound import clock_hz as clock_hz
+from scoup.bench.bound import count_evaluations as count_evaluations
+from scoup.bench.environment import describe_environment as describe_environment
+from scoup.bench.measure import Slope as Slope
+from scoup.bench.measure import StageClock as StageClock
+from scoup.bench.measure import Task as Task
+from scoup.bench.measure import Timing as Timing
+from scoup.bench.measure import fit_slope as fit_slope
+from scoup.bench.measure import time_tasks as time_tasks
+from scoup.bench.report import Row as Row
+from scoup.bench.report import markdown as markdown
+from scoup.bench.report import stage_table as stage_table
+from scoup.bench.report import write_json as write_json
+from scoup.bench.room import make_room as make_room
+from scoup.bench.room import room_cameras as room_cameras
+from scoup.bench.room import room_regions as room_regions
+from scoup.bench.stages import STAGES as STAGES
+from scoup.bench.stages import Workload as Workload
+from scoup.bench.stages import room_workload as room_workload
+from scoup.bench.stages import stage_runs as stage_runs
+from scoup.bench.stages import usable_backends as usable_backends

@@ -1,0 +1,159 @@
+"""One Markdown table for people, one JSON file for everything else."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from scoup.bench.measure import Timing
+from scoup.io import write_text
+
+SPECIFICATION = "reference"  # the backend others are compared with
+_NONE = "-"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measured thing.
+
+    Attributes:
+        scene: name of the scene.
+        n_gaussians: N.
+        stage: see ``stages.STAGES``.
+        backend: of the rasteriser.
+        threads: torch threads.
+        timing: its seconds.
+    """
+
+    scene: str
+    n_gaussians: int
+    stage: str
+    backend: str
+    threads: int
+    timing: Timing
+
+    def record(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "scene": self.scene,
+            "gaussians": self.n_gaussians,
+            "stage": self.stage,
+            "backend": self.backend,
+            "threads": self.threads,
+            **self.timing.record(),
+        }
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """Time of a backend over that of the reference, same scene, stage and threads."""
+
+    scene: str
+    n_gaussians: int
+    stage: str
+    backend: str
+    threads: int
+    ratio: float
+
+    def record(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "scene": self.scene,
+            "gaussians": self.n_gaussians,
+            "stage": self.stage,
+            "backend": self.backend,
+            "threads": self.threads,
+            f"time_over_{SPECIFICATION}": self.ratio,
+        }
+
+
+def ratios(rows: Iterable[Row]) -> list[Ratio]:
+    """Of every row of another backend that the reference was measured for too."""
+    rows = list(rows)
+    base = {
+        (row.scene, row.n_gaussians, row.stage, row.threads): row.timing.median
+        for row in rows
+        if row.backend == SPECIFICATION
+    }
+    found = []
+    for row in rows:
+        against = base.get((row.scene, row.n_gaussians, row.stage, row.threads))
+        if row.backend != SPECIFICATION and against is not None:
+            ratio = row.timing.median / against
+            found.append(Ratio(row.scene, row.n_gaussians, row.stage, row.backend, row.threads, ratio))
+    return found
+
+
+def stage_table(rows: Sequence[Row]) -> str:
+    """Markdown: a line for each scene and stage; milliseconds of each backend and number of threads; ratios.
+
+    Where medians come from different numbers of repetitions, the heading of each column says how many.
+    """
+    columns = list(dict.fromkeys((row.backend, row.threads) for row in rows))
+    lines = list(dict.fromkeys((row.scene, row.n_gaussians, row.stage) for row in rows))
+    cells = {(row.scene, row.n_gaussians, row.stage, row.backend, row.threads): row for row in rows}
+    against = {
+        (item.scene, item.n_gaussians, item.stage, item.backend, item.threads): item for item in ratios(rows)
+    }
+    compared = list(dict.fromkeys((item.backend, item.threads) for item in against.values()))
+    counts = {len(row.timing.seconds) for row in rows}
+
+    def heading(column: tuple[str, int]) -> str:
+        name = f"{column[0]}, {_threads(column[1])}, ms"
+        if len(counts) < 2:
+            return name
+        own = {len(row.timing.seconds) for row in rows if (row.backend, row.threads) == column}
+        return f"{name} ({'/'.join(map(str, sorted(own)))} runs)"
+
+    headers = ["scene", "Gaussians", "stage", *map(heading, columns)]
+    headers += [f"{backend}/{SPECIFICATION}, {_threads(threads)}" for backend, threads in compared]
+    body = []
+    for line in lines:
+        scene, count, stage = line
+        cell = [scene, f"{count:,}", stage]
+        for column in columns:
+            row = cells.get((*line, *column))
+            cell.append(_NONE if row is None else milliseconds(row.timing.median))
+        for column in compared:
+            item = against.get((*line, *column))
+            cell.append(_NONE if item is None else f"{item.ratio:.3g}")
+        body.append(cell)
+    return markdown(headers, body, left=3)
+
+
+def milliseconds(seconds: float) -> str:
+    """Three figures that matter, without exponent."""
+    value = 1e3 * seconds
+    return f"{value:,.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.3g}"
+
+
+def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
+    """A Markdown table, padded so that it can be read as it stands; all but the first ``left`` columns to the right."""
+    table = [list(headers), *map(list, rows)]
+    widths = [max(3, *(len(line[column]) for line in table)) for column in range(len(headers))]
+
+    def line(cells: Sequence[str]) -> str:
+        padded = [
+            cell.ljust(width) if column < left else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(cells, widths, strict=True))
+        ]
+        return f"| {' | '.join(padded)} |"
+
+    rule = ["-" * width if column < left else "-" * (width - 1) + ":" for column, width in enumerate(widths)]
+    return "\n".join([line(table[0]), f"| {' | '.join(rule)} |", *map(line, table[1:])])
+
+
+def write_json(path: str | Path, record: dict[str, Any], overwrite: bool = False) -> None:
+    """Write a record, all or nothing.
+
+    Raises:
+        OutputExistsError: the file is there and ``overwrite`` is false.
+    """
+    write_text(path, json.dumps(record, indent=1, allow_nan=False) + "\n", overwrite)
+
+
+def _threads(count: int) -> str:
+    return f"{count} thread" + ("" if count == 1 else "s")

@@ -1,0 +1,224 @@
+"""The stages of the method on one view, as callables of one backend."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.bench.room import (
+    HEIGHT,
+    REGIONS,
+    WIDTH,
+    Order,
+    clip_like,
+    codes_in_space,
+    make_room,
+    room_cameras,
+    voronoi_labels,
+)
+from scoup.cameras import Camera
+from scoup.codes import SparseCodes
+from scoup.errors import InputError, ScoupError
+from scoup.gaussians import Gaussians
+from scoup.uplifting import top_k
+
+STAGES = {
+    "look": "project, bin and sort",
+    "alpha": "render one channel of ones: blending and little else",
+    "sums": "region sums, all levels",
+    "uplift": "region sums and codes into the accumulators, all levels",
+    "colors": "render 3 channels",
+    "codes": "render the coefficient maps, all levels",
+    "cosines": "cosines with the queries, all levels, no coefficient map kept",
+    "vote": "the K largest of every accumulator",
+}
+
+Run: TypeAlias = Callable[[], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Workload:
+    """One view of one scene and everything the stages take.
+
+    Attributes:
+        name: of the scene, for tables.
+        gaussians: N Gaussians.
+        camera: the view.
+        labels: [S, H, W] int32 regions.
+        codes: S codes of those regions.
+        indices, weights: [N, S, K] codes of the Gaussians.
+        codebook: [S, L, D] float32.
+        queries: [Q, D] float32, unit norm.
+        values: [N, 3] float32, to render as channels.
+        accumulators: [N, S, L] float32; ``uplift`` adds to it, ``vote`` reads it.
+    """
+
+    name: str
+    gaussians: Gaussians
+    camera: Camera
+    labels: Tensor
+    codes: list[SparseCodes]
+    indices: Tensor
+    weights: Tensor
+    codebook: Tensor
+    queries: Tensor
+    values: Tensor
+    accumulators: Tensor
+
+    def to(self, device: str | torch.device) -> Workload:
+        """The same on another device."""
+        names = ("labels", "indices", "weights", "codebook", "queries", "values", "accumulators")
+        moved = {name: getattr(self, name).to(device) for name in names}
+        codes = [
+            SparseCodes(item.indices.to(device), item.weights.to(device), item.n_atoms) for item in self.codes
+        ]
+        return replace(self, gaussians=self.gaussians.to(device), codes=codes, **moved)
+
+
+def make_workload(
+    name: str,
+    gaussians: Gaussians,
+    camera: Camera,
+    labels: Tensor,
+    n_atoms: int = 64,
+    k: int = 4,
+    dim: int = 512,
+    n_queries: int = 1,
+    seed: int = 0,
+    accumulators: Tensor | None = None,
+) -> Workload:
+    """Made-up codes, codebook and queries for a scene and its labels [S, H, W].
+
+    Args:
+        accumulators: [at least N, S, L] float32 to work on, so that several workloads can share the memory.
+    """
+    count, levels = len(gaussians), len(labels)
+    generator = torch.Generator().manual_seed(seed)
+    codes = [
+        SparseCodes.from_dense(torch.rand(max(0, int(level.max())) + 1, n_atoms, generator=generator), k)
+        for level in labels
+    ]
+    indices, weights = codes_in_space(gaussians.means, levels, n_atoms, k, seed)
+    if accumulators is None:
+        accumulators = torch.zeros(count, levels, n_atoms)
+    accumulators = accumulators[:count]
+    if accumulators.shape != (count, levels, n_atoms):
+        raise InputError(f"accumulators {list(accumulators.shape)} do not fit {count} Gaussians")
+    _fill(accumulators, indices, weights)
+    return Workload(
+        name,
+        gaussians,
+        camera,
+        labels,
+        codes,
+        indices,
+        weights,
+        codebook=clip_like(levels * n_atoms, dim, seed).view(levels, n_atoms, dim),
+        queries=clip_like(n_queries, dim, seed + 1),
+        values=raster.view_colors(gaussians, camera),
+        accumulators=accumulators,
+    )
+
+
+def _fill(accumulators: Tensor, indices: Tensor, weights: Tensor) -> None:
+    """A vote as many views leave it: the atoms of a Gaussian's own code lead, those of two other codes follow."""
+    accumulators.zero_()
+    for share, shift in ((8.0, 0), (2.0, 1), (1.0, 2)):
+        others = torch.roll(indices, shift, 0).long()
+        accumulators.scatter_add_(2, others, torch.roll(weights, shift, 0) * share)
+
+
+def room_workload(
+    n_gaussians: int,
+    width: int = WIDTH,
+    height: int = HEIGHT,
+    regions: Sequence[int] = REGIONS,
+    seed: int = 0,
+    order: Order = "random",
+    gaussians: Gaussians | None = None,
+    accumulators: Tensor | None = None,
+) -> Workload:
+    """The first view of the synthetic room; ``regions`` counts those of each level.
+
+    Args:
+        gaussians: the room of that size, seed and order if it is at hand.
+        accumulators: see ``make_workload``.
+    """
+    gaussians = make_room(n_gaussians, seed, order) if gaussians is None else gaussians
+    camera = room_cameras(1, width, height)[0]
+    labels = voronoi_labels(regions, width, height, seed)
+    return make_workload("room", gaussians, camera, labels, seed=seed, accumulators=accumulators)
+
+
+def stage_runs(work: Workload, backend: str, names: Iterable[str] = tuple(STAGES)) -> dict[str, Run]:
+    """The stages as callables without arguments; each gives what its function gives.
+
+    The view the later stages share is made here, so that its cost is in ``look`` alone.
+
+    Args:
+        work: what to work on.
+        backend: of the rasteriser.
+        names: stages, in the order wanted.
+
+    Raises:
+        InputError: there is no such stage.
+    """
+    view = raster.look(work.gaussians, work.camera, backend=backend)
+    ones = torch.ones(len(work.gaussians), 1, device=work.gaussians.device)
+    keep = work.indices.shape[2]
+    # The vote is not a function of a backend's module: where it is compiled, ``top_k`` itself decides so.
+    runs: dict[str, Run] = {
+        "look": lambda: raster.look(work.gaussians, work.camera, backend=backend),
+        "alpha": lambda: raster.render_channels(view, ones),
+        "sums": lambda: raster.region_weights(view, work.labels),
+        "uplift": lambda: raster.uplift_view(view, work.labels, work.codes, work.accumulators),
+        "colors": lambda: raster.render_channels(view, work.values),
+        "codes": lambda: raster.render_codes(view, work.indices, work.weights, work.codebook.shape[1]),
+        "cosines": lambda: raster.render_cosines(
+            view, work.indices, work.weights, work.codebook, work.queries
+        ),
+        "vote": lambda: top_k(work.accumulators, keep),
+    }
+    names = tuple(names)
+    for name in names:
+        if name not in runs:
+            raise InputError(f"there is no stage {name!r}; stages: {', '.join(runs)}")
+    return {name: runs[name] for name in names}
+
+
+def usable_backends(wanted: Sequence[str] = ()) -> tuple[list[str], dict[str, str]]:
+    """Backends that work on this machine, and why the others do not.
+
+    Args:
+        wanted: names; all there are if empty.
+
+    Returns:
+        (names, {name: reason}); of the names wanted, or of all.
+
+    Raises:
+        InputError: one that was wanted by name does not work here (UnknownNameError: does not exist).
+    """
+    found: list[str] = []
+    reasons: dict[str, str] = {}
+    for name in dict.fromkeys(wanted or raster.BACKENDS):
+        try:
+            if name in raster.BACKENDS:
+                importlib.import_module(raster.BACKENDS[name])
+            raster.look(make_room(8), room_cameras(1, 16, 16)[0], backend=name)
+        except (ScoupError, ImportError) as error:
+            if wanted:
+                raise (
+                    error
+                    if isinstance(error, ScoupError)
+                    else InputError(f"backend {name!r} does not work here: {error}")
+                ) from error
+            reasons[name] = " ".join(str(error).split())
+        else:
+            found.append(name)
+    return found, reasons

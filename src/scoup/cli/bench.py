@@ -1,0 +1,138 @@
+"""scoup bench: how long every stage takes on this machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from scoup.cli.console import Console
+from scoup.cli.options import Flag, OptionalPath, WritesCommon, common_last
+
+if TYPE_CHECKING:
+    from scoup.bench import Row
+
+Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
+Counts = Annotated[tuple[int, ...], tyro.conf.arg(metavar="INT [INT ...]", help_behavior_hint="")]
+
+
+@common_last
+@dataclass(frozen=True, kw_only=True)
+class Bench(WritesCommon):
+    """Time every stage on one view of a synthetic room, backend against backend.
+
+    Runs are interleaved and medians are printed, so that ratios hold even where the machine is not idle. Needs no
+    data and takes less than a minute; the larger measurements behind the documents are in benchmarks/.
+    """
+
+    n_gaussians: tuple[int, ...] = (100_000,)
+    """Gaussians in the room; one or several numbers."""
+    width: int = 480
+    """Of the view, in pixels."""
+    height: int = 360
+    """Of the view, in pixels."""
+    threads: Counts = ()
+    """Numbers of threads, each measured. Default: as many as torch uses."""
+    repeats: int = 5
+    """Interleaved repetitions, after one that is not timed."""
+    backends: Names = ()
+    """Rasterisers. Default: all that work here."""
+    stages: Names = ()
+    """Among look, alpha, sums, uplift, colors, codes, cosines, vote. Default: all."""
+    quick: Flag = False
+    """A tenth of the Gaussians and a third of the width and height: to see that everything runs."""
+    out: OptionalPath = None
+    """JSON file for the figures, the machine and the commit."""
+
+    def run(self, console: Console) -> None:
+        """Measure and print."""
+        from scoup.bench import STAGES, describe_environment, stage_table, usable_backends, write_json
+        from scoup.bench.environment import in_one_line
+        from scoup.bench.report import SPECIFICATION, ratios
+        from scoup.io import check_output
+
+        self._check()
+        if self.out is not None:
+            check_output(self.out, self.overwrite)
+        backends, reasons = usable_backends(self.backends)
+        environment = describe_environment()
+        width, height = self._size()
+        console.say(in_one_line(environment))
+        console.say(
+            f"one view of {width} x {height}, three levels, L = 64, K = 4, one query; medians of {self.repeats}"
+        )
+        rows = self._measure(console, backends, width, height)
+        console.say("\n" + stage_table(rows) + "\n")
+        for name in dict.fromkeys(row.stage for row in rows):
+            console.say(f"{name}: {STAGES[name]}")
+        for name, reason in reasons.items():
+            console.say(f"backend {name} does not work here: {reason}")
+        if not any(backend != SPECIFICATION for backend in backends):
+            console.say(f"only {SPECIFICATION} was measured, so there is nothing to compare it with")
+        record = {
+            "what": "scoup bench: stages on one view of the synthetic room",
+            "machine": environment,
+            "device": self.device,
+            "width": width,
+            "height": height,
+            "backends": backends,
+            "backends_not_working": reasons,
+            "rows": [row.record() for row in rows],
+            "ratios": [item.record() for item in ratios(rows)],
+        }
+        if self.out is not None:
+            write_json(self.out, record, self.overwrite)
+            console.say(f"\nfigures: {self.out}")
+        console.result(record | ({} if self.out is None else {"out": str(self.out)}))
+
+    def _check(self) -> None:
+        from scoup.bench import STAGES
+        from scoup.errors import InputError, UnknownNameError
+
+        counts: dict[str, tuple[int, ...]] = {
+            "n-gaussians": self.n_gaussians,
+            "width": (self.width,),
+            "height": (self.height,),
+            "threads": self.threads,
+            "repeats": (self.repeats,),
+        }
+        for name, values in counts.items():
+            if any(value < 1 for value in values):
+                raise InputError(f"--{name} must be 1 or more, got {min(values)}")
+        if not self.n_gaussians:
+            raise InputError("--n-gaussians needs a number")
+        for stage in self.stages:
+            if stage not in STAGES:
+                raise UnknownNameError("stage", stage, STAGES)
+
+    def _size(self) -> tuple[int, int]:
+        """Pixels across and down."""
+        by = 3 if self.quick else 1
+        return max(1, self.width // by), max(1, self.height // by)
+
+    def _measure(self, console: Console, backends: list[str], width: int, height: int) -> list[Row]:
+        import torch
+
+        from scoup.bench import STAGES, Row, Task, room_workload, stage_runs, time_tasks
+
+        threads = dict.fromkeys(self.threads or (torch.get_num_threads(),))
+        stages = dict.fromkeys(self.stages or STAGES)
+        rows: list[Row] = []
+        for count in dict.fromkeys(self.n_gaussians):
+            work = room_workload(max(1, count // 10) if self.quick else count, width, height).to(self.device)
+            runs = {backend: stage_runs(work, backend, stages) for backend in backends}
+            tasks: dict[tuple[str, str, int], Task] = {
+                (stage, backend, used): Task(runs[backend][stage], used, self.repeats)
+                for stage in stages
+                for backend in backends
+                for used in threads
+            }
+            with console.progress() as progress:
+                timings = time_tasks(tasks, self.device, progress)
+            size = len(work.gaussians)
+            rows += [
+                Row(work.name, size, stage, backend, used, timing)
+                for (stage, backend, used), timing in timings.items()
+            ]
+        return rows

@@ -1,0 +1,103 @@
+"""Views into a build's accumulators, kept together with the record of which views are in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from scoup import raster
+from scoup.cameras import Camera
+from scoup.checkpoint import BuildState, Checkpoint
+from scoup.codes import SparseCodes
+from scoup.gaussians import Gaussians
+from scoup.progress import Progress
+from scoup.regions import Regions
+from scoup.uplifting import ViewSums, add_view, digest_of_labels
+
+
+class Lift:
+    """Adds views to the accumulators of a build and stores the state now and then, and when interrupted.
+
+    Args:
+        state: codes, accumulators and the views already in them; changed in place.
+        rows: per level, the rows of each view in the codes.
+        n_views: of the whole build.
+        keeper: where the state is stored.
+        progress: told of each view.
+    """
+
+    def __init__(
+        self,
+        state: BuildState,
+        rows: Sequence[dict[str, slice]],
+        n_views: int,
+        keeper: Checkpoint,
+        progress: Progress,
+    ) -> None:
+        self.state = state
+        self.rows = rows
+        self.n_views = n_views
+        self.keeper = keeper
+        self.progress = progress
+
+    def add_views(
+        self,
+        gaussians: Gaussians,
+        cameras: Sequence[Camera],
+        regions: Regions,
+        raster_preset: str,
+        backend: str | None,
+    ) -> None:
+        """Rasterise views and lift their codes."""
+        uplift = raster.Uplift(self.state.accumulators, backend)
+        self._report()
+        try:
+            for camera in cameras:
+                labels, _ = regions.load_view(camera.name, camera.width, camera.height)
+                labels = labels.to(gaussians.device)
+                digest = digest_of_labels(labels)
+                view = raster.look(gaussians, camera, raster_preset, backend)
+                codes = self._codes(camera.name)
+                self.state.between_views = False
+                uplift.add(view, labels, codes)
+                self._done(camera.name, digest)
+                if self.keeper.is_due():
+                    self._flush(uplift)
+                    self.keeper.write(self.state)
+        except KeyboardInterrupt:
+            if self.state.between_views:
+                self._flush(uplift)
+                self.keeper.write(self.state)
+            raise
+        self._flush(uplift)
+
+    def add_sums(self, sums_of_views: Iterable[ViewSums]) -> None:
+        """Lift codes through region sums at hand."""
+        self._report()
+        try:
+            for sums in sums_of_views:
+                codes = self._codes(sums.view_name)
+                self.state.between_views = False
+                add_view(sums, codes, self.state.accumulators)
+                self._done(sums.view_name, sums.labels_digest)
+                if self.keeper.is_due():
+                    self.keeper.write(self.state)
+        except KeyboardInterrupt:
+            self.keeper.write(self.state)
+            raise
+
+    def _codes(self, view_name: str) -> list[SparseCodes]:
+        return [codes.rows(rows[view_name]) for codes, rows in zip(self.state.codes, self.rows, strict=True)]
+
+    def _done(self, view_name: str, labels_digest: str) -> None:
+        self.state.views_done[view_name] = labels_digest
+        self.state.between_views = True
+        self._report()
+
+    def _flush(self, uplift: raster.Uplift) -> None:
+        """An interruption in here leaves the accumulators with part of what is pending: such a state is not stored."""
+        self.state.between_views = False
+        uplift.flush()
+        self.state.between_views = True
+
+    def _report(self) -> None:
+        self.progress("uplift", len(self.state.views_done), self.n_views)

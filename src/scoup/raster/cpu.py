@@ -1,0 +1,148 @@
+"""The rasteriser on a CPU: the C++ core in native/, behind the same functions as ``reference``.
+
+Everything runs on ``torch.get_num_threads()`` threads; the result does not depend on how many those are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.cameras import Camera
+from scoup.codes import SparseCodes
+from scoup.errors import InputError
+from scoup.gaussians import Gaussians
+from scoup.native import native_core
+from scoup.raster.presets import RasterPreset
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+
+@dataclass(frozen=True, eq=False)
+class NativeView:
+    """A scene as one camera sees it: projected, binned and sorted. Made by ``look``.
+
+    Attributes:
+        n_gaussians: N of the scene.
+        width, height: image size in pixels.
+        preset: the rasteriser constants used.
+        handle: what the compiled core keeps: 64 bytes a visible Gaussian and 4 bytes a pair of a Gaussian and a
+            tile of 16 x 16 pixels that it reaches.
+    """
+
+    n_gaussians: int
+    width: int
+    height: int
+    preset: RasterPreset
+    handle: Any
+
+    backend = "native"
+
+
+def look(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> NativeView:
+    """See ``raster.look``."""
+    handle = _core().look(
+        _array(gaussians.means),
+        _array(gaussians.quats),
+        _array(gaussians.scales),
+        _array(gaussians.opacities),
+        np.ascontiguousarray(camera.viewmat[:3].double().cpu().numpy()),
+        (camera.fx, camera.fy, camera.cx, camera.cy),
+        camera.width,
+        camera.height,
+        (preset.near, preset.alpha_max, preset.stop),
+        preset.stop_inclusive,
+        preset.centred_clamp,
+        torch.get_num_threads(),
+    )
+    return NativeView(len(gaussians), camera.width, camera.height, preset, handle)
+
+
+def region_weights(view: NativeView, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """See ``raster.region_weights``."""
+    stride = int(labels.max()) + 1 if labels.numel() else 0
+    found = _core().region_weights(view.handle, _labels(labels), stride, torch.get_num_threads())
+    gaussian, key, weight = (torch.from_numpy(part) for part in found)
+    return gaussian, key, weight
+
+
+class Uplift:
+    """See ``raster.Uplift``. Up to 512 MB of views are pending before they are added together, so that each part
+    of the accumulators comes into the cache once for all of them.
+    """
+
+    def __init__(self, out: Tensor) -> None:
+        self._handle = _core().Uplift(out.numpy())
+
+    def add(self, view: NativeView, labels: Tensor, codes: list[SparseCodes]) -> None:
+        tables = [(_array(level.indices, level.indices.dtype), _array(level.weights)) for level in codes]
+        self._handle.add(view.handle, _labels(labels), tables, torch.get_num_threads())
+
+    def flush(self) -> None:
+        self._handle.flush(torch.get_num_threads())
+
+
+def render_channels(view: NativeView, values: Tensor) -> tuple[Tensor, Tensor]:
+    """See ``raster.render_channels``."""
+    image, alpha = _core().render_channels(view.handle, _array(values), torch.get_num_threads())
+    return torch.from_numpy(image), torch.from_numpy(alpha)
+
+
+def render_codes(view: NativeView, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
+    """See ``raster.render_codes``."""
+    table = _code_table(indices, weights, n_atoms)
+    return torch.from_numpy(_core().render_codes(view.handle, *table, n_atoms, torch.get_num_threads()))
+
+
+def render_cosines(
+    view: NativeView, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> Tensor:
+    """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
+    table = _code_table(indices, weights, codebook.shape[1])
+    grams = _array(codebook @ codebook.transpose(1, 2))
+    scores = _array(codebook @ queries.T)
+    found = _core().render_cosines(view.handle, *table, grams, scores, torch.get_num_threads())
+    return torch.from_numpy(found)
+
+
+def count_work(view: NativeView) -> dict[str, int]:
+    """How much work the view is.
+
+    Returns:
+        "pairs": of a Gaussian and a tile that are looked at before the tile's pixels are finished; "blocks": vectors
+        of "lanes" pixels evaluated; "evaluations": pixels painted, alpha >= 1/255 and before the stop.
+    """
+    return dict(_core().count_work(view.handle, torch.get_num_threads()))
+
+
+def _core() -> ModuleType:
+    core = native_core()
+    if core is None:
+        raise InputError("the compiled core is not there; use the backend 'reference'")
+    return core
+
+
+def _array(tensor: Tensor, dtype: torch.dtype = torch.float32) -> np.ndarray:
+    """A contiguous CPU array; no copy where the tensor is one already."""
+    return tensor.detach().to("cpu", dtype).contiguous().numpy()
+
+
+def _labels(labels: Tensor) -> np.ndarray:
+    return _array(labels, torch.int32)
+
+
+def _code_table(indices: Tensor, weights: Tensor, n_atoms: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices as uint8 or uint16, weights as float32 or the bits of float16: the forms fields are stored in."""
+    if indices.dtype not in (torch.uint8, torch.uint16):
+        if indices.numel() and not 0 <= int(indices.min()) <= int(indices.max()) < n_atoms:
+            raise InputError(f"code indices must be 0 to {n_atoms - 1}")
+        indices = indices.to(torch.uint8 if n_atoms <= 256 else torch.uint16)
+    table = _array(indices, indices.dtype)
+    if weights.dtype == torch.float16:
+        return table, _array(weights, torch.float16).view(np.uint16)
+    return table, _array(weights)

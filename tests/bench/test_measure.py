@@ -1,0 +1,109 @@
+"""Slopes, medians, turns and threads."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scoup.bench import measure
+from scoup.bench.measure import StageClock, Task, Timing, fit_slope, time_tasks, torch_threads
+from scoup.errors import InputError
+
+
+@given(
+    slope=st.floats(-2, 3),
+    constant=st.floats(1e-6, 1e3),
+    sizes=st.lists(st.integers(1, 10**7), min_size=2, max_size=8, unique=True),
+)
+def test_the_slope_of_a_power(slope, constant, sizes):
+    found = fit_slope(sizes, [constant * size**slope for size in sizes])
+    assert found.slope == pytest.approx(slope, abs=1e-5)
+    assert found.constant == pytest.approx(constant, rel=1e-3)
+    assert math.isnan(found.spread) if len(sizes) == 2 else found.spread < 1e-4
+
+
+def test_the_spread_is_the_standard_error():
+    found = fit_slope([math.exp(x) for x in range(4)], [math.exp(y) for y in (0, 2, 1, 3)])
+    # By hand: slope 4 / 5, residuals (-0.3, 0.9, -0.9, 0.3), their squares 1.8 over 2 degrees of freedom, over 5.
+    assert found.slope == pytest.approx(0.8)
+    assert found.spread == pytest.approx(math.sqrt(1.8 / 2 / 5))
+    assert found.record()["standard_error"] == found.spread
+    assert fit_slope([1, 2], [1, 2]).record()["standard_error"] is None
+
+
+@pytest.mark.parametrize(
+    ("sizes", "seconds"), [([1], [1]), ([2, 2], [1, 2]), ([1, 2], [1]), ([0, 1], [1, 1]), ([1, 2], [0, 1])]
+)
+def test_no_slope_without_sizes(sizes, seconds):
+    with pytest.raises(InputError, match="a slope needs"):
+        fit_slope(sizes, seconds)
+
+
+def test_tasks_take_turns_under_their_threads():
+    before = torch.get_num_threads()
+    ran: list[tuple[str, int]] = []
+    tasks = {
+        "a": Task(lambda: ran.append(("a", torch.get_num_threads())), 1, 3),
+        "b": Task(lambda: ran.append(("b", torch.get_num_threads())), 2, 1),
+    }
+    told: list[tuple[int, int]] = []
+    timings = time_tasks(tasks, progress=lambda _, done, total: told.append((done, total)))
+    # Round 0 warms up; rounds go forwards and backwards in turn; b has had enough after one.
+    assert "".join(name for name, _ in ran) == "ba" + "ab" + "a" + "a"
+    assert set(ran) == {("a", 1), ("b", 2)}
+    assert {key: len(timing.seconds) for key, timing in timings.items()} == {"a": 3, "b": 1}
+    assert told[0] == (0, 6)
+    assert told[-1] == (6, 6)
+    assert torch.get_num_threads() == before
+
+
+def test_threads_are_restored_after_an_error():
+    before = torch.get_num_threads()
+
+    def fail() -> None:
+        with torch_threads(before + 1):
+            assert torch.get_num_threads() == before + 1
+            raise RuntimeError("oh")
+
+    with pytest.raises(RuntimeError, match="oh"):
+        fail()
+    assert torch.get_num_threads() == before
+
+
+def test_medians():
+    timing = Timing((3.0, 1.0, 2.0, 9.0))
+    assert timing.median == 2.5
+    assert timing.record() == {"median_s": 2.5, "min_s": 1.0, "max_s": 9.0, "repeats": 4}
+
+
+def test_nothing_to_measure():
+    assert time_tasks({}) == {}
+
+
+def test_the_clock_of_stages(monkeypatch: pytest.MonkeyPatch):
+    now = [0.0]
+    monkeypatch.setattr(measure.time, "perf_counter", lambda: now[0])
+    told: list[str] = []
+    clock = StageClock(lambda stage, done, total: told.append(f"{stage} {done}/{total}"))
+    for spent, call in [
+        (1.0, ("coding", 0, 2)),
+        (2.0, ("coding", 1, 2)),
+        (4.0, ("coding", 2, 2)),
+        (8.0, ("uplift", 0, 1)),
+        (16.0, ("uplift", 1, 1)),
+    ]:
+        now[0] += spent
+        clock(*call)
+    now[0] += 32.0
+    assert clock.stop() == {
+        "start": 1.0,
+        "coding": 6.0,
+        "after coding": 8.0,
+        "uplift": 16.0,
+        "after uplift": 32.0,
+    }
+    assert told == ["coding 0/2", "coding 1/2", "coding 2/2", "uplift 0/1", "uplift 1/1"]

@@ -1,0 +1,109 @@
+"""Tables, JSON and what is said of the machine."""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+
+import pytest
+
+from scoup.bench.environment import describe_environment, in_one_line
+from scoup.bench.measure import Timing
+from scoup.bench.report import Row, markdown, milliseconds, ratios, stage_table, write_json
+from scoup.errors import OutputExistsError
+
+
+def row(stage: str, backend: str, threads: int, *milliseconds: float, count: int = 1000) -> Row:
+    return Row("room", count, stage, backend, threads, Timing(tuple(1e-3 * value for value in milliseconds)))
+
+
+def test_a_table_of_stages():
+    rows = [
+        row("look", "native", 1, 2, 2, 3),
+        row("look", "reference", 1, 500, 400, 300),
+        row("look", "native", 2, 1, 1, 1),
+        row("vote", "native", 1, 0.5, 0.5, 0.5, count=2000),
+    ]
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in stage_table(rows).splitlines()]
+    assert lines[0] == [
+        "scene", "Gaussians", "stage", "native, 1 thread, ms", "reference, 1 thread, ms", "native, 2 threads, ms",
+        "native/reference, 1 thread",
+    ]  # fmt: skip
+    assert lines[2] == ["room", "1,000", "look", "2", "400", "1", "0.005"]
+    assert lines[3] == ["room", "2,000", "vote", "0.5", "-", "-", "-"]
+    assert len(lines) == 4
+
+
+def test_a_table_of_the_reference_alone_has_no_ratios():
+    rows = [row("look", "reference", 1, 5)]
+    assert ratios(rows) == []
+    assert "/reference" not in stage_table(rows)
+
+
+def test_a_table_says_how_often_each_column_ran():
+    head = stage_table([row("look", "native", 1, 1, 1, 1), row("look", "reference", 1, 9)]).splitlines()[0]
+    assert "native, 1 thread, ms (3 runs)" in head
+    assert "reference, 1 thread, ms (1 runs)" in head
+
+
+def test_ratios_are_of_the_same_scene_stage_and_threads():
+    rows = [
+        row("look", "native", 1, 2),
+        row("look", "native", 2, 2),
+        row("vote", "native", 1, 2),
+        row("look", "reference", 1, 8),
+    ]
+    assert [item.record() for item in ratios(rows)] == [
+        {
+            "scene": "room",
+            "gaussians": 1000,
+            "stage": "look",
+            "backend": "native",
+            "threads": 1,
+            "time_over_reference": 0.25,
+        }
+    ]
+
+
+def test_markdown_is_aligned():
+    assert markdown(["a", "bb"], [["1", "2"], ["333333", "4"]]).splitlines() == [
+        "| a      |  bb |",
+        "| ------ | --: |",
+        "| 1      |   2 |",
+        "| 333333 |   4 |",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(12.3456, "12,346"), (0.123456, "123"), (0.0123456, "12.3"), (0.00123456, "1.23"), (1.2e-5, "0.012")],
+)
+def test_milliseconds(seconds, text):
+    assert milliseconds(seconds) == text
+
+
+def test_json_is_written_once(tmp_path: Path):
+    path = tmp_path / "new" / "a.json"
+    write_json(path, {"rows": [row("look", "native", 1, 2).record()]})
+    assert set(json.loads(path.read_text())["rows"][0]) == {
+        "scene", "gaussians", "stage", "backend", "threads", "median_s", "min_s", "max_s", "repeats",
+    }  # fmt: skip
+    with pytest.raises(OutputExistsError):
+        write_json(path, {})
+    write_json(path, {}, overwrite=True)
+    assert json.loads(path.read_text()) == {}
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(tmp_path / "b.json", {"a": float("nan")})
+    assert [item.name for item in tmp_path.iterdir()] == ["new"]
+
+
+def test_the_machine_is_described_without_naming_it():
+    environment = describe_environment()
+    text = json.dumps(environment)
+    for private in (str(Path.home()), str(Path(__file__).resolve().parents[2]), socket.gethostname()):
+        assert private not in text
+    assert environment["cores"] >= 1
+    assert environment["cpu"]
+    assert environment["torch"] in in_one_line(environment)
+    assert "None" not in in_one_line(environment)

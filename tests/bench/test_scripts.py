@@ -1,0 +1,90 @@
+"""The measuring scripts of benchmarks/, tiny, from arguments to files."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from scoup.bench import usable_backends
+from scoup.errors import OutputExistsError
+
+ROOT = Path(__file__).resolve().parents[2]
+BACKENDS = usable_backends()[0]
+SMALL = {"width": 30, "height": 20}
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch):
+    def load(name: str) -> ModuleType:
+        monkeypatch.syspath_prepend(str(ROOT))
+        return importlib.import_module(f"benchmarks.{name}")
+
+    return load
+
+
+def test_stages_of_several_scenes(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    raster = script("raster")
+    out = tmp_path / "raster.json"
+    arguments = raster.Arguments(
+        n_gaussians=(50, 90), threads=(1, 2), repeats=2, reference_repeats=1, reference_up_to=60, kitchen=False,
+        clock_ghz=2.0, stages=("look", "alpha"), out=out, **SMALL,
+    )  # fmt: skip
+    record = raster.main(arguments)
+    assert json.loads(out.read_text()) == record
+    of_reference = [row for row in record["rows"] if row["backend"] == "reference"]
+    assert {(row["gaussians"], row["repeats"]) for row in of_reference} == {(50, 1)}
+    assert record["settings"]["reference_left_out"] == ["room of 90"]
+    bound = record["bound"]["rows"][0]
+    assert bound["fraction"] == pytest.approx(bound["evaluations"] / 16 * 11 / 2e9 / bound["measured_s"])
+    printed = capsys.readouterr().out
+    assert "the reference was not run on room of 90" in printed
+    assert "clock 2.00 GHz (option)" in printed
+    with pytest.raises(OutputExistsError):
+        raster.main(arguments)
+
+
+@pytest.mark.data
+def test_kitchen_is_a_workload(script, data_folder: Path):
+    if not (data_folder / "kitchen").is_dir():
+        pytest.skip(f"no kitchen in {data_folder}")
+    work = script("raster").kitchen_workload(data_folder / "kitchen")
+    assert work.name == "kitchen"
+    assert work.labels.shape == (3, 720, 960)
+    assert [len(codes) for codes in work.codes] == [int(level.max()) + 1 for level in work.labels]
+    assert int(work.labels.min()) == -1
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_slopes_of_every_sweep(script, tmp_path: Path, capsys: pytest.CaptureFixture[str], backend: str):
+    scaling = script("scaling")
+    arguments = scaling.Arguments(
+        (backend,), n_gaussians=60, sizes=(40, 80), zooms=(0.5, 1.0), views=(1, 2), regions=(2, 4), levels=(1, 2),
+        repeats=1, out=tmp_path / "scaling.json", **SMALL,
+    )  # fmt: skip
+    record = scaling.main(arguments)
+    assert json.loads((tmp_path / "scaling.json").read_text()) == record
+    assert {item["grows"] for item in record["slopes"]} == set(arguments.sweeps)
+    assert {item["stage"] for item in record["slopes"] if item["grows"] == "levels"} == set(scaling.LEVELS)
+    assert all(item["standard_error"] is None for item in record["slopes"])  # two sizes leave none
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
+    assert len(lines) == 2 + len(record["slopes"])
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_whole_build(script, tmp_path: Path, capsys: pytest.CaptureFixture[str], backend: str):
+    lerf_sized = script("lerf_sized")
+    arguments = lerf_sized.Arguments(
+        n_gaussians=80, views=3, regions=(6, 4, 2), solver="adam", epochs=3, n_atoms=8, k=2, backend=backend,
+        threads=1, out=tmp_path / "lerf.json", **SMALL,
+    )  # fmt: skip
+    record = lerf_sized.main(arguments)
+    assert json.loads((tmp_path / "lerf.json").read_text()) == record
+    assert record["settings"]["backend"] == backend
+    assert {"coding s", "coding m", "coding l", "uplift", "after uplift"} <= set(record["seconds"])
+    assert sum(record["seconds"].values()) == pytest.approx(record["total_s"], abs=0.1)
+    assert record["coded_gaussians"] > 0
+    assert "peak memory" in capsys.readouterr().out

@@ -1,0 +1,136 @@
+"""Stages run and give what their functions give, on every backend; the bound of the arithmetic."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from raster.brute_force import blending_weights
+from scoup import raster
+from scoup.bench import bound
+from scoup.bench.room import make_room, room_cameras
+from scoup.bench.stages import STAGES, make_workload, room_workload, stage_runs, usable_backends
+from scoup.errors import InputError, UnknownNameError
+
+BACKENDS = usable_backends()[0]
+
+
+@pytest.fixture(scope="module")
+def work():
+    return room_workload(300, 40, 30, regions=(6, 4, 2))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_every_stage_runs(work, backend):
+    runs = stage_runs(work, backend)
+    assert list(runs) == list(STAGES)
+    results = {name: run() for name, run in runs.items()}
+    assert results["look"].backend == backend
+    image, alpha = results["alpha"]
+    assert image.shape == (30, 40, 1)
+    assert torch.allclose(image[..., 0], alpha, atol=1e-5)
+    gaussian, key, weight = results["sums"]
+    assert len(gaussian) == len(key) == len(weight) > 0
+    assert int(key.max()) < 3 * 6
+    assert results["uplift"] is None
+    assert results["colors"][0].shape == (30, 40, 3)
+    assert results["codes"].shape == (3, 30, 40, 64)
+    assert results["cosines"].shape == (3, 1, 30, 40)
+    indices, weights = results["vote"]
+    assert indices.shape == weights.shape == (300, 3, 4)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_uplift_adds_to_the_accumulators(work, backend):
+    before = work.accumulators.clone()
+    stage_runs(work, backend, ["uplift"])["uplift"]()
+    added = work.accumulators - before
+    assert (added >= 0).all()
+    # Codes sum to 1 and every pixel has a region, so what is added at a level is what is painted.
+    _, alpha = raster.render_channels(raster.look(work.gaussians, work.camera), work.values)
+    assert torch.allclose(added.sum((0, 2)), alpha.sum().expand(3), rtol=1e-3)
+
+
+def test_stages_in_the_order_wanted(work):
+    assert list(stage_runs(work, "reference", ["vote", "look"])) == ["vote", "look"]
+    with pytest.raises(InputError, match="no stage 'paint'; stages: look, alpha"):
+        stage_runs(work, "reference", ["paint"])
+
+
+def test_accumulators_are_a_vote_to_decide(work):
+    fresh = room_workload(300, 40, 30, regions=(6, 4, 2))
+    kept = (fresh.accumulators > 0).sum(2)
+    assert kept.min() >= 4
+    assert kept.max() <= 12
+    assert fresh.accumulators.flatten(1).std() > 0
+
+
+def test_workloads_can_share_accumulators():
+    shared = torch.zeros(500, 3, 64)
+    work = room_workload(300, 40, 30, accumulators=shared)
+    assert work.accumulators.shape == (300, 3, 64)
+    assert work.accumulators.is_contiguous()
+    assert work.accumulators.data_ptr() == shared.data_ptr()
+    with pytest.raises(InputError, match="do not fit 600"):
+        room_workload(600, 40, 30, accumulators=shared)
+
+
+def test_a_workload_of_any_scene():
+    room, camera = make_room(100), room_cameras(1, 20, 10)[0]
+    labels = torch.full((2, 10, 20), -1, dtype=torch.int32)
+    work = make_workload("own", room, camera, labels, n_atoms=8, k=2, dim=16, n_queries=3).to("cpu")
+    assert (work.name, work.codebook.shape, work.queries.shape) == ("own", (2, 8, 16), (3, 16))
+    assert stage_runs(work, "reference", ["cosines"])["cosines"]().shape == (2, 3, 10, 20)
+
+
+def test_backends_that_do_not_work_are_named(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(raster.BACKENDS, "broken", "scoup.raster.no_such_module")
+    found, reasons = usable_backends()
+    assert "reference" in found
+    assert "broken" not in found
+    assert "no_such_module" in reasons["broken"]
+    with pytest.raises(InputError, match="backend 'broken' does not work here"):
+        usable_backends(["broken"])
+    with pytest.raises(UnknownNameError):
+        usable_backends(["nonsense"])
+    assert usable_backends(["reference", "reference"]) == (["reference"], {})
+
+
+@pytest.mark.parametrize(("width", "height"), [(40, 30), (32, 32), (17, 5)])
+def test_evaluations_are_counted_inside_the_image(width, height):
+    room, camera = make_room(60), room_cameras(1, width, height)[0]
+    truth = blending_weights(room, camera, "inria")
+    counted = bound.count_evaluations(room, camera)
+    assert abs(counted - int((truth.weights > 0).sum())) <= int(np.sum(truth.unsure)) * len(room)
+    assert counted == pytest.approx(int((truth.weights > 0).sum()), rel=0.01)
+
+
+def test_the_bound():
+    assert bound.arithmetic_bound(16_000_000, 2e9, 1) == pytest.approx(0.0055)
+    assert bound.arithmetic_bound(16_000_000, 2e9, 2) == pytest.approx(0.00275)
+    assert bound.clock_hz(2.6) == bound.Clock(2.6e9, "option")
+    with pytest.raises(InputError, match="positive"):
+        bound.clock_hz(0)
+
+
+def test_the_clock_comes_from_the_core_if_it_can_tell(monkeypatch: pytest.MonkeyPatch):
+    class Core:
+        @staticmethod
+        def measure_clock_hz() -> float:
+            return 3.1e9
+
+    monkeypatch.setattr(bound, "native_core", lambda: Core)
+    assert bound.clock_hz() == bound.Clock(3.1e9, "native core")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc/cpuinfo")
+def test_the_clock_the_system_tells(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(bound, "native_core", lambda: None)
+    monkeypatch.setattr(Path, "read_text", lambda *_: "cpu MHz\t\t: 2600.000\ncpu MHz : 2400.5\n")
+    assert bound.clock_hz() == bound.Clock(2.6e9, "cpuinfo")
+    monkeypatch.setattr(Path, "read_text", lambda *_: "nothing told\n")
+    assert bound.clock_hz() is None

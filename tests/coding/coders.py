@@ -1,0 +1,72 @@
+"""The exact coder in both forms under one signature, and problems to give it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from types import ModuleType
+
+import torch
+from torch import Tensor
+
+from scoup.coding.exact_reference import Coded, code
+
+Coder = Callable[..., Coded]
+"""``coder(similarities, gram, k, swap_passes=0, warm=None)``, all float32 but the warm supports."""
+
+
+def reference_coder(
+    similarities: Tensor, gram: Tensor, k: int, swap_passes: int = 0, warm: Tensor | None = None
+) -> Coded:
+    return code(similarities, gram, k, swap_passes, warm)
+
+
+def native_coder(core: ModuleType) -> Coder:
+    def run(
+        similarities: Tensor, gram: Tensor, k: int, swap_passes: int = 0, warm: Tensor | None = None
+    ) -> Coded:
+        start = None if warm is None else warm.int().numpy()
+        arrays = core.code_similarities(
+            similarities.contiguous().numpy(), gram.contiguous().numpy(), k, swap_passes, start
+        )
+        support, weights, cosines = (torch.from_numpy(array) for array in arrays)
+        return Coded(support.long(), weights.double(), cosines.double())
+
+    return run
+
+
+def clip_like(count: int, dim: int = 32, objects: int = 12, seed: int = 0) -> Tensor:
+    """[count, dim] unit rows around objects that share a mean, as CLIP embeddings do."""
+    generator = torch.Generator().manual_seed(seed)
+    centres = torch.randn(objects, dim, generator=generator) + 1.0
+    rows = centres[torch.randint(objects, (count,), generator=generator)]
+    rows = rows + 0.7 * torch.randn(count, dim, generator=generator)
+    return torch.nn.functional.normalize(rows, dim=1)
+
+
+def problem(count: int, n_atoms: int, dim: int = 32, seed: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Unit rows, unit atoms, their similarities and the Gram matrix."""
+    rows = clip_like(count, dim, max(2, n_atoms // 2), seed)
+    atoms = clip_like(n_atoms, dim, max(2, n_atoms // 2), seed + 1000)
+    return rows, atoms, rows @ atoms.T, atoms @ atoms.T
+
+
+def dense(coded: Coded, n_atoms: int) -> Tensor:
+    """[n, L] float64 weights."""
+    weights = torch.zeros(len(coded.support), n_atoms, dtype=torch.float64)
+    return weights.scatter_add_(1, coded.support.clamp(min=0), coded.weights)
+
+
+def best_of_all_supports(similarities: Tensor, gram: Tensor, k: int) -> Tensor:
+    """[n] the greatest cosine over all supports of at most k atoms, by trying each."""
+    best = torch.zeros(len(similarities), dtype=torch.float64)
+    for size in range(1, k + 1):
+        for support in itertools.combinations(range(len(gram)), size):
+            chosen = list(support)
+            toward = similarities[:, chosen].double()
+            within = gram[chosen][:, chosen].double()
+            weights = torch.linalg.lstsq(within, toward.T).solution.T
+            explained = (weights * toward).sum(1).clamp(min=0).sqrt()
+            # A non-negative optimum has positive weights on some support, and is the solution without signs there.
+            best = torch.where((weights >= 0).all(1), torch.maximum(best, explained), best)
+    return best

@@ -1,0 +1,185 @@
+"""The exact solver: the loss it reaches, degenerate rows, same bytes, and its gradient."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from types import ModuleType
+
+import numpy as np
+import pytest
+import torch
+from coders import clip_like
+from torch import Tensor
+
+from scoup.coding import exact, fit_codes
+from scoup.coding.adam import AdamSettings, solve_adam
+from scoup.coding.arithmetic import Arithmetic, NativeArithmetic, TorchArithmetic
+from scoup.coding.exact import FAST, ExactSettings, solve_exact
+from scoup.coding.exact_reference import code
+from scoup.coding.exact_start import starting_atoms
+from scoup.coding.report import report_on
+
+QUICK = ExactSettings(steps=30, batch=100, passes=3)
+
+
+def test_ends_below_adam(arithmetic: Arithmetic) -> None:
+    rows = clip_like(600, 48, objects=40)
+    adam = solve_adam(rows, 16, 3, settings=AdamSettings(epochs=500))
+    adam_loss = report_on(rows, adam.atoms, adam.codes).loss
+    losses = {name: solve_exact(rows, 16, 3, 0, preset).losses[-1] for name, preset in exact.PRESETS.items()}
+    assert losses["best"] < losses["fast"] < adam_loss
+
+
+def test_atoms_codes_and_losses_fit_together(arithmetic: Arithmetic) -> None:
+    rows = clip_like(400, 24)
+    seen: list[tuple[str, int, int]] = []
+    solution = solve_exact(rows, 20, 4, 1, QUICK, progress=lambda *call: seen.append(call))
+    torch.testing.assert_close(torch.linalg.vector_norm(solution.atoms, dim=1), torch.ones(20))
+    report = report_on(rows, solution.atoms, solution.codes)
+    assert report.loss == pytest.approx(solution.losses[-1], abs=1e-5)
+    assert all(later <= earlier for earlier, later in itertools.pairwise(solution.losses))
+    assert solution.steps == 33
+    assert len(solution.losses) >= 3
+    assert [done for _, done, _ in seen] == list(range(35))
+    assert {(stage, total) for stage, _, total in seen} == {("sparse coding", 34)}
+    weights = solution.codes.weights
+    torch.testing.assert_close(weights.sum(1), torch.ones(400))
+    assert bool((weights[:, :-1] >= weights[:, 1:]).all())
+
+
+def test_passes_that_raise_the_loss_are_taken_back(
+    arithmetic: Arithmetic, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = clip_like(300, 16, objects=60)
+    monkeypatch.setattr(exact, "OVERSTEP", 30.0)  # diverges
+    wild = solve_exact(rows, 8, 2, 0, ExactSettings(steps=5, passes=6))
+    assert all(later <= earlier for earlier, later in itertools.pairwise(wild.losses))
+    assert len(wild.losses) < 8, "no pass was taken back: proves nothing"
+    assert report_on(rows, wild.atoms, wild.codes).loss == pytest.approx(wild.losses[-1], abs=1e-5)
+
+
+def test_the_gradient_is_that_of_the_loss() -> None:
+    rows, atoms = clip_like(60, 10, objects=30), clip_like(7, 10, seed=1)
+
+    def loss(codebook: Tensor) -> Tensor:
+        codebook = codebook.double()
+        return (1 - code(rows.double() @ codebook.T, codebook @ codebook.T, 3, 2).cosines).mean()
+
+    learner = exact._Learner(rows.numpy(), 7, 3, 0)
+    learner.atoms = atoms.numpy()
+    learner._arithmetic = TorchArithmetic()
+    codes = learner._code(learner.atoms, swap_passes=2)
+    gradient = torch.from_numpy(learner._gradient(*learner._moments(learner._rows, codes))).double() / 60
+    direction = torch.randn(7, 10, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    step = 1e-6
+    slope = (loss(atoms + step * direction) - loss(atoms - step * direction)) / (2 * step)
+    assert float((gradient * direction).sum()) == pytest.approx(float(slope), rel=1e-3)
+
+
+@pytest.mark.parametrize(("count", "distinct"), [(1, 1), (3, 3), (9, 9), (60, 1), (60, 2)])
+def test_few_and_identical_rows(arithmetic: Arithmetic, count: int, distinct: int) -> None:
+    rows = clip_like(distinct, 6, objects=4)[torch.arange(count) % distinct]
+    solution = solve_exact(rows, 8, 3, 0, QUICK)
+    assert solution.atoms.shape == (8, 6)
+    assert bool(solution.atoms.isfinite().all())
+    assert report_on(rows, solution.atoms, solution.codes).loss < 1e-3
+
+
+@pytest.mark.parametrize(("n_atoms", "k"), [(1, 1), (1, 4), (5, 1), (3, 8), (40, 16), (300, 2)])
+def test_sizes_of_codebook_and_code(arithmetic: Arithmetic, n_atoms: int, k: int) -> None:
+    rows = clip_like(80, 20)
+    solution = solve_exact(rows, n_atoms, k, 0, ExactSettings(steps=6, batch=32, passes=2))
+    assert solution.atoms.shape == (n_atoms, 20)
+    assert solution.codes.weights.shape == (80, k)
+    torch.testing.assert_close(solution.codes.weights.sum(1), torch.ones(80))
+    assert int(solution.codes.indices.long().max()) < n_atoms
+
+
+def test_a_thousand_atoms(core: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exact, "arithmetic_at_hand", lambda: NativeArithmetic(core))
+    rows = clip_like(1500, 32, objects=200)
+    solution = solve_exact(rows, 1024, 16, 0, ExactSettings(steps=2, passes=1))
+    assert report_on(rows, solution.atoms, solution.codes).loss < 0.01
+
+
+def test_opposite_rows_may_stay_without_a_code(arithmetic: Arithmetic) -> None:
+    rows = torch.cat([clip_like(40, 6), -clip_like(40, 6)])
+    solution = solve_exact(rows, 1, 1, 0, QUICK)  # one atom cannot serve both
+    assert set(solution.codes.weights[:, 0].tolist()) == {0.0, 1.0}
+    assert solve_exact(rows, 4, 1, 0, QUICK).losses[-1] < 0.4
+
+
+def test_rare_atoms_are_placed_at_badly_coded_rows() -> None:
+    rows = clip_like(50, 8, objects=30)
+    learner = exact._Learner(rows.numpy(), 4, 2, 0)
+    cosines = np.linspace(0.5, 1.0, 50).astype(np.float32)[::-1].copy()
+    placed = learner._reseed(np.array([1, 3]), learner._rows, cosines)
+    assert placed.tolist() == [1, 3]
+    np.testing.assert_array_equal(learner.atoms[[1, 3]], rows.numpy()[[49, 48]])
+    before = learner.atoms.copy()
+    assert len(learner._reseed(np.arange(4), learner._rows, np.ones(50, np.float32))) == 0  # nothing to mend
+    np.testing.assert_array_equal(learner.atoms, before)
+    assert len(learner._reseed(np.arange(4), learner._rows[:2], cosines[-2:])) == 2  # fewer rows than atoms
+
+
+def test_the_start_spreads_over_clusters(arithmetic: Arithmetic) -> None:
+    generator = torch.Generator().manual_seed(0)
+    centres = torch.linalg.qr(torch.randn(16, 6, generator=generator)).Q.T
+    rows = centres.repeat_interleave(1000, 0) + 0.05 * torch.randn(6000, 16, generator=generator)
+    unit = torch.nn.functional.normalize(rows, dim=1).numpy()
+    atoms = torch.from_numpy(starting_atoms(unit, 6, torch.Generator().manual_seed(3), arithmetic))
+    nearest = (centres @ atoms.T).max(1)
+    assert sorted(nearest.indices.tolist()) == list(range(6))
+    assert float(nearest.values.min()) > 0.99
+
+
+def test_same_seed_same_bytes(arithmetic: Arithmetic) -> None:
+    rows = clip_like(300, 16)
+    first, second, other = (solve_exact(rows, 12, 3, seed, FAST) for seed in (5, 5, 6))
+    assert first.atoms.equal(second.atoms)
+    assert first.codes.weights.equal(second.codes.weights)
+    assert first.codes.indices.equal(second.codes.indices)
+    assert first.losses == second.losses
+    assert not first.atoms.equal(other.atoms)
+
+
+def test_same_bytes_whatever_the_number_of_threads(core: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exact, "arithmetic_at_hand", lambda: NativeArithmetic(core))
+    rows = clip_like(5000, 200, objects=100)  # more than the sample of the start
+    before = torch.get_num_threads()
+    solutions, books = [], []
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            solutions.append(solve_exact(rows, 70, 4, 0, ExactSettings(steps=60, passes=2)))
+            books.append(fit_codes(rows, 20, 4, solver="exact"))
+    finally:
+        torch.set_num_threads(before)
+    assert len({replace(book.report, seconds=0.0) for book in books}) == 1
+    assert len({book.atoms.numpy().tobytes() for book in books}) == 1
+    for solution in solutions[1:]:
+        assert solution.atoms.equal(solutions[0].atoms)
+        assert solution.codes.indices.equal(solutions[0].codes.indices)
+        assert solution.codes.weights.equal(solutions[0].codes.weights)
+        assert solution.losses == solutions[0].losses
+
+
+def test_fit_codes_with_the_exact_solver(arithmetic: Arithmetic) -> None:
+    rows = clip_like(120, 16) * 3
+    rows[[0, 50]] = 0
+    book = fit_codes(rows, 10, 3, solver="exact", seed=2)
+    assert (book.report.solver, book.report.regions, book.report.epochs) == ("exact", 118, 205)
+    assert not bool(book.codes.weights[[0, 50]].any())
+    kept = fit_codes(rows[rows.any(1)], 10, 3, solver="exact", seed=2)
+    assert kept.atoms.equal(book.atoms)
+    assert fit_codes(torch.zeros(3, 8), 4, 2, solver="exact").report.epochs == 0
+
+
+def test_interruption_passes_through(arithmetic: Arithmetic) -> None:
+    def interrupt(stage: str, done: int, total: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve_exact(clip_like(50), 4, 2, progress=interrupt)

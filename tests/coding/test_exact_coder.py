@@ -1,0 +1,393 @@
+"""The exact coder, compiled and in torch: against brute force, optimality conditions, and each other."""
+
+from __future__ import annotations
+
+import signal
+import time
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from coders import Coder, best_of_all_supports, clip_like, dense, native_coder, problem, reference_coder
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import nnls
+from torch import Tensor
+
+from scoup.coding import encode as encode_module
+from scoup.coding.arithmetic import NativeArithmetic, RowCodes, TorchArithmetic
+from scoup.coding.encode import encode
+from scoup.coding.exact_reference import Coded, nonnegative_least_squares
+
+
+def assert_valid(coded: Coded, similarities: Tensor, gram: Tensor, k: int) -> None:
+    """Codes are well formed, and their weights optimal for the atoms used."""
+    used = coded.support >= 0
+    assert coded.support.shape == coded.weights.shape == (len(similarities), k)
+    assert bool((coded.support < len(gram)).all())
+    assert bool((used == (coded.weights > 0)).all())
+    assert bool((coded.weights[:, :-1] >= coded.weights[:, 1:]).all())
+    assert all(len(set(row)) == len(row) for row in (s[s >= 0].tolist() for s in coded.support))
+    weights = dense(coded, len(gram))
+    pull = similarities.double() - weights @ gram.double()
+    scale = similarities.abs().amax().double().clamp(min=1e-30)
+    torch.testing.assert_close(
+        pull[weights > 0] / scale, torch.zeros_like(pull[weights > 0]), atol=3e-5, rtol=0
+    )
+    explained = (weights * similarities.double()).sum(1).clamp(min=0).sqrt()
+    torch.testing.assert_close(coded.cosines, explained, atol=1e-6, rtol=1e-5)
+
+
+# Seeds of the problems are fixed; shares and gaps stand well clear of what either form reaches.
+@pytest.mark.parametrize(("n_atoms", "k"), [(12, 2), (12, 4), (8, 3), (5, 4)])
+def test_near_the_best_over_all_supports(coder: Coder, n_atoms: int, k: int) -> None:
+    _, _, similarities, gram = problem(300, n_atoms)
+    best = best_of_all_supports(similarities, gram, k)
+    greedy = coder(similarities, gram, k)
+    swapped = coder(similarities, gram, k, 2)
+    for coded in (greedy, swapped):
+        assert_valid(coded, similarities, gram, k)
+        assert float((best - coded.cosines).min()) > -1e-5
+    gap = best - swapped.cosines
+    assert float(gap.mean()) < 1e-3
+    assert float((gap < 1e-5).double().mean()) > 0.93
+    assert float(gap.mean()) <= float((best - greedy.cosines).mean())
+
+
+def test_weights_are_the_best_non_negative_ones_on_a_given_support(coder: Coder) -> None:
+    # Unlike greedy supports, random ones often have negative least-squares weights.
+    _, _, similarities, gram = problem(400, 9, dim=12)
+    support = torch.rand(400, 9, generator=torch.Generator().manual_seed(0)).argsort(1)[:, :5]
+    coded = coder(similarities, gram, 5, 0, support)
+    assert_valid(coded, similarities, gram, 5)
+    assert float((coded.support >= 0).double().mean()) < 0.9, "no weight was at its bound: proves little"
+    pull = (similarities.double() - dense(coded, 9) @ gram.double()).gather(1, support)
+    assert float(pull.max()) < 1e-5  # the condition of Karush, Kuhn and Tucker for atoms at zero
+    for row in range(0, 400, 40):
+        chosen = support[row]
+        best = best_of_all_supports(similarities[row : row + 1, chosen], gram[chosen][:, chosen], 5)
+        assert float(coded.cosines[row]) == pytest.approx(float(best), abs=1e-5)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10**6), st.integers(1, 7), st.integers(2, 8))
+def test_non_negative_least_squares_meets_its_conditions(seed: int, k: int, dim: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    atoms = torch.randn(20, k, dim, generator=generator, dtype=torch.float64)
+    rows = torch.randn(20, 1, dim, generator=generator, dtype=torch.float64)
+    within, toward = atoms @ atoms.mT, (atoms @ rows.mT)[..., 0]
+    valid = torch.rand(20, k, generator=generator) < 0.8
+    weights = nonnegative_least_squares(toward, within, valid)
+    assert bool((weights >= 0).all())
+    assert not bool(weights[~valid].any())
+    pull = toward - (within @ weights[..., None])[..., 0]
+    assert float((weights * pull).abs().max()) < 1e-8
+    if k <= dim:  # more atoms than dimensions depend on each other, and some are left out
+        at_zero = pull[valid & (weights == 0)]
+        independent = torch.linalg.svdvals(within).amin() > 1e-2
+        assert not independent or not len(at_zero) or float(at_zero.max()) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("count", "n_atoms", "k", "dim"),
+    [(50, 1, 1, 8), (40, 3, 8, 8), (500, 33, 1, 32), (500, 64, 4, 64), (200, 64, 16, 64), (20, 1024, 16, 64)],
+)
+@pytest.mark.parametrize("swap_passes", [0, 1, 2])
+def test_compiled_and_torch_agree(
+    core: ModuleType, count: int, n_atoms: int, k: int, dim: int, swap_passes: int
+) -> None:
+    _, _, similarities, gram = problem(count, n_atoms, dim, seed=3)
+    ours = native_coder(core)(similarities, gram, k, swap_passes)
+    theirs = reference_coder(similarities, gram, k, swap_passes)
+    assert_valid(ours, similarities, gram, k)
+    # Rounding may turn a choice between equals, and then the codes differ; hardly ever, and hardly.
+    same = (dense(ours, n_atoms) > 0).eq(dense(theirs, n_atoms) > 0).all(1)
+    assert float(same.double().mean()) >= 0.98
+    torch.testing.assert_close(dense(ours, n_atoms)[same], dense(theirs, n_atoms)[same], atol=2e-4, rtol=0)
+    torch.testing.assert_close(ours.cosines[same], theirs.cosines[same], atol=1e-5, rtol=0)
+    torch.testing.assert_close(ours.cosines, theirs.cosines, atol=5e-3, rtol=0)
+
+
+@pytest.mark.parametrize("swap_passes", [1, 3])
+@pytest.mark.parametrize(("n_atoms", "k"), [(20, 3), (40, 4), (60, 9)])
+def test_compiled_and_torch_agree_where_nearly_every_atom_is_swapped(
+    core: ModuleType, n_atoms: int, k: int, swap_passes: int
+) -> None:
+    _, _, similarities, gram = problem(300, n_atoms)
+    start = torch.rand(300, n_atoms, generator=torch.Generator().manual_seed(0)).argsort(1)[:, :k]
+    ours = native_coder(core)(similarities, gram, k, swap_passes, start)
+    theirs = reference_coder(similarities, gram, k, swap_passes, start)
+    assert float((ours.support[:, :, None] == start[:, None, :]).double().mean()) < 0.5 / k
+    same = (dense(ours, n_atoms) > 0).eq(dense(theirs, n_atoms) > 0).all(1)
+    assert float(same.double().mean()) >= 0.98
+
+
+def test_weights_agree_with_scipy(coder: Coder) -> None:
+    generator = torch.Generator().manual_seed(0)
+    atoms = torch.nn.functional.normalize(torch.randn(40, 24, generator=generator), dim=1)
+    rows = torch.nn.functional.normalize(torch.randn(60, 24, generator=generator), dim=1)
+    support = torch.rand(60, 40, generator=generator).argsort(1)[:, :16]
+    coded = coder(rows @ atoms.T, atoms @ atoms.T, 16, 0, support)
+    for row, chosen, weights in zip(rows, support, dense(coded, 40), strict=True):
+        expected, _ = nnls(atoms[chosen].T.double().numpy(), row.double().numpy())
+        torch.testing.assert_close(weights[chosen], torch.from_numpy(expected), atol=1e-4, rtol=0)
+
+
+def test_near_copies_of_an_atom_are_not_used_together(coder: Coder) -> None:
+    rows, atoms, _, _ = problem(60, 6)
+    generator = torch.Generator().manual_seed(0)
+    twins = torch.cat([atoms, atoms + 1e-4 * torch.randn(atoms.shape, generator=generator)])
+    similarities, gram = rows @ twins.T, twins @ twins.T
+    start = torch.tensor([0, 6, 2, 8]).expand(60, 4)
+    for coded in (coder(similarities, gram, 4, 0, start), coder(similarities, gram, 4, 2)):
+        assert float(coded.weights.max()) < 2
+        assert all(
+            len({atom % 6 for atom in s[s >= 0].tolist()}) == int((s >= 0).sum()) for s in coded.support
+        )
+
+
+def test_swaps_and_warm_starts_never_lower_the_cosine(coder: Coder) -> None:
+    _, _, similarities, gram = problem(300, 40)
+    start = torch.rand(300, 40, generator=torch.Generator().manual_seed(1)).argsort(1)[:, :4]
+    before = coder(similarities, gram, 4, 0, start).cosines
+    for passes in (1, 2, 5):
+        after = coder(similarities, gram, 4, passes, start).cosines
+        assert bool((after >= before - 1e-7).all())
+        before = after
+    greedy = coder(similarities, gram, 4)
+    again = coder(similarities, gram, 4, 0, greedy.support)
+    torch.testing.assert_close(again.cosines, greedy.cosines)
+
+
+def test_warm_supports_may_hold_gaps_and_repetitions(coder: Coder) -> None:
+    _, _, similarities, gram = problem(10, 6)
+    tidy = coder(similarities, gram, 4, 0, torch.tensor([[2, 5, -1, -1]] * 10))
+    untidy = coder(similarities, gram, 4, 0, torch.tensor([[-1, 2, 2, 5]] * 10))
+    assert untidy.support.equal(tidy.support)
+    torch.testing.assert_close(untidy.weights, tidy.weights)
+    empty = torch.full((10, 4), -1)
+    assert not bool(coder(similarities, gram, 4, 0, empty).weights.any())
+    assert bool((coder(similarities, gram, 4, 1, empty).cosines > 0).all())  # swaps fill unused slots
+
+
+def test_order_and_scale_of_atoms_do_not_matter(coder: Coder) -> None:
+    _, _, similarities, gram = problem(200, 30)
+    order = torch.randperm(30, generator=torch.Generator().manual_seed(0))
+    plain = coder(similarities, gram, 4, 1)
+    shuffled = coder(similarities[:, order], gram[order][:, order], 4, 1)
+    torch.testing.assert_close(shuffled.cosines, plain.cosines, atol=1e-6, rtol=0)
+    torch.testing.assert_close(dense(shuffled, 30), dense(plain, 30)[:, order], atol=1e-4, rtol=0)
+    scale = 2.0 ** torch.randint(-4, 5, (30,), generator=torch.Generator().manual_seed(1))
+    scaled = coder(similarities * scale, gram * scale * scale[:, None], 4, 1)
+    torch.testing.assert_close(dense(scaled, 30) * scale, dense(plain, 30), atol=1e-4, rtol=0)
+    doubled = coder(similarities * 2, gram, 4, 1)
+    torch.testing.assert_close(dense(doubled, 30), 2 * dense(plain, 30), atol=1e-5, rtol=0)
+
+
+def test_rows_that_no_atom_helps(coder: Coder) -> None:
+    _, _, similarities, gram = problem(3, 6)
+    hopeless = torch.stack([torch.zeros(6), -similarities[0], torch.full((6,), -0.0)])
+    for passes in (0, 1):
+        coded = coder(hopeless, gram, 3, passes)
+        assert coded.support.tolist() == [[-1] * 3] * 3
+        assert not bool(coded.weights.any())
+        assert not bool(coded.cosines.any())
+    assert not bool(coder(torch.ones(2, 6), torch.zeros(6, 6), 3, 1).weights.any())  # atoms of norm zero
+
+
+def test_copies_of_an_atom_are_used_once(coder: Coder) -> None:
+    rows, atoms, _, _ = problem(40, 5)
+    copies = atoms.repeat(4, 1)
+    coded = coder(rows @ copies.T, copies @ copies.T, 4, 2)
+    plain = coder(rows @ atoms.T, atoms @ atoms.T, 4, 2)
+    torch.testing.assert_close(coded.cosines, plain.cosines, atol=1e-5, rtol=0)
+    assert all(len({atom % 5 for atom in s[s >= 0].tolist()}) == int((s >= 0).sum()) for s in coded.support)
+
+
+def test_recovers_codes_that_made_the_rows(coder: Coder) -> None:
+    generator = torch.Generator().manual_seed(0)
+    atoms = torch.linalg.qr(torch.randn(40, 40, generator=generator)).Q
+    truth = torch.zeros(100, 40).scatter_(
+        1,
+        torch.rand(100, 40, generator=generator).argsort(1)[:, :16],
+        torch.rand(100, 16, generator=generator),
+    )
+    coded = coder(truth @ atoms @ atoms.T, atoms @ atoms.T, 16)
+    torch.testing.assert_close(dense(coded, 40), truth.double(), atol=1e-5, rtol=0)
+
+
+def test_not_a_number_neither_crashes_nor_spreads(core: ModuleType) -> None:
+    _, _, similarities, gram = problem(20, 10)
+    clean = native_coder(core)(similarities, gram, 3, 2)
+    similarities[7] = torch.nan
+    similarities[9, 3] = torch.inf
+    coded = native_coder(core)(similarities, gram, 3, 2)
+    others = [row for row in range(20) if row not in (7, 9)]
+    assert coded.weights[others].equal(clean.weights[others])
+    assert coded.support[7].tolist() == [-1] * 3
+    gram[2] = torch.nan
+    native_coder(core)(similarities, gram, 3, 2)
+
+
+# From here on: the compiled core alone.
+
+
+def arrays(count: int = 700, dim: int = 50, n_atoms: int = 37) -> tuple[np.ndarray, np.ndarray]:
+    return clip_like(count, dim).numpy(), clip_like(n_atoms, dim, seed=1).numpy()
+
+
+def test_bytes_do_not_depend_on_threads(core: ModuleType) -> None:
+    rows, atoms = arrays(3000)
+    matrix = (atoms @ atoms.T + np.eye(len(atoms))).astype(np.float64)
+    results = []
+    for threads in (1, 2, 7):
+        codes = core.code_rows(rows, atoms, 4, 1, None, threads)
+        moments = core.code_moments(rows, codes[0], codes[1], codes[2], len(atoms), threads)
+        products = core.row_products(rows, atoms, threads), core.row_products(rows, atoms[:3].copy(), threads)
+        solved = core.solve_positive_definite(matrix, moments[1], threads)
+        results.append([array.tobytes() for array in (*codes, *moments, *products, solved)])
+    assert results[0] == results[1] == results[2]
+
+
+def test_a_row_is_coded_alike_alone_and_among_others(core: ModuleType) -> None:
+    rows, atoms = arrays(101)
+    together = core.code_rows(rows, atoms, 4, 1)
+    for row in (0, 47, 48, 100):
+        alone = core.code_rows(rows[row : row + 1].copy(), atoms, 4, 1)
+        assert all(one[0].tobytes() == many[row].tobytes() for one, many in zip(alone, together, strict=True))
+
+
+@pytest.mark.parametrize(("count", "dim", "n_others"), [(1, 1, 1), (100, 37, 3), (53, 70, 33), (13, 5, 64)])
+def test_products_moments_and_solutions(core: ModuleType, count: int, dim: int, n_others: int) -> None:
+    random = np.random.default_rng(0)
+    rows = random.standard_normal((count, dim), np.float32)
+    others = random.standard_normal((n_others, dim), np.float32)
+    np.testing.assert_allclose(core.row_products(rows, others), rows @ others.T, atol=1e-4)
+    support = np.argsort(random.random((count, n_others)), 1)[:, :3].astype(np.int32)
+    weights = random.random(support.shape, np.float32)
+    weights[::2, -1], support[::2, -1] = 0, -1
+    scale = random.random(count, np.float32)
+    codes = RowCodes(support, weights, scale)
+    for ours, theirs in zip(
+        NativeArithmetic(core).code_moments(rows, codes, scale, n_others),
+        TorchArithmetic().code_moments(rows, codes, scale, n_others),
+        strict=True,
+    ):
+        np.testing.assert_allclose(ours, theirs, atol=1e-4)
+    half = random.standard_normal((n_others, n_others))
+    matrix, right = half @ half.T + np.eye(n_others), random.standard_normal((n_others, dim))
+    np.testing.assert_allclose(core.solve_positive_definite(matrix, right), np.linalg.solve(matrix, right))
+
+
+def test_long_sums_keep_their_precision(core: ModuleType) -> None:
+    count = 50_000
+    rows = np.full((count, 3), 0.1, np.float32)
+    support, ones = np.zeros((count, 1), np.int32), np.ones((count, 1), np.float32)
+    within, toward = core.code_moments(rows, support, ones, ones[:, 0].copy(), 1)
+    assert within.item() == count
+    np.testing.assert_allclose(toward, count * float(np.float32(0.1)), rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"rows": np.zeros((4, 3))},
+            r"rows must be a contiguous float32 array \[any, any\]; it has another dtype",
+        ),
+        ({"rows": np.zeros(3, np.float32)}, "rows must be .* it has 1 dimensions"),
+        ({"rows": np.zeros((4, 6), np.float32)[:, ::2]}, "rows must be .* it is not contiguous"),
+        ({"rows": np.asfortranarray(np.zeros((4, 3), np.float32))}, "rows must be .* it is not contiguous"),
+        ({"atoms": np.zeros((5, 2), np.float32)}, "atoms must be .* its axis 1 has 2 entries"),
+        ({"atoms": np.zeros((5, 3), np.int32)}, "atoms must be .* another dtype"),
+        ({"slots": 0}, "slots must be 1 to 64, got 0"),
+        ({"slots": 65}, "slots must be"),
+        ({"swap_passes": -1}, "swap_passes"),
+        ({"warm": np.zeros((4, 2), np.int64)}, "warm must be a contiguous int32"),
+        ({"warm": np.zeros((3, 2), np.int32)}, r"warm must be .*\[4, 2\]; its axis 0 has 3 entries"),
+        ({"warm": np.full((4, 2), 5, np.int32)}, "warm holds atom 5 of 5"),
+    ],
+)
+def test_hostile_arrays_are_refused(core: ModuleType, change: dict[str, Any], message: str) -> None:
+    good: dict[str, Any] = {
+        "rows": np.zeros((4, 3), np.float32),
+        "atoms": np.zeros((5, 3), np.float32),
+        "slots": 2,
+        "swap_passes": 1,
+        "warm": None,
+    }
+    assert core.code_rows(**good)[0].tolist() == [[-1, -1]] * 4
+    with pytest.raises(ValueError, match=message):
+        core.code_rows(**{**good, **change})
+
+
+def test_hostile_arrays_of_the_other_functions_are_refused(core: ModuleType) -> None:
+    f4 = np.zeros((4, 3), np.float32)
+    with pytest.raises(ValueError, match=r"gram must be .*\[3, 3\]; its axis 0 has 4 entries"):
+        core.code_similarities(f4, f4, 1, 0)
+    with pytest.raises(ValueError, match=r"others must be .* its axis 1 has 4 entries"):
+        core.row_products(f4, np.zeros((4, 4), np.float32))
+    index, scale = np.zeros((4, 2), np.int32), np.zeros(4, np.float32)
+    weights = np.zeros((4, 2), np.float32)
+    for arguments, message in (
+        ((f4, index + 9, weights, scale, 9), "support holds atom 9 of 9"),
+        ((f4, index[:3], weights, scale, 9), "support must be .* its axis 0 has 3 entries"),
+        ((f4, index, weights[:, :1].copy(), scale, 9), "weights must be .* its axis 1 has 1 entries"),
+        ((f4, index, weights, scale[:2], 9), "scale must be .* its axis 0 has 2 entries"),
+        ((f4, index, weights, scale, -1), "n_atoms"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            core.code_moments(*arguments)
+    with pytest.raises(ValueError, match="matrix must be a contiguous float64"):
+        core.solve_positive_definite(f4[:3].copy(), np.zeros((3, 2)))
+    with pytest.raises(ValueError, match=r"matrix must be .*\[3, 3\]; its axis 1 has 2 entries"):
+        core.solve_positive_definite(np.zeros((3, 2)), np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="not positive definite"):
+        core.solve_positive_definite(-np.eye(3), np.zeros((3, 2)))
+    with pytest.raises(TypeError):
+        core.row_products("rows", f4)
+
+
+def test_empty_arrays(core: ModuleType) -> None:
+    none, some = np.zeros((0, 3), np.float32), np.ones((2, 3), np.float32)
+    assert [array.shape for array in core.code_rows(none, some, 2, 1)] == [(0, 2), (0, 2), (0,)]
+    assert core.code_rows(some, none, 2, 1)[0].tolist() == [[-1, -1]] * 2
+    assert core.row_products(none, some).shape == (0, 2)
+    assert core.row_products(some, none).shape == (2, 0)
+    within, toward = core.code_moments(
+        none, np.zeros((0, 2), np.int32), none[:, :2].copy(), none[:, 0].copy(), 2
+    )
+    assert not within.any()
+    assert toward.shape == (2, 3)
+
+
+def test_encode_agrees_with_the_torch_form(core: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows, atoms = clip_like(400), clip_like(50, seed=1) * 3
+    codes = {}
+    for name, arithmetic in (("native", NativeArithmetic(core)), ("torch", TorchArithmetic())):
+        monkeypatch.setattr(encode_module, "arithmetic_at_hand", lambda arithmetic=arithmetic: arithmetic)
+        codes[name] = encode(rows, atoms, 4)
+    assert codes["native"].indices.dtype == codes["torch"].indices.dtype
+    same = codes["native"].indices.eq(codes["torch"].indices).all(1)
+    assert float(same.double().mean()) > 0.97
+    torch.testing.assert_close(codes["native"].weights[same], codes["torch"].weights[same], atol=2e-4, rtol=0)
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs an interval timer")
+def test_a_signal_interrupts_long_work(core: ModuleType) -> None:
+    def raise_it(number: int, frame: object) -> None:
+        raise TimeoutError
+
+    rows, atoms = arrays(60_000, 64, 1024)
+    before = signal.signal(signal.SIGALRM, raise_it)
+    started = time.perf_counter()
+    signal.setitimer(signal.ITIMER_REAL, 0.2)
+    try:
+        with pytest.raises(TimeoutError):
+            core.code_rows(rows, atoms, 16, 1)  # seconds, left alone
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    assert time.perf_counter() - started < 1.0

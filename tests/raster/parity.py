@@ -1,0 +1,132 @@
+"""Where two backends may differ, and by how much.
+
+Backends round differently. At a threshold (alpha near 1/255, transmittance near the stop bound) the rounding decides
+whether a Gaussian is drawn at a pixel: a flip. Everywhere else answers agree to a tolerance. A flip is not taken on
+trust: ``close_calls`` evaluates a pixel in float64 and counts the decisions that are too close to call.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.cameras import Camera
+from scoup.gaussians import Gaussians
+from scoup.native import missing_reason, native_core
+from scoup.raster.presets import raster_preset
+from scoup.raster.projection import project
+
+RELATIVE = 1e-5
+# Of a sum of float32 terms, in units of what the values span.
+ABSOLUTE = 2e-6
+# A decision within this share of its threshold is too close to call in float32.
+MARGIN = 1e-4
+# What one flip may change in a pixel, in units of what the values span: a Gaussian of alpha 1/255 more or less; and
+# the last one before the stop, which has alpha T <= 0.99e-2 where T (1 - alpha) = 1e-4, with the 1e-4 behind it.
+FLIP_SIZE = 1 / 255 + 0.99e-2 + 1e-4
+# Flipped pixels of a real view; measured: 1e-5 at most, on every instruction set.
+FLIP_SHARE = 3e-5
+
+needs_native = pytest.mark.skipif(native_core() is None, reason=f"needs the compiled core: {missing_reason()}")
+BACKENDS = [
+    pytest.param(name, marks=needs_native if name == "native" else ()) for name in sorted(raster.BACKENDS)
+]
+
+
+def both(gaussians: Gaussians, camera: Camera, preset: str = "inria") -> tuple[raster.View, raster.View]:
+    """(native, reference) views of a scene."""
+    return tuple(raster.look(gaussians, camera, preset, name) for name in ("native", "reference"))
+
+
+def close_calls(gaussians: Gaussians, camera: Camera, preset: str, rows: Tensor, columns: Tensor) -> Tensor:
+    """[P] int64: how many decisions at each pixel are too close to call, by an evaluation in float64 without tiles."""
+    constants, projected = raster_preset(preset), project(gaussians, camera, raster_preset(preset))
+    xx, xy, yy = projected.covariances.unbind(1)
+    found = []
+    at_once = max(1, 4_000_000 // max(1, len(projected)))
+    for y, x in zip(rows.split(at_once), columns.split(at_once), strict=True):
+        dx = x[:, None] + 0.5 - projected.means2d[:, 0]
+        dy = y[:, None] + 0.5 - projected.means2d[:, 1]
+        squared = (dx - xy / yy * dy) ** 2 * (yy / projected.determinants) + dy**2 / yy
+        alpha = (projected.opacities * torch.exp(-0.5 * squared)).clamp(max=constants.alpha_max)
+        close = (alpha * 255 - 1).abs() < MARGIN
+        alpha[alpha * 255 < 1 - MARGIN] = 0
+        after = torch.cumprod(1 - alpha, 1)
+        close |= (alpha > 0) & ((after / constants.stop - 1).abs() < MARGIN)
+        before = torch.nn.functional.pad(after, (1, 0), value=1.0)[:, :-1]
+        found.append((close & (before > constants.stop * (1 - MARGIN))).sum(1))
+    return torch.cat(found) if found else rows.new_zeros(0)
+
+
+def sure_pixels(gaussians: Gaussians, camera: Camera, preset: str = "inria") -> Tensor:
+    """[H, W] bool: pixels without a close call. For small scenes."""
+    rows, columns = torch.meshgrid(torch.arange(camera.height), torch.arange(camera.width), indexing="ij")
+    calls = close_calls(gaussians, camera, preset, rows.flatten(), columns.flatten())
+    return (calls == 0).view(camera.height, camera.width)
+
+
+def span_of(values: Tensor) -> float:
+    """How far apart values, and nothing painted at all, may lie."""
+    return float(values.amax().clamp(min=0) - values.amin().clamp(max=0)) if values.numel() else 1.0
+
+
+def beyond(actual: Tensor, expected: Tensor, span: float = 1.0) -> Tensor:
+    """Boolean: entries that differ by more than the tolerance, or are not numbers."""
+    return ~((actual - expected).abs() <= RELATIVE * expected.abs() + ABSOLUTE * max(span, 1e-30))
+
+
+def assert_close(actual: Tensor, expected: Tensor, span: float = 1.0, where: Tensor | None = None) -> None:
+    """Agreement within the tolerance; ``where`` [H, W] limits it to some pixels of [H, W, ...]."""
+    assert actual.shape == expected.shape
+    assert actual.dtype == expected.dtype
+    if where is not None:
+        actual, expected = actual[where], expected[where]
+    bad = beyond(actual, expected, span)
+    if bad.any():
+        worst = float((actual - expected).abs()[bad].max())
+        raise AssertionError(f"{int(bad.sum())} of {bad.numel()} entries differ, by up to {worst:.3g}")
+
+
+@dataclass(frozen=True)
+class Flips:
+    """pixels [H, W] bool: those that differ; largest: difference in units of what the values span."""
+
+    pixels: Tensor
+    largest: float
+
+    @property
+    def share(self) -> float:
+        return float(self.pixels.float().mean())
+
+
+def explained_flips(
+    gaussians: Gaussians, camera: Camera, preset: str, actual: Tensor, expected: Tensor, span: float = 1.0
+) -> Flips:
+    """The flipped pixels of an image [H, W, C]. Each must have a close call and change by what its flips may do."""
+    pixels = beyond(actual, expected, span).any(2)
+    rows, columns = torch.nonzero(pixels, as_tuple=True)
+    calls = close_calls(gaussians, camera, preset, rows, columns)
+    sizes = (actual - expected).abs().amax(2)[pixels] / span
+    assert (calls > 0).all(), f"pixels {torch.stack([rows, columns], 1)[calls == 0][:5].tolist()} differ, unexplained"
+    assert (sizes <= FLIP_SIZE * calls).all(), f"a flip changes a pixel by {float(sizes.max()):.3g}"
+    return Flips(pixels, float(sizes.max()) if len(sizes) else 0.0)
+
+
+def assert_same_triplets(actual: tuple[Tensor, ...], expected: tuple[Tensor, ...]) -> None:
+    """Region sums (gaussian, key, weight) agree; a pair that only one side has must weigh next to nothing."""
+    for gaussian, key, weight in (actual, expected):
+        assert (gaussian.dtype, key.dtype, weight.dtype) == (torch.int64, torch.int64, torch.float32)
+        assert (weight > 0).all()
+    n_keys = 1 + max((int(key.max()) for _, key, _ in (actual, expected) if len(key)), default=0)
+    pairs = [gaussian * n_keys + key for gaussian, key, _ in (actual, expected)]
+    for pair in pairs:
+        assert (pair[1:] > pair[:-1]).all()  # sorted, each once
+    union = torch.unique(torch.cat(pairs))
+    dense = [torch.zeros(len(union)) for _ in pairs]
+    for side, pair, triplets in zip(dense, pairs, (actual, expected), strict=True):
+        side[torch.searchsorted(union, pair)] = triplets[2]
+    assert_close(dense[0], dense[1])
