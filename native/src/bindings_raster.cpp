@@ -1,10 +1,12 @@
 // The rasteriser for Python; scoup/raster/cpu.py is its only user.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <limits>
+#include <optional>
 #include <tuple>
 
 #include "arrays.h"
@@ -31,12 +33,14 @@ void check_size(int64_t width, int64_t height) {
 
 View py_look(const Array& means, const Array& quats, const Array& scales, const Array& opacities, const Array& viewmat,
              std::tuple<double, double, double, double> intrinsics, int64_t width, int64_t height,
-             std::tuple<double, double, double> near_alpha_max_stop, bool stop_inclusive, bool centred_clamp, int threads) {
+             std::tuple<double, double, double> near_alpha_max_stop, bool stop_inclusive, bool centred_clamp,
+             const std::optional<Array>& ties, int threads) {
     const auto count = int64_t(means.ndim() > 0 ? means.shape(0) : 0);
     if (count >= std::numeric_limits<int32_t>::max()) throw std::invalid_argument("too many Gaussians for one view");
     check_size(width, height);
     const Scene scene{count, data_of<float>(means, "means", {count, 3}), data_of<float>(quats, "quats", {count, 4}),
-                      data_of<float>(scales, "scales", {count, 3}), data_of<float>(opacities, "opacities", {count})};
+                      data_of<float>(scales, "scales", {count, 3}), data_of<float>(opacities, "opacities", {count}),
+                      ties ? data_of<int64_t>(*ties, "ties", {count}) : nullptr};
     Camera camera{};
     std::copy_n(data_of<double>(viewmat, "viewmat", {3, 4}), 12, camera.viewmat);
     std::tie(camera.fx, camera.fy, camera.cx, camera.cy) = intrinsics;
@@ -230,7 +234,7 @@ void bind_raster(nb::module_& m) {
         .def_prop_ro("n_pairs", [](const View& view) { return view.lists.size(); });
     m.def("look", &py_look, nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"), nb::arg("viewmat"),
           nb::arg("intrinsics"), nb::arg("width"), nb::arg("height"), nb::arg("near_alpha_max_stop"),
-          nb::arg("stop_inclusive"), nb::arg("centred_clamp"), nb::arg("threads"));
+          nb::arg("stop_inclusive"), nb::arg("centred_clamp"), nb::arg("ties").none(), nb::arg("threads"));
     m.def("region_weights", &py_region_weights, nb::arg("view"), nb::arg("labels"), nb::arg("stride"), nb::arg("threads"));
     nb::class_<Uplift>(m, "Uplift", "Adds the codes of many views to accumulators [N, levels, atoms], some views at a time.")
         .def("__init__", [](Uplift* self, const WritableArray& out) { new (self) Uplift(py_uplift(out)); }, nb::arg("out"),

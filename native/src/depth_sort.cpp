@@ -32,10 +32,11 @@ void radix_pass(const Buffer<DepthKey>& from, Buffer<DepthKey>& to, uint64_t low
 }
 
 // Depths that are equal as floats may differ as doubles.
-void order_ties(Buffer<DepthKey>& keys, const Projected* projected) {
-    const auto before = [projected](DepthKey a, DepthKey b) {
-        const double depth_a = projected[slot_of(a)].depth, depth_b = projected[slot_of(b)].depth;
-        return depth_a != depth_b ? depth_a < depth_b : slot_of(a) < slot_of(b);
+void order_ties(Buffer<DepthKey>& keys, const Projected* projected, const int64_t* ties) {
+    const auto before = [projected, ties](DepthKey a, DepthKey b) {
+        const Projected &pa = projected[slot_of(a)], &pb = projected[slot_of(b)];
+        if (pa.depth != pb.depth) return pa.depth < pb.depth;
+        return ties != nullptr ? ties[pa.id] < ties[pb.id] : pa.id < pb.id;
     };
     const int64_t n = keys.size();
     for (int64_t first = 0; first < n;) {
@@ -48,7 +49,8 @@ void order_ties(Buffer<DepthKey>& keys, const Projected* projected) {
 
 }  // namespace
 
-void sort_by_depth(Buffer<DepthKey>& keys, const Projected* projected, int n_threads, const Interrupted& interrupted) {
+void sort_by_depth(Buffer<DepthKey>& keys, const Projected* projected, const int64_t* ties, int n_threads,
+                   const Interrupted& interrupted) {
     if (keys.size() < 2) return;
     const auto [low, high] = std::minmax_element(keys.begin(), keys.end());
     const uint64_t lowest = *low >> 32 << 32, span = (*high - lowest) >> 32;
@@ -58,7 +60,7 @@ void sort_by_depth(Buffer<DepthKey>& keys, const Projected* projected, int n_thr
         radix_pass(keys, other, lowest, shift, n_parts, n_threads, interrupted);
         std::swap(keys, other);
     }
-    order_ties(keys, projected);
+    order_ties(keys, projected, ties);
 }
 
 }  // namespace scoup

@@ -19,7 +19,9 @@ inline DepthKey depth_key(float depth, uint32_t slot) {
 }
 inline uint32_t slot_of(DepthKey key) { return uint32_t(key); }
 
-// Sorts `keys`, which come in rising order of slots, by (depth in double precision, slot).
-void sort_by_depth(Buffer<DepthKey>& keys, const Projected* projected, int n_threads, const Interrupted& interrupted);
+// Sorts `keys` by depth in double precision; equal ones by `ties` of their rows in the scene, or where that is null by
+// the rows themselves.
+void sort_by_depth(Buffer<DepthKey>& keys, const Projected* projected, const int64_t* ties, int n_threads,
+                   const Interrupted& interrupted);
 
 }  // namespace scoup

@@ -14,6 +14,7 @@ struct Scene {
     const float* quats;      // [N, 4] w, x, y, z, any norm
     const float* scales;     // [N, 3]
     const float* opacities;  // [N]
+    const int64_t* ties;     // [N] numbers that decide between equal depths, or null: the rows themselves
 };
 
 struct ProjectKernels {

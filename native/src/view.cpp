@@ -97,7 +97,7 @@ View look(const Scene& scene, const Camera& camera, const Preset& preset, int n_
     View view{camera.width, camera.height, (camera.width + kTile - 1) / kTile, (camera.height + kTile - 1) / kTile,
               preset, scene.count, 0, {}, {}, {}};
     Gathered all = gather(scene, camera, preset, view, n_threads, interrupted);
-    sort_by_depth(all.keys, all.projected.data(), n_threads, interrupted);
+    sort_by_depth(all.keys, all.projected.data(), scene.ties, n_threads, interrupted);
     view.n_visible = all.keys.size();
     view.starts = Buffer<int64_t>(view.n_tiles() + 1);
     view.starts[0] = 0;

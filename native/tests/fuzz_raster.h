@@ -75,6 +75,7 @@ inline void fuzz_channels(Random& random, const Seen& seen) {
 inline Exact<int32_t> random_labels(Random& random, const Seen& seen, int64_t levels, int32_t most) {
     Exact<int32_t> labels(random, levels * seen.pixels());
     const bool per_pixel = random.chance(0.3);
+    if (per_pixel && seen.pixels() > 1000) most = std::min(most, 300);  // more would take long
     const int64_t patch = random.between(1, 40);
     const double none = random.one_of({0.0, 0.1, 1.0});
     for (int64_t i = 0; i < labels.size(); ++i) {
@@ -167,7 +168,7 @@ inline void fuzz_uplift(Random& random, const Seen& seen) {
     // With interruptions anywhere, more views after an interrupted flush, and threads.
     Exact<float> out(random, n * row);
     Uplift uplift(out.data(), n, levels, n_atoms);
-    const bool interrupts = random.chance(0.15);
+    const bool interrupts = random.chance(n > 2048 ? 0.5 : 0.05);
     for (int v = 0; v < n_views; ++v) {
         uplift.add(seen.view, maps(v), tables, seen.threads, never);
         if (interrupts)

@@ -8,7 +8,6 @@ from scoup import raster
 from scoup.cameras import Camera
 from scoup.checkpoint import BuildState, Checkpoint
 from scoup.codes import SparseCodes
-from scoup.gaussians import Gaussians
 from scoup.progress import Progress
 from scoup.regions import Regions
 from scoup.uplifting import ViewSums, add_view, digest_of_labels
@@ -40,22 +39,17 @@ class Lift:
         self.progress = progress
 
     def add_views(
-        self,
-        gaussians: Gaussians,
-        cameras: Sequence[Camera],
-        regions: Regions,
-        raster_preset: str,
-        backend: str | None,
+        self, scene: raster.PreparedScene, cameras: Sequence[Camera], regions: Regions, raster_preset: str
     ) -> None:
-        """Rasterise views and lift their codes."""
-        uplift = raster.Uplift(self.state.accumulators, backend)
+        """Rasterise views and lift their codes; the accumulators are in the order of the prepared scene."""
+        uplift = raster.Uplift(self.state.accumulators, scene.backend)
         self._report()
         try:
             for camera in cameras:
                 labels, _ = regions.load_view(camera.name, camera.width, camera.height)
-                labels = labels.to(gaussians.device)
                 digest = digest_of_labels(labels)
-                view = raster.look(gaussians, camera, raster_preset, backend)
+                labels = labels.to(scene.gaussians.device)
+                view = raster.look(scene, camera, raster_preset)
                 codes = self._codes(camera.name)
                 self.state.between_views = False
                 uplift.add(view, labels, codes)

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup import __version__
+from scoup import __version__, raster
 from scoup.cameras import Camera, Cameras
 from scoup.checkpoint import BuildState, Checkpoint, Embeddings, build_key
 from scoup.codes import SparseCodes
@@ -120,7 +120,10 @@ def build(
     fingerprint = gaussians.fingerprint()
     key = build_key(fingerprint, views, embeddings, dataclasses.asdict(settings))
 
-    keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), key)
+    scene = None if sums is not None else raster.prepare(gaussians, backend)
+    moved = scene is not None and scene.order is not None
+    # Accumulators in another order of rows are of no use.
+    keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), f"{key} moved" if moved else key)
     state = keeper.read((len(gaussians), len(embeddings), settings.n_atoms))
     if state is None:
         state = _learn_codes(embeddings, settings, len(gaussians), progress)
@@ -130,12 +133,16 @@ def build(
     del embeddings  # the uplift needs the codes only
     left = [camera for camera in views if camera.name not in state.views_done]
     lift = Lift(state, rows, len(views), keeper, progress)
-    if sums is not None:
+    if scene is not None:
+        lift.add_views(scene, left, regions, settings.raster_preset)
+    elif sums is not None:
         wanted = {camera.name for camera in left}
         lift.add_sums(view for view in sums.views if view.view_name in wanted)
-    else:
-        lift.add_views(gaussians, left, regions, settings.raster_preset, backend)
-    indices, weights = top_k(state.accumulators, settings.keep or None)
+    accumulators = state.accumulators
+    indices, weights = top_k(accumulators, settings.keep or None)
+    if scene is not None:
+        indices, weights = scene.restored(indices), scene.restored(weights)
+        accumulators = scene.restored(accumulators) if keep_accumulators else accumulators
     try:
         _check_seen(weights)
     except InputError:
@@ -160,7 +167,7 @@ def build(
         info,
         None,
         None if geometry_path is None else Path(geometry_path),
-        state.accumulators if keep_accumulators else None,
+        accumulators if keep_accumulators else None,
         Cameras(views),
     ).to(gaussians.device)
     field.attach(gaussians)

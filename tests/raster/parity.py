@@ -28,10 +28,13 @@ MARGIN = 1e-4
 # What one flip may change in a pixel, in units of what the values span: a Gaussian of alpha 1/255 more or less; and
 # the last one before the stop, which has alpha T <= 0.99e-2 where T (1 - alpha) = 1e-4, with the 1e-4 behind it.
 FLIP_SIZE = 1 / 255 + 0.99e-2 + 1e-4
-# Flipped pixels of a real view; measured: 1e-5 at most, on every instruction set.
+# Pixels of a real view that flip visibly. Measured on every instruction set: 1.4e-5 of a view of 960 x 720 at most;
+# they change by 1.8e-3 at most.
 FLIP_SHARE = 3e-5
 
-needs_native = pytest.mark.skipif(native_core() is None, reason=f"needs the compiled core: {missing_reason()}")
+needs_native = pytest.mark.skipif(
+    native_core() is None, reason=f"needs the compiled core: {missing_reason()}"
+)
 BACKENDS = [
     pytest.param(name, marks=needs_native if name == "native" else ()) for name in sorted(raster.BACKENDS)
 ]
@@ -98,9 +101,10 @@ class Flips:
     pixels: Tensor
     largest: float
 
-    @property
-    def share(self) -> float:
-        return float(self.pixels.float().mean())
+
+def few(flipped: Tensor) -> bool:
+    """Whether no more pixels of a real view flip than usual; two of a small view are no surprise."""
+    return int(flipped.sum()) <= max(2, FLIP_SHARE * flipped.numel())
 
 
 def explained_flips(
@@ -111,12 +115,14 @@ def explained_flips(
     rows, columns = torch.nonzero(pixels, as_tuple=True)
     calls = close_calls(gaussians, camera, preset, rows, columns)
     sizes = (actual - expected).abs().amax(2)[pixels] / span
-    assert (calls > 0).all(), f"pixels {torch.stack([rows, columns], 1)[calls == 0][:5].tolist()} differ, unexplained"
+    assert (calls > 0).all(), (
+        f"pixels {torch.stack([rows, columns], 1)[calls == 0][:5].tolist()} differ, unexplained"
+    )
     assert (sizes <= FLIP_SIZE * calls).all(), f"a flip changes a pixel by {float(sizes.max()):.3g}"
     return Flips(pixels, float(sizes.max()) if len(sizes) else 0.0)
 
 
-def assert_same_triplets(actual: tuple[Tensor, ...], expected: tuple[Tensor, ...]) -> None:
+def assert_same_triplets(actual: tuple[Tensor, ...], expected: tuple[Tensor, ...], span: float = 1.0) -> None:
     """Region sums (gaussian, key, weight) agree; a pair that only one side has must weigh next to nothing."""
     for gaussian, key, weight in (actual, expected):
         assert (gaussian.dtype, key.dtype, weight.dtype) == (torch.int64, torch.int64, torch.float32)
@@ -129,4 +135,4 @@ def assert_same_triplets(actual: tuple[Tensor, ...], expected: tuple[Tensor, ...
     dense = [torch.zeros(len(union)) for _ in pairs]
     for side, pair, triplets in zip(dense, pairs, (actual, expected), strict=True):
         side[torch.searchsorted(union, pair)] = triplets[2]
-    assert_close(dense[0], dense[1])
+    assert_close(dense[0], dense[1], span)

@@ -13,7 +13,9 @@ A backend is one module with these functions. It is chosen by the device of the 
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
+from dataclasses import dataclass
 from types import ModuleType
 from typing import TypeAlias
 
@@ -26,6 +28,7 @@ from scoup.errors import InputError, UnknownNameError
 from scoup.gaussians import Gaussians
 from scoup.native import missing_reason, native_core, warn_once_if_missing
 from scoup.raster.cpu import NativeView
+from scoup.raster.ordering import morton_order as morton_order
 from scoup.raster.presets import PRESETS as PRESETS
 from scoup.raster.presets import RasterPreset as RasterPreset
 from scoup.raster.presets import raster_preset
@@ -47,13 +50,60 @@ def default_backend(device: torch.device) -> str:
     return "native"
 
 
+@dataclass(frozen=True, eq=False)
+class PreparedScene:
+    """A scene made ready for many views. Made by ``prepare``.
+
+    Attributes:
+        gaussians: the rows in the order that suits the backend; of their colours only the constant part.
+        order: [N] int64, the row of the original scene that each of them is; None where nothing was moved.
+        backend: its name.
+    """
+
+    gaussians: Gaussians
+    order: Tensor | None
+    backend: str
+
+    def restored(self, rows: Tensor) -> Tensor:
+        """``rows`` [N, ...], one for each Gaussian of this scene, in the order of the original scene."""
+        if self.order is None:
+            return rows
+        out = torch.empty_like(rows)
+        if rows.dtype == torch.uint16:  # torch moves rows of its signed twin only
+            out.view(torch.int16)[self.order] = rows.view(torch.int16)
+        else:
+            out[self.order] = rows
+        return out
+
+
+def prepare(gaussians: Gaussians, backend: str | None = None) -> PreparedScene:
+    """Bring the rows of a scene into the order that suits a backend; worth it where many views follow.
+
+    Views of it know the Gaussians by their new places: accumulators and values given to them are in that order, too.
+    They show exactly the same: equal depths go by the original rows.
+
+    Args:
+        gaussians: N Gaussians.
+        backend: as for ``look``.
+    """
+    name, module = _backend(backend, gaussians.device)
+    bare = dataclasses.replace(gaussians, sh=gaussians.sh[:, :1])
+    if not module.PREPARES:
+        return PreparedScene(bare, None, name)
+    order = morton_order(gaussians.means)
+    return PreparedScene(bare.select(order), order, name)
+
+
 def look(
-    gaussians: Gaussians, camera: Camera, preset: str | RasterPreset = "inria", backend: str | None = None
+    gaussians: Gaussians | PreparedScene,
+    camera: Camera,
+    preset: str | RasterPreset = "inria",
+    backend: str | None = None,
 ) -> View:
     """Prepare a scene for one camera: project, bin and sort.
 
     Args:
-        gaussians: N Gaussians.
+        gaussians: N Gaussians, or the same prepared for many views (the backend is then the one of ``prepare``).
         camera: the pinhole view.
         preset: rasteriser constants: "inria" (default) or "gsplat".
         backend: name of a backend; by default the fastest for the tensors' device.
@@ -65,7 +115,13 @@ def look(
         UnknownNameError: no preset or backend has that name.
         InputError: the backend does not serve the tensors' device, or is not built.
     """
-    return _module(backend, gaussians.device).look(gaussians, camera, raster_preset(preset))
+    constants = raster_preset(preset)
+    if isinstance(gaussians, PreparedScene):
+        module = importlib.import_module(BACKENDS[gaussians.backend])
+        if gaussians.order is None:
+            return module.look(gaussians.gaussians, camera, constants)
+        return module.look(gaussians.gaussians, camera, constants, gaussians.order)
+    return _backend(backend, gaussians.device)[1].look(gaussians, camera, constants)
 
 
 def region_weights(view: View, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -106,7 +162,7 @@ class Uplift:
                 f"accumulators must be contiguous float32 [N, S, L], not {out.dtype} {list(out.shape)}"
             )
         self.out = out
-        self._uplift = _module(backend, out.device).Uplift(out)
+        self._uplift = _backend(backend, out.device)[1].Uplift(out)
 
     def add(self, view: View, labels: Tensor, codes: list[SparseCodes]) -> None:
         """Take in a view.
@@ -213,7 +269,8 @@ def render_colors(
     return (image + (1.0 - alpha)[..., None] * background).clamp(0, 1)
 
 
-def _module(name: str | None, device: torch.device) -> ModuleType:
+def _backend(name: str | None, device: torch.device) -> tuple[str, ModuleType]:
+    """Name and module of the backend wanted, or of the default."""
     name = name or default_backend(device)
     if name not in BACKENDS:
         raise UnknownNameError("raster backend", name, BACKENDS)
@@ -222,7 +279,7 @@ def _module(name: str | None, device: torch.device) -> ModuleType:
             raise InputError(f"the backend 'native' cannot be used: {missing_reason()}")
         if device.type != "cpu":
             raise InputError(f"the backend 'native' serves tensors on a CPU, these are on {device}")
-    return importlib.import_module(BACKENDS[name])
+    return name, importlib.import_module(BACKENDS[name])
 
 
 def _backend_of(view: View) -> ModuleType:

@@ -44,8 +44,13 @@ class NativeView:
     backend = "native"
 
 
-def look(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> NativeView:
-    """See ``raster.look``."""
+PREPARES = True  # the order of the rows matters to caches
+
+
+def look(
+    gaussians: Gaussians, camera: Camera, preset: RasterPreset, ties: Tensor | None = None
+) -> NativeView:
+    """See ``raster.look``. ``ties`` [N] int64 decides between equal depths; by default the rows do."""
     handle = _core().look(
         _array(gaussians.means),
         _array(gaussians.quats),
@@ -58,6 +63,7 @@ def look(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> NativeVi
         (preset.near, preset.alpha_max, preset.stop),
         preset.stop_inclusive,
         preset.centred_clamp,
+        None if ties is None else _array(ties, torch.int64),
         torch.get_num_threads(),
     )
     return NativeView(len(gaussians), camera.width, camera.height, preset, handle)

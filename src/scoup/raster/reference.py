@@ -20,6 +20,7 @@ from scoup.raster.binning import Bins, bin_to_tiles
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
 from scoup.raster.projection import Projection, project
 
+PREPARES = False  # the order of the rows makes no difference to the speed
 TILE = 16  # edge of a tile in pixels
 TILES = 32  # tiles that go through together
 CHUNK = 32  # Gaussians of each tile taken at a time

@@ -1,0 +1,159 @@
+// A fixed piece of work for each kernel, to count its instructions (tools/count_instructions.py).
+//
+//     counted compiler           the compiler that this was built with
+//     counted MODE REPETITIONS   the work of a mode, so many times on top of what prepares it
+//     counted                    every mode once
+//
+// One thread, and the instruction set v3 where there is one: tools that count know no AVX-512.
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <vector>
+
+#include "region_weights.h"
+#include "render.h"
+#include "uplift.h"
+#include "view.h"
+
+namespace {
+
+constexpr int kWidth = 320, kHeight = 240, kGaussians = 20000;
+constexpr int kLevels = 3, kAtoms = 64, kSlots = 4, kQueries = 4, kRegions = 40;
+constexpr int64_t kPixels = int64_t(kWidth) * kHeight;
+const scoup::Interrupted kNever;
+
+// The same numbers with every compiler and library: a linear congruential generator.
+class Numbers {
+  public:
+    double uniform(double low, double high) {
+        state_ = state_ * 6364136223846793005u + 1442695040888963407u;
+        return low + (high - low) * double(state_ >> 11) * 0x1p-53;
+    }
+    int below(int n) { return int(uniform(0, n)); }
+
+  private:
+    uint64_t state_ = 1;
+};
+
+// A cloud in front of the camera, of sizes and opacities as in trained scenes.
+struct Work {
+    std::vector<float> means, quats, scales, opacities;
+    scoup::Camera camera{};
+    scoup::Preset preset{0.2, 0.99f, 1e-4f, false, true};
+    std::vector<float> colours, code_weights, region_code_weights, grams, scores;
+    std::vector<uint8_t> code_indices, region_code_indices;
+    std::vector<int32_t> labels;
+
+    Work() {
+        Numbers numbers;
+        const auto fill = [&](auto& values, int64_t count, double low, double high) {
+            values.resize(size_t(count));
+            for (auto& value : values) value = typename std::decay_t<decltype(values)>::value_type(numbers.uniform(low, high));
+        };
+        for (int i = 0; i < kGaussians; ++i) {
+            const double depth = numbers.uniform(1, 8);
+            for (const double edge : {0.75, 0.56}) means.push_back(float(depth * numbers.uniform(-edge, edge)));
+            means.push_back(float(depth));
+            for (int c = 0; c < 3; ++c) scales.push_back(float(0.08 * std::exp2(numbers.uniform(-4, 0))));
+            opacities.push_back(float(numbers.uniform(0.05, 1)));
+        }
+        fill(quats, 4 * kGaussians, -1, 1);
+        for (int i = 0; i < 3; ++i) camera.viewmat[5 * i] = 1;
+        camera.fx = camera.fy = kWidth / 1.5;
+        camera.cx = kWidth / 2.0, camera.cy = kHeight / 2.0;
+        camera.width = kWidth, camera.height = kHeight;
+        fill(colours, 3 * kGaussians, 0, 1);
+        fill(code_weights, kGaussians * kLevels * kSlots, 0, 1);
+        fill(code_indices, kGaussians * kLevels * kSlots, 0, kAtoms);
+        fill(region_code_weights, kRegions * kSlots, 0, 1);
+        fill(region_code_indices, kRegions * kSlots, 0, kAtoms);
+        fill(grams, kLevels * kAtoms * kAtoms, 0, 1);
+        fill(scores, kLevels * kAtoms * kQueries, -1, 1);
+        // Patches of regions, smaller from level to level.
+        for (int level = 0; level < kLevels; ++level)
+            for (int y = 0; y < kHeight; ++y)
+                for (int x = 0; x < kWidth; ++x) {
+                    const int patch = 60 >> level;
+                    labels.push_back((x / patch * 7 + y / patch) % kRegions - (x % 50 == 0 ? kRegions : 0));
+                }
+    }
+
+    scoup::View look() const {
+        return scoup::look({kGaussians, means.data(), quats.data(), scales.data(), opacities.data()}, camera, preset, 1, kNever);
+    }
+};
+
+void channels(const Work& work, const scoup::View& view, int32_t count) {
+    std::vector<float> image(size_t(kPixels * count)), alpha(size_t(kPixels), 0.0f);
+    scoup::render_channels(view, {work.colours.data(), count, image.data(), alpha.data()}, 1, kNever);
+}
+
+scoup::GaussianCodes codes_of(const Work& work) {
+    return {work.code_indices.data(), nullptr, work.code_weights.data(), nullptr, kLevels, kSlots, kAtoms};
+}
+
+scoup::LabelMaps maps_of(const Work& work) { return {work.labels.data(), kLevels, kWidth, kHeight}; }
+
+void uplift(const Work& work, const scoup::View& view) {
+    std::vector<float> sums(size_t(kGaussians) * kLevels * kAtoms);
+    scoup::Uplift all(sums.data(), kGaussians, kLevels, kAtoms);
+    const scoup::RegionCodes codes{work.region_code_indices.data(), nullptr, work.region_code_weights.data(), kRegions, kSlots};
+    all.add(view, maps_of(work), std::vector<scoup::RegionCodes>(kLevels, codes), 1, kNever);
+    all.flush(1, kNever);
+}
+
+void codes(const Work& work, const scoup::View& view) {
+    std::vector<float> out(size_t(kPixels) * kLevels * kAtoms);
+    scoup::render_codes(view, codes_of(work), out.data(), 1, kNever);
+}
+
+void cosines(const Work& work, const scoup::View& view) {
+    std::vector<float> out(size_t(kPixels) * kLevels * kQueries);
+    scoup::render_cosines(view, codes_of(work), {work.grams.data(), work.scores.data(), kQueries, out.data()}, 1, kNever);
+}
+
+struct Mode {
+    const char* name;
+    void (*run)(const Work& work, const scoup::View& view);
+};
+constexpr Mode kModes[] = {
+    {"look", [](const Work& work, const scoup::View&) { work.look(); }},
+    {"alpha", [](const Work& work, const scoup::View& view) { channels(work, view, 0); }},
+    {"channels", [](const Work& work, const scoup::View& view) { channels(work, view, 3); }},
+    {"regions", [](const Work& work, const scoup::View& view) { scoup::region_weights(view, maps_of(work), kRegions, 1, kNever); }},
+    {"uplift", uplift},
+    {"codes", codes},
+    {"cosines", cosines},
+};
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    if (argc == 2 && std::strcmp(argv[1], "compiler") == 0) {
+#if defined(__clang__)
+        std::printf("clang %s\n", __clang_version__);
+#else
+        std::printf("gcc %s\n", __VERSION__);
+#endif
+        return 0;
+    }
+    if (!scoup::use_isa("v3")) scoup::use_isa("baseline");
+    const Work work;
+    const scoup::View view = work.look();
+    const int repetitions = argc > 2 ? std::atoi(argv[2]) : 1;
+    bool found = argc < 2;
+    for (const Mode& mode : kModes) {
+        if (argc >= 2 && std::strcmp(argv[1], mode.name) != 0) continue;
+        found = true;
+        for (int i = 0; i < repetitions; ++i) mode.run(work, view);
+    }
+    if (!found) {
+        std::printf("unknown mode; there are:");
+        for (const Mode& mode : kModes) std::printf(" %s", mode.name);
+        std::printf("\n");
+        return 2;
+    }
+    std::printf("%s: %lld pairs\n", scoup::name_of(scoup::current_isa()), static_cast<long long>(view.lists.size()));
+}

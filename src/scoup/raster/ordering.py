@@ -1,0 +1,40 @@
+"""An order of the Gaussians in which neighbours in space are neighbours in memory."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+BITS = 21  # an axis: enough for rooms in scenes with a far-away background
+
+
+def morton_order(means: Tensor) -> Tensor:
+    """Rows along a Z-order curve.
+
+    Args:
+        means: [N, 3]; entries that are not finite count as 0.
+
+    Returns:
+        [N] int64 permutation; rows in the same cell of the curve's grid keep their order.
+    """
+    if not len(means):
+        return torch.zeros(0, dtype=torch.int64, device=means.device)
+    points = torch.nan_to_num(means.double(), nan=0.0, posinf=0.0, neginf=0.0)
+    low = points.amin(0)
+    span = (points - low).amax().clamp(min=torch.finfo(torch.float64).tiny)
+    cells = ((points - low) / span * (2**BITS - 1)).long()
+    code = _spread(cells[:, 0]) | (_spread(cells[:, 1]) << 1) | (_spread(cells[:, 2]) << 2)
+    return torch.argsort(code, stable=True)
+
+
+def _spread(cells: Tensor) -> Tensor:
+    """Two zero bits between every two bits of 21-bit numbers."""
+    for shift, mask in (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        cells = (cells | (cells << shift)) & mask
+    return cells

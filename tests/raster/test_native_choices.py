@@ -1,0 +1,122 @@
+"""What the user's machine decides must not decide the answer: number of threads, instruction set."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+import torch
+
+from raster.hard_scenes import HARD_KINDS, hard_scene
+from raster.parity import assert_close, assert_same_triplets, both, needs_native, sure_pixels
+from scoup import raster
+from scoup.codes import SparseCodes
+from scoup.native import native_core
+from scoup.uplifting import top_k
+from support import make_camera, random_gaussians, random_labels, unit
+
+pytestmark = needs_native
+LEVELS, ATOMS, REGIONS = 3, 48, 15
+
+
+@pytest.fixture(params=["baseline", "v3", "v4"])
+def instruction_set(request):
+    core, asked = native_core(), os.environ.get("SCOUP_NATIVE", "")
+    if asked not in ("", request.param):
+        pytest.skip(f"SCOUP_NATIVE asks for {asked}")
+    if not core.use_isa(request.param):
+        pytest.skip(f"this CPU does not run {request.param}")
+    yield request.param
+    core.use_isa(asked or "best")
+
+
+@pytest.fixture
+def restore_threads():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def everything(view, count: int, labels, dim: int = 24, dtype: torch.dtype = torch.float32) -> dict:
+    """Every function's answer for a view of ``count`` Gaussians, from the same random inputs each time."""
+    generator = torch.Generator().manual_seed(5)
+    values = torch.randn(count, 11, generator=generator)
+    codes = [
+        SparseCodes.from_dense(torch.rand(REGIONS, ATOMS, generator=generator), 4) for _ in range(LEVELS)
+    ]
+    sums = torch.zeros(count, LEVELS, ATOMS)
+    uplift = raster.Uplift(sums, view.backend)
+    for _ in range(2):
+        uplift.add(view, labels, codes)
+    uplift.flush()
+    indices = torch.randint(ATOMS, (count, LEVELS, 5), generator=generator, dtype=torch.uint8)
+    weights = torch.rand(count, LEVELS, 5, generator=generator).to(dtype)
+    codebook = torch.randn(LEVELS, ATOMS, dim, generator=generator) + 0.3
+    queries = unit(torch.randn(6, dim, generator=generator))
+    image, alpha = raster.render_channels(view, values)
+    return {
+        "channels": image,
+        "alpha": alpha,
+        "codes": raster.render_codes(view, indices, weights, ATOMS).movedim(0, 2),
+        "cosines": raster.render_cosines(view, indices, weights, codebook, queries).permute(2, 3, 0, 1),
+        "uplift": sums,
+        "regions": raster.region_weights(view, labels),
+    }
+
+
+@pytest.mark.parametrize("kind", HARD_KINDS)
+@pytest.mark.parametrize("preset", ["inria", "gsplat"])
+def test_every_instruction_set_agrees_with_the_reference(instruction_set, kind, preset):
+    assert native_core().current_isa() == instruction_set
+    gaussians, camera = hard_scene(kind, 11)
+    sure = sure_pixels(gaussians, camera, preset)
+    labels = random_labels(LEVELS, camera.height, camera.width, REGIONS, 0)
+    labels[:, ~sure] = -1
+    dtype = torch.float16 if kind in ("crowd", "needles") else torch.float32
+    native, reference = (
+        everything(v, len(gaussians), labels, 24, dtype) for v in both(gaussians, camera, preset)
+    )
+    assert_close(native["channels"], reference["channels"], 6.0, sure)
+    assert_close(native["alpha"], reference["alpha"], 1.0, sure)
+    assert_close(native["codes"], reference["codes"], 2.0, sure)
+    assert_close(native["cosines"], reference["cosines"], 5.0, sure)
+    assert_close(native["uplift"], reference["uplift"])
+    assert_same_triplets(native["regions"], reference["regions"])
+
+
+def test_same_bytes_on_any_number_of_threads(restore_threads):
+    """Enough Gaussians, ties in depth among them, that every stage is shared out."""
+    gaussians = random_gaussians(60_000, 8, ("plain", "needle", "tiny", "huge", "nan"))
+    gaussians.scales.mul_(0.2)
+    gaussians.opacities.mul_(0.1)
+    gaussians.means[::3] = gaussians.means[:20_000]
+    camera = make_camera(230, 190, 150.0, 2)
+    labels = random_labels(LEVELS, 190, 230, REGIONS, 1)
+    found = []
+    for threads in (1, 2, 3, 5):
+        torch.set_num_threads(threads)
+        view = raster.look(gaussians, camera, backend="native")
+        answers = everything(view, len(gaussians), labels, 512)
+        answers["vote"] = top_k(answers["uplift"], 4)
+        found.append(answers)
+    assert found[0]["alpha"].max() > 0.99
+    for answers in found[1:]:
+        for name, expected in found[0].items():
+            pairs = [(answers[name], expected)] if torch.is_tensor(expected) else zip(answers[name], expected)
+            assert all(torch.equal(a, b) for a, b in pairs), name
+
+
+def test_cosines_of_a_large_codebook_do_not_depend_on_threads(restore_threads):
+    """Its Gram matrices are products large enough to be shared out among threads."""
+    gaussians, camera = random_gaussians(300, 8), make_camera(40, 30)
+    generator = torch.Generator().manual_seed(0)
+    indices = torch.randint(1024, (300, 2, 4), generator=generator).to(torch.uint16)
+    weights = torch.rand(300, 2, 4, generator=generator)
+    codebook = torch.randn(2, 1024, 512, generator=generator)
+    queries = unit(torch.randn(40, 512, generator=generator))
+    found = []
+    for threads in (1, 2, 3, 5):
+        torch.set_num_threads(threads)
+        view = raster.look(gaussians, camera, backend="native")
+        found.append(raster.render_cosines(view, indices, weights, codebook, queries))
+    assert all(torch.equal(cosines, found[0]) for cosines in found)

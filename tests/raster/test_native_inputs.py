@@ -1,0 +1,262 @@
+"""What the compiled core is handed: other forms of tensors, and what it must refuse."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from raster.parity import BACKENDS, assert_close, assert_same_triplets, needs_native
+from scoup import raster
+from scoup.codes import SparseCodes
+from scoup.errors import InputError
+from scoup.gaussians import Gaussians
+from support import make_camera, random_gaussians, random_labels, unit
+
+COUNT, LEVELS, ATOMS, REGIONS = 50, 3, 8, 5
+CAMERA = make_camera()
+with_native = needs_native
+on_every_backend = pytest.mark.parametrize("backend", BACKENDS)
+
+
+def a_view(backend: str = "native") -> raster.View:
+    return raster.look(random_gaussians(COUNT, 1), CAMERA, backend=backend)
+
+
+def inputs() -> dict:
+    generator = torch.Generator().manual_seed(0)
+    return {
+        "values": torch.rand(COUNT, 3, generator=generator),
+        "labels": random_labels(LEVELS, CAMERA.height, CAMERA.width, REGIONS, 0),
+        "codes": [SparseCodes.from_dense(torch.rand(REGIONS, ATOMS), 3) for _ in range(LEVELS)],
+        "indices": torch.randint(ATOMS, (COUNT, LEVELS, 4), generator=generator, dtype=torch.uint8),
+        "weights": torch.rand(COUNT, LEVELS, 4, generator=generator),
+        "codebook": torch.rand(LEVELS, ATOMS, 6, generator=generator),
+        "queries": unit(torch.rand(2, 6, generator=generator)),
+    }
+
+
+def apart(tensor: torch.Tensor) -> torch.Tensor:
+    """The same values with gaps between them in memory."""
+    found = torch.stack([tensor, tensor], -1)[..., 0]
+    assert not found.is_contiguous()
+    return found
+
+
+FORMS = {
+    "apart": apart,
+    "float64": lambda tensor: tensor.double() if tensor.is_floating_point() else tensor.long(),
+    "requires_grad": lambda tensor: (
+        tensor.clone().requires_grad_() if tensor.is_floating_point() else tensor.int()
+    ),
+}
+
+
+@with_native
+@pytest.mark.parametrize("form", FORMS)
+def test_other_forms_of_the_same_numbers(form):
+    change, view, given = FORMS[form], a_view(), inputs()
+    changed = {name: change(tensor) for name, tensor in given.items() if name != "codes"}
+    assert torch.equal(
+        raster.render_channels(view, changed["values"])[0], raster.render_channels(view, given["values"])[0]
+    )
+    assert_same_triplets(
+        raster.region_weights(view, changed["labels"]), raster.region_weights(view, given["labels"])
+    )
+    codes = [(given["indices"], given["weights"]), (changed["indices"], changed["weights"])]
+    maps = [raster.render_codes(view, *pair, ATOMS) for pair in codes]
+    assert torch.equal(*maps)
+    cosines = [
+        raster.render_cosines(view, *pair, side["codebook"], side["queries"])
+        for pair, side in zip(codes, (given, changed), strict=True)
+    ]
+    assert_close(cosines[1], cosines[0])
+    assert not cosines[1].requires_grad
+
+
+@with_native
+@pytest.mark.parametrize("form", ["apart", "requires_grad"])
+def test_other_forms_of_the_scene(form):
+    plain = random_gaussians(COUNT, 1)
+    changed = Gaussians(
+        *(FORMS[form](getattr(plain, name)) for name in ("means", "quats", "scales", "opacities", "sh"))
+    )
+    values = inputs()["values"]
+    found = raster.render_channels(raster.look(changed, CAMERA, backend="native"), values)
+    expected = raster.render_channels(a_view(), values)
+    assert torch.equal(found[0], expected[0])
+
+
+@with_native
+def test_other_forms_of_region_codes():
+    given, sums = inputs(), []
+    strided = [
+        SparseCodes(apart(codes.indices), apart(codes.weights).requires_grad_(), ATOMS)
+        for codes in given["codes"]
+    ]
+    for codes, labels in ((given["codes"], given["labels"]), (strided, apart(given["labels"].long()))):
+        sums.append(torch.zeros(COUNT, LEVELS, ATOMS))
+        raster.uplift_view(a_view(), labels, codes, sums[-1])
+    assert torch.equal(*sums)
+
+
+@with_native
+def test_region_codes_may_change_after_they_were_added():
+    given, sums = inputs(), []
+    for spoil in (False, True):
+        sums.append(torch.zeros(COUNT, LEVELS, ATOMS))
+        codes = [SparseCodes(c.indices.clone(), c.weights.clone(), ATOMS) for c in given["codes"]]
+        labels = given["labels"].clone()
+        uplift = raster.Uplift(sums[-1], "native")
+        uplift.add(a_view(), labels, codes)
+        if spoil:
+            labels[:] = -1
+            for level in codes:
+                level.weights[:] = 0
+                level.indices[:] = 0
+        uplift.flush()
+    assert torch.equal(*sums)
+
+
+@with_native
+def test_nothing_to_do():
+    view, given = a_view(), inputs()
+    labels = given["labels"]
+    assert raster.render_channels(view, torch.zeros(COUNT, 0))[0].shape == (30, 40, 0)
+    assert len(raster.region_weights(view, labels[:0])[0]) == 0
+    none = given["weights"][..., :0]
+    assert not raster.render_codes(view, given["indices"][..., :0], none, ATOMS).any()
+    cosines = raster.render_cosines(
+        view, given["indices"], given["weights"], given["codebook"], given["queries"][:0]
+    )
+    assert cosines.shape == (LEVELS, 0, 30, 40)
+    empty = raster.look(random_gaussians(0, 0), CAMERA, backend="native")
+    out = torch.zeros(0, LEVELS, ATOMS)
+    raster.uplift_view(empty, labels, given["codes"], out)
+    assert raster.render_codes(empty, given["indices"][:0], given["weights"][:0], ATOMS).sum() == 0
+
+
+@on_every_backend
+def test_accumulators_of_another_form_are_refused(backend):
+    for out in (
+        torch.zeros(COUNT, LEVELS, ATOMS, dtype=torch.float64),
+        torch.zeros(COUNT, ATOMS, LEVELS).transpose(1, 2),
+        torch.zeros(COUNT, ATOMS),
+    ):
+        with pytest.raises(InputError, match="contiguous float32"):
+            raster.Uplift(out, backend)
+
+
+@on_every_backend
+def test_uplift_refuses_what_does_not_fit(backend):
+    view, given = a_view(backend), inputs()
+    labels, codes = given["labels"], given["codes"]
+    out = torch.zeros(COUNT, LEVELS, ATOMS)
+    wrong = [
+        (labels, codes[:2], out, "do not fit"),
+        (labels[:2], codes[:2], out, "do not fit"),
+        (labels, codes, torch.zeros(COUNT + 1, LEVELS, ATOMS), "do not fit"),
+        (labels[..., 1:], codes, out, "labels"),
+        (labels.float(), codes, out, "integers"),
+        (labels, [level.rows(slice(0, 2)) for level in codes], out, "no code"),
+        (labels, codes, torch.zeros(COUNT, LEVELS, ATOMS + 1), "atoms"),
+    ]
+    for bad_labels, bad_codes, bad_out, message in wrong:
+        with pytest.raises(InputError, match=message):
+            raster.uplift_view(view, bad_labels, bad_codes, bad_out)
+    assert not out.any()
+
+
+@on_every_backend
+def test_codes_and_queries_that_do_not_fit_are_refused(backend):
+    view, given = a_view(backend), inputs()
+    indices, weights = given["indices"], given["weights"]
+    codebook, queries = given["codebook"], given["queries"]
+    with pytest.raises(InputError, match="code weights"):
+        raster.render_codes(view, indices[1:], weights[1:], ATOMS)
+    with pytest.raises(InputError, match="differ"):
+        raster.render_codes(view, indices[..., 1:], weights, ATOMS)
+    for bad_codebook, bad_queries in (
+        (codebook[:2], queries),
+        (codebook, queries[:, 1:]),
+        (codebook[0], queries),
+        (codebook, queries[0]),
+    ):
+        with pytest.raises(InputError, match="do not fit"):
+            raster.render_cosines(view, indices, weights, bad_codebook, bad_queries)
+
+
+@pytest.mark.xfail(strict=False, reason="only the native backend refuses it as InputError, and only in int64")
+@on_every_backend
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.int64])
+def test_an_atom_beyond_the_codebook_is_refused(backend, dtype):
+    view, given = a_view(backend), inputs()
+    indices = given["indices"].to(dtype)
+    indices[7, 0, 0] = ATOMS  # of the first level: it must not pass for atom 0 of the second
+    with pytest.raises(InputError, match="atom|indices"):
+        raster.render_codes(view, indices, given["weights"], ATOMS)
+    with pytest.raises(InputError, match="atom|indices"):
+        raster.render_cosines(view, indices, given["weights"], given["codebook"], given["queries"])
+
+
+@pytest.mark.xfail(strict=True, reason="native: ValueError; reference: adds to the next level")
+@on_every_backend
+def test_a_region_code_beyond_the_codebook_is_refused(backend):
+    given = inputs()
+    given["codes"][0].indices[2, 0] = ATOMS
+    with pytest.raises(InputError, match="atom|indices"):
+        raster.uplift_view(
+            a_view(backend), given["labels"], given["codes"], torch.zeros(COUNT, LEVELS, ATOMS)
+        )
+
+
+@pytest.mark.xfail(strict=True, reason="they are cut to 32 bits silently")
+@with_native
+@pytest.mark.parametrize("offset", [2**31, 2**32, 2**40])
+def test_labels_beyond_32_bits_are_refused(offset):
+    labels = inputs()["labels"].long()
+    with pytest.raises(InputError, match="label"):
+        raster.region_weights(a_view(), torch.where(labels >= 0, labels + offset, -1))
+
+
+@pytest.mark.xfail(strict=True, reason="they are cut to 32 bits silently")
+@with_native
+def test_any_negative_label_is_no_region():
+    labels = inputs()["labels"].long()
+    found = raster.region_weights(a_view(), torch.where(labels >= 0, labels, -(2**32)))
+    assert_same_triplets(found, raster.region_weights(a_view(), labels))
+
+
+@pytest.mark.xfail(strict=True, reason="the sieve takes the largest scale with its sign")
+@with_native
+def test_scales_count_by_their_size():
+    """A covariance holds squares of scales, so their sign means nothing."""
+    plain = random_gaussians(COUNT, 1)
+    mirrored = Gaussians(plain.means, plain.quats, -plain.scales, plain.opacities, plain.sh)
+    alphas = [
+        raster.render_channels(raster.look(gaussians, CAMERA, backend="native"), torch.zeros(COUNT, 0))[1]
+        for gaussians in (plain, mirrored)
+    ]
+    assert torch.equal(*alphas)
+
+
+def test_native_by_name_without_the_core_names_the_remedy(monkeypatch):
+    monkeypatch.setattr(raster, "native_core", lambda: None)
+    monkeypatch.setattr(
+        raster, "missing_reason", lambda: "the compiled core was not built; install a compiler"
+    )
+    gaussians = random_gaussians(COUNT, 1)
+    with pytest.raises(InputError, match=r"'native' cannot be used: .*install a compiler"):
+        raster.look(gaussians, CAMERA, backend="native")
+    with pytest.raises(InputError, match="install a compiler"):
+        raster.Uplift(torch.zeros(COUNT, LEVELS, ATOMS), "native")
+
+
+def test_the_reference_serves_without_the_core(monkeypatch):
+    monkeypatch.setattr(raster, "native_core", lambda: None)
+    monkeypatch.setattr(raster, "warn_once_if_missing", lambda: None)
+    assert raster.look(random_gaussians(COUNT, 1), CAMERA).backend == "reference"
+
+
+@with_native
+def test_the_core_serves_by_default():
+    assert raster.look(random_gaussians(COUNT, 1), CAMERA).backend == "native"
