@@ -1,6 +1,7 @@
 """Build and score the `kitchen` scene: top-K vote, no top-K, dense uplift, by the LERF-OVS protocol.
 
-    python -m benchmarks.kitchen --data DATA [--seeds 0 1 2] [--epochs 4000] [--scale 1.0] [--out result.json]
+    python -m benchmarks.kitchen --data DATA [--seeds 0 1 2] [--solver adam] [--epochs 4000] [--scale 1.0]
+        [--out result.json]
 
 DATA is the folder that holds kitchen/ and clip/ (default: SCOUP_TEST_DATA, else ../shared/data). Geometry and text
 vectors of the scene are real, its masks and region embeddings are simulated: scores compare variants with each
@@ -38,6 +39,8 @@ class Arguments:
     """Folder that holds kitchen/ and clip/."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of the codebook; scores are means over them."""
+    solver: str = "adam"
+    """How codes are learned: "adam" or "exact"."""
     epochs: int = 4000
     """Epochs of the adam solver."""
     n_atoms: int = 64
@@ -73,7 +76,9 @@ def score_kitchen(arguments: Arguments, kitchen: Path, features: Path) -> dict:
     for seed in arguments.seeds:
         with timed(seconds, f"coding, seed {seed}"):
             books = [
-                scoup.fit_codes(rows, arguments.n_atoms, solver="adam", seed=seed, epochs=arguments.epochs)
+                scoup.fit_codes(
+                    rows, arguments.n_atoms, solver=arguments.solver, seed=seed, epochs=arguments.epochs
+                )
                 for rows in stacked
             ]
         with timed(seconds, f"sums to codes, seed {seed}"):
@@ -138,6 +143,7 @@ def summarise(scores: dict[str, SceneScore], arguments: Arguments, seconds: dict
         "protocol": "lerf-ovs 2D",
         "pairs": pairs,
         "seeds": list(arguments.seeds),
+        "solver": arguments.solver,
         "epochs": arguments.epochs,
         "scale": arguments.scale,
         "rows": rows,

@@ -9,14 +9,18 @@
 
 namespace scoup {
 
+constexpr int kUntestedTiles = 4;
+
 inline float between(float x, float low, float high) { return std::min(std::max(x, low), high); }
 
 // Calls visit(row of tiles, first tile, one past the last) for each row of tiles that the ellipse
 // alpha >= 1/255, slightly widened, reaches; `rect` holds the tiles around it.
 template <class Visit>
 inline void visit_tiles(const Projected& p, const TileRect& rect, const Visit& visit) {
-    // An ellipse inside one row or one column of tiles reaches every tile of its rectangle.
-    if (rect.x1 - rect.x0 < 2 || rect.y1 - rect.y0 < 2) {
+    // An ellipse inside one row or one column of tiles reaches every tile of its rectangle. A few tiles more or less are
+    // not worth the square roots: the tile loop finds out by itself.
+    const int width = rect.x1 - rect.x0, height = rect.y1 - rect.y0;
+    if (width < 2 || height < 2 || width * height <= kUntestedTiles) {
         for (int row = rect.y0; row < rect.y1; ++row) visit(row, int(rect.x0), int(rect.x1));
         return;
     }

@@ -32,7 +32,7 @@ class CodeSink {
                           const Projected* projected, const CodeScratch& scratch)
         : indices_(indices), weights_(weights), levels_(codes.levels), k_(codes.k), n_atoms_(codes.n_atoms),
           projected_(projected), scratch_(scratch), planes_(reinterpret_cast<Floats*>(scratch.sums)),
-          stride_(codes.atoms_of_all_levels()) {
+          stride_(codes.block_stride()) {
         for (int level = 0; level < levels_; ++level) scratch.n_found[level] = 0;
     }
 
@@ -95,7 +95,7 @@ class CodeSink {
 class TileCodes {
   public:
     SCOUP_INLINE TileCodes(const Tile& tile, const GaussianCodes& codes, const CodeScratch& scratch)
-        : n_atoms_(codes.n_atoms), levels_(codes.levels), stride_(codes.atoms_of_all_levels()), scratch_(scratch) {
+        : n_atoms_(codes.n_atoms), levels_(codes.levels), stride_(codes.block_stride()), scratch_(scratch) {
         if (codes.indices8 != nullptr)
             codes.weights != nullptr ? walk(tile, codes, codes.indices8, codes.weights)
                                      : walk(tile, codes, codes.indices8, codes.half_weights);

@@ -17,6 +17,10 @@ struct GaussianCodes {
     int32_t levels, k, n_atoms;
 
     int64_t atoms_of_all_levels() const { return int64_t(levels) * n_atoms; }
+
+    // Vectors of sums from one block of a tile to the next: not a multiple of a large power of two, or the sums of all
+    // blocks would fall into the same few sets of the first-level cache.
+    int64_t block_stride() const { return atoms_of_all_levels() + (37 - atoms_of_all_levels() % 64 + 64) % 64; }
 };
 
 struct FoundAtom {
@@ -30,7 +34,7 @@ struct CodeEntry {
 
 // Scratch of one worker. Only atoms that occur in a tile get sums.
 struct CodeScratch {
-    float* sums;       // [256 * levels * n_atoms], on a 64 byte boundary
+    float* sums;       // [256 * block_stride()], on a 64 byte boundary
     int32_t* place;    // [levels * n_atoms]: of an atom's sums, -1 for none; all -1 between tiles
     FoundAtom* atoms;  // [levels, n_atoms]: the atoms that occur at each level ...
     int32_t* n_found;  // [levels]: ... and how many

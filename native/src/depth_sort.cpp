@@ -31,9 +31,11 @@ void radix_pass(const Buffer<DepthKey>& from, Buffer<DepthKey>& to, uint64_t low
     });
 }
 
-// Depths that are equal as floats may differ as doubles.
-void order_ties(Buffer<DepthKey>& keys, const Projected* projected, const int64_t* ties) {
+// Puts the keys of each run that agrees in the sorted digits in order. Depths that are equal as floats may differ as
+// doubles.
+void order_runs(Buffer<DepthKey>& keys, uint64_t lowest, int shift, const Projected* projected, const int64_t* ties) {
     const auto before = [projected, ties](DepthKey a, DepthKey b) {
+        if (a >> 32 != b >> 32) return a < b;
         const Projected &pa = projected[slot_of(a)], &pb = projected[slot_of(b)];
         if (pa.depth != pb.depth) return pa.depth < pb.depth;
         return ties != nullptr ? ties[pa.id] < ties[pb.id] : pa.id < pb.id;
@@ -41,7 +43,7 @@ void order_ties(Buffer<DepthKey>& keys, const Projected* projected, const int64_
     const int64_t n = keys.size();
     for (int64_t first = 0; first < n;) {
         int64_t end = first + 1;
-        while (end < n && keys[end] >> 32 == keys[first] >> 32) ++end;
+        while (end < n && (keys[end] - lowest) >> shift == (keys[first] - lowest) >> shift) ++end;
         if (end - first > 1) std::sort(keys.data() + first, keys.data() + end, before);
         first = end;
     }
@@ -55,12 +57,16 @@ void sort_by_depth(Buffer<DepthKey>& keys, const Projected* projected, const int
     const auto [low, high] = std::minmax_element(keys.begin(), keys.end());
     const uint64_t lowest = *low >> 32 << 32, span = (*high - lowest) >> 32;
     const int64_t n_parts = std::clamp<int64_t>(keys.size() / 16384, 1, n_threads);
+    // Two passes order all but the last few bits of the depths; what is left are short runs.
+    int bits = 0;
+    while (bits < 32 && span >> bits != 0) ++bits;
+    const int shift = 32 + std::max(0, bits - 2 * kDigitBits);
     Buffer<DepthKey> other(keys.size());
-    for (int shift = 32; shift < 64 && span >> (shift - 32) != 0; shift += kDigitBits) {
-        radix_pass(keys, other, lowest, shift, n_parts, n_threads, interrupted);
+    for (int pass = 0; pass < 2; ++pass) {
+        radix_pass(keys, other, lowest, shift + pass * kDigitBits, n_parts, n_threads, interrupted);
         std::swap(keys, other);
     }
-    order_ties(keys, projected, ties);
+    order_runs(keys, lowest, shift, projected, ties);
 }
 
 }  // namespace scoup

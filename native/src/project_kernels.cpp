@@ -10,6 +10,7 @@ constexpr int kGroup = 8;
 constexpr int kBatch = 64;
 using Doubles = double __attribute__((vector_size(8 * kGroup)));
 using Longs = int64_t __attribute__((vector_size(8 * kGroup)));
+using Halves = int32_t __attribute__((vector_size(4 * kGroup)));
 
 template <double (*function)(double)>
 SCOUP_INLINE Doubles each(Doubles x) {
@@ -58,8 +59,9 @@ struct Sieve {
             const double x = v[0] * mx + v[1] * my + v[2] * mz + v[3];
             const double y = v[4] * mx + v[5] * my + v[6] * mz + v[7];
             const double z = v[8] * mx + v[9] * my + v[10] * mz + v[11];
-            float scale = scales[3 * i] > scales[3 * i + 1] ? scales[3 * i] : scales[3 * i + 1];
-            scale = scale > scales[3 * i + 2] ? scale : scales[3 * i + 2];
+            const float s0 = __builtin_fabsf(scales[3 * i]), s1 = __builtin_fabsf(scales[3 * i + 1]);
+            const float s2 = __builtin_fabsf(scales[3 * i + 2]);
+            const float scale = s0 > s1 ? (s0 > s2 ? s0 : s2) : (s1 > s2 ? s1 : s2);
             const double reach_x = spread_x * scale + kBlur * z, reach_y = spread_y * scale + kBlur * z;
             // Not `|`-ed from comparisons that NaN would pass: every test must hold.
             keep[i] = (z > near) & (opacities[i] >= float(kAlphaMin)) & (camera.fx * x + left * z + reach_x >= 0) &
@@ -118,7 +120,7 @@ class Projector {
     double widest_ray_x() const { return -low_x_ > high_x_ ? -low_x_ : high_x_; }
     double widest_ray_y() const { return -low_y_ > high_y_ ? -low_y_ : high_y_; }
 
-    // Writes the visible ones of `count` Gaussians; returns how many.
+    // Writes the visible ones of `count` Gaussians; returns how many. There must be room for one more.
     SCOUP_INLINE int operator()(const Group& g, const int32_t* rows, int count, uint32_t first, Projected* out,
                                 TileRect* rects, float* keys) const {
         const double* v = camera_.viewmat;
@@ -175,33 +177,40 @@ class Projector {
                               (g.poison() == 0) & (centre_x + half_width >= 0.5) &
                               (centre_x - half_width <= camera_.width - 0.5) & (centre_y + half_height >= 0.5) &
                               (centre_y - half_height <= camera_.height - 0.5);
+        const Doubles reach = widened(half_width), rise = widened(half_height);
+        // Pixel centres lie at +0.5. The first tile may be one too many to the left or above: a bound is all it is.
+        const Ranges across = tiles(centre_x - reach - 0.5, centre_x + reach - 0.5, tiles_x_);
+        const Ranges along = tiles(centre_y - rise - 0.5, centre_y + rise - 0.5, tiles_y_);
+        const Doubles pixels = 1 / ku;
         int n = 0;
         for (int i = 0; i < count; ++i) {
-            if (!visible[i]) continue;
             Projected& p = out[n];
             p.x = centre_x[i], p.y = centre_y[i], p.slope = slope[i], p.depth = z[i];
-            p.ku = float(ku[i]), p.kv = float(kv[i]), p.peak = float(peak[i]), p.tip = float(tip[i]), p.pixels = float(1 / ku[i]);
-            p.reach = widened(half_width[i]), p.rise = widened(half_height[i]);
+            p.ku = float(ku[i]), p.kv = float(kv[i]), p.peak = float(peak[i]), p.tip = float(tip[i]);
+            p.reach = float(reach[i]), p.rise = float(rise[i]), p.pixels = float(pixels[i]);
             p.id = first + uint32_t(rows[i]);
-            rects[n] = {tile_at(p.x - p.reach - 0.5, true, tiles_x_), tile_at(p.x + p.reach - 0.5, false, tiles_x_),
-                        tile_at(p.y - p.rise - 0.5, true, tiles_y_), tile_at(p.y + p.rise - 0.5, false, tiles_y_)};
+            rects[n] = {uint16_t(across.first[i]), uint16_t(across.end[i]), uint16_t(along.first[i]), uint16_t(along.end[i])};
             keys[n] = float(z[i]);
-            ++n;
+            n += visible[i] != 0;  // written always, kept only if visible: cheaper than a branch
         }
         return n;
     }
 
   private:
-    static SCOUP_INLINE float widened(double extent) {
-        const double wide = extent * (1 + double(kSlackShare)) + double(kSlack);
-        return wide < 1e30 ? float(wide) : 1e30f;
+    struct Ranges {
+        Halves first, end;
+    };
+
+    static SCOUP_INLINE Doubles widened(Doubles extent) {
+        return at_most(extent * (1 + double(kSlackShare)) + double(kSlack), 1e30 + Doubles{});
     }
 
-    // First tile a span that begins at pixel index `at` may touch, or one past the last of a span that ends there.
-    static SCOUP_INLINE uint16_t tile_at(double at, bool begin, int tiles) {
-        const double pixel = begin ? __builtin_ceil(at) : __builtin_floor(at) + kTile;
-        const double tile = __builtin_floor(pixel / kTile);
-        return tile <= 0 ? 0 : tile >= tiles ? uint16_t(tiles) : uint16_t(tile);
+    // Tiles that hold pixels low .. high.
+    static SCOUP_INLINE Ranges tiles(Doubles low, Doubles high, int count) {
+        const Doubles none{}, last = double(count) + Doubles{};
+        const Doubles begin = at_most(at_least(low * (1.0 / kTile), none), last);
+        const Doubles end = at_most(at_least(high * (1.0 / kTile), none) + 1, last);
+        return {__builtin_convertvector(begin, Halves), __builtin_convertvector(end, Halves)};
     }
 
     const Camera& camera_;

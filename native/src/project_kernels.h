@@ -19,7 +19,8 @@ struct Scene {
 
 struct ProjectKernels {
     // Projects rows first .. last - 1 and writes those that can paint a pixel, in the order of the rows, to out,
-    // rects and keys (depth as float). Returns how many; the arrays hold last - first.
+    // rects and keys (depth as float). Returns how many; the arrays hold last - first + 1,
+    // of which the last one is scratch.
     int64_t (*project)(const Scene& scene, const Camera& camera, const Preset& preset, int64_t first, int64_t last,
                        Projected* out, TileRect* rects, float* keys);
 };

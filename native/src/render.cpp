@@ -26,7 +26,7 @@ void for_tiles(const View& view, int n_threads, const Interrupted& interrupted,
 class CodeMemory {
   public:
     CodeMemory(const GaussianCodes& codes, int32_t n_queries)
-        : sums_(codes.atoms_of_all_levels() * kPixels), place_(codes.atoms_of_all_levels()),
+        : sums_(codes.block_stride() * kPixels), place_(codes.atoms_of_all_levels()),
           n_found_(codes.levels), atoms_(codes.atoms_of_all_levels()),
           products_(n_queries < 0 ? 0 : int64_t(codes.n_atoms) * (codes.n_atoms + n_queries)),
           entries_(16 * int64_t(codes.levels) * codes.k) {

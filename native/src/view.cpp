@@ -11,8 +11,9 @@ namespace scoup {
 namespace {
 
 constexpr int64_t kRowsAtOnce = 8192;
+constexpr int64_t kStride = kRowsAtOnce + 1;  // slots of a chunk; the kernel wants one as scratch
 
-// The projected scene before it is sorted: slots of chunk c begin at c * kRowsAtOnce.
+// The projected scene before it is sorted: slots of chunk c begin at c * kStride.
 struct Gathered {
     Buffer<Projected> projected;
     Buffer<TileRect> rects;
@@ -24,19 +25,20 @@ Gathered gather(const Scene& scene, const Camera& camera, const Preset& preset, 
                 const Interrupted& interrupted) {
     const auto& kernels = pick(baseline::project_kernels, v3::project_kernels, v4::project_kernels);
     const int64_t n_chunks = (scene.count + kRowsAtOnce - 1) / kRowsAtOnce;
-    Gathered all{Buffer<Projected>(scene.count), Buffer<TileRect>(scene.count), {}, {}};
-    Buffer<float> depths(scene.count);
+    Gathered all{Buffer<Projected>(n_chunks * kStride), Buffer<TileRect>(n_chunks * kStride), {}, {}};
+    Buffer<float> depths(n_chunks * kStride);
     std::vector<int64_t> visible(size_t(n_chunks), 0);
     const size_t n_tiles = size_t(view.n_tiles());
     std::vector<std::vector<uint32_t>> counts(static_cast<size_t>(std::max(n_threads, 1)));
     for_chunks(n_chunks, n_threads, interrupted, [&](int64_t chunk, int worker) {
         const int64_t first = chunk * kRowsAtOnce, last = std::min(first + kRowsAtOnce, scene.count);
-        const int64_t found = kernels.project(scene, camera, preset, first, last, all.projected.data() + first,
-                                              all.rects.data() + first, depths.data() + first);
+        const int64_t begin = chunk * kStride;
+        const int64_t found = kernels.project(scene, camera, preset, first, last, all.projected.data() + begin,
+                                              all.rects.data() + begin, depths.data() + begin);
         visible[size_t(chunk)] = found;
         auto& count = counts[size_t(worker)];
         count.resize(n_tiles);
-        for (int64_t slot = first; slot < first + found; ++slot)
+        for (int64_t slot = begin; slot < begin + found; ++slot)
             visit_tiles(all.projected[slot], all.rects[slot], [&](int row, int x0, int x1) {
                 for (int x = x0; x < x1; ++x) ++count[size_t(row) * size_t(view.tiles_x) + size_t(x)];
             });
@@ -51,7 +53,7 @@ Gathered gather(const Scene& scene, const Camera& camera, const Preset& preset, 
     int64_t at = 0;
     for (int64_t chunk = 0; chunk < n_chunks; ++chunk)
         for (int64_t k = 0; k < visible[size_t(chunk)]; ++k) {
-            const int64_t slot = chunk * kRowsAtOnce + k;
+            const int64_t slot = chunk * kStride + k;
             all.keys[at++] = depth_key(depths[slot], uint32_t(slot));
         }
     return all;
@@ -77,7 +79,7 @@ void fill_lists(View& view, const Gathered& all, int n_threads, const Interrupte
             if (i + kRectAhead < n) __builtin_prefetch(&all.rects[slot_of(all.keys[i + kRectAhead])]);
             if (i + kProjectedAhead < n) {
                 const TileRect& soon = all.rects[slot_of(all.keys[i + kProjectedAhead])];
-                if (soon.x1 - soon.x0 > 1 && soon.y1 - soon.y0 > 1)
+                if ((soon.x1 - soon.x0) * (soon.y1 - soon.y0) > kUntestedTiles)
                     __builtin_prefetch(&all.projected[slot_of(all.keys[i + kProjectedAhead])]);
             }
             const uint32_t slot = slot_of(all.keys[i]);

@@ -31,10 +31,10 @@ class Best {
 
     template <class Index>
     void write(Index* indices, float* weights) const {
-        float total = 0;
-        for (int32_t j = 0; j < count_; ++j) total += values_[size_t(j)];
+        double total = 0;
+        for (int32_t j = 0; j < count_; ++j) total += double(values_[size_t(j)]);
         for (int32_t j = 0; j < k_; ++j) {
-            weights[j] = j < count_ ? values_[size_t(j)] / total : 0.0f;
+            weights[j] = j < count_ ? float(double(values_[size_t(j)]) / total) : 0.0f;
             indices[j] = Index(weights[j] > 0 ? atoms_[size_t(j)] : 0);
         }
     }

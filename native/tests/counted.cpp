@@ -81,7 +81,8 @@ struct Work {
     }
 
     scoup::View look() const {
-        return scoup::look({kGaussians, means.data(), quats.data(), scales.data(), opacities.data()}, camera, preset, 1, kNever);
+        return scoup::look({kGaussians, means.data(), quats.data(), scales.data(), opacities.data(), nullptr}, camera, preset, 1,
+                           kNever);
     }
 };
 

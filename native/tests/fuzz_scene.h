@@ -9,15 +9,21 @@ namespace scoup {
 
 struct SceneArrays {
     Exact<float> means, quats, scales, opacities;
+    Exact<int64_t> ties;
+    bool tied = false;
 
     int64_t count() const { return opacities.size(); }
-    Scene scene() const { return {count(), means.data(), quats.data(), scales.data(), opacities.data()}; }
+    int64_t tie(int64_t row) const { return tied ? ties[row] : row; }
+    Scene scene() const {
+        return {count(), means.data(), quats.data(), scales.data(), opacities.data(), tied ? ties.data() : nullptr};
+    }
 };
 
 // Gaussians in front of a camera at the origin that looks along z, and a few behind it. `hostile` is the share of
 // numbers that are replaced by the worst there are.
 inline SceneArrays random_scene(Random& random, int64_t count, double hostile) {
-    SceneArrays all{{random, 3 * count}, {random, 4 * count}, {random, 3 * count}, {random, count}};
+    SceneArrays all{{random, 3 * count}, {random, 4 * count}, {random, 3 * count}, {random, count}, {random, count}};
+    all.tied = random.chance(0.5);
     const double size = std::pow(10.0, random.uniform(-3, 0));
     for (int64_t i = 0; i < count; ++i) {
         const double depth = random.uniform(-0.5, 6);
@@ -26,6 +32,7 @@ inline SceneArrays random_scene(Random& random, int64_t count, double hostile) {
         all.means[3 * i + 2] = float(depth);
         for (int c = 0; c < 4; ++c) all.quats[4 * i + c] = float(random.uniform(-1, 1));
         for (int c = 0; c < 3; ++c) all.scales[3 * i + c] = float(size * std::pow(10.0, random.uniform(-1, 0.5)));
+        all.ties[i] = int64_t(random.bits());
         all.opacities[i] = float(random.uniform());
         if (random.chance(0.1)) all.opacities[i] = 1.0f;
     }

@@ -71,9 +71,9 @@ class SparseCodes:
         keep = min(k, n_atoms)
         # A stable sort, not topk: topk promises no order among equal entries.
         values, order = torch.sort(dense, dim=1, descending=True, stable=True)
-        weights = values[:, :keep].clamp(min=0).float()
+        weights = values[:, :keep].clamp(min=0).double()
         total = weights.sum(1, keepdim=True)
-        weights = torch.where(total > 0, weights / total.clamp(min=torch.finfo(torch.float32).tiny), 0.0)
+        weights = torch.where(total > 0, weights / total, 0.0).float()
         indices = torch.where(weights > 0, order[:, :keep], 0)
         if keep < k:
             weights = torch.nn.functional.pad(weights, (0, k - keep))
@@ -113,6 +113,13 @@ def cosines_from_products(weights: Tensor, scores: Tensor, gram: Tensor) -> Tens
     return torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)
 
 
+def check_atoms(indices: Tensor, n_atoms: int) -> None:
+    """Refuse codes that refer to atoms there are not: indices of several levels are flattened together later."""
+    wide = indices.long()
+    if wide.numel() and not 0 <= int(wide.min()) <= int(wide.max()) < n_atoms:
+        raise InputError(f"code indices must be 0 to {n_atoms - 1}")
+
+
 def add_codes(
     gaussian: Tensor, key: Tensor, weight: Tensor, stride: int, codes: list[SparseCodes], out: Tensor
 ) -> None:
@@ -124,6 +131,7 @@ def add_codes(
     n_atoms = out.shape[2]
     flat = out.view(-1)
     for level, level_codes in enumerate(codes):
+        check_atoms(level_codes.indices, n_atoms)
         chosen = (key >= level * stride) & (key < (level + 1) * stride)
         rows = key[chosen] - level * stride
         base = (gaussian[chosen] * len(codes) + level) * n_atoms

@@ -191,6 +191,9 @@ def top_k(accumulators: Tensor, k: int | None) -> tuple[Tensor, Tensor]:
     Returns:
         indices [N, S, K] uint8 (uint16 beyond 256 atoms) and weights [N, S, K] float32, zero where nothing painted.
     """
+    if k is not None and k < 1:
+        raise InputError(f"the vote keeps at least one atom, not {k}; None keeps all")
+    accumulators = accumulators.detach()
     count, levels, n_atoms = accumulators.shape
     keep = n_atoms if k is None else k
     core = native_core() if accumulators.device.type == "cpu" else None

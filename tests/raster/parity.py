@@ -48,7 +48,7 @@ def both(gaussians: Gaussians, camera: Camera, preset: str = "inria") -> tuple[r
 def close_calls(gaussians: Gaussians, camera: Camera, preset: str, rows: Tensor, columns: Tensor) -> Tensor:
     """[P] int64: how many decisions at each pixel are too close to call, by an evaluation in float64 without tiles."""
     constants, projected = raster_preset(preset), project(gaussians, camera, raster_preset(preset))
-    xx, xy, yy = projected.covariances.unbind(1)
+    _, xy, yy = projected.covariances.unbind(1)
     found = []
     at_once = max(1, 4_000_000 // max(1, len(projected)))
     for y, x in zip(rows.split(at_once), columns.split(at_once), strict=True):

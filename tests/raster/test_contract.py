@@ -9,15 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from raster.brute_force import blending_weights
+from raster.parity import ABSOLUTE, BACKENDS, RELATIVE
 from scoup import raster
 from scoup.codes import SparseCodes
 from scoup.errors import InputError, UnknownNameError
 from support import KINDS, make_camera, random_gaussians, random_labels, scenes
-
-BACKENDS = sorted(raster.BACKENDS)
-RELATIVE = 1e-5
-# Float32 rounding of a sum of N terms near 1 cannot be asked to be better than this in absolute terms.
-ABSOLUTE = 2e-6
 
 pytestmark = pytest.mark.parametrize("backend", BACKENDS)
 

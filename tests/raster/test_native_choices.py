@@ -102,8 +102,8 @@ def test_same_bytes_on_any_number_of_threads(restore_threads):
     assert found[0]["alpha"].max() > 0.99
     for answers in found[1:]:
         for name, expected in found[0].items():
-            pairs = [(answers[name], expected)] if torch.is_tensor(expected) else zip(answers[name], expected)
-            assert all(torch.equal(a, b) for a, b in pairs), name
+            assert len(answers[name]) == len(expected)
+            assert all(torch.equal(a, b) for a, b in zip(answers[name], expected, strict=True)), name
 
 
 def test_cosines_of_a_large_codebook_do_not_depend_on_threads(restore_threads):

@@ -1,4 +1,4 @@
-"""The compiled core against the reference on real scenes, where flips cannot be avoided: counted, explained, bounded."""
+"""The compiled core against the reference on real scenes, where flips are counted, explained and bounded."""
 
 from __future__ import annotations
 

@@ -214,7 +214,7 @@ def render_channels(view: View, values: Tensor) -> tuple[Tensor, Tensor]:
         image [H, W, C] = sum of e_i * values_i, and alpha [H, W] = sum of e_i (one minus the transmittance left).
     """
     _check_rows(view, values, 2, "values")
-    return _backend_of(view).render_channels(view, values)
+    return _backend_of(view).render_channels(view, values.float())
 
 
 def render_codes(view: View, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
@@ -257,7 +257,7 @@ def render_cosines(view: View, indices: Tensor, weights: Tensor, codebook: Tenso
         raise InputError(
             f"codebook {list(codebook.shape)} and queries {list(queries.shape)} do not fit {indices.shape[1]} levels"
         )
-    return _backend_of(view).render_cosines(view, indices, weights, codebook, queries)
+    return _backend_of(view).render_cosines(view, indices, weights, codebook.float(), queries.float())
 
 
 def render_colors(
@@ -293,6 +293,8 @@ def _check_labels(view: View, labels: Tensor) -> None:
         )
     if labels.is_floating_point():
         raise InputError(f"labels must be integers, got {labels.dtype}")
+    if labels.dtype == torch.int64 and labels.numel() and int(labels.max()) >= 2**31:
+        raise InputError(f"label {int(labels.max())} is beyond 32 bits; number the regions from 0")
 
 
 def _check_rows(view: View, values: Tensor, dims: int, name: str) -> None:

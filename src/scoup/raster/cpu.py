@@ -5,6 +5,8 @@ Everything runs on ``torch.get_num_threads()`` threads; the result does not depe
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -51,21 +53,22 @@ def look(
     gaussians: Gaussians, camera: Camera, preset: RasterPreset, ties: Tensor | None = None
 ) -> NativeView:
     """See ``raster.look``. ``ties`` [N] int64 decides between equal depths; by default the rows do."""
-    handle = _core().look(
-        _array(gaussians.means),
-        _array(gaussians.quats),
-        _array(gaussians.scales),
-        _array(gaussians.opacities),
-        np.ascontiguousarray(camera.viewmat[:3].double().cpu().numpy()),
-        (camera.fx, camera.fy, camera.cx, camera.cy),
-        camera.width,
-        camera.height,
-        (preset.near, preset.alpha_max, preset.stop),
-        preset.stop_inclusive,
-        preset.centred_clamp,
-        None if ties is None else _array(ties, torch.int64),
-        torch.get_num_threads(),
-    )
+    with _refusals():
+        handle = _core().look(
+            _array(gaussians.means),
+            _array(gaussians.quats),
+            _array(gaussians.scales),
+            _array(gaussians.opacities),
+            _array(camera.viewmat[:3], torch.float64),
+            (camera.fx, camera.fy, camera.cx, camera.cy),
+            camera.width,
+            camera.height,
+            (preset.near, preset.alpha_max, preset.stop),
+            preset.stop_inclusive,
+            preset.centred_clamp,
+            None if ties is None else _array(ties, torch.int64),
+            torch.get_num_threads(),
+        )
     return NativeView(len(gaussians), camera.width, camera.height, preset, handle)
 
 
@@ -83,11 +86,12 @@ class Uplift:
     """
 
     def __init__(self, out: Tensor) -> None:
-        self._handle = _core().Uplift(out.numpy())
+        self._handle = _core().Uplift(out.detach().numpy())
 
     def add(self, view: NativeView, labels: Tensor, codes: list[SparseCodes]) -> None:
         tables = [(_array(level.indices, level.indices.dtype), _array(level.weights)) for level in codes]
-        self._handle.add(view.handle, _labels(labels), tables, torch.get_num_threads())
+        with _refusals():
+            self._handle.add(view.handle, _labels(labels), tables, torch.get_num_threads())
 
     def flush(self) -> None:
         self._handle.flush(torch.get_num_threads())
@@ -102,7 +106,8 @@ def render_channels(view: NativeView, values: Tensor) -> tuple[Tensor, Tensor]:
 def render_codes(view: NativeView, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
     table = _code_table(indices, weights, n_atoms)
-    return torch.from_numpy(_core().render_codes(view.handle, *table, n_atoms, torch.get_num_threads()))
+    with _refusals():
+        return torch.from_numpy(_core().render_codes(view.handle, *table, n_atoms, torch.get_num_threads()))
 
 
 def render_cosines(
@@ -112,7 +117,8 @@ def render_cosines(
     table = _code_table(indices, weights, codebook.shape[1])
     grams = _array(codebook @ codebook.transpose(1, 2))
     scores = _array(codebook @ queries.T)
-    found = _core().render_cosines(view.handle, *table, grams, scores, torch.get_num_threads())
+    with _refusals():
+        found = _core().render_cosines(view.handle, *table, grams, scores, torch.get_num_threads())
     return torch.from_numpy(found)
 
 
@@ -138,7 +144,19 @@ def _array(tensor: Tensor, dtype: torch.dtype = torch.float32) -> np.ndarray:
     return tensor.detach().to("cpu", dtype).contiguous().numpy()
 
 
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """What the core refuses is the caller's mistake."""
+    try:
+        yield
+    except (ValueError, IndexError) as error:
+        raise InputError(str(error)) from None
+
+
 def _labels(labels: Tensor) -> np.ndarray:
+    """[S, H, W] int32; cutting must not turn a negative label into a region."""
+    if labels.dtype == torch.int64:
+        labels = labels.clamp(min=-1)
     return _array(labels, torch.int32)
 
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes, add_codes, cosines_from_products
+from scoup.codes import SparseCodes, add_codes, check_atoms, cosines_from_products
 from scoup.gaussians import Gaussians
 from scoup.raster.binning import Bins, bin_to_tiles
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
@@ -123,6 +123,7 @@ def render_channels(view: ReferenceView, values: Tensor) -> tuple[Tensor, Tensor
 
 def render_codes(view: ReferenceView, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
+    check_atoms(indices, n_atoms)
     levels = indices.shape[1]
     tiles = _empty_tiles(view, levels * n_atoms, weights.device)
     for tile, ids, blending in tile_weights(view):
@@ -136,6 +137,7 @@ def render_cosines(
 ) -> Tensor:
     """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
     levels, n_atoms, _ = codebook.shape
+    check_atoms(indices, n_atoms)
     count = len(queries)
     scores, grams = codebook @ queries.T, codebook @ codebook.transpose(1, 2)
     tiles = _empty_tiles(view, levels * count, weights.device)
