@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
 import re
 import shutil
@@ -33,6 +34,8 @@ def build(folder: Path) -> Path:
     """Builds the program that is counted; returns its path."""
     if platform.machine() not in ("x86_64", "AMD64"):
         raise Skipped("the stored counts are of x86-64")
+    # cmake may be beside the interpreter only.
+    os.environ["PATH"] += os.pathsep + str(Path(sys.executable).parent)
     for tool in ("valgrind", "cmake"):
         if shutil.which(tool) is None:
             raise Skipped(f"{tool} is not installed")

@@ -1,0 +1,63 @@
+"""A scene prepared for many views shows the same as the scene itself."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from raster.parity import BACKENDS
+from scoup import raster
+from scoup.codes import SparseCodes
+from scoup.raster.ordering import morton_order
+from support import KINDS, make_camera, random_gaussians, random_labels
+
+pytestmark = pytest.mark.parametrize("backend", BACKENDS)
+
+
+def test_views_show_the_same(backend):
+    gaussians = random_gaussians(200, 4, KINDS)
+    gaussians.means[50:100] = gaussians.means[:50]  # equal depths: the original rows decide
+    scene = raster.prepare(gaussians, backend)
+    camera, values = make_camera(60, 44, seed=2), torch.rand(200, 3)
+    expected, _ = raster.render_channels(raster.look(gaussians, camera, backend=backend), values)
+    moved = values if scene.order is None else values[scene.order]
+    found, _ = raster.render_channels(raster.look(scene, camera), moved)
+    assert torch.equal(found, expected)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8, torch.uint16])
+def test_rows_are_restored(backend, dtype):
+    gaussians = random_gaussians(100, 1)
+    scene = raster.prepare(gaussians, backend)
+    numbers = torch.arange(100).to(dtype)
+    rows = torch.stack([numbers, numbers], 1)
+    moved = (
+        rows
+        if scene.order is None
+        else rows.view(torch.int16)[scene.order].view(dtype)
+        if dtype == torch.uint16
+        else rows[scene.order]
+    )
+    assert torch.equal(scene.restored(moved).long(), rows.long())
+
+
+def test_accumulators_are_in_the_new_order(backend):
+    gaussians, camera = random_gaussians(80, 3), make_camera()
+    labels = random_labels(2, 30, 40, 5, 0)
+    codes = [SparseCodes.from_dense(torch.rand(5, 8), 3) for _ in range(2)]
+    scene = raster.prepare(gaussians, backend)
+    expected, found = torch.zeros(80, 2, 8), torch.zeros(80, 2, 8)
+    raster.uplift_view(raster.look(gaussians, camera, backend=backend), labels, codes, expected)
+    raster.uplift_view(raster.look(scene, camera), labels, codes, found)
+    torch.testing.assert_close(scene.restored(found), expected)
+
+
+def test_the_order_is_along_a_curve(backend):
+    """Halves of a row of points stay together, whatever the order they came in; what is not finite is kept."""
+    means = torch.zeros(64, 3)
+    means[:, 0] = torch.randperm(64).float()
+    assert means[morton_order(means), 0].tolist() == sorted(means[:, 0].tolist())
+    means[3] = torch.nan
+    means[5, 1] = torch.inf
+    assert sorted(morton_order(means).tolist()) == list(range(64))
+    assert morton_order(means[:0]).shape == (0,)
