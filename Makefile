@@ -1,6 +1,7 @@
 # make demo   create the environment, install, build and query a small scene (pictures and a table in demo/)
 # make test   create the environment, install, run the tests (two processes of one thread each)
-# make test-native   build and run the tests of the compiled core, with sanitizers
+# make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
+# make count  instructions of the compiled kernels against benchmarks/instruction_counts.json (needs valgrind)
 # make lint   ruff and pyright
 
 PYTHON ?= python3
@@ -8,7 +9,7 @@ BIN := .venv/bin
 NATIVE := $(wildcard native/CMakeLists.txt native/*.cmake native/src/*)
 INSTALL := pyproject.toml tools/install.py $(NATIVE)
 
-.PHONY: demo test test-native lint format clean
+.PHONY: demo test test-native count lint format clean
 
 demo: .venv/installed
 	$(BIN)/scoup demo --out demo --overwrite
@@ -20,7 +21,11 @@ test-native: .venv/installed-dev
 	$(BIN)/cmake -S native -B build/native-tests -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN))/ninja \
 	  -DSCOUP_TESTS=ON -DSCOUP_SANITIZE=ON
 	$(BIN)/cmake --build build/native-tests
-	$(BIN)/ctest --test-dir build/native-tests --output-on-failure
+	build/native-tests/fuzz 200
+	build/native-tests/test_threads
+
+count: .venv/installed-dev
+	$(BIN)/python tools/count_instructions.py
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check .

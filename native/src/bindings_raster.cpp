@@ -25,6 +25,9 @@ namespace {
 constexpr int64_t kMostPixels = int64_t(1) << 31;
 constexpr int32_t kMostEdge = 65535 * kTile;  // tiles are numbered in 16 bits
 
+// Numbers of threads beyond this only cost scratch memory.
+int sane(int threads) { return std::clamp(threads, 1, 1024); }
+
 void check_size(int64_t width, int64_t height) {
     if (width < 1 || height < 1 || width > kMostEdge || height > kMostEdge || width * height > kMostPixels)
         throw std::invalid_argument("an image of " + std::to_string(width) + " x " + std::to_string(height) +
@@ -55,7 +58,7 @@ View py_look(const Array& means, const Array& quats, const Array& scales, const 
     if (!(near >= 0 && alpha_max > 0 && alpha_max <= 1 && stop > 0 && stop < 1))
         throw std::invalid_argument("near must be 0 or more, alpha_max and stop within 0 .. 1");
     const Preset preset{near, float(alpha_max), float(stop), stop_inclusive, centred_clamp};
-    return without_lock([&] { return look(scene, camera, preset, threads, python_signals()); });
+    return without_lock([&] { return look(scene, camera, preset, sane(threads), python_signals()); });
 }
 
 LabelMaps label_maps(const View& view, const Array& labels) {
@@ -65,7 +68,8 @@ LabelMaps label_maps(const View& view, const Array& labels) {
 
 nb::tuple py_region_weights(const View& view, const Array& labels, int64_t stride, int threads) {
     const LabelMaps maps = label_maps(view, labels);
-    RegionWeights found = without_lock([&] { return region_weights(view, maps, stride, threads, python_signals()); });
+    if (stride < 0 || stride > int64_t(1) << 31) throw std::invalid_argument("the stride must be 0 to 2^31");
+    RegionWeights found = without_lock([&] { return region_weights(view, maps, stride, sane(threads), python_signals()); });
     const auto count = size_t(found.count);
     return nb::make_tuple(to_numpy(std::move(found.gaussian), {count}), to_numpy(std::move(found.key), {count}),
                           to_numpy(std::move(found.weight), {count}));
@@ -109,14 +113,14 @@ void py_add(Uplift& uplift, const View& view, const Array& labels, const std::ve
         levels.push_back(code);
     }
     without_lock([&] {
-        uplift.add(view, maps, levels, threads, python_signals());
+        uplift.add(view, maps, levels, sane(threads), python_signals());
         return 0;
     });
 }
 
 void py_flush(Uplift& uplift, int threads) {
     without_lock([&] {
-        uplift.flush(threads, python_signals());
+        uplift.flush(sane(threads), python_signals());
         return 0;
     });
 }
@@ -130,7 +134,7 @@ nb::tuple py_render_channels(const View& view, const Array& values, int threads)
     Buffer<float> image(pixels * channels), alpha(pixels);
     const ChannelImage out{data, int32_t(channels), image.data(), alpha.data()};
     without_lock([&] {
-        render_channels(view, out, threads, python_signals());
+        render_channels(view, out, sane(threads), python_signals());
         return 0;
     });
     const auto height = size_t(view.height), width = size_t(view.width);
@@ -163,7 +167,7 @@ nb::object py_render_codes(const View& view, const Array& indices, const Array& 
     const GaussianCodes codes = gaussian_codes(view, indices, weights, n_atoms);
     Buffer<float> out(int64_t(view.width) * view.height * codes.atoms_of_all_levels());
     without_lock([&] {
-        render_codes(view, codes, out.data(), threads, python_signals());
+        render_codes(view, codes, out.data(), sane(threads), python_signals());
         return 0;
     });
     return to_numpy(std::move(out), {size_t(codes.levels), size_t(view.height), size_t(view.width), size_t(n_atoms)});
@@ -180,7 +184,7 @@ nb::object py_render_cosines(const View& view, const Array& indices, const Array
                           data_of<float>(scores, "scores", {codes.levels, n_atoms, n_queries}), int32_t(n_queries),
                           out.data()};
     without_lock([&] {
-        render_cosines(view, codes, cosines, threads, python_signals());
+        render_cosines(view, codes, cosines, sane(threads), python_signals());
         return 0;
     });
     return to_numpy(std::move(out),
@@ -197,7 +201,7 @@ nb::tuple voted(Vote task, int threads) {
         task.indices16 = indices.data();
     task.weights = weights.data();
     without_lock([&] {
-        vote(task, threads, python_signals());
+        vote(task, sane(threads), python_signals());
         return 0;
     });
     const auto rows = size_t(task.rows), k = size_t(task.k);
@@ -214,7 +218,7 @@ nb::tuple py_vote(const Array& sums, int64_t k, int threads) {
 }
 
 nb::dict py_count_work(const View& view, int threads) {
-    const ViewCounts counts = without_lock([&] { return count_work(view, threads, python_signals()); });
+    const ViewCounts counts = without_lock([&] { return count_work(view, sane(threads), python_signals()); });
     nb::dict found;
     found["pairs"] = counts.all.pairs;
     found["blocks"] = counts.all.blocks;

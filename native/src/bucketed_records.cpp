@@ -55,7 +55,7 @@ BucketedRecords::BucketedRecords(const View& view, const LabelMaps& maps, int n_
         group.expect(view.starts[std::min((g + 1) * tiles_at_once, tiles)] - view.starts[g * tiles_at_once]);
         for (int64_t t = g * tiles_at_once; t < std::min((g + 1) * tiles_at_once, tiles); ++t)
             kernels.collect(tile_of(view, t), maps, group);
-        uint32_t* count = &counts[size_t(g * n_buckets)];
+        uint32_t* count = counts.data() + g * n_buckets;
         for (int64_t r = 0; r < group.n_records; ++r) ++count[group.records[r].id >> kBucketBits];
     });
 
@@ -80,7 +80,7 @@ BucketedRecords::BucketedRecords(const View& view, const LabelMaps& maps, int n_
         if (group.n_combinations > 0)
             std::memcpy(combinations_.data() + offset * levels_, group.combinations,
                         size_t(group.n_combinations * levels_) * sizeof(int32_t));
-        int64_t* next = &places[size_t(g * n_buckets)];
+        int64_t* next = places.data() + g * n_buckets;
         for (int64_t r = 0; r < group.n_records; ++r) {
             const Record& record = group.records[r];
             records_[next[record.id >> kBucketBits]++] = {record.id, record.combination + uint32_t(offset), record.weight};

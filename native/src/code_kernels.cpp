@@ -153,8 +153,8 @@ class CosineLevel {
         const int64_t first = int64_t(level) * codes.n_atoms;
         for (int a = 0; a < count_; ++a) {
             const float* gram = cosines.grams + (first + found.atom(level, a)) * codes.n_atoms;
-            for (int b = 0; b < a; ++b) grams_[a * count_ + b] = gram[found.atom(level, b)];
-            grams_[a * count_ + a] = 0.5f * gram[found.atom(level, a)];
+            for (int b = 0; b < a; ++b) grams_[int64_t(a) * count_ + b] = gram[found.atom(level, b)];
+            grams_[int64_t(a) * count_ + a] = 0.5f * gram[found.atom(level, a)];
             const float* score = cosines.scores + (first + found.atom(level, a)) * n_queries_;
             for (int q = 0; q < n_queries_; ++q) scores_[int64_t(a) * n_queries_ + q] = score[q];
         }
@@ -167,7 +167,7 @@ class CosineLevel {
             Floats product[kColumns] = {};
             for (int b = 0; b <= a; ++b) {
                 for (int c = 0; c < kColumns; ++c)
-                    product[c] += found_.sums(level_, b, first_block + c) * grams_[a * count_ + b];
+                    product[c] += found_.sums(level_, b, first_block + c) * grams_[int64_t(a) * count_ + b];
             }
             for (int c = 0; c < kColumns; ++c) half[c] += found_.sums(level_, a, first_block + c) * product[c];
         }

@@ -153,11 +153,11 @@ void code_chunks(int64_t n_rows, int64_t depth, const CodeProblem& problem, cons
 void code_similarities(Matrix similarities, const float* gram, const CodeSettings& settings, const int32_t* warm,
                        const CodesOut& out, int n_threads, const Interrupted& interrupted) {
     const Gram padded(gram, similarities.columns);
+    const auto bytes = size_t(similarities.columns) * sizeof(float);
     code_chunks(similarities.rows, 1, padded.problem(settings), warm, out, n_threads, interrupted,
                 [&](int64_t first, int64_t count, float* to) {
-                    for (int64_t r = 0; r < count; ++r)
-                        std::memcpy(to + r * padded.stride, similarities.data + (first + r) * similarities.columns,
-                                    size_t(similarities.columns) * sizeof(float));
+                    for (int64_t r = 0; bytes > 0 && r < count; ++r)
+                        std::memcpy(to + r * padded.stride, similarities.data + (first + r) * similarities.columns, bytes);
                 });
 }
 
@@ -213,7 +213,7 @@ void code_moments(Matrix rows, const int32_t* support, const float* weights, int
     }
     // Threads share the columns: every number is then summed in the order of the rows, however many they are.
     const int threads = threads_for(double(rows.rows) * double(slots * dim), n_threads);
-    const int64_t width = chunks_of(chunks_of(dim, threads), 64) * 64;
+    const int64_t width = std::max<int64_t>(chunks_of(chunks_of(dim, threads), 64), 1) * 64;
     for_chunks(chunks_of(dim, width), threads, interrupted, [&](int64_t chunk, int) {
         const int64_t first = chunk * width, mine = std::min(width, dim - first);
         Buffer<float> sums(n_atoms * mine);
@@ -229,6 +229,7 @@ void code_moments(Matrix rows, const int32_t* support, const float* weights, int
 
 bool solve_positive_definite(const double* matrix, int64_t size, double* right, int64_t columns, int n_threads,
                              const Interrupted& interrupted) {
+    if (size == 0) return true;
     Buffer<double> factor(size * size);
     std::memcpy(factor.data(), matrix, size_t(size * size) * sizeof(double));
     if (!product().factor(factor.data(), size)) return false;

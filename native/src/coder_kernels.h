@@ -1,6 +1,7 @@
 // What the coder does for each instruction set; coder.cpp cuts the work and owns the memory.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 #include "isa.h"

@@ -92,10 +92,10 @@ void pull(const float* rows, int64_t count, int64_t depth, int64_t first, int64_
             // The same arithmetic for the last few, so that they come out alike however the columns are cut.
             if (d < width) {
                 Floats x = {}, y = {};
-                __builtin_memcpy(&x, to + d, size_t(width - d) * sizeof(float));
-                __builtin_memcpy(&y, row + d, size_t(width - d) * sizeof(float));
+                __builtin_memcpy(&x, to + d, std::size_t(width - d) * sizeof(float));
+                __builtin_memcpy(&y, row + d, std::size_t(width - d) * sizeof(float));
                 x = x + weight * y;
-                __builtin_memcpy(to + d, &x, size_t(width - d) * sizeof(float));
+                __builtin_memcpy(to + d, &x, std::size_t(width - d) * sizeof(float));
             }
         }
     }

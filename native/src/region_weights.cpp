@@ -29,10 +29,9 @@ class Merger {
                 for (int64_t i = at; i < until; ++i) {
                     const Record& record = begin[order_[size_t(i)]];
                     const int32_t label = all.labels(record.combination)[level];
-                    if (label >= 0) add(label, record.weight);
+                    if (label >= 0) entries_.push_back({label, double(record.weight)});
                 }
-                if (entries_.size() > 1)
-                    std::sort(entries_.begin(), entries_.end(), [](const Entry& a, const Entry& b) { return a.label < b.label; });
+                merge();
                 for (const Entry& entry : entries_) {
                     gaussian[written] = bucket * kBucket + g;
                     key[written] = level * stride + entry.label;
@@ -50,14 +49,25 @@ class Merger {
         double weight;
     };
 
-    // Most Gaussians meet one or two regions of a level in a view.
-    void add(int32_t label, float weight) {
-        for (size_t e = entries_.size(); e-- > 0;)
-            if (entries_[e].label == label) {
-                entries_[e].weight += double(weight);
-                return;
-            }
-        entries_.push_back({label, double(weight)});
+    // Sorts the entries by label and adds up those of the same one, in the order they came.
+    void merge() {
+        if (entries_.size() < 2) return;
+        const auto before = [](const Entry& a, const Entry& b) { return a.label < b.label; };
+        if (entries_.size() > 32) {
+            std::stable_sort(entries_.begin(), entries_.end(), before);
+        } else {  // the usual handful, without memory of its own
+            for (size_t e = 1; e < entries_.size(); ++e)
+                for (size_t at = e; at > 0 && before(entries_[at], entries_[at - 1]); --at)
+                    std::swap(entries_[at], entries_[at - 1]);
+        }
+        size_t last = 0;
+        for (size_t e = 1; e < entries_.size(); ++e) {
+            if (entries_[e].label == entries_[last].label)
+                entries_[last].weight += entries_[e].weight;
+            else
+                entries_[++last] = entries_[e];
+        }
+        entries_.resize(last + 1);
     }
 
     std::vector<uint32_t> order_, starts_;

@@ -17,9 +17,10 @@ void Uplift::add(const View& view, const LabelMaps& maps, const std::vector<Regi
     for (const RegionCodes& level : codes) entries_of_one += level.k;
     Buffer<Entry> entries = expand(records, codes);
     records.forget_labels();
+    const std::lock_guard<std::mutex> lock(*busy_);
     pending_bytes_ += records.n_records() * int64_t(sizeof(Record)) + int64_t(entries.bytes());
     pending_.push_back({std::move(records), std::move(entries), entries_of_one});
-    if (pending_bytes_ > kMostPendingBytes) flush(n_threads, interrupted);
+    if (pending_bytes_ > kMostPendingBytes) apply_pending(n_threads, interrupted);
 }
 
 Buffer<Uplift::Entry> Uplift::expand(const BucketedRecords& records, const std::vector<RegionCodes>& codes) const {
@@ -41,26 +42,32 @@ Buffer<Uplift::Entry> Uplift::expand(const BucketedRecords& records, const std::
 }
 
 void Uplift::flush(int n_threads, const Interrupted& interrupted) {
+    const std::lock_guard<std::mutex> lock(*busy_);
+    apply_pending(n_threads, interrupted);
+}
+
+void Uplift::apply_pending(int n_threads, const Interrupted& interrupted) {
     if (pending_.empty()) return;
     applied_.resize(size_t(n_buckets_of(n_gaussians_)), 0);
     for_chunks(n_buckets_of(n_gaussians_), n_threads, interrupted, [&](int64_t bucket, int) {
-        if (applied_[size_t(bucket)] != 0) return;
-        apply(bucket);
-        applied_[size_t(bucket)] = 1;
+        apply(bucket, applied_[size_t(bucket)]);
+        applied_[size_t(bucket)] = pending_.size();
     });
     pending_.clear();
     pending_bytes_ = 0;
     applied_.clear();
 }
 
-void Uplift::apply(int64_t bucket) const {
+void Uplift::apply(int64_t bucket, size_t first) const {
     const int64_t row = int64_t(levels_) * n_atoms_;
-    for (const Pending& view : pending_)
+    for (size_t v = first; v < pending_.size(); ++v) {
+        const Pending& view = pending_[v];
         for (const Record* r = view.records.begin(bucket); r < view.records.end(bucket); ++r) {
             float* sums = out_ + int64_t(r->id) * row;
             const Entry* entries = view.entries.data() + int64_t(r->combination) * view.entries_of_one;
             for (int64_t e = 0; e < view.entries_of_one; ++e) sums[entries[e].place] += r->weight * entries[e].weight;
         }
+    }
 }
 
 }  // namespace scoup

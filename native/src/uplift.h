@@ -2,6 +2,8 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
+#include <mutex>
 #include <vector>
 
 #include "bucketed_records.h"
@@ -27,7 +29,8 @@ class Uplift {
         : out_(out), n_gaussians_(n_gaussians), levels_(levels), n_atoms_(n_atoms) {}
     Uplift(Uplift&&) = default;
 
-    // Takes a view in. Throws std::out_of_range, and changes nothing, if a label has no code.
+    // Takes a view in. Throws std::out_of_range, and changes nothing, if a label has no code. An interruption may come
+    // after the view was taken in, while what is pending is added.
     void add(const View& view, const LabelMaps& maps, const std::vector<RegionCodes>& codes, int n_threads,
              const Interrupted& interrupted);
 
@@ -50,15 +53,17 @@ class Uplift {
         int64_t entries_of_one;
     };
 
+    void apply_pending(int n_threads, const Interrupted& interrupted);
     Buffer<Entry> expand(const BucketedRecords& records, const std::vector<RegionCodes>& codes) const;
-    void apply(int64_t bucket) const;
+    void apply(int64_t bucket, size_t first) const;
 
     float* out_;
     int64_t n_gaussians_;
     int32_t levels_, n_atoms_;
     std::vector<Pending> pending_;
     int64_t pending_bytes_ = 0;
-    std::vector<char> applied_;  // buckets done by a flush that was interrupted
+    std::unique_ptr<std::mutex> busy_ = std::make_unique<std::mutex>();  // one caller at a time
+    std::vector<size_t> applied_;  // of each bucket: the pending views that an interrupted flush has added
 };
 
 }  // namespace scoup

@@ -75,7 +75,8 @@ SCOUP_INLINE Floats exp2(Floats x) {
     p = p * rest + 2.402224243e-1f;
     p = p * rest + 6.931470037e-1f;
     p = p * rest + 1.0f;
-    return (Floats)((Ints)p + ((Ints)shifted << 23));
+    using Words = uint32_t __attribute__((vector_size(4 * kLanes)));  // may wrap around, for x that has no answer
+    return (Floats)((Words)p + ((Words)shifted << 23));
 }
 
 SCOUP_INLINE float sum(Floats x) {

