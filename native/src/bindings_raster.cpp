@@ -244,7 +244,9 @@ void bind_raster(nb::module_& m) {
         .def("__init__", [](Uplift* self, const WritableArray& out) { new (self) Uplift(py_uplift(out)); }, nb::arg("out"),
              nb::keep_alive<1, 2>())
         .def("add", &py_add, nb::arg("view"), nb::arg("labels"), nb::arg("codes"), nb::arg("threads"))
-        .def("flush", &py_flush, nb::arg("threads"));
+        .def("flush", &py_flush, nb::arg("threads"))
+        .def_prop_ro("n_taken", &Uplift::n_taken)
+        .def_prop_ro("pending_bytes", &Uplift::pending_bytes);
     m.def("render_channels", &py_render_channels, nb::arg("view"), nb::arg("values"), nb::arg("threads"));
     m.def("render_codes", &py_render_codes, nb::arg("view"), nb::arg("indices"), nb::arg("weights"), nb::arg("n_atoms"),
           nb::arg("threads"));

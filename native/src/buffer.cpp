@@ -8,6 +8,9 @@
 #if defined(__linux__)
 #include <sys/mman.h>
 #endif
+#if defined(_WIN32)
+#include <malloc.h>
+#endif
 
 namespace scoup {
 namespace {
@@ -16,32 +19,49 @@ constexpr size_t kLargePage = size_t(2) << 20;
 constexpr size_t kLarge = 2 * kLargePage;
 constexpr size_t kMostKept = size_t(512) << 20;
 
+void* system_allocate(size_t boundary, size_t bytes) {
+#if defined(_WIN32)
+    return _aligned_malloc(bytes, boundary);
+#else
+    return std::aligned_alloc(boundary, bytes);
+#endif
+}
+
+void system_free(void* data) {
+#if defined(_WIN32)
+    _aligned_free(data);
+#else
+    std::free(data);
+#endif
+}
+
 // Large blocks that were given back, to be used again. The lock is only ever tried: where it is taken (by another
 // thread, or for ever in a child forked meanwhile), memory comes from the system as usual.
 class Kept {
   public:
-    void* take(size_t bytes) {
+    // The smallest block of at least that size, if there is one not much larger.
+    Block take(size_t bytes) {
         const std::unique_lock<std::mutex> lock(mutex_, std::try_to_lock);
-        if (!lock) return nullptr;
+        if (!lock) return {};
         auto best = blocks_.end();
         for (auto block = blocks_.begin(); block != blocks_.end(); ++block)
             if (block->bytes >= bytes && block->bytes / 2 <= bytes && (best == blocks_.end() || block->bytes < best->bytes))
                 best = block;
-        if (best == blocks_.end()) return nullptr;
-        void* data = best->data;
-        total_ -= best->bytes;
+        if (best == blocks_.end()) return {};
+        const Block found = *best;
+        total_ -= found.bytes;
         blocks_.erase(best);
-        return data;
+        return found;
     }
 
     // False if the block is not wanted.
-    bool give(void* data, size_t bytes) {
+    bool give(const Block& block) {
         const std::unique_lock<std::mutex> lock(mutex_, std::try_to_lock);
-        if (!lock || bytes > kMostKept) return false;
-        blocks_.push_back({data, bytes});
-        total_ += bytes;
+        if (!lock || block.bytes > kMostKept) return false;
+        blocks_.push_back(block);
+        total_ += block.bytes;
         while (total_ > kMostKept) {  // the oldest go first
-            std::free(blocks_.front().data);
+            system_free(blocks_.front().data);
             total_ -= blocks_.front().bytes;
             blocks_.erase(blocks_.begin());
         }
@@ -49,10 +69,6 @@ class Kept {
     }
 
   private:
-    struct Block {
-        void* data;
-        size_t bytes;
-    };
     std::mutex mutex_;
     std::vector<Block> blocks_;
     size_t total_ = 0;
@@ -65,26 +81,23 @@ Kept& kept() {
 
 }  // namespace
 
-void* allocate(size_t bytes) {
-    if (bytes < kLarge) {
-        void* data = std::aligned_alloc(64, (bytes + 63) / 64 * 64);
-        if (data == nullptr) throw std::bad_alloc();
-        return data;
-    }
-    bytes = (bytes + kLargePage - 1) / kLargePage * kLargePage;
-    if (void* data = kept().take(bytes)) return data;
-    void* data = std::aligned_alloc(kLargePage, bytes);
+Block allocate(size_t bytes) {
+    const size_t boundary = bytes < kLarge ? 64 : kLargePage;
+    bytes = (bytes + boundary - 1) / boundary * boundary;
+    if (bytes >= kLarge)
+        if (const Block block = kept().take(bytes); block.data != nullptr) return block;
+    void* data = system_allocate(boundary, bytes);
     if (data == nullptr) throw std::bad_alloc();
 #if defined(__linux__)
-    madvise(data, bytes, MADV_HUGEPAGE);
+    if (bytes >= kLarge) madvise(data, bytes, MADV_HUGEPAGE);
 #endif
-    return data;
+    return {data, bytes};
 }
 
-void give_back(void* data, size_t bytes) {
-    if (data == nullptr) return;
-    if (bytes >= kLarge && kept().give(data, (bytes + kLargePage - 1) / kLargePage * kLargePage)) return;
-    std::free(data);
+void give_back(const Block& block) {
+    if (block.data == nullptr) return;
+    if (block.bytes >= kLarge && kept().give(block)) return;
+    system_free(block.data);
 }
 
 }  // namespace scoup

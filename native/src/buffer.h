@@ -12,9 +12,14 @@
 
 namespace scoup {
 
+struct Block {
+    void* data = nullptr;
+    size_t bytes = 0;  // what there really is
+};
+
 // At least `bytes` (more than 0) of uninitialised memory on a 64 byte boundary. Throws std::bad_alloc.
-void* allocate(size_t bytes);
-void give_back(void* data, size_t bytes);
+Block allocate(size_t bytes);
+void give_back(const Block& block);
 
 // An array of a fixed size, not initialised.
 template <class T>
@@ -24,7 +29,7 @@ class Buffer {
 
     explicit Buffer(int64_t size) : size_(size) {
         if (size < 0 || size_t(size) > (std::numeric_limits<size_t>::max() >> 1) / sizeof(T)) throw std::bad_alloc();
-        if (size > 0) data_ = static_cast<T*>(allocate(bytes()));
+        if (size > 0) block_ = allocate(bytes());
     }
 
     Buffer(Buffer&& other) noexcept { swap(other); }
@@ -34,28 +39,28 @@ class Buffer {
     }
     Buffer(const Buffer&) = delete;
     Buffer& operator=(const Buffer&) = delete;
-    ~Buffer() { give_back(data_, bytes()); }
+    ~Buffer() { give_back(block_); }
 
-    T* data() { return data_; }
-    const T* data() const { return data_; }
+    T* data() { return static_cast<T*>(block_.data); }
+    const T* data() const { return static_cast<const T*>(block_.data); }
     int64_t size() const { return size_; }
     size_t bytes() const { return size_t(size_) * sizeof(T); }
-    T& operator[](int64_t i) { return data_[i]; }
-    const T& operator[](int64_t i) const { return data_[i]; }
-    T* begin() { return data_; }
-    T* end() { return data_ + size_; }
+    T& operator[](int64_t i) { return data()[i]; }
+    const T& operator[](int64_t i) const { return data()[i]; }
+    T* begin() { return data(); }
+    T* end() { return data() + size_; }
 
     void fill(const T& value) {
-        for (int64_t i = 0; i < size_; ++i) data_[i] = value;
+        for (int64_t i = 0; i < size_; ++i) data()[i] = value;
     }
 
   private:
     void swap(Buffer& other) noexcept {
-        std::swap(data_, other.data_);
+        std::swap(block_, other.block_);
         std::swap(size_, other.size_);
     }
 
-    T* data_ = nullptr;
+    Block block_;
     int64_t size_ = 0;
 };
 

@@ -4,12 +4,6 @@
 #include <string>
 
 namespace scoup {
-namespace {
-
-constexpr int64_t kMostPendingBytes = int64_t(512) << 20;
-
-}  // namespace
-
 void Uplift::add(const View& view, const LabelMaps& maps, const std::vector<RegionCodes>& codes, int n_threads,
                  const Interrupted& interrupted) {
     BucketedRecords records(view, maps, n_threads, interrupted);
@@ -18,9 +12,10 @@ void Uplift::add(const View& view, const LabelMaps& maps, const std::vector<Regi
     Buffer<Entry> entries = expand(records, codes);
     records.forget_labels();
     const std::lock_guard<std::mutex> lock(*busy_);
-    pending_bytes_ += records.n_records() * int64_t(sizeof(Record)) + int64_t(entries.bytes());
+    const int64_t bytes = records.n_records() * int64_t(sizeof(Record)) + int64_t(entries.bytes());
     pending_.push_back({std::move(records), std::move(entries), entries_of_one});
-    if (pending_bytes_ > kMostPendingBytes) apply_pending(n_threads, interrupted);
+    pending_bytes_ += bytes;
+    ++n_taken_;
 }
 
 Buffer<Uplift::Entry> Uplift::expand(const BucketedRecords& records, const std::vector<RegionCodes>& codes) const {
@@ -43,10 +38,6 @@ Buffer<Uplift::Entry> Uplift::expand(const BucketedRecords& records, const std::
 
 void Uplift::flush(int n_threads, const Interrupted& interrupted) {
     const std::lock_guard<std::mutex> lock(*busy_);
-    apply_pending(n_threads, interrupted);
-}
-
-void Uplift::apply_pending(int n_threads, const Interrupted& interrupted) {
     if (pending_.empty()) return;
     applied_.resize(size_t(n_buckets_of(n_gaussians_)), 0);
     for_chunks(n_buckets_of(n_gaussians_), n_threads, interrupted, [&](int64_t bucket, int) {

@@ -29,14 +29,16 @@ class Uplift {
         : out_(out), n_gaussians_(n_gaussians), levels_(levels), n_atoms_(n_atoms) {}
     Uplift(Uplift&&) = default;
 
-    // Takes a view in. Throws std::out_of_range, and changes nothing, if a label has no code. An interruption may come
-    // after the view was taken in, while what is pending is added.
+    // Takes a view in, and leaves it pending. Throws std::out_of_range if a label has no code; after that and after an
+    // interruption, nothing has changed.
     void add(const View& view, const LabelMaps& maps, const std::vector<RegionCodes>& codes, int n_threads,
              const Interrupted& interrupted);
 
     // Adds what is pending to the accumulators. After an interruption, it can be called again.
     void flush(int n_threads, const Interrupted& interrupted);
 
+    int64_t n_taken() const { return n_taken_; }  // views
+    int64_t pending_bytes() const { return pending_bytes_; }
     int64_t n_gaussians() const { return n_gaussians_; }
     int32_t levels() const { return levels_; }
     int32_t n_atoms() const { return n_atoms_; }
@@ -53,7 +55,6 @@ class Uplift {
         int64_t entries_of_one;
     };
 
-    void apply_pending(int n_threads, const Interrupted& interrupted);
     Buffer<Entry> expand(const BucketedRecords& records, const std::vector<RegionCodes>& codes) const;
     void apply(int64_t bucket, size_t first) const;
 
@@ -61,7 +62,7 @@ class Uplift {
     int64_t n_gaussians_;
     int32_t levels_, n_atoms_;
     std::vector<Pending> pending_;
-    int64_t pending_bytes_ = 0;
+    int64_t n_taken_ = 0, pending_bytes_ = 0;
     std::unique_ptr<std::mutex> busy_ = std::make_unique<std::mutex>();  // one caller at a time
     std::vector<size_t> applied_;  // of each bucket: the pending views that an interrupted flush has added
 };

@@ -25,7 +25,7 @@ struct View {
 };
 
 // Takes time in proportion to the scene and to the pairs of a Gaussian and a tile it reaches.
-// Memory: 64 bytes a visible Gaussian, 4 bytes a pair, and while it works 24 bytes a visible Gaussian more.
+// Memory: up to 64 bytes a Gaussian of the scene, 4 bytes a pair, and while it works 28 bytes a Gaussian more.
 View look(const Scene& scene, const Camera& camera, const Preset& preset, int n_threads, const Interrupted& interrupted);
 
 }  // namespace scoup

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,11 +55,14 @@ class Checkpoint:
     Args:
         path: the file; None keeps nothing.
         key: hash of everything the result depends on; a file with another key is not used.
+        rows_order: name of the order in which the accumulators' rows are. Of a file with another one, only the codes
+            are used.
     """
 
-    def __init__(self, path: Path | None, key: str) -> None:
+    def __init__(self, path: Path | None, key: str, rows_order: str = "original") -> None:
         self.path = path
         self.key = key
+        self.rows_order = rows_order
         self._written = time.monotonic()
         self._seconds_of_write = 0.0
 
@@ -76,6 +80,8 @@ class Checkpoint:
                 return None
             levels = range(len(header["reports"]))
             views = {str(name): str(digest) for name, digest in header["views_done"].items()}
+            if header["rows_order"] != self.rows_order:
+                views = {}  # another backend worked on it
             accumulators = tensors["accumulators"] if views else torch.zeros(shape)
             if tuple(accumulators.shape) != shape:
                 raise ValueError(f"accumulators {list(accumulators.shape)} are not {list(shape)}")
@@ -84,8 +90,6 @@ class Checkpoint:
             atoms = [tensors[f"atoms.{s}"] for s in levels]
             return BuildState(atoms, codes, header["reports"], accumulators, views)
         except (FileFormatError, KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
-            import warnings
-
             warnings.warn(
                 f"{self.path}: the checkpoint cannot be used ({error}); starting over",
                 ScoupWarning,
@@ -111,7 +115,12 @@ class Checkpoint:
                 f"indices.{s}": codes.indices,
                 f"weights.{s}": codes.weights,
             }
-        header = {"key": self.key, "reports": state.reports, "views_done": state.views_done}
+        header = {
+            "key": self.key,
+            "reports": state.reports,
+            "views_done": state.views_done,
+            "rows_order": self.rows_order,
+        }
         write_tensors(self.path, tensors, _SCHEMA, header)
         self._written = time.monotonic()
         self._seconds_of_write = self._written - started

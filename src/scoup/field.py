@@ -257,8 +257,9 @@ class LanguageField:
             codes.append(encode(rows, atoms, k))
         accumulators = self.accumulators.clone()
         labels, _ = regions.load_view(camera.name, camera.width, camera.height)
-        uplift = raster.Uplift(accumulators)
-        uplift.add(self.look(camera), labels.to(accumulators.device), codes)
+        view = self.look(camera)
+        uplift = raster.Uplift(accumulators, view.backend)
+        uplift.add(view, labels.to(self.gaussians.device), codes)
         uplift.flush()
         indices, weights = top_k(accumulators, keep)
         added = [*self.info.provenance.get("added_views", []), camera.name]

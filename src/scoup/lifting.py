@@ -44,25 +44,30 @@ class Lift:
         """Rasterise views and lift their codes; the accumulators are in the order of the prepared scene."""
         uplift = raster.Uplift(self.state.accumulators, scene.backend)
         self._report()
+        at_hand = ("", "")  # name and digest of the view that is being taken in
+        before = len(self.state.views_done)
         try:
             for camera in cameras:
                 labels, _ = regions.load_view(camera.name, camera.width, camera.height)
-                digest = digest_of_labels(labels)
+                at_hand = (camera.name, digest_of_labels(labels))
                 labels = labels.to(scene.gaussians.device)
                 view = raster.look(scene, camera, raster_preset)
-                codes = self._codes(camera.name)
-                self.state.between_views = False
-                uplift.add(view, labels, codes)
-                self._done(camera.name, digest)
+                uplift.add(view, labels, self._codes(camera.name))
+                self.state.views_done[at_hand[0]] = at_hand[1]
+                self._report()
                 if self.keeper.is_due():
-                    self._flush(uplift)
+                    uplift.flush()
                     self.keeper.write(self.state)
         except KeyboardInterrupt:
-            if self.state.between_views:
-                self._flush(uplift)
+            if self.keeper.path is not None and uplift.intact:
+                if (
+                    uplift.n_taken > len(self.state.views_done) - before
+                ):  # it came after the view was taken in
+                    self.state.views_done[at_hand[0]] = at_hand[1]
+                uplift.flush()
                 self.keeper.write(self.state)
             raise
-        self._flush(uplift)
+        uplift.flush()
 
     def add_sums(self, sums_of_views: Iterable[ViewSums]) -> None:
         """Lift codes through region sums at hand."""
@@ -72,7 +77,9 @@ class Lift:
                 codes = self._codes(sums.view_name)
                 self.state.between_views = False
                 add_view(sums, codes, self.state.accumulators)
-                self._done(sums.view_name, sums.labels_digest)
+                self.state.views_done[sums.view_name] = sums.labels_digest
+                self.state.between_views = True
+                self._report()
                 if self.keeper.is_due():
                     self.keeper.write(self.state)
         except KeyboardInterrupt:
@@ -81,17 +88,6 @@ class Lift:
 
     def _codes(self, view_name: str) -> list[SparseCodes]:
         return [codes.rows(rows[view_name]) for codes, rows in zip(self.state.codes, self.rows, strict=True)]
-
-    def _done(self, view_name: str, labels_digest: str) -> None:
-        self.state.views_done[view_name] = labels_digest
-        self.state.between_views = True
-        self._report()
-
-    def _flush(self, uplift: raster.Uplift) -> None:
-        """An interruption in here leaves the accumulators with part of what is pending: such a state is not stored."""
-        self.state.between_views = False
-        uplift.flush()
-        self.state.between_views = True
 
     def _report(self) -> None:
         self.progress("uplift", len(self.state.views_done), self.n_views)

@@ -121,9 +121,8 @@ def build(
     key = build_key(fingerprint, views, embeddings, dataclasses.asdict(settings))
 
     scene = None if sums is not None else raster.prepare(gaussians, backend)
-    moved = scene is not None and scene.order is not None
-    # Accumulators in another order of rows are of no use.
-    keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), f"{key} moved" if moved else key)
+    rows_order = "original" if scene is None or scene.order is None else "moved"
+    keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), key, rows_order)
     state = keeper.read((len(gaussians), len(embeddings), settings.n_atoms))
     if state is None:
         state = _learn_codes(embeddings, settings, len(gaussians), progress)

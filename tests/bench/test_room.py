@@ -14,7 +14,6 @@ from scoup.bench.room import (
     clip_like,
     codes_in_space,
     make_room,
-    morton_order,
     room_cameras,
     room_regions,
     voronoi_labels,
@@ -63,12 +62,6 @@ def test_orders_hold_the_same_gaussians():
         return float((means[1:] - means[:-1]).norm(dim=1).mean())
 
     assert steps(morton.means) < 0.4 * steps(random.means)
-
-
-def test_morton_order_of_a_cube():
-    corners = np.array([(x, y, z) for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
-    shuffled = np.random.default_rng(0).permutation(8)
-    assert np.array_equal(corners[shuffled][morton_order(corners[shuffled])], corners)
 
 
 def test_every_camera_is_inside_and_sees_the_room():

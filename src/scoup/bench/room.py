@@ -20,6 +20,7 @@ from scoup.cameras import Camera, Cameras
 from scoup.codes import index_dtype
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
+from scoup.raster import morton_order
 from scoup.regions import LEVELS, RegionMap, Regions
 
 Array: TypeAlias = NDArray[np.float64]
@@ -86,7 +87,9 @@ def make_room(n_gaussians: int, seed: int = 0, order: Order = "random") -> Gauss
     opacities = 1 / (1 + np.exp(-rng.normal(0.3, 2.0, n_gaussians)))
     paint = rng.uniform(0.15, 0.9, (len(share) + 1, 3))[surface] + rng.normal(0, 0.05, (n_gaussians, 3))
 
-    chosen = morton_order(means) if order == "morton" else rng.permutation(n_gaussians)
+    chosen = (
+        morton_order(torch.from_numpy(means)).numpy() if order == "morton" else rng.permutation(n_gaussians)
+    )
     parts = (means, quats, scales, opacities, ((paint - 0.5) / _SH_0)[:, None])
     return Gaussians(*(torch.from_numpy(part[chosen].astype(np.float32)) for part in parts))
 
@@ -129,20 +132,6 @@ def _turned_to(normals: Array, rng: np.random.Generator) -> Array:
 
 def _unit(rows: Array) -> Array:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
-
-
-def morton_order(means: Array) -> NDArray[np.int64]:
-    """[N] order of points [N, 3] along a Morton (Z-order) curve of 10 bits an axis."""
-    span = np.ptp(means, axis=0).max() + 1e-9
-    cells = ((means - means.min(0)) / span * 1023).astype(np.uint64)
-
-    def spread(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
-        for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-            bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
-        return bits
-
-    key = spread(cells[:, 0]) | spread(cells[:, 1]) << np.uint64(1) | spread(cells[:, 2]) << np.uint64(2)
-    return np.argsort(key, kind="stable")
 
 
 def room_cameras(

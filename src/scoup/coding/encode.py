@@ -28,7 +28,7 @@ def encode(
         k: most atoms a row may use; the codes have K columns even if there are fewer atoms.
     """
     picks = min(k, len(atoms))
-    rows, atoms = rows.detach(), atoms.detach()
+    rows, atoms = rows.detach().float(), atoms.detach().float()
     if rows.device.type == "cpu":
         contiguous = rows.contiguous().numpy(), atoms.contiguous().numpy()
         codes = arithmetic_at_hand().code_rows(*contiguous, picks, SWAP_PASSES)

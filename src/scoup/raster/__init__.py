@@ -117,6 +117,8 @@ def look(
     """
     constants = raster_preset(preset)
     if isinstance(gaussians, PreparedScene):
+        if backend not in (None, gaussians.backend):
+            raise InputError(f"the scene was prepared for the backend {gaussians.backend!r}, not {backend!r}")
         module = importlib.import_module(BACKENDS[gaussians.backend])
         if gaussians.order is None:
             return module.look(gaussians.gaussians, camera, constants)
@@ -162,7 +164,18 @@ class Uplift:
                 f"accumulators must be contiguous float32 [N, S, L], not {out.dtype} {list(out.shape)}"
             )
         self.out = out
-        self._uplift = _backend(backend, out.device)[1].Uplift(out)
+        self.backend, module = _backend(backend, out.device)
+        self._uplift = module.Uplift(out)
+
+    @property
+    def n_taken(self) -> int:
+        """Views taken in so far."""
+        return self._uplift.n_taken
+
+    @property
+    def intact(self) -> bool:
+        """Whether, after an interrupted call and then ``flush``, the accumulators hold just the views taken in."""
+        return self._uplift.intact
 
     def add(self, view: View, labels: Tensor, codes: list[SparseCodes]) -> None:
         """Take in a view.
@@ -175,6 +188,10 @@ class Uplift:
         Raises:
             InputError: shapes disagree, or a label has no code.
         """
+        if view.backend != self.backend:
+            raise InputError(
+                f"a view of the backend {view.backend!r} was given to an uplift of {self.backend!r}"
+            )
         _check_labels(view, labels)
         if len(codes) != len(labels) or tuple(self.out.shape[:2]) != (view.n_gaussians, len(labels)):
             raise InputError(

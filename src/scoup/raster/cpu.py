@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes
+from scoup.codes import SparseCodes, check_atoms, index_dtype
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
 from scoup.native import native_core
@@ -33,8 +33,8 @@ class NativeView:
         n_gaussians: N of the scene.
         width, height: image size in pixels.
         preset: the rasteriser constants used.
-        handle: what the compiled core keeps: 64 bytes a visible Gaussian and 4 bytes a pair of a Gaussian and a
-            tile of 16 x 16 pixels that it reaches.
+        handle: what the compiled core keeps: 64 bytes a Gaussian of the scene and 4 bytes a pair of a Gaussian and
+            a tile of 16 x 16 pixels that it reaches.
     """
 
     n_gaussians: int
@@ -46,6 +46,7 @@ class NativeView:
     backend = "native"
 
 
+MOST_PENDING = 512 << 20  # bytes
 PREPARES = True  # the order of the rows matters to caches
 
 
@@ -75,23 +76,32 @@ def look(
 def region_weights(view: NativeView, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_weights``."""
     stride = int(labels.max()) + 1 if labels.numel() else 0
-    found = _core().region_weights(view.handle, _labels(labels), stride, torch.get_num_threads())
+    with _refusals():
+        found = _core().region_weights(view.handle, _labels(labels), stride, torch.get_num_threads())
     gaussian, key, weight = (torch.from_numpy(part) for part in found)
     return gaussian, key, weight
 
 
 class Uplift:
-    """See ``raster.Uplift``. Up to 512 MB of views are pending before they are added together, so that each part
-    of the accumulators comes into the cache once for all of them.
+    """See ``raster.Uplift``. Views are pending until they take ``MOST_PENDING`` bytes, so that each part of the
+    accumulators comes into the cache once for all of them.
     """
+
+    intact = True  # an interrupted call changes nothing, or can be taken up again by ``flush``
 
     def __init__(self, out: Tensor) -> None:
         self._handle = _core().Uplift(out.detach().numpy())
+
+    @property
+    def n_taken(self) -> int:
+        return self._handle.n_taken
 
     def add(self, view: NativeView, labels: Tensor, codes: list[SparseCodes]) -> None:
         tables = [(_array(level.indices, level.indices.dtype), _array(level.weights)) for level in codes]
         with _refusals():
             self._handle.add(view.handle, _labels(labels), tables, torch.get_num_threads())
+        if self._handle.pending_bytes > MOST_PENDING:
+            self.flush()
 
     def flush(self) -> None:
         self._handle.flush(torch.get_num_threads())
@@ -99,7 +109,8 @@ class Uplift:
 
 def render_channels(view: NativeView, values: Tensor) -> tuple[Tensor, Tensor]:
     """See ``raster.render_channels``."""
-    image, alpha = _core().render_channels(view.handle, _array(values), torch.get_num_threads())
+    with _refusals():
+        image, alpha = _core().render_channels(view.handle, _array(values), torch.get_num_threads())
     return torch.from_numpy(image), torch.from_numpy(alpha)
 
 
@@ -163,9 +174,8 @@ def _labels(labels: Tensor) -> np.ndarray:
 def _code_table(indices: Tensor, weights: Tensor, n_atoms: int) -> tuple[np.ndarray, np.ndarray]:
     """Indices as uint8 or uint16, weights as float32 or the bits of float16: the forms fields are stored in."""
     if indices.dtype not in (torch.uint8, torch.uint16):
-        if indices.numel() and not 0 <= int(indices.min()) <= int(indices.max()) < n_atoms:
-            raise InputError(f"code indices must be 0 to {n_atoms - 1}")
-        indices = indices.to(torch.uint8 if n_atoms <= 256 else torch.uint16)
+        check_atoms(indices, n_atoms)
+        indices = indices.to(index_dtype(n_atoms))
     table = _array(indices, indices.dtype)
     if weights.dtype == torch.float16:
         return table, _array(weights, torch.float16).view(np.uint16)

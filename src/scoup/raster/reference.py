@@ -100,11 +100,18 @@ class Uplift:
 
     def __init__(self, out: Tensor) -> None:
         self._out = out
+        self.intact = True
+        self.n_taken = 0
 
     def add(self, view: ReferenceView, labels: Tensor, codes: list[SparseCodes]) -> None:
-        gaussian, key, weight = region_weights(view, labels)
         stride = int(labels.max()) + 1 if labels.numel() else 0
+        # The sums of a view are small; the accumulators may be too large for the device it was rasterised on.
+        sums = (part.to(self._out.device) for part in region_weights(view, labels))
+        gaussian, key, weight = sums
+        self.intact = False
         add_codes(gaussian, key, weight, stride, codes, self._out)
+        self.n_taken += 1
+        self.intact = True
 
     def flush(self) -> None:
         pass

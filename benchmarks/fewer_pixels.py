@@ -1,0 +1,134 @@
+"""What looking at fewer pixels or fewer views saves, and what it costs in agreement, on the `kitchen` scene.
+
+    python -m benchmarks.fewer_pixels [--data DATA] [--repeats 5] [--threads 2] [--out FILE.json]
+
+The accumulators of all views at full size are the truth. Agreement: share of the Gaussians, weighted by how much they
+paint, whose strongest atom is the same. Codes come from the "exact" solver, once for all variants.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+
+import torch
+import tyro
+from torch import Tensor
+
+import scoup
+from scoup import raster
+from scoup.cameras import Camera
+from scoup.codes import SparseCodes
+from scoup.regions import Regions
+
+
+@dataclass(frozen=True)
+class Arguments:
+    data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
+    """Folder that holds kitchen/."""
+    repeats: int = 5
+    """Interleaved repetitions; medians are printed."""
+    threads: int = 2
+    """Threads."""
+    out: Path | None = None
+    """Where to write the figures as JSON."""
+
+
+VARIANTS = {
+    "all views, full size": (1, 1.0),
+    "every second pixel each way": (1, 0.5),
+    "every third pixel each way": (1, 1 / 3),
+    "every fourth pixel each way": (1, 0.25),
+    "every second view": (2, 1.0),
+    "every fourth view": (4, 1.0),
+}
+"""Step through the views, and scale of the images."""
+
+
+def main(arguments: Arguments) -> dict[str, dict[str, float]]:
+    """Time every variant and compare its accumulators with the truth."""
+    torch.set_num_threads(arguments.threads)
+    kitchen = arguments.data / "kitchen"
+    with tempfile.TemporaryDirectory() as folder:
+        features = Path(folder) / "language_features"
+        script = kitchen / "make_langsplat_features.py"
+        command = [sys.executable, str(script), str(kitchen), "--out", str(features)]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        gaussians = scoup.load_gaussians(kitchen / "scene" / "model.splat")
+        cameras = scoup.load_cameras(kitchen)
+        regions = scoup.load_regions(features, cameras)
+        found = measure(arguments, raster.prepare(gaussians), list(cameras), regions)
+    print("| variant | time relative to all | " + " | ".join(f"agreement {s}" for s in regions.levels) + " |")
+    print("|---|---|" + "---|" * len(regions.levels))
+    for name, row in found.items():
+        shares = " | ".join(f"{row[f'agreement {level}']:.3f}" for level in regions.levels)
+        print(f"| {name} | {row['relative time']:.2f} | {shares} |")
+    if arguments.out is not None:
+        arguments.out.write_text(json.dumps(found, indent=1))
+    return found
+
+
+def measure(
+    arguments: Arguments, scene: raster.PreparedScene, cameras: list[Camera], regions: Regions
+) -> dict[str, dict[str, float]]:
+    """By variant: time relative to the first, and agreement with it at each level."""
+    books, rows = [], []
+    for level in regions.levels:
+        embeddings, of_views = regions.embeddings(level)
+        books.append(scoup.fit_codes(embeddings, solver="exact"))
+        rows.append(of_views)
+    work = {}
+    for name, (step, scale) in VARIANTS.items():
+        views = []
+        for camera in cameras[::step]:
+            smaller = camera.resized(round(camera.width * scale), round(camera.height * scale))
+            labels, _ = regions.load_view(camera.name, smaller.width, smaller.height)
+            views.append(
+                (
+                    smaller,
+                    labels,
+                    [book.codes.rows(of[camera.name]) for book, of in zip(books, rows, strict=True)],
+                )
+            )
+        work[name] = views
+    seconds: dict[str, list[float]] = {name: [] for name in work}
+    accumulators: dict[str, Tensor] = {}
+    for _ in range(arguments.repeats):
+        for name, views in work.items():
+            out = torch.zeros(len(scene.gaussians), len(books), 64)
+            started = time.perf_counter()
+            lift(scene, views, out)
+            seconds[name].append(time.perf_counter() - started)
+            accumulators[name] = out
+    first = next(iter(work))
+    truth = accumulators[first]
+    found = {}
+    for name, out in accumulators.items():
+        row = {"relative time": median(seconds[name]) / median(seconds[first])}
+        for s, level in enumerate(regions.levels):
+            weight = truth[:, s].sum(1)
+            same = (out[:, s].argmax(1) == truth[:, s].argmax(1)) & (out[:, s].amax(1) > 0)
+            row[f"agreement {level}"] = float((weight * same).sum() / weight.sum())
+        found[name] = row
+    return found
+
+
+def lift(
+    scene: raster.PreparedScene, views: list[tuple[Camera, Tensor, list[SparseCodes]]], out: Tensor
+) -> None:
+    """Add all views to the accumulators."""
+    uplift = raster.Uplift(out, scene.backend)
+    for camera, labels, codes in views:
+        uplift.add(raster.look(scene, camera), labels, codes)
+    uplift.flush()
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))
