@@ -33,7 +33,8 @@ void radix_pass(const Buffer<DepthKey>& from, Buffer<DepthKey>& to, uint64_t low
 
 // Puts the keys of each run that agrees in the sorted digits in order. Depths that are equal as floats may differ as
 // doubles.
-void order_runs(Buffer<DepthKey>& keys, uint64_t lowest, int shift, const Projected* projected, const int64_t* ties) {
+void order_runs(Buffer<DepthKey>& keys, uint64_t lowest, int shift, const Projected* projected, const int64_t* ties,
+                int64_t n_parts, int n_threads, const Interrupted& interrupted) {
     const auto before = [projected, ties](DepthKey a, DepthKey b) {
         if (a >> 32 != b >> 32) return a < b;
         const Projected &pa = projected[slot_of(a)], &pb = projected[slot_of(b)];
@@ -41,12 +42,22 @@ void order_runs(Buffer<DepthKey>& keys, uint64_t lowest, int shift, const Projec
         return ties != nullptr ? ties[pa.id] < ties[pb.id] : pa.id < pb.id;
     };
     const int64_t n = keys.size();
-    for (int64_t first = 0; first < n;) {
-        int64_t end = first + 1;
-        while (end < n && (keys[end] - lowest) >> shift == (keys[first] - lowest) >> shift) ++end;
-        if (end - first > 1) std::sort(keys.data() + first, keys.data() + end, before);
-        first = end;
+    const auto same_run = [&](int64_t a, int64_t b) { return (keys[a] - lowest) >> shift == (keys[b] - lowest) >> shift; };
+    std::vector<int64_t> edges(size_t(n_parts + 1), n);  // between runs
+    for (int64_t part = 0; part < n_parts; ++part) {
+        int64_t& edge = edges[size_t(part)];
+        edge = n * part / n_parts;
+        while (edge > 0 && edge < n && same_run(edge - 1, edge)) ++edge;
     }
+    for_chunks(n_parts, n_threads, interrupted, [&](int64_t part, int) {
+        const int64_t last = edges[size_t(part + 1)];
+        for (int64_t first = edges[size_t(part)]; first < last;) {
+            int64_t end = first + 1;
+            while (end < last && same_run(first, end)) ++end;
+            if (end - first > 1) std::sort(keys.data() + first, keys.data() + end, before);
+            first = end;
+        }
+    });
 }
 
 }  // namespace
@@ -66,7 +77,7 @@ void sort_by_depth(Buffer<DepthKey>& keys, const Projected* projected, const int
         radix_pass(keys, other, lowest, shift + pass * kDigitBits, n_parts, n_threads, interrupted);
         std::swap(keys, other);
     }
-    order_runs(keys, lowest, shift, projected, ties);
+    order_runs(keys, lowest, shift, projected, ties, n_parts, n_threads, interrupted);
 }
 
 }  // namespace scoup

@@ -47,15 +47,15 @@ Gathered gather(const Scene& scene, const Camera& camera, const Preset& preset, 
     all.per_tile.assign(n_tiles, 0);
     for (const auto& count : counts)
         for (size_t tile = 0; tile < count.size(); ++tile) all.per_tile[tile] += count[tile];
-    int64_t total = 0;
-    for (int64_t found : visible) total += found;
-    all.keys = Buffer<DepthKey>(total);
-    int64_t at = 0;
-    for (int64_t chunk = 0; chunk < n_chunks; ++chunk)
+    std::vector<int64_t> places(size_t(n_chunks + 1), 0);
+    for (int64_t chunk = 0; chunk < n_chunks; ++chunk) places[size_t(chunk + 1)] = places[size_t(chunk)] + visible[size_t(chunk)];
+    all.keys = Buffer<DepthKey>(places.back());
+    for_chunks(n_chunks, n_threads, interrupted, [&](int64_t chunk, int) {
         for (int64_t k = 0; k < visible[size_t(chunk)]; ++k) {
             const int64_t slot = chunk * kStride + k;
-            all.keys[at++] = depth_key(depths[slot], uint32_t(slot));
+            all.keys[places[size_t(chunk)] + k] = depth_key(depths[slot], uint32_t(slot));
         }
+    });
     return all;
 }
 

@@ -135,8 +135,9 @@ def test_nothing_is_replaced_unasked():
     assert Path("a.scoup").read_bytes() != before["a.scoup"]
 
 
-@pytest.mark.parametrize("at", ["view", "between views"])
-def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, at):
+@pytest.mark.parametrize("patient", [False, True])  # stores after every view, or only when interrupted
+@pytest.mark.parametrize("at", ["view", "after a view was taken in", "between views"])
+def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, at, patient):
     from scoup import lifting, pipeline, raster
 
     run_json("build", "scene", *QUICK, "--out", "whole.scoup")
@@ -147,6 +148,8 @@ def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, at):
             raise KeyboardInterrupt
         add(self, *view)
         added.append(1)
+        if at == "after a view was taken in" and len(added) == 2:
+            raise KeyboardInterrupt
 
     def reported(self):
         report(self)
@@ -154,15 +157,14 @@ def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, at):
             raise KeyboardInterrupt
 
     class Impatient(pipeline.Checkpoint):
-        """Stores after every view instead of every half minute."""
-
         def is_due(self):
             return True
 
     with monkeypatch.context() as patch:
         patch.setattr(raster.Uplift, "add", counted)
         patch.setattr(lifting.Lift, "_report", reported)
-        patch.setattr(pipeline, "Checkpoint", Impatient)
+        if not patient:
+            patch.setattr(pipeline, "Checkpoint", Impatient)
         code, out, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--json")
     assert (code, err) == (130, "error: interrupted\n")
     assert out.strip() == '{\n  "error": "interrupted"\n}'

@@ -192,11 +192,12 @@ def stage_runs(work: Workload, backend: str, names: Iterable[str] = tuple(STAGES
     return {name: runs[name] for name in names}
 
 
-def usable_backends(wanted: Sequence[str] = ()) -> tuple[list[str], dict[str, str]]:
+def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[list[str], dict[str, str]]:
     """Backends that work on this machine, and why the others do not.
 
     Args:
         wanted: names; all there are if empty.
+        device: of the tensors they are to work on.
 
     Returns:
         (names, {name: reason}); of the names wanted, or of all.
@@ -210,7 +211,7 @@ def usable_backends(wanted: Sequence[str] = ()) -> tuple[list[str], dict[str, st
         try:
             if name in raster.BACKENDS:
                 importlib.import_module(raster.BACKENDS[name])
-            raster.look(make_room(8), room_cameras(1, 16, 16)[0], backend=name)
+            raster.look(make_room(8).to(device), room_cameras(1, 16, 16)[0], backend=name)
         except (ScoupError, ImportError) as error:
             if wanted:
                 raise (

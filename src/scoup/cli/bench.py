@@ -55,7 +55,7 @@ class Bench(WritesCommon):
         self._check()
         if self.out is not None:
             check_output(self.out, self.overwrite)
-        backends, reasons = usable_backends(self.backends)
+        backends, reasons = usable_backends(self.backends, self.device)
         environment = describe_environment()
         width, height = self._size()
         console.say(in_one_line(environment))
