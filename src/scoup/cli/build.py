@@ -52,7 +52,7 @@ class Build(WritesCommon):
     keep: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
     """Atoms each Gaussian keeps after the vote; 0 keeps all. Default: as many as K."""
     solver: str = "adam"
-    """How codes are learned; adam is the paper's."""
+    """How codes are learned: adam is the paper's; exact takes a second where that takes minutes."""
     epochs: int = 4000
     """Epochs of the adam solver; fewer are faster and a little worse."""
     tolerance: OptionalNumber = None
