@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
@@ -23,6 +21,7 @@ import tyro
 from torch import Tensor
 
 import scoup
+from benchmarks.kitchen import make_features
 from scoup import raster
 from scoup.cameras import Camera
 from scoup.codes import SparseCodes
@@ -57,10 +56,7 @@ def main(arguments: Arguments) -> dict[str, dict[str, float]]:
     torch.set_num_threads(arguments.threads)
     kitchen = arguments.data / "kitchen"
     with tempfile.TemporaryDirectory() as folder:
-        features = Path(folder) / "language_features"
-        script = kitchen / "make_langsplat_features.py"
-        command = [sys.executable, str(script), str(kitchen), "--out", str(features)]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        features = make_features(kitchen, Path(folder))
         gaussians = scoup.load_gaussians(kitchen / "scene" / "model.splat")
         cameras = scoup.load_cameras(kitchen)
         regions = scoup.load_regions(features, cameras)

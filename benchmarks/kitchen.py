@@ -55,11 +55,16 @@ def main(arguments: Arguments) -> dict:
     """Run everything and return the figures."""
     kitchen = arguments.data / "kitchen"
     with tempfile.TemporaryDirectory() as folder:
-        features = Path(folder) / "language_features"
-        script = kitchen / "make_langsplat_features.py"
-        command = [sys.executable, str(script), str(kitchen), "--out", str(features)]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        return score_kitchen(arguments, kitchen, features)
+        return score_kitchen(arguments, kitchen, make_features(kitchen, Path(folder)))
+
+
+def make_features(kitchen: Path, folder: Path) -> Path:
+    """Write the scene's simulated region features below ``folder``, by its own script; returns where."""
+    features = folder / "language_features"
+    script = kitchen / "make_langsplat_features.py"
+    command = [sys.executable, str(script), str(kitchen), "--out", str(features)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return features
 
 
 def score_kitchen(arguments: Arguments, kitchen: Path, features: Path) -> dict:

@@ -64,7 +64,7 @@ nb::tuple py_code_similarities(const Array& similarities, const Array& gram, int
     const Matrix s = matrix(similarities, "similarities");
     const auto* g = data_of<float>(gram, "gram", {s.columns, s.columns});
     return coded(s.rows, s.columns, slots, swap_passes, warm, [&](auto settings, auto start, auto out) {
-        code_similarities(s, g, settings, start, out, std::clamp(threads, 1, 1024), python_signals());
+        code_similarities(s, g, settings, start, out, sane(threads), python_signals());
     });
 }
 
@@ -72,14 +72,14 @@ nb::tuple py_code_rows(const Array& rows, const Array& atoms, int64_t slots, int
                        const std::optional<Array>& warm, int threads) {
     const Matrix f = matrix(rows, "rows"), c = matrix(atoms, "atoms", f.columns);
     return coded(f.rows, c.rows, slots, swap_passes, warm, [&](auto settings, auto start, auto out) {
-        code_rows(f, c, settings, start, out, std::clamp(threads, 1, 1024), python_signals());
+        code_rows(f, c, settings, start, out, sane(threads), python_signals());
     });
 }
 
 nb::object py_row_products(const Array& rows, const Array& others, int threads) {
     const Matrix f = matrix(rows, "rows"), c = matrix(others, "others", f.columns);
     Buffer<float> out(f.rows * c.rows);
-    without_lock([&] { row_products(f, c, out.data(), std::clamp(threads, 1, 1024), python_signals()); });
+    without_lock([&] { row_products(f, c, out.data(), sane(threads), python_signals()); });
     return to_numpy(std::move(out), {size_t(f.rows), size_t(c.rows)});
 }
 
@@ -94,7 +94,7 @@ nb::tuple py_code_moments(const Array& rows, const Array& support, const Array& 
     const auto* u = data_of<float>(scale, "scale", {f.rows});
     Buffer<double> within(n_atoms * n_atoms), toward(n_atoms * f.columns);
     without_lock([&] {
-        code_moments(f, atoms, w, int(slots), u, n_atoms, within.data(), toward.data(), std::clamp(threads, 1, 1024), python_signals());
+        code_moments(f, atoms, w, int(slots), u, n_atoms, within.data(), toward.data(), sane(threads), python_signals());
     });
     const auto l = size_t(n_atoms);
     return nb::make_tuple(to_numpy(std::move(within), {l, l}), to_numpy(std::move(toward), {l, size_t(f.columns)}));
@@ -107,7 +107,7 @@ nb::object py_solve_positive_definite(const Array& matrix, const Array& right, i
     Buffer<double> out(size * columns);
     std::copy_n(b, size * columns, out.data());
     const bool solved =
-        without_lock([&] { return solve_positive_definite(a, size, out.data(), columns, std::clamp(threads, 1, 1024), python_signals()); });
+        without_lock([&] { return solve_positive_definite(a, size, out.data(), columns, sane(threads), python_signals()); });
     if (!solved) throw std::invalid_argument("matrix is not positive definite");
     return to_numpy(std::move(out), {size_t(size), size_t(columns)});
 }

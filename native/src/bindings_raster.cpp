@@ -25,9 +25,6 @@ namespace {
 constexpr int64_t kMostPixels = int64_t(1) << 31;
 constexpr int32_t kMostEdge = 65535 * kTile;  // tiles are numbered in 16 bits
 
-// Numbers of threads beyond this only cost scratch memory.
-int sane(int threads) { return std::clamp(threads, 1, 1024); }
-
 void check_size(int64_t width, int64_t height) {
     if (width < 1 || height < 1 || width > kMostEdge || height > kMostEdge || width * height > kMostPixels)
         throw std::invalid_argument("an image of " + std::to_string(width) + " x " + std::to_string(height) +
@@ -114,14 +111,12 @@ void py_add(Uplift& uplift, const View& view, const Array& labels, const std::ve
     }
     without_lock([&] {
         uplift.add(view, maps, levels, sane(threads), python_signals());
-        return 0;
     });
 }
 
 void py_flush(Uplift& uplift, int threads) {
     without_lock([&] {
         uplift.flush(sane(threads), python_signals());
-        return 0;
     });
 }
 
@@ -135,7 +130,6 @@ nb::tuple py_render_channels(const View& view, const Array& values, int threads)
     const ChannelImage out{data, int32_t(channels), image.data(), alpha.data()};
     without_lock([&] {
         render_channels(view, out, sane(threads), python_signals());
-        return 0;
     });
     const auto height = size_t(view.height), width = size_t(view.width);
     return nb::make_tuple(to_numpy(std::move(image), {height, width, size_t(channels)}),
@@ -168,7 +162,6 @@ nb::object py_render_codes(const View& view, const Array& indices, const Array& 
     Buffer<float> out(int64_t(view.width) * view.height * codes.atoms_of_all_levels());
     without_lock([&] {
         render_codes(view, codes, out.data(), sane(threads), python_signals());
-        return 0;
     });
     return to_numpy(std::move(out), {size_t(codes.levels), size_t(view.height), size_t(view.width), size_t(n_atoms)});
 }
@@ -185,7 +178,6 @@ nb::object py_render_cosines(const View& view, const Array& indices, const Array
                           out.data()};
     without_lock([&] {
         render_cosines(view, codes, cosines, sane(threads), python_signals());
-        return 0;
     });
     return to_numpy(std::move(out),
                     {size_t(codes.levels), size_t(n_queries), size_t(view.height), size_t(view.width)});
@@ -202,7 +194,6 @@ nb::tuple voted(Vote task, int threads) {
     task.weights = weights.data();
     without_lock([&] {
         vote(task, sane(threads), python_signals());
-        return 0;
     });
     const auto rows = size_t(task.rows), k = size_t(task.k);
     return nb::make_tuple(to_numpy(std::move(indices), {rows, k}), to_numpy(std::move(weights), {rows, k}));

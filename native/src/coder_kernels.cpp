@@ -1,7 +1,7 @@
 // The choice of atoms for one row: greedy orthogonal least squares, then swaps.
 #include "coder_kernels.h"
 
-#include "coder_lanes.h"
+#include "vector.h"
 #include "coder_nonnegative.h"
 
 namespace scoup::SCOUP_ISA {

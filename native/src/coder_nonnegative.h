@@ -4,7 +4,7 @@
 #include <cstdint>
 
 #include "coder_kernels.h"
-#include "coder_lanes.h"
+#include "vector.h"
 
 namespace scoup::SCOUP_ISA {
 namespace {

@@ -1,6 +1,6 @@
 // Products and sums over rows. Every number is summed in an order that depends on nothing but the shapes.
 #include "coder_kernels.h"
-#include "coder_lanes.h"
+#include "vector.h"
 
 namespace scoup::SCOUP_ISA {
 namespace {

@@ -1,4 +1,4 @@
-// Ctrl-C in long calls, and the interpreter's lock. For bindings*.cpp files only.
+// Ctrl-C in long calls, the interpreter's lock, and how many threads. For bindings*.cpp files only.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -15,6 +15,9 @@ inline Interrupted python_signals() {
         return PyErr_CheckSignals() != 0;
     };
 }
+
+// Numbers of threads beyond this only cost scratch memory.
+inline int sane(int threads) { return threads < 1 ? 1 : threads > 1024 ? 1024 : threads; }
 
 // Runs work() without the interpreter's lock. An interruption comes out as the Python error it was.
 template <class Work>

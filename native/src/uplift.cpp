@@ -4,12 +4,13 @@
 #include <string>
 
 namespace scoup {
+
 void Uplift::add(const View& view, const LabelMaps& maps, const std::vector<RegionCodes>& codes, int n_threads,
                  const Interrupted& interrupted) {
     BucketedRecords records(view, maps, n_threads, interrupted);
     int64_t entries_of_one = 0;
     for (const RegionCodes& level : codes) entries_of_one += level.k;
-    Buffer<Entry> entries = expand(records, codes);
+    Buffer<Entry> entries = expand(records, codes, entries_of_one);
     records.forget_labels();
     const std::lock_guard<std::mutex> lock(*busy_);
     const int64_t bytes = records.n_records() * int64_t(sizeof(Record)) + int64_t(entries.bytes());
@@ -18,9 +19,8 @@ void Uplift::add(const View& view, const LabelMaps& maps, const std::vector<Regi
     ++n_taken_;
 }
 
-Buffer<Uplift::Entry> Uplift::expand(const BucketedRecords& records, const std::vector<RegionCodes>& codes) const {
-    int64_t entries_of_one = 0;
-    for (const RegionCodes& level : codes) entries_of_one += level.k;
+Buffer<Uplift::Entry> Uplift::expand(const BucketedRecords& records, const std::vector<RegionCodes>& codes,
+                                     int64_t entries_of_one) const {
     Buffer<Entry> entries(records.n_combinations() * entries_of_one);
     int64_t at = 0;
     for (int64_t c = 0; c < records.n_combinations(); ++c)

@@ -55,7 +55,7 @@ class Uplift {
         int64_t entries_of_one;
     };
 
-    Buffer<Entry> expand(const BucketedRecords& records, const std::vector<RegionCodes>& codes) const;
+    Buffer<Entry> expand(const BucketedRecords& records, const std::vector<RegionCodes>& codes, int64_t entries_of_one) const;
     void apply(int64_t bucket, size_t first) const;
 
     float* out_;

@@ -25,6 +25,14 @@ using Ints = int32_t __attribute__((vector_size(4 * kLanes)));
 
 SCOUP_INLINE Floats all(float x) { return x - Floats{}; }
 
+// Unaligned, from and to memory.
+SCOUP_INLINE Floats load(const float* from) {
+    Floats x;
+    __builtin_memcpy(&x, from, sizeof x);
+    return x;
+}
+SCOUP_INLINE void store(float* to, Floats x) { __builtin_memcpy(to, &x, sizeof x); }
+
 SCOUP_INLINE Floats only(Ints mask, Floats x) { return (Floats)((Ints)x & mask); }
 
 // The smaller and the larger of each lane; `b` where `a` is not a number.

@@ -52,21 +52,14 @@ struct Stage {
     alignas(64) float dx[kStage], dy[kStage], slope[kStage], tip[kStage], reach[kStage], rise[kStage], pixels[kStage];
 };
 
-SCOUP_INLINE Floats load(const float* from) {
-    Floats x;
-    __builtin_memcpy(&x, from, sizeof x);
-    return x;
-}
-SCOUP_INLINE void store(Floats x, float* to) { __builtin_memcpy(to, &x, sizeof x); }
-
 // Which of the stage's Gaussians first .. first + kLanes - 1 reach which block, one row of blocks at a time. The
 // geometry is that of visit_tiles in binning.h.
 SCOUP_INLINE void find_painters(Stage& stage, int first) {
     const Floats ku = load(stage.ku + first), kv = load(stage.kv + first), peak = load(stage.peak + first);
     const Floats dx = load(stage.dx + first), dy = load(stage.dy + first), slope = load(stage.slope + first);
     const Floats tip = load(stage.tip + first), rise = load(stage.rise + first), pixels = load(stage.pixels + first);
-    store(ku * slope, stage.skew + first);
-    store(kv * dy, stage.v + first);
+    store(stage.skew + first, ku * slope);
+    store(stage.v + first, kv * dy);
 
     const Floats radius2 = larger(peak - kLog2AlphaMin, Floats{});
     const Floats slack = 2 * kSlack + 4 * kSlackShare * load(stage.reach + first);

@@ -60,9 +60,8 @@ class Lift:
                     self.keeper.write(self.state)
         except KeyboardInterrupt:
             if self.keeper.path is not None and uplift.intact:
-                if (
-                    uplift.n_taken > len(self.state.views_done) - before
-                ):  # it came after the view was taken in
+                # The interruption may have come after the view was taken in.
+                if uplift.n_taken > len(self.state.views_done) - before:
                     self.state.views_done[at_hand[0]] = at_hand[1]
                 uplift.flush()
                 self.keeper.write(self.state)

@@ -126,10 +126,13 @@ def render_cosines(
 ) -> Tensor:
     """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
     table = _code_table(indices, weights, codebook.shape[1])
-    grams = _array(codebook @ codebook.transpose(1, 2))
-    scores = _array(codebook @ queries.T)
+    levels, asked = _array(codebook), _array(queries)
+    core, threads = _core(), torch.get_num_threads()
     with _refusals():
-        found = _core().render_cosines(view.handle, *table, grams, scores, torch.get_num_threads())
+        # Not torch's products: on some machines their rounding depends on the number of threads.
+        grams = np.stack([core.row_products(atoms, atoms, threads) for atoms in levels])
+        scores = np.stack([core.row_products(atoms, asked, threads) for atoms in levels])
+        found = core.render_cosines(view.handle, *table, grams, scores, threads)
     return torch.from_numpy(found)
 
 
