@@ -17,7 +17,7 @@ from scoup.text_table import save_table
 from support import small_scene, unit
 
 WORDS = ("kettle", "mug", "wooden table")
-QUICK = ("--epochs", "20", "--n-atoms", "8")
+QUICK = ("--n-atoms", "8", "--effort", "fast")
 """Options that make a build quick."""
 
 

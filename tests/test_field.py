@@ -16,6 +16,7 @@ from scoup import raster
 from scoup.artefact import accumulators_path
 from scoup.cameras import Cameras
 from scoup.codes import SparseCodes
+from scoup.coding.encode import encode
 from scoup.errors import (
     FileFormatError,
     GeometryMismatchError,
@@ -30,7 +31,7 @@ from scoup.regions import Regions
 from scoup.uplifting import region_sums, top_k, uplift
 from support import make_camera, random_gaussians, small_scene, unit
 
-QUICK = BuildSettings(n_atoms=8, k=3, keep=3, epochs=20)
+QUICK = BuildSettings(n_atoms=8, k=3, keep=3, rounds=1, solver="adam", epochs=20)
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +177,7 @@ def test_accumulators_of_an_earlier_field_are_not_taken(scene, field, tmp_path):
     build(*scene, settings=QUICK).save(path, overwrite=True)
     assert accumulators_path(path).exists()
     assert LanguageField.load(path).accumulators is None
-    other = BuildSettings(n_atoms=8, k=2, keep=2, epochs=20)
+    other = BuildSettings(n_atoms=8, k=2, keep=2, epochs=20, rounds=1, solver="adam")
     stale = accumulators_path(path).read_bytes()
     build(*scene, settings=other, keep_accumulators=True).save(path, overwrite=True)
     accumulators_path(path).write_bytes(stale)
@@ -193,9 +194,7 @@ def test_adding_a_view_equals_building_with_it(scene, field, tmp_path):
     assert grown.info.provenance["added_views"] == [cameras[3].name]
     only = region_sums(gaussians, cameras[3:], regions.select(cameras.names[3:]))
     codes = [
-        scoup.Codebook(fewer.codebook[s], SparseCodes.from_dense(torch.zeros(1, 8), 3), None).encode(  # type: ignore[arg-type]
-            regions.load_embeddings(cameras.names[3], level)
-        )
+        encode(regions.load_embeddings(cameras.names[3], level), fewer.codebook[s], 3)
         for s, level in enumerate(regions.levels)
     ]
     assert torch.allclose(grown.accumulators, fewer.accumulators + uplift(only, codes), rtol=1e-5, atol=1e-6)
@@ -207,7 +206,7 @@ def test_adding_a_view_equals_building_with_it(scene, field, tmp_path):
 
 def test_added_regions_get_codes_of_k_atoms_whatever_a_gaussian_keeps(scene):
     gaussians, cameras, regions = scene
-    everything = BuildSettings(n_atoms=8, k=2, keep=0, epochs=20)
+    everything = BuildSettings(n_atoms=8, k=2, keep=0, epochs=20, rounds=1, solver="adam")
     field = build(gaussians, cameras[:3], regions, settings=everything, keep_accumulators=True)
     grown = field.update(cameras[3], regions)
     before, after = field.accumulators, grown.accumulators
@@ -232,7 +231,11 @@ def test_an_interrupted_save_leaves_field_and_accumulators_together(scene, field
             raise InputError("disk full")
         write(target, *rest)
 
-    other = build(*scene, settings=BuildSettings(n_atoms=8, k=2, epochs=20), keep_accumulators=True)
+    other = build(
+        *scene,
+        settings=BuildSettings(n_atoms=8, k=2, epochs=20, rounds=1, solver="adam"),
+        keep_accumulators=True,
+    )
     monkeypatch.setattr(artefact, "_write", full_disk)
     with pytest.raises(InputError, match="disk full"):
         other.save(path, overwrite=True)
@@ -241,7 +244,7 @@ def test_an_interrupted_save_leaves_field_and_accumulators_together(scene, field
 
 
 def test_eight_bits_take_no_code_away(scene, tmp_path):
-    wide = BuildSettings(n_atoms=600, k=4, keep=0, epochs=2)
+    wide = BuildSettings(n_atoms=600, k=4, keep=0, epochs=2, rounds=1, solver="adam")
     field = build(*scene, settings=wide)
     assert field.code_indices.dtype == torch.uint16
     even = LanguageField(
@@ -253,7 +256,7 @@ def test_eight_bits_take_no_code_away(scene, tmp_path):
 
 def test_more_than_256_atoms_from_build_to_answers(scene, tmp_path):
     gaussians, cameras, regions = scene
-    field = build(gaussians, cameras, regions, settings=BuildSettings(n_atoms=300, epochs=5))
+    field = build(gaussians, cameras, regions, settings=BuildSettings(n_atoms=300, rounds=1))
     field.save(tmp_path / "f.scoup")
     back = LanguageField.load(tmp_path / "f.scoup", gaussians)
     queries = unit(torch.randn(2, 16))
@@ -326,7 +329,7 @@ def test_a_checkpoint_of_other_inputs_is_not_used(scene, tmp_path):
     gaussians, cameras, regions = scene
     interrupt_build(scene, checkpoint, views=1)
     seen: list[str] = []
-    other = BuildSettings(n_atoms=8, k=2, keep=2, epochs=20)
+    other = BuildSettings(n_atoms=8, k=2, keep=2, epochs=20, rounds=1, solver="adam")
     build(
         gaussians,
         cameras,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,9 +15,12 @@ from torch import Tensor
 from scoup.errors import InputError, UnknownNameError
 from scoup.neighbours import Neighbourhood
 from scoup.query import (
+    DATASET_THRESHOLDS,
     PRESETS,
     QueryPreset,
     box_mean,
+    choose_level,
+    level_masks,
     localize,
     mask_box,
     query_preset,
@@ -53,17 +57,16 @@ def literal_box_mean(image: np.ndarray, kernel: int, border: str) -> np.ndarray:
 
 
 def literal_segment(relevancy: np.ndarray, preset: QueryPreset) -> tuple[np.ndarray, int, float]:
-    best, answer = -np.inf, None
+    answers = []
     for level, image in enumerate(relevancy.astype(np.float64)):
         smoothed = 0.5 * (image + literal_box_mean(image, preset.kernel, preset.border))
-        if smoothed.max() > best:
-            best = smoothed.max()
-            stretched = (smoothed - smoothed.min()) / (smoothed.max() - smoothed.min() + 1e-9)
-            mask = np.clip(2 * stretched - 1, 0, 1) > preset.threshold
-            mask = literal_box_mean(mask.astype(np.float64), preset.smoothing, "inside") > 0.5
-            answer = mask, level, smoothed.max()
-    assert answer is not None
-    return answer
+        stretched = (smoothed - smoothed.min()) / (smoothed.max() - smoothed.min() + 1e-9)
+        mask = np.clip(2 * stretched - 1, 0, 1) > preset.threshold
+        mask = literal_box_mean(mask.astype(np.float64), preset.smoothing, "inside") > 0.5
+        answers.append((mask, level, smoothed.max(), smoothed[mask].mean() if mask.any() else -np.inf))
+    by_mask = preset.level_choice == "mask" and any(mask.any() for mask, *_ in answers)
+    mask, level, peak, _ = max(answers, key=lambda answer: answer[3 if by_mask else 2])  # the first of equals
+    return mask, level, peak
 
 
 shapes = st.tuples(st.integers(1, 11), st.integers(1, 11))
@@ -120,6 +123,53 @@ def test_segment_finds_a_square_at_the_level_that_shows_it() -> None:
     assert found.coverage == pytest.approx(18 * 28 / (60 * 80), rel=0.06)
 
 
+def two_levels() -> Tensor:
+    """A small spot of high relevancy at the first level, a large square a little lower at the second."""
+    relevancy = torch.full((2, 60, 80), 0.5)
+    relevancy[0, 20:40, 30:60] = 0.84
+    relevancy[0, 27:34, 40:47] = 0.92  # its mask is wider than the spot, and lower on average
+    relevancy[1, 20:40, 30:60] = 0.88
+    return relevancy
+
+
+def test_the_level_by_its_peak_or_by_its_mask() -> None:
+    relevancy = two_levels()
+    by_peak, by_mask = segment(relevancy, PRESETS["scoup"]), segment(relevancy, PRESETS["default"])
+    assert (by_peak.level, by_mask.level, segment(relevancy).level) == (0, 1, 1)
+    smoothed, masks = level_masks(relevancy, PRESETS["scoup"])
+    assert [float(level[mask].mean()) for level, mask in zip(smoothed, masks, strict=True)] == pytest.approx(
+        [0.845, 0.87], abs=0.01
+    )
+    assert by_mask.mask.equal(masks[1])
+    # The score is the largest smoothed relevancy of the level chosen, by either rule.
+    assert by_mask.score == pytest.approx(0.88)
+    assert by_peak.score == pytest.approx(float(smoothed[0].max()))
+    assert localize(relevancy, PRESETS["default"]).level == localize(relevancy, PRESETS["scoup"]).level
+
+
+def test_levels_with_empty_masks_answer_only_if_all_are_empty() -> None:
+    relevancy = two_levels()
+    relevancy[0] = 0.5
+    relevancy[0, 10, 10] = 1.0  # the majority of 7 x 7 pixels removes so small a mask
+    smoothed, masks = level_masks(relevancy, PRESETS["default"])
+    assert [bool(mask.any()) for mask in masks] == [False, True]
+    assert choose_level(smoothed, masks, "mask") == 1
+    nothing = torch.full((3, 20, 20), 0.5)
+    nothing[1:, 10, 10] = 1.0
+    found = segment(nothing, PRESETS["default"])
+    assert (found.level, found.box) == (1, None)
+
+
+@pytest.mark.parametrize("choice", ["peak", "mask"])
+def test_the_first_of_equal_levels_answers(choice) -> None:
+    relevancy = two_levels()[[1, 1, 1]]
+    assert choose_level(*level_masks(relevancy, PRESETS["scoup"]), choice) == 0
+    masks = torch.zeros(2, 4, 4, dtype=torch.bool)
+    masks[0, 0, :3] = masks[1] = True
+    # Means of different areas may be equal too.
+    assert choose_level(torch.full((2, 4, 4), 0.1), masks, choice) == 0
+
+
 def test_constant_maps_give_empty_masks_and_every_pixel_as_maximum() -> None:
     relevancy = torch.full((2, 9, 15), 0.5)
     found = segment(relevancy)
@@ -171,6 +221,10 @@ def test_rescale_and_mask_box() -> None:
 def test_presets_by_name_and_data_set() -> None:
     assert query_preset("scoup") == PRESETS["scoup"]
     assert query_preset("scoup", "3d-ovs").threshold == 0.3
+    assert next(iter(PRESETS)) == "default"
+    for dataset, thresholds in DATASET_THRESHOLDS.items():
+        everyday, paper = query_preset("default", dataset), query_preset("scoup", dataset)
+        assert replace(everyday, name="scoup", level_choice="peak") == paper, thresholds
     assert query_preset("langsplatv2", "mipnerf360") == QueryPreset("langsplatv2", 29, "inside", 0.4, 7)
     assert query_preset("langsplat", threshold=0.1).threshold == 0.1
     with pytest.raises(UnknownNameError, match="scoup"):
@@ -183,6 +237,8 @@ def test_presets_by_name_and_data_set() -> None:
         query_preset("scoup", threshold=1.5)
     with pytest.raises(InputError):
         QueryPreset("x", 0, "inside", 0.5, 1)
+    with pytest.raises(InputError, match="peek"):
+        QueryPreset("x", 7, "inside", 0.5, 1, "peek")  # pyright: ignore
 
 
 @pytest.mark.parametrize("shape", [(3, 4), (0, 3, 4), (2, 0, 4), (1, 2, 3, 4)])

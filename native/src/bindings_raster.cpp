@@ -82,15 +82,35 @@ void check_indices(const Index* indices, int64_t count, int32_t n_atoms) {
 
 bool holds_bytes(const Array& indices) { return indices.dtype() == nb::dtype<uint8_t>(); }
 
-Uplift py_uplift(const WritableArray& out) {
+// Indices, weights and sharpness of an earlier round.
+using EarlierArrays = std::tuple<Array, Array, Array>;
+
+Uplift py_uplift(const WritableArray& out, const std::optional<EarlierArrays>& earlier) {
     if (out.ndim() != 3 || out.shape(1) > 1024 || out.shape(2) > 65536)
         throw std::invalid_argument("out must be [N, levels, atoms]");
     float* sums = data_of<float>(out, "out", {kAnySize, kAnySize, kAnySize});
-    return {sums, int64_t(out.shape(0)), int32_t(out.shape(1)), int32_t(out.shape(2))};
+    const auto n = int64_t(out.shape(0)), levels = int64_t(out.shape(1)), n_atoms = int64_t(out.shape(2));
+    EarlierVotes votes;
+    if (earlier) {
+        const auto& [indices, weights, sharpness] = *earlier;
+        if (indices.ndim() != 3 || indices.shape(2) > 65536) throw std::invalid_argument("earlier indices must be [N, levels, k]");
+        const auto k = int64_t(indices.shape(2));
+        votes.weights = data_of<float>(weights, "earlier weights", {n, levels, k});
+        votes.sharpness = data_of<float>(sharpness, "sharpness", {levels});
+        votes.k = int32_t(k);
+        if (holds_bytes(indices)) {
+            votes.indices8 = data_of<uint8_t>(indices, "earlier indices", {n, levels, k});
+            check_indices(votes.indices8, n * levels * k, n_atoms);
+        } else {
+            votes.indices16 = data_of<uint16_t>(indices, "earlier indices", {n, levels, k});
+            check_indices(votes.indices16, n * levels * k, n_atoms);
+        }
+    }
+    return {sums, n, int32_t(levels), int32_t(n_atoms), votes};
 }
 
 void py_add(Uplift& uplift, const View& view, const Array& labels, const std::vector<std::tuple<Array, Array>>& codes,
-            int threads) {
+            int threads, const std::vector<Array>& cosines) {
     const LabelMaps maps = label_maps(view, labels);
     if (view.n_gaussians != uplift.n_gaussians() || maps.levels != uplift.levels() || int64_t(codes.size()) != maps.levels)
         throw std::invalid_argument("the view's Gaussians, the labels' and the codes' levels must fit the accumulators");
@@ -109,8 +129,15 @@ void py_add(Uplift& uplift, const View& view, const Array& labels, const std::ve
         }
         levels.push_back(code);
     }
+    if (cosines.size() != (uplift.has_earlier_votes() ? levels.size() : 0))
+        throw std::invalid_argument("there must be cosines of every level's regions after an earlier round, and only then");
+    std::vector<RegionCosines> tables;
+    for (size_t level = 0; level < cosines.size(); ++level) {
+        const int64_t rows = levels[level].rows;
+        tables.push_back({data_of<float>(cosines[level], "cosines", {rows, uplift.n_atoms()}), rows});
+    }
     without_lock([&] {
-        uplift.add(view, maps, levels, sane(threads), python_signals());
+        uplift.add(view, maps, levels, tables, sane(threads), python_signals());
     });
 }
 
@@ -232,9 +259,14 @@ void bind_raster(nb::module_& m) {
           nb::arg("stop_inclusive"), nb::arg("centred_clamp"), nb::arg("ties").none(), nb::arg("threads"));
     m.def("region_weights", &py_region_weights, nb::arg("view"), nb::arg("labels"), nb::arg("stride"), nb::arg("threads"));
     nb::class_<Uplift>(m, "Uplift", "Adds the codes of many views to accumulators [N, levels, atoms], some views at a time.")
-        .def("__init__", [](Uplift* self, const WritableArray& out) { new (self) Uplift(py_uplift(out)); }, nb::arg("out"),
-             nb::keep_alive<1, 2>())
-        .def("add", &py_add, nb::arg("view"), nb::arg("labels"), nb::arg("codes"), nb::arg("threads"))
+        .def(
+            "__init__",
+            [](Uplift* self, const WritableArray& out, const std::optional<EarlierArrays>& earlier) {
+                new (self) Uplift(py_uplift(out, earlier));
+            },
+            nb::arg("out"), nb::arg("earlier").none() = nb::none(), nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>())
+        .def("add", &py_add, nb::arg("view"), nb::arg("labels"), nb::arg("codes"), nb::arg("threads"),
+             nb::arg("cosines") = nb::list())
         .def("flush", &py_flush, nb::arg("threads"))
         .def_prop_ro("n_taken", &Uplift::n_taken)
         .def_prop_ro("pending_bytes", &Uplift::pending_bytes);

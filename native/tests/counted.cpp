@@ -101,7 +101,7 @@ void uplift(const Work& work, const scoup::View& view) {
     std::vector<float> sums(size_t(kGaussians) * kLevels * kAtoms);
     scoup::Uplift all(sums.data(), kGaussians, kLevels, kAtoms);
     const scoup::RegionCodes codes{work.region_code_indices.data(), nullptr, work.region_code_weights.data(), kRegions, kSlots};
-    all.add(view, maps_of(work), std::vector<scoup::RegionCodes>(kLevels, codes), 1, kNever);
+    all.add(view, maps_of(work), std::vector<scoup::RegionCodes>(kLevels, codes), {}, 1, kNever);
     all.flush(1, kNever);
 }
 

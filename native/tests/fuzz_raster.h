@@ -161,18 +161,32 @@ inline void fuzz_uplift(Random& random, const Seen& seen) {
     for (int v = 0; v < n_views; ++v) labels.push_back(random_labels(random, seen, levels, rows));
     const auto maps = [&](int v) { return LabelMaps{labels[size_t(v)].data(), levels, seen.view.width, seen.view.height}; };
 
+    // Sometimes a second round.
+    EarlierVotes earlier;
+    const auto kept = int32_t(random.between(0, 4));
+    const CodeArrays votes = random_codes(random, n * levels * kept, n_atoms);
+    Exact<float> sharpness(random, levels), cosines(random, int64_t(rows) * n_atoms);
+    for (int32_t level = 0; level < levels; ++level) sharpness[level] = float(random.between(0, 100));
+    for (int64_t i = 0; i < cosines.size(); ++i) cosines[i] = float(random.between(-100, 100)) / 100;
+    std::vector<RegionCosines> agreeing;
+    if (random.chance(0.5)) {
+        earlier = {votes.bytes ? votes.indices8.data() : nullptr, votes.bytes ? nullptr : votes.indices16.data(),
+                   votes.weights.data(), sharpness.data(), kept};
+        agreeing.assign(size_t(levels), {cosines.data(), rows});
+    }
+
     // All in one go on one thread.
     Exact<float> plain(random, n * row);
-    Uplift simple(plain.data(), n, levels, n_atoms);
-    for (int v = 0; v < n_views; ++v) simple.add(seen.view, maps(v), tables, 1, never);
+    Uplift simple(plain.data(), n, levels, n_atoms, earlier);
+    for (int v = 0; v < n_views; ++v) simple.add(seen.view, maps(v), tables, agreeing, 1, never);
     const double seconds = seconds_of([&] { simple.flush(1, never); });
 
     // With interruptions anywhere, more views after an interrupted flush, and threads.
     Exact<float> out(random, n * row);
-    Uplift uplift(out.data(), n, levels, n_atoms);
+    Uplift uplift(out.data(), n, levels, n_atoms, earlier);
     const bool interrupts = random.chance(n > 2048 ? 0.5 : 0.05);
     for (int v = 0; v < n_views; ++v) {
-        uplift.add(seen.view, maps(v), tables, seen.threads, never);
+        uplift.add(seen.view, maps(v), tables, agreeing, seen.threads, never);
         if (interrupts)
             interrupt(random, seconds, [&](const Interrupted& interrupted) { uplift.flush(seen.threads, interrupted); });
         if (random.chance(0.3)) uplift.flush(seen.threads, never);
@@ -185,7 +199,7 @@ inline void fuzz_uplift(Random& random, const Seen& seen) {
     for (int64_t i = 0; i < beyond.size(); ++i)
         if (i % 3 == 0) beyond[i] = random.chance(0.5) ? rows : std::numeric_limits<int32_t>::max();
     try {
-        uplift.add(seen.view, {beyond.data(), levels, seen.view.width, seen.view.height}, tables, seen.threads, never);
+        uplift.add(seen.view, {beyond.data(), levels, seen.view.width, seen.view.height}, tables, agreeing, seen.threads, never);
     } catch (const std::out_of_range&) {
         uplift.flush(seen.threads, never);
         check_same(out, plain, "uplift: after a label without a code");
@@ -197,9 +211,16 @@ inline void fuzz_uplift(Random& random, const Seen& seen) {
         for (int64_t i = 0; i < found.count; ++i) {
             const auto level = size_t(found.key[i] / rows);
             const int64_t region = found.key[i] % rows, k = tables[level].k;
+            double counts = 1, cosine = 0, total = 0;
+            for (int64_t j = 0; earlier.given() && j < kept; ++j) {
+                const int64_t vote = (found.gaussian[i] * levels + int64_t(level)) * kept + j;
+                cosine += double(votes.weights[vote]) * double(cosines[region * n_atoms + votes.index(vote)]);
+                total += double(votes.weights[vote]);
+            }
+            if (total > 0) counts = std::max(std::exp(double(sharpness[int64_t(level)]) * std::min(cosine - 1, 0.0)), 1e-6);
             for (int64_t j = region * k; j < (region + 1) * k; ++j)
                 expected[size_t(found.gaussian[i] * row + int64_t(level) * n_atoms + codes[level].index(j))] +=
-                    double(found.weight[i]) * double(codes[level].weights[j]);
+                    counts * double(found.weight[i]) * double(codes[level].weights[j]);
         }
     }
     for (int64_t i = 0; i < n * row; ++i)  // single precision, up to a hundred thousand additions

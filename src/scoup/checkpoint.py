@@ -7,7 +7,7 @@ import json
 import time
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from scoup import __version__
+from scoup.agreement import Agreement
 from scoup.artefact import read_tensors, write_tensors
 from scoup.cameras import Camera
 from scoup.codes import SparseCodes
@@ -23,6 +24,7 @@ from scoup.errors import FileFormatError, ScoupWarning
 SECONDS_BETWEEN_WRITES = 30.0
 WRITES_SHARE = 0.05  # of the time may go into writing
 _SCHEMA = "scoup.build_checkpoint"
+_AGREEMENT = ("indices", "weights", "grams", "sharpness")
 
 Embeddings: TypeAlias = tuple[Tensor, dict[str, slice]]
 """All embeddings of a level [R, D], and the rows of each view in them."""
@@ -37,7 +39,10 @@ class BuildState:
         codes: per level, the codes of all regions.
         reports: per level, the coding report as JSON values.
         accumulators: [N, S, L] float32.
-        views_done: names of the views already added, each with the digest of its label maps.
+        views_done: names of the views already added in this round, each with the digest of its label maps.
+        rounds_done: rounds of the vote that are over.
+        agreement: outcome of the last of those, None in the first round. Its rows are in the accumulators' order.
+        earlier_views: ``views_done`` of the last of those.
         between_views: false while a view is being added; such a state is never stored.
     """
 
@@ -46,7 +51,23 @@ class BuildState:
     reports: list[dict[str, Any]]
     accumulators: Tensor
     views_done: dict[str, str]
+    rounds_done: int = 0
+    agreement: Agreement | None = None
+    earlier_views: dict[str, str] = field(default_factory=dict)
     between_views: bool = True
+
+    def start_over(self) -> None:
+        """Forget all views, keep the codes."""
+        self.accumulators.zero_()
+        self.views_done.clear()
+        self.rounds_done, self.agreement, self.earlier_views = 0, None, {}
+
+    def end_round(self, agreement: Agreement) -> None:
+        """Keep the outcome of a round and make ready for the next."""
+        self.accumulators.zero_()
+        self.earlier_views, self.views_done = self.views_done, {}
+        self.rounds_done += 1
+        self.agreement = agreement
 
 
 class Checkpoint:
@@ -79,16 +100,35 @@ class Checkpoint:
             if header["key"] != self.key:
                 return None
             levels = range(len(header["reports"]))
-            views = {str(name): str(digest) for name, digest in header["views_done"].items()}
+            views, earlier = (
+                {str(name): str(digest) for name, digest in header[kind].items()}
+                for kind in ("views_done", "earlier_views")
+            )
+            rounds_done = int(header["rounds_done"])
             if header["rows_order"] != self.rows_order:
-                views = {}  # another backend worked on it
+                views, rounds_done = {}, 0  # another backend worked on it
+            agreement = None
+            if rounds_done:
+                parts = (tensors[f"agreement.{name}"] for name in _AGREEMENT)
+                agreement = Agreement(*parts)
+                if tuple(agreement.indices.shape[:2]) != shape[:2] or agreement.n_atoms != shape[2]:
+                    raise ValueError(f"an earlier round of other codes {list(agreement.indices.shape)}")
             accumulators = tensors["accumulators"] if views else torch.zeros(shape)
             if tuple(accumulators.shape) != shape:
                 raise ValueError(f"accumulators {list(accumulators.shape)} are not {list(shape)}")
             n_atoms = shape[2]
             codes = [SparseCodes(tensors[f"indices.{s}"], tensors[f"weights.{s}"], n_atoms) for s in levels]
             atoms = [tensors[f"atoms.{s}"] for s in levels]
-            return BuildState(atoms, codes, header["reports"], accumulators, views)
+            return BuildState(
+                atoms,
+                codes,
+                header["reports"],
+                accumulators,
+                views,
+                rounds_done,
+                agreement,
+                earlier if rounds_done else {},
+            )
         except (FileFormatError, KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
             warnings.warn(
                 f"{self.path}: the checkpoint cannot be used ({error}); starting over",
@@ -115,10 +155,14 @@ class Checkpoint:
                 f"indices.{s}": codes.indices,
                 f"weights.{s}": codes.weights,
             }
+        if state.agreement is not None:
+            tensors |= {f"agreement.{name}": getattr(state.agreement, name) for name in _AGREEMENT}
         header = {
             "key": self.key,
+            "rounds_done": state.rounds_done,
             "reports": state.reports,
             "views_done": state.views_done,
+            "earlier_views": state.earlier_views,
             "rows_order": self.rows_order,
         }
         write_tensors(self.path, tensors, _SCHEMA, header)

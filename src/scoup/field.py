@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from scoup import raster
 from scoup.artefact import Accumulators, FieldInfo, FieldParts, field_damage_named, read_field, write_field
 from scoup.cameras import Camera, Cameras
 from scoup.codes import cosines_from_codes, index_dtype
-from scoup.errors import GeometryMismatchError, InputError
+from scoup.errors import GeometryMismatchError, InputError, ScoupWarning
 from scoup.gaussians import Gaussians
 from scoup.regions import Regions
 from scoup.relevancy import relevancy
@@ -222,53 +223,71 @@ class LanguageField:
 
     # ---- how it changes and lasts
 
-    def update(self, camera: Camera, regions: Regions) -> LanguageField:
-        """A new field with one more view added to the vote; the codebook and earlier codes of regions stay.
+    def update(self, camera: Camera, regions: Regions, new_atoms: int = 0) -> LanguageField:
+        """A new field with one more view added to the vote; atoms and the codes of earlier regions stay.
+
+        Things that no earlier view showed may have no atoms; ``new_atoms`` adds some for the regions that the codebook
+        explains badly (``Codebook.extended``). All levels then have as many places for atoms as the one that needs
+        most; the others are filled up with zeros, which no code uses.
 
         Args:
             camera: the new view.
             regions: ``Regions`` that hold the camera's name, with this field's levels.
+            new_atoms: add at most so many atoms a level. With 0 a warning is given if more than 30 % of the view's
+                regions are badly explained.
 
         Raises:
             InputError: the field was loaded or built without its accumulators, the view is in the vote already,
-                or levels or embeddings do not fit.
+                levels or embeddings do not fit, ``new_atoms`` is negative or makes more than 65536 atoms, or the field
+                does not record how well its codebook explains regions.
         """
-        from scoup.coding.encode import encode
+        from scoup.growing import (
+            MANY,
+            agreement_of,
+            bars_of,
+            code_view,
+            embeddings_of,
+            provenance_with,
+            widened,
+        )
 
-        voted = [*self.info.provenance.get("views", []), *self.info.provenance.get("added_views", [])]
-        if camera.name in voted:
+        provenance = self.info.provenance
+        if camera.name in [*provenance.get("views", []), *provenance.get("added_views", [])]:
             raise InputError(f"the view {camera.name!r} is in the field already; a view votes once")
         if self.accumulators is None:
             raise InputError(
                 "adding a view needs the accumulators; build with keep_accumulators=True (--keep-accumulators)"
             )
-        if tuple(regions.levels) != self.levels:
-            raise InputError(f"the regions have levels {list(regions.levels)}, the field {list(self.levels)}")
+        rows = embeddings_of(camera.name, regions, self.levels, self.dim)
+        settings = provenance.get("settings", {})
         keep = self.code_indices.shape[2]
-        k = int(self.info.provenance.get("settings", {}).get("k", keep))  # of a region's code
-        codes = []
-        for level, atoms in zip(self.levels, self.codebook.cpu(), strict=True):
-            rows = regions.load_embeddings(camera.name, level)
-            if rows.shape[1] != self.dim:
-                raise InputError(
-                    f"the regions of {camera.name!r} have embeddings of {rows.shape[1]} dimensions, "
-                    f"the field {self.dim}"
-                )
-            codes.append(encode(rows, atoms, k))
-        accumulators = self.accumulators.clone()
+        k = int(settings.get("k", keep))  # of a region's code
+        coded = code_view(self.codebook.cpu(), rows, k, bars_of(provenance, self.levels), new_atoms)
+        badly_explained = (coded.n_badly_explained or 0) / max(1, coded.n_regions)
+        if not new_atoms and badly_explained > MANY:
+            warnings.warn(
+                f"{badly_explained:.0%} of the regions of {camera.name!r} are badly explained by the field's codebook; "
+                "add atoms for them (new_atoms=8), or build again with this view among the others",
+                ScoupWarning,
+                stacklevel=2,
+            )
+        n_atoms = coded.codebook.shape[1]
+        accumulators = widened(self.accumulators, n_atoms)
         labels, _ = regions.load_view(camera.name, camera.width, camera.height)
         view = self.look(camera)
-        uplift = raster.Uplift(accumulators, view.backend)
-        uplift.add(view, labels.to(self.gaussians.device), codes)
+        agreement = agreement_of(provenance, accumulators, coded.codebook, k)
+        uplift = raster.Uplift(accumulators, view.backend, agreement)
+        uplift.add(view, labels.to(self.gaussians.device), coded.codes)
         uplift.flush()
-        indices, weights = top_k(accumulators, keep)
-        added = [*self.info.provenance.get("added_views", []), camera.name]
-        info = replace(self.info, provenance={**self.info.provenance, "added_views": added})
+        indices, weights = top_k(accumulators, n_atoms if settings.get("keep", keep) == 0 else keep)
+        info = replace(
+            self.info, provenance=provenance_with(provenance, camera.name, self.levels, coded.n_new)
+        )
         cameras = self.cameras
         if cameras is not None and camera.name not in cameras.names:
             cameras = Cameras([*cameras, camera])
         grown = LanguageField(
-            indices, weights, self.codebook.cpu(), info, None, self.geometry_path, accumulators, cameras
+            indices, weights, coded.codebook, info, None, self.geometry_path, accumulators, cameras
         ).to(self.codebook.device)
         grown._gaussians = self._gaussians
         return grown

@@ -1,8 +1,12 @@
-"""Views into a build's accumulators, kept together with the record of which views are in."""
+"""Views into a build's accumulators, round after round, kept together with the record of which views are in."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
 
 from scoup import raster
 from scoup.cameras import Camera
@@ -10,7 +14,51 @@ from scoup.checkpoint import BuildState, Checkpoint
 from scoup.codes import SparseCodes
 from scoup.progress import Progress
 from scoup.regions import Regions
-from scoup.uplifting import ViewSums, add_view, digest_of_labels
+from scoup.rounds import outcome, sharpness_of, spread
+from scoup.uplifting import RegionSums, ViewSums, add_view, digest_of_labels
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Where views come from: a scene to rasterise, or the region sums of one.
+
+    Attributes:
+        cameras: views with regions.
+        regions: their label maps.
+        raster_preset: rasteriser constants.
+        scene: what is rasterised.
+        sums: used in place of the scene if given.
+    """
+
+    cameras: Sequence[Camera]
+    regions: Regions
+    raster_preset: str
+    scene: raster.PreparedScene | None = None
+    sums: RegionSums | None = None
+
+    def iterate_sums(self, cameras: Sequence[Camera]) -> Iterator[ViewSums]:
+        """Region sums of some of the views; Gaussians as in the scene."""
+        if self.sums is not None:
+            wanted = {camera.name for camera in cameras}
+            yield from (view for view in self.sums.views if view.view_name in wanted)
+        elif self.scene is not None:
+            for camera in cameras:
+                labels, _ = self.regions.load_view(camera.name, camera.width, camera.height)
+                camera, labels = every_second_pixel(camera, labels)
+                view = raster.look(self.scene, camera, self.raster_preset)
+                triplets = raster.region_weights(view, labels.to(self.scene.gaussians.device))
+                parts = [part.cpu() for part in triplets]
+                yield ViewSums(camera.name, parts[0], parts[1], parts[2], int(labels.max()) + 1)
+
+
+def every_second_pixel(camera: Camera, labels: Tensor) -> tuple[Camera, Tensor]:
+    """A view at half the size, with the labels [S, H, W] of every second pixel each way.
+
+    What a round finds from it is nearly what it finds from all pixels (docs/benchmarks.md, ``fewer_pixels``), in half
+    the time: good enough for a yardstick, not for the result.
+    """
+    smaller = camera.resized(max(1, camera.width // 2), max(1, camera.height // 2))
+    return smaller, labels[:, : 2 * smaller.height : 2, : 2 * smaller.width : 2].contiguous()
 
 
 class Lift:
@@ -38,11 +86,43 @@ class Lift:
         self.keeper = keeper
         self.progress = progress
 
+    def add_round(self, source: Source, last: bool = True) -> None:
+        """Take in every view that is not in yet; at half the size where another round follows."""
+        left = [camera for camera in source.cameras if camera.name not in self.state.views_done]
+        if source.sums is not None:
+            self.add_sums(source.iterate_sums(left))
+        elif source.scene is not None:
+            self.add_views(source.scene, left, source.regions, source.raster_preset, last)
+
+    def end_round(self, source: Source, keep: int) -> None:
+        """Make what this round has found the yardstick of the next, and empty the accumulators.
+
+        Args:
+            source: of the views.
+            keep: atoms of a Gaussian that are handed on.
+        """
+        state = self.state
+        known = None if state.agreement is None else state.agreement.sharpness
+        agreement = outcome(state.accumulators, torch.stack(state.atoms), keep, known)
+        if known is None:
+            sample = source.iterate_sums(spread(source.cameras))
+            agreement = agreement.with_sharpness(sharpness_of(agreement, sample, self.codes_of))
+        state.end_round(agreement)
+        self.keeper.write(state)
+
     def add_views(
-        self, scene: raster.PreparedScene, cameras: Sequence[Camera], regions: Regions, raster_preset: str
+        self,
+        scene: raster.PreparedScene,
+        cameras: Sequence[Camera],
+        regions: Regions,
+        raster_preset: str,
+        whole: bool = True,
     ) -> None:
-        """Rasterise views and lift their codes; the accumulators are in the order of the prepared scene."""
-        uplift = raster.Uplift(self.state.accumulators, scene.backend)
+        """Rasterise views and lift their codes; the accumulators are in the order of the prepared scene.
+
+        ``whole``: with all pixels, see ``every_second_pixel``.
+        """
+        uplift = raster.Uplift(self.state.accumulators, scene.backend, self.state.agreement)
         self._report()
         at_hand = ("", "")  # name and digest of the view that is being taken in
         before = len(self.state.views_done)
@@ -50,9 +130,11 @@ class Lift:
             for camera in cameras:
                 labels, _ = regions.load_view(camera.name, camera.width, camera.height)
                 at_hand = (camera.name, digest_of_labels(labels))
+                if not whole:
+                    camera, labels = every_second_pixel(camera, labels)
                 labels = labels.to(scene.gaussians.device)
                 view = raster.look(scene, camera, raster_preset)
-                uplift.add(view, labels, self._codes(camera.name))
+                uplift.add(view, labels, self.codes_of(camera.name))
                 self.state.views_done[at_hand[0]] = at_hand[1]
                 self._report()
                 if self.keeper.is_due():
@@ -73,9 +155,9 @@ class Lift:
         self._report()
         try:
             for sums in sums_of_views:
-                codes = self._codes(sums.view_name)
+                codes = self.codes_of(sums.view_name)
                 self.state.between_views = False
-                add_view(sums, codes, self.state.accumulators)
+                add_view(sums, codes, self.state.accumulators, self.state.agreement)
                 self.state.views_done[sums.view_name] = sums.labels_digest
                 self.state.between_views = True
                 self._report()
@@ -85,8 +167,10 @@ class Lift:
             self.keeper.write(self.state)
             raise
 
-    def _codes(self, view_name: str) -> list[SparseCodes]:
+    def codes_of(self, view_name: str) -> list[SparseCodes]:
+        """Per level, the codes of a view's regions."""
         return [codes.rows(rows[view_name]) for codes, rows in zip(self.state.codes, self.rows, strict=True)]
 
     def _report(self) -> None:
-        self.progress("uplift", len(self.state.views_done), self.n_views)
+        stage = "uplift" if self.state.rounds_done == 0 else f"uplift, round {self.state.rounds_done + 1}"
+        self.progress(stage, len(self.state.views_done), self.n_views)

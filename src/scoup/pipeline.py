@@ -18,36 +18,45 @@ from scoup.cameras import Camera, Cameras
 from scoup.checkpoint import BuildState, Checkpoint, Embeddings, build_key
 from scoup.codes import SparseCodes
 from scoup.coding import fit_codes
-from scoup.errors import InputError, ScoupWarning
+from scoup.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.field import FieldInfo, LanguageField
 from scoup.gaussians import Gaussians
-from scoup.lifting import Lift
+from scoup.lifting import Lift, Source
 from scoup.progress import Progress, no_progress
 from scoup.regions import Regions
-from scoup.uplifting import RegionSums, cameras_with_regions, digest_of_labels, top_k
+from scoup.uplifting import RegionSums, cameras_with_regions, digest_of_labels, region_sums, top_k
 
 FEW_GAUSSIANS = 0.01  # share of coded Gaussians under which the frames of splat and cameras are doubted
 
 
 @dataclass(frozen=True)
 class BuildSettings:
-    """Everything that decides what a build computes.
+    """Everything that decides what a build computes. ``BUILD_PRESETS`` names two: "default" (what answers best, and
+    what ``BuildSettings()`` is) and "paper".
 
     Attributes:
         n_atoms: L, atoms in each level's codebook.
         k: K, atoms in the code of a region.
         keep: atoms kept for each Gaussian by the vote; None (default) keeps k, 0 keeps all (no top-K step).
+        rounds: of the vote, 1 or more. One is the paper's; each further one lifts all views again and counts regions by
+            their agreement with the outcome so far (``scoup.agreement``).
+        consensus: give regions that the same Gaussians see similar embeddings before coding (``scoup.consensus``).
+            The region sums of all views are then kept in memory.
         solver: how codes are learned, see ``fit_codes``.
+        effort: of the "exact" solver, "fast" or "best".
         epochs: epochs of the "adam" solver.
-        tolerance: stop the solver once its loss has fallen by less than this over 100 epochs; None never.
+        tolerance: stop the "adam" solver once its loss has fallen by less than this over 100 epochs; None never.
         seed: of the codebook's start.
         raster_preset: rasteriser constants the scene was trained with: "inria" or "gsplat".
     """
 
-    n_atoms: int = 64
+    n_atoms: int = 128
     k: int = 4
     keep: int | None = None
-    solver: str = "adam"
+    rounds: int = 2
+    consensus: bool = False
+    solver: str = "exact"
+    effort: str = "best"
     epochs: int = 4000
     tolerance: float | None = None
     seed: int = 0
@@ -62,19 +71,28 @@ class BuildSettings:
                 f"k ({self.k}) and keep ({keep}) must not exceed the {self.n_atoms} atoms, and k must be at "
                 "least 1"
             )
+        if self.rounds < 1:
+            raise InputError(f"the vote takes at least one round, not {self.rounds}")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise InputError(f"the tolerance must be 0 or more, got {self.tolerance}")
         if not 0 <= self.seed < 1 << 63:
             raise InputError(f"the seed must be 0 to 2^63 - 1, got {self.seed}")
 
 
+BUILD_PRESETS: dict[str, BuildSettings] = {
+    "default": BuildSettings(),
+    "paper": BuildSettings(n_atoms=64, rounds=1, solver="adam"),
+}
+"""What answers best at little cost (docs/benchmarks.md, "Codes and votes"), and the paper's method as published."""
+
+
 def build(
     gaussians: Gaussians,
     cameras: Cameras,
     regions: Regions,
-    n_atoms: int = 64,
-    k: int = 4,
-    settings: BuildSettings | None = None,
+    n_atoms: int | None = None,
+    k: int | None = None,
+    settings: BuildSettings | str = "default",
     *,
     embedding_model: str = "",
     geometry_path: str | Path | None = None,
@@ -93,8 +111,8 @@ def build(
         gaussians: the trained scene; never changed.
         cameras: posed views; those without regions are passed over.
         regions: region maps and embeddings.
-        n_atoms, k: size of the codebook and of a code, where ``settings`` are not given.
-        settings: everything else that decides the result.
+        n_atoms, k: size of the codebook and of a code, where they are not those of ``settings``.
+        settings: everything that decides the result, or the name of one of ``BUILD_PRESETS``.
         embedding_model: id of the model the embeddings come from, kept in the field.
         geometry_path: file of the Gaussians, kept in the field as a reference.
         keep_accumulators: keep the float sums, so that views can be added later (N x S x L x 4 bytes).
@@ -109,7 +127,7 @@ def build(
     Raises:
         InputError: no camera has regions, the cameras see nothing, or the inputs do not fit.
     """
-    settings = settings or BuildSettings(n_atoms=n_atoms, k=k)
+    settings = build_settings(settings, n_atoms=n_atoms, k=k)
     views = cameras_with_regions(cameras, regions)
     regions = regions.select(camera.name for camera in views)
     embeddings = {level: regions.embeddings(level) for level in regions.levels}
@@ -119,24 +137,34 @@ def build(
         _check_sums(sums, views, rows, len(gaussians), settings.raster_preset)
     fingerprint = gaussians.fingerprint()
     key = build_key(fingerprint, views, embeddings, dataclasses.asdict(settings))
+    if settings.consensus and sums is None:
+        chosen = Cameras(views)
+        sums = region_sums(gaussians, chosen, regions, settings.raster_preset, backend, progress)
 
     scene = None if sums is not None else raster.prepare(gaussians, backend)
     rows_order = "original" if scene is None or scene.order is None else "moved"
     keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), key, rows_order)
     state = keeper.read((len(gaussians), len(embeddings), settings.n_atoms))
     if state is None:
+        if settings.consensus and sums is not None:
+            from scoup.consensus import consensus
+
+            agreed = consensus(sums, [rows for rows, _ in embeddings.values()], progress=progress)
+            embeddings = {
+                level: (rows, of_views)
+                for (level, (_, of_views)), rows in zip(embeddings.items(), agreed, strict=True)
+            }
         state = _learn_codes(embeddings, settings, len(gaussians), progress)
         keeper.write(state)
     else:
         _forget_other_maps(state, views, regions)
     del embeddings  # the uplift needs the codes only
-    left = [camera for camera in views if camera.name not in state.views_done]
+    source = Source(views, regions, settings.raster_preset, scene, sums)
     lift = Lift(state, rows, len(views), keeper, progress)
-    if scene is not None:
-        lift.add_views(scene, left, regions, settings.raster_preset)
-    elif sums is not None:
-        wanted = {camera.name for camera in left}
-        lift.add_sums(view for view in sums.views if view.view_name in wanted)
+    while state.rounds_done + 1 < settings.rounds:
+        lift.add_round(source, last=False)
+        lift.end_round(source, settings.keep or settings.k)
+    lift.add_round(source)
     accumulators = state.accumulators
     indices, weights = top_k(accumulators, settings.keep or None)
     if scene is not None:
@@ -156,6 +184,8 @@ def build(
         "views": [camera.name for camera in views],
         "coding": dict(zip(regions.levels, state.reports, strict=True)),
     }
+    if state.agreement is not None:
+        provenance["sharpness"] = state.agreement.sharpness.tolist()
     info = FieldInfo(
         regions.levels, embedding_model, fingerprint, len(gaussians), settings.raster_preset, provenance
     )
@@ -171,6 +201,24 @@ def build(
     ).to(gaussians.device)
     field.attach(gaussians)
     return field
+
+
+def build_settings(settings: BuildSettings | str = "default", **changes: Any) -> BuildSettings:
+    """Settings, or a preset by name, with some fields changed; None leaves a field as it is.
+
+    Raises:
+        UnknownNameError: there is no such preset.
+        InputError: the settings do not go together.
+    """
+    if isinstance(settings, str):
+        if settings not in BUILD_PRESETS:
+            raise UnknownNameError("build preset", settings, BUILD_PRESETS)
+        settings = BUILD_PRESETS[settings]
+    changes = {name: value for name, value in changes.items() if value is not None}
+    # Unless told otherwise, as many atoms stay as a code has.
+    if "k" in changes and "keep" not in changes and settings.keep == settings.k:
+        changes["keep"] = changes["k"]
+    return dataclasses.replace(settings, **changes)
 
 
 def _check_embeddings(embeddings: dict[str, Embeddings]) -> None:
@@ -206,18 +254,18 @@ def _check_sums(
 
 def _forget_other_maps(state: BuildState, views: list[Camera], regions: Regions) -> None:
     """Start the uplift over if label maps have changed since views were added to a checkpoint."""
+    known = state.earlier_views | state.views_done
     for camera in views:
-        if camera.name in state.views_done:
+        if camera.name in known:
             labels, _ = regions.load_view(camera.name, camera.width, camera.height)
-            if digest_of_labels(labels) != state.views_done[camera.name]:
+            if digest_of_labels(labels) != known[camera.name]:
                 warnings.warn(
                     f"the label maps of {camera.name!r} have changed since the build was interrupted; "
                     "all views are lifted again",
                     ScoupWarning,
                     stacklevel=3,
                 )
-                state.accumulators.zero_()
-                state.views_done.clear()
+                state.start_over()
                 return
 
 
@@ -234,6 +282,7 @@ def _learn_codes(
             settings.n_atoms,
             settings.k,
             solver=settings.solver,
+            effort=settings.effort,
             seed=settings.seed,
             epochs=settings.epochs,
             tolerance=settings.tolerance,

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from scoup.neighbours import Neighbourhood
 
 Border = Literal["inside", "reflect"]
+LevelChoice = Literal["peak", "mask"]
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class QueryPreset:
             its edge pixels (which are not repeated).
         threshold: a pixel belongs to the mask if its rescaled relevancy is above this.
         smoothing: side of the box that smooths the mask by majority; 1 leaves it alone.
+        level_choice: whose mask answers. "peak": the level with the largest smoothed relevancy, as in the papers'
+            protocol for LERF-OVS; "mask": the level whose own mask has the largest mean of smoothed relevancy.
     """
 
     name: str
@@ -37,25 +40,31 @@ class QueryPreset:
     border: Border
     threshold: float
     smoothing: int
+    level_choice: LevelChoice = "peak"
 
     def __post_init__(self) -> None:
         if self.kernel < 1 or self.smoothing < 1:
             raise InputError(f"box sides must be at least 1 pixel, got {self.kernel} and {self.smoothing}")
         if not 0 <= self.threshold <= 1:
             raise InputError(f"the threshold must be 0 to 1, got {self.threshold}")
+        if self.level_choice not in get_args(LevelChoice):
+            raise InputError(f"the level is chosen by 'peak' or 'mask', not by {self.level_choice!r}")
 
 
 PRESETS: dict[str, QueryPreset] = {
+    "default": QueryPreset(
+        "default", kernel=7, border="inside", threshold=0.6, smoothing=7, level_choice="mask"
+    ),
     "scoup": QueryPreset("scoup", kernel=7, border="inside", threshold=0.6, smoothing=7),
     "langsplatv2": QueryPreset("langsplatv2", kernel=29, border="inside", threshold=0.4, smoothing=7),
     "langsplat": QueryPreset("langsplat", kernel=30, border="reflect", threshold=0.4, smoothing=1),
 }
-"""Presets for LERF-OVS and everyday use."""
+"""Presets by name: "default" for everyday use, the others as the systems of their names answer LERF-OVS."""
 
 DATASET_THRESHOLDS: dict[str, dict[str, float]] = {
-    "lerf-ovs": {"scoup": 0.6, "langsplatv2": 0.4, "langsplat": 0.4},
-    "3d-ovs": {"scoup": 0.3, "langsplatv2": 0.25},
-    "mipnerf360": {"scoup": 0.45, "langsplatv2": 0.4},
+    "lerf-ovs": {"default": 0.6, "scoup": 0.6, "langsplatv2": 0.4, "langsplat": 0.4},
+    "3d-ovs": {"default": 0.3, "scoup": 0.3, "langsplatv2": 0.25},
+    "mipnerf360": {"default": 0.45, "scoup": 0.45, "langsplatv2": 0.4},
 }
 """Thresholds as the papers tuned them per data set. Only the thresholds: how 3D-OVS and Mip-NeRF360 choose the level is
 another rule, not implemented here."""
@@ -114,11 +123,11 @@ class Segmentation:
     box: tuple[int, int, int, int] | None
 
 
-def localize(relevancy: Tensor, preset: QueryPreset = PRESETS["scoup"]) -> Localization:
+def localize(relevancy: Tensor, preset: QueryPreset = PRESETS["default"]) -> Localization:
     """The most relevant place in one view (protocols.md, LERF-OVS, "Localisation").
 
     Each level is averaged by the preset's box; the level with the largest maximum is chosen, the first of
-    equals.
+    equals, whatever the preset's ``level_choice``.
 
     Args:
         relevancy: [S, H, W] of one query, 0..1.
@@ -134,20 +143,50 @@ def localize(relevancy: Tensor, preset: QueryPreset = PRESETS["scoup"]) -> Local
     return Localization(pixels, (x, y), level, float(peaks[level]))
 
 
-def segment(relevancy: Tensor, preset: QueryPreset = PRESETS["scoup"]) -> Segmentation:
+def segment(relevancy: Tensor, preset: QueryPreset = PRESETS["default"]) -> Segmentation:
     """The pixels of one view that answer a query (protocols.md, LERF-OVS, steps 1 to 4).
 
     Args:
         relevancy: [S, H, W] of one query, 0..1.
+        preset: box, threshold, mask smoothing and choice of the level.
+    """
+    smoothed, masks = level_masks(relevancy, preset)
+    level = choose_level(smoothed, masks, preset.level_choice)
+    mask = masks[level]
+    return Segmentation(mask, level, float(smoothed[level].max()), float(mask.float().mean()), mask_box(mask))
+
+
+def level_masks(relevancy: Tensor, preset: QueryPreset) -> tuple[Tensor, Tensor]:
+    """What every level would answer (protocols.md, LERF-OVS, steps 1 to 3).
+
+    Args:
+        relevancy: [S, H, W] of one query, 0..1.
         preset: box, threshold and mask smoothing.
+
+    Returns:
+        smoothed relevancy [S, H, W], dtype of ``relevancy``, and masks [S, H, W] boolean.
     """
     relevancy = _checked(relevancy)
     smoothed = 0.5 * (relevancy + box_mean(relevancy, preset.kernel, preset.border))
-    peaks = smoothed.flatten(1).amax(1)
-    level = int(peaks.argmax())
-    mask = rescale(smoothed[level]) > preset.threshold
-    mask = box_mean(mask.float(), preset.smoothing) > 0.5
-    return Segmentation(mask, level, float(peaks[level]), float(mask.float().mean()), mask_box(mask))
+    above = torch.stack([rescale(level) > preset.threshold for level in smoothed])
+    return smoothed, box_mean(above.float(), preset.smoothing) > 0.5
+
+
+def choose_level(smoothed: Tensor, masks: Tensor, choice: LevelChoice) -> int:
+    """Position of the level that answers (protocols.md, LERF-OVS, step 4); the first of equals.
+
+    With "mask", a level with an empty mask is never chosen, unless all are empty: then the peak decides.
+
+    Args:
+        smoothed, masks: [S, H, W] each, from ``level_masks``.
+        choice: see ``QueryPreset``.
+    """
+    areas = masks.flatten(1).sum(1)
+    if choice == "peak" or not areas.any():
+        return int(smoothed.flatten(1).amax(1).argmax())
+    # float64, so that levels alike to the last bit give equal means.
+    sums = torch.where(masks, smoothed.double(), 0.0).flatten(1).sum(1)
+    return int(torch.where(areas > 0, sums / areas, -torch.inf).argmax())
 
 
 def rescale(values: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.agreement import Agreement
 from scoup.cameras import Camera, Cameras
 from scoup.codes import SparseCodes, add_codes, index_dtype
 from scoup.errors import InputError
@@ -160,24 +161,31 @@ def cameras_with_regions(cameras: Cameras, regions: Regions) -> list[Camera]:
     return chosen
 
 
-def add_view(sums: ViewSums, codes: Sequence[SparseCodes], out: Tensor) -> None:
+def add_view(
+    sums: ViewSums, codes: Sequence[SparseCodes], out: Tensor, agreement: Agreement | None = None
+) -> None:
     """Add one view's weighted codes into accumulators ``out`` [N, S, L] float32; ``codes``: this view's regions."""
-    add_codes(sums.gaussian, sums.key, sums.weight, sums.stride, list(codes), out)
+    weight = sums.weight
+    if agreement is not None:
+        weight = weight * agreement.factors(sums.gaussian, sums.key, sums.stride, list(codes))
+    add_codes(sums.gaussian, sums.key, weight, sums.stride, list(codes), out)
 
 
-def uplift(sums: RegionSums, codes: Sequence[SparseCodes]) -> Tensor:
+def uplift(sums: RegionSums, codes: Sequence[SparseCodes], agreement: Agreement | None = None) -> Tensor:
     """Accumulators w_i = sum over regions of A[i, r] * W_r.
 
     Args:
         sums: from ``region_sums``.
         codes: per level, the codes of all regions in the order of ``Regions.embeddings``.
+        agreement: outcome of an earlier round, with which the codes must agree to count in full.
 
     Returns:
         [N, S, L] float32.
     """
     out = torch.zeros(sums.n_gaussians, len(codes), codes[0].n_atoms, device=codes[0].weights.device)
     for view in sums.views:
-        add_view(view, [codes[s].rows(sums.rows[s][view.view_name]) for s in range(len(codes))], out)
+        of_view = [codes[s].rows(sums.rows[s][view.view_name]) for s in range(len(codes))]
+        add_view(view, of_view, out, agreement)
     return out
 
 

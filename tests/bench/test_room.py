@@ -12,6 +12,7 @@ from scoup import raster
 from scoup.bench.room import (
     SIZE,
     clip_like,
+    clip_like_objects,
     codes_in_space,
     make_room,
     room_cameras,
@@ -101,6 +102,18 @@ def test_embeddings_are_as_alike_as_those_of_clip():
     pairs = cosines[~torch.eye(400, dtype=torch.bool)]
     assert 0.45 < float(pairs.median()) < 0.6
     assert float(pairs.quantile(0.999)) > 0.8
+
+
+def test_embeddings_come_with_their_objects():
+    rows, which = clip_like_objects(600, 512, seed=1, n_objects=20)
+    assert torch.equal(rows, clip_like(600, 512, seed=1, n_objects=20))
+    same = which[:, None] == which
+    cosines = rows @ rows.T
+    assert float(cosines[same].min()) > 0.75
+    assert float(cosines[~same].max()) < 0.75
+    counts = torch.bincount(which, minlength=20)
+    assert len(counts) == 20
+    assert int(counts[0]) > 5 * int(counts[10:].float().mean())
 
 
 def test_regions_of_every_view():

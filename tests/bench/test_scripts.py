@@ -8,8 +8,10 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+import torch
 
 from scoup.bench import usable_backends
+from scoup.coding.exact import PRESETS
 from scoup.errors import OutputExistsError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -88,3 +90,53 @@ def test_a_whole_build(script, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert sum(record["seconds"].values()) == pytest.approx(record["total_s"], abs=0.1)
     assert record["coded_gaussians"] > 0
     assert "peak memory" in capsys.readouterr().out
+
+
+def test_every_form_of_coding(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    coding = script("coding")
+    arguments = coding.Arguments(
+        regions=(90, 150), repeats=2, dim=24, n_atoms=8, k=3, threads=1, adam_epochs=20, adam_up_to=100,
+        autoencoder_steps=200, gap_regions=30, out=tmp_path / "coding.json",
+    )  # fmt: skip
+    record = coding.main(arguments)
+    assert json.loads((tmp_path / "coding.json").read_text()) == record
+    small, large = record["sizes"]
+    assert (small["adam"]["epochs"], "adam" in large) == (20, False)
+    assert (small["autoencoder"]["epochs"], large["autoencoder"]["epochs"]) == (100, 66)
+    assert len(record["extrapolated"]) == 2  # Adam's whole fit, and the autoencoder's at the larger size
+    for size in record["sizes"]:
+        for fit in size["exact"].values():
+            assert len(fit["loss"]) == len(fit["seconds"]["all"]) == 2
+            parts = sum(part["all"][0] for part in fit["parts_s"].values())
+            assert parts <= fit["seconds"]["all"][0] + 1e-9
+        assert set(PRESETS) < set(size["exact"])
+        assert set(size["epoch_s"]) == {coding.GRAM, coding.PLAIN}
+        assert -1e-6 < size["gap"]["mean"] <= size["gap"]["greatest"]
+        assert 0.5 < size["gap"]["optimal"] <= 1
+    below = small["adam"]["exact_below"]
+    assert below is not None
+    assert max(small["exact"][below["schedule"]]["loss"]) < small["adam"]["loss"]
+    printed = capsys.readouterr().out
+    assert "no fit by Adam was run to its end on 150 regions" in printed
+    assert "autoencoder, 150 regions: the time is 100 epochs" in printed
+    with pytest.raises(OutputExistsError):
+        coding.main(arguments)
+
+
+def test_the_best_codes_are_those_of_every_support(script):
+    forms = script("coding_forms")
+    oracle = importlib.import_module("tests.coding.coders").best_of_all_supports
+    generator = torch.Generator().manual_seed(0)
+    rows, atoms = (
+        torch.nn.functional.normalize(torch.randn(count, 5, generator=generator) + 0.3, dim=1)
+        for count in (20, 9)
+    )
+    atoms[3] = atoms[1]  # supports that hold both have no unique solution
+    best = forms.best_cosines((rows @ atoms.T).double(), (atoms @ atoms.T).double(), 3)
+    torch.testing.assert_close(best, oracle(rows @ atoms.T, atoms @ atoms.T, 3), atol=1e-6, rtol=0)
+
+
+def test_the_rarest_objects(script):
+    objects = torch.tensor([0] * 5 + [1] * 4 + [2] * 3 + [7] * 2)
+    rare = script("coding_forms").rarest_rows(objects)
+    assert rare.nonzero()[:, 0].tolist() == [12, 13]

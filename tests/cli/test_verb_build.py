@@ -45,7 +45,18 @@ def test_the_record_for_machines():
 def test_settings_reach_the_field():
     run_json(
         *("build", "scene", *QUICK, "--out", "a.scoup", "--k", "2", "--keep", "3", "--seed", "5"),
-        *("--preset", "gsplat", "--tolerance", "0.5", "--gaussians", "scene/point_cloud.ply"),
+        *(
+            "--raster-preset",
+            "gsplat",
+            "--tolerance",
+            "0.5",
+            "--epochs",
+            "20",
+            "--rounds",
+            "2",
+            "--gaussians",
+            "scene/point_cloud.ply",
+        ),
         *("--features", "scene/language_features", "--images", "scene/images", "--solver", "adam"),
     )
     field = LanguageField.load("a.scoup")
@@ -137,23 +148,24 @@ def test_nothing_is_replaced_unasked():
 
 @pytest.mark.parametrize("patient", [False, True])  # stores after every view, or only when interrupted
 @pytest.mark.parametrize("at", ["view", "after a view was taken in", "between views"])
-def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, at, patient):
+@pytest.mark.parametrize("views", [2, 6])  # in the first round of four views, in the second
+def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, views, at, patient):
     from scoup import lifting, pipeline, raster
 
     run_json("build", "scene", *QUICK, "--out", "whole.scoup")
     add, report, added = raster.Uplift.add, lifting.Lift._report, []
 
     def counted(self, *view):
-        if at == "view" and len(added) == 2:
+        if at == "view" and len(added) == views:
             raise KeyboardInterrupt
         add(self, *view)
         added.append(1)
-        if at == "after a view was taken in" and len(added) == 2:
+        if at == "after a view was taken in" and len(added) == views:
             raise KeyboardInterrupt
 
     def reported(self):
         report(self)
-        if at == "between views" and len(added) == 2:
+        if at == "between views" and len(added) == views:
             raise KeyboardInterrupt
 
     class Impatient(pipeline.Checkpoint):
@@ -179,7 +191,7 @@ def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, at, patient)
         patch.setattr(pipeline, "fit_codes", no_coding)
         patch.setattr(raster.Uplift, "add", counted)
         run_json("build", "scene", *QUICK, "--out", "a.scoup")
-    assert len(added) == 4  # each view once
+    assert len(added) == 8  # each view once a round
     assert Path("a.scoup").read_bytes() == Path("whole.scoup").read_bytes()
     assert not Path("a.scoup.partial").exists()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from PIL import Image
 
 from cli_support import run, run_json, snapshot
 from scoup.cameras import Cameras
+from scoup.cli.query import Query
 from scoup.errors import InputError
 from scoup.io import write_colmap
+from scoup.query import PRESETS
 from support import make_camera
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -91,6 +94,17 @@ def test_rules_and_thresholds_change_the_mask():
     assert coverage("--threshold", "0.1") > coverage("--threshold", "0.9")
     assert coverage("--rule", "langsplatv2") != coverage()
     assert coverage("--rule", "langsplat") != coverage()
+
+
+def test_rules_are_the_presets_and_the_first_is_the_default():
+    rules = get_args(get_type_hints(Query)["rule"])
+    assert rules == tuple(PRESETS)
+    ask = ("query", "f.scoup", "kettle", "mug", "--camera", "all", "--pictures", "none", "--overwrite")
+    answers = lambda *options: run_json(*ask, *options)["answers"]  # noqa: E731
+    assert answers() == answers("--rule", "default")
+    for plain, paper in zip(answers(), answers("--rule", "scoup"), strict=True):
+        same = ("camera", "text", "pixel", "pixel_level", "pixel_score")
+        assert [plain[key] for key in same] == [paper[key] for key in same]
 
 
 def test_cameras_of_another_scene():

@@ -1,12 +1,17 @@
-"""The exact coder in both forms under one signature, and problems to give it."""
+"""The exact coder in all its forms under one signature, problems to give it, and what holds for its codes."""
 
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import replace
 from types import ModuleType
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.coding.exact_reference import Coded, code
@@ -33,6 +38,51 @@ def native_coder(core: ModuleType) -> Coder:
         return Coded(support.long(), weights.double(), cosines.double())
 
     return run
+
+
+def interpreted_coder(worker: Executor) -> Coder:
+    """The Triton kernel, interpreted in a process that ``interpret_kernels`` has prepared."""
+
+    def run(
+        similarities: Tensor,
+        gram: Tensor,
+        k: int,
+        swap_passes: int = 0,
+        warm: Tensor | None = None,
+        block_rows: int | None = None,
+    ) -> Coded:
+        start = None if warm is None else warm.int().numpy()
+        task = worker.submit(
+            _interpreted, similarities.numpy(), gram.numpy(), k, swap_passes, start, block_rows
+        )
+        support, weights, cosines = (torch.from_numpy(array) for array in task.result())
+        return Coded(support.long(), weights.double(), cosines.double())
+
+    return run
+
+
+def interpret_kernels() -> None:
+    """Triton looks at this when it is first imported, and never again: a process interprets all kernels or none."""
+    os.environ["TRITON_INTERPRET"] = "1"
+    torch.set_num_threads(1)
+
+
+def _interpreted(
+    similarities: NDArray[np.float32],
+    gram: NDArray[np.float32],
+    k: int,
+    swap_passes: int,
+    warm: NDArray[np.int32] | None,
+    block_rows: int | None,
+) -> tuple[NDArray, ...]:
+    from scoup.coding import gpu
+
+    sizes = gpu.launch_sizes(len(gram), k)
+    if block_rows is not None:  # rows of a block cost the interpreter little
+        sizes = replace(sizes, block_rows=block_rows)
+    start = None if warm is None else torch.from_numpy(warm)
+    coded = gpu.code(torch.from_numpy(similarities), torch.from_numpy(gram), k, swap_passes, start, sizes)
+    return tuple(part.numpy() for part in coded)
 
 
 def clip_like(count: int, dim: int = 32, objects: int = 12, seed: int = 0) -> Tensor:
@@ -70,3 +120,21 @@ def best_of_all_supports(similarities: Tensor, gram: Tensor, k: int) -> Tensor:
             # A non-negative optimum has positive weights on some support, and is the solution without signs there.
             best = torch.where((weights >= 0).all(1), torch.maximum(best, explained), best)
     return best
+
+
+def assert_valid(coded: Coded, similarities: Tensor, gram: Tensor, k: int) -> None:
+    """Codes are well formed, and their weights optimal for the atoms used."""
+    used = coded.support >= 0
+    assert coded.support.shape == coded.weights.shape == (len(similarities), k)
+    assert bool((coded.support < len(gram)).all())
+    assert bool((used == (coded.weights > 0)).all())
+    assert bool((coded.weights[:, :-1] >= coded.weights[:, 1:]).all())
+    assert all(len(set(row)) == len(row) for row in (s[s >= 0].tolist() for s in coded.support))
+    weights = dense(coded, len(gram))
+    pull = similarities.double() - weights @ gram.double()
+    scale = similarities.abs().amax().double().clamp(min=1e-30)
+    torch.testing.assert_close(
+        pull[weights > 0] / scale, torch.zeros_like(pull[weights > 0]), atol=3e-5, rtol=0
+    )
+    explained = (weights * similarities.double()).sum(1).clamp(min=0).sqrt()
+    torch.testing.assert_close(coded.cosines, explained, atol=1e-6, rtol=1e-5)

@@ -1,11 +1,15 @@
-"""Both forms of the exact coder, for tests that hold for either."""
+"""The forms of the exact coder, for tests that hold for each."""
 
 from __future__ import annotations
 
+import importlib.util
+import multiprocessing
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from types import ModuleType
 
 import pytest
-from coders import Coder, native_coder, reference_coder
+from coders import Coder, interpret_kernels, interpreted_coder, native_coder, reference_coder
 
 from scoup.coding import exact
 from scoup.coding.arithmetic import Arithmetic, NativeArithmetic, TorchArithmetic
@@ -20,6 +24,21 @@ def core() -> ModuleType:
     return module
 
 
+@pytest.fixture(scope="session")
+def needs_triton() -> None:
+    """Tests that compile or interpret kernels are skipped where triton is not installed."""
+    if importlib.util.find_spec("triton") is None:
+        pytest.skip("triton is not installed")
+
+
+@pytest.fixture(scope="module")
+def interpreted(needs_triton: None) -> Iterator[Coder]:
+    """The coder for GPUs, interpreted on the CPU in a process of its own; slow, so give it few rows."""
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn, initializer=interpret_kernels) as worker:
+        yield interpreted_coder(worker)
+
+
 @pytest.fixture(params=["torch", "native"])
 def coder(request: pytest.FixtureRequest) -> Coder:
     """Codes rows from similarities; see ``coders``."""
@@ -32,5 +51,5 @@ def arithmetic(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
     chosen: Arithmetic = (
         TorchArithmetic() if request.param == "torch" else NativeArithmetic(request.getfixturevalue("core"))
     )
-    monkeypatch.setattr(exact, "arithmetic_at_hand", lambda: chosen)
+    monkeypatch.setattr(exact, "arithmetic_at_hand", lambda device: chosen)
     return chosen

@@ -10,34 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from coders import Coder, best_of_all_supports, clip_like, dense, native_coder, problem, reference_coder
+from coders import (
+    Coder,
+    assert_valid,
+    best_of_all_supports,
+    clip_like,
+    dense,
+    native_coder,
+    problem,
+    reference_coder,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
-from torch import Tensor
 
 from scoup.coding import encode as encode_module
 from scoup.coding.arithmetic import NativeArithmetic, RowCodes, TorchArithmetic
 from scoup.coding.encode import encode
-from scoup.coding.exact_reference import Coded, nonnegative_least_squares
-
-
-def assert_valid(coded: Coded, similarities: Tensor, gram: Tensor, k: int) -> None:
-    """Codes are well formed, and their weights optimal for the atoms used."""
-    used = coded.support >= 0
-    assert coded.support.shape == coded.weights.shape == (len(similarities), k)
-    assert bool((coded.support < len(gram)).all())
-    assert bool((used == (coded.weights > 0)).all())
-    assert bool((coded.weights[:, :-1] >= coded.weights[:, 1:]).all())
-    assert all(len(set(row)) == len(row) for row in (s[s >= 0].tolist() for s in coded.support))
-    weights = dense(coded, len(gram))
-    pull = similarities.double() - weights @ gram.double()
-    scale = similarities.abs().amax().double().clamp(min=1e-30)
-    torch.testing.assert_close(
-        pull[weights > 0] / scale, torch.zeros_like(pull[weights > 0]), atol=3e-5, rtol=0
-    )
-    explained = (weights * similarities.double()).sum(1).clamp(min=0).sqrt()
-    torch.testing.assert_close(coded.cosines, explained, atol=1e-6, rtol=1e-5)
+from scoup.coding.exact_reference import nonnegative_least_squares
 
 
 # Seeds of the problems are fixed; shares and gaps stand well clear of what either form reaches.
@@ -269,10 +259,11 @@ def test_products_moments_and_solutions(core: ModuleType, count: int, dim: int, 
     weights = random.random(support.shape, np.float32)
     weights[::2, -1], support[::2, -1] = 0, -1
     scale = random.random(count, np.float32)
-    codes = RowCodes(support, weights, scale)
+    tensors = [torch.from_numpy(array) for array in (rows, support, weights, scale)]
+    codes = RowCodes(*tensors[1:])
     for ours, theirs in zip(
-        NativeArithmetic(core).code_moments(rows, codes, scale, n_others),
-        TorchArithmetic().code_moments(rows, codes, scale, n_others),
+        NativeArithmetic(core).code_moments(tensors[0], codes, tensors[3], n_others),
+        TorchArithmetic().code_moments(tensors[0], codes, tensors[3], n_others),
         strict=True,
     ):
         np.testing.assert_allclose(ours, theirs, atol=1e-4)
@@ -367,7 +358,7 @@ def test_encode_agrees_with_the_torch_form(core: ModuleType, monkeypatch: pytest
     rows, atoms = clip_like(400), clip_like(50, seed=1) * 3
     codes = {}
     for name, arithmetic in (("native", NativeArithmetic(core)), ("torch", TorchArithmetic())):
-        monkeypatch.setattr(encode_module, "arithmetic_at_hand", lambda arithmetic=arithmetic: arithmetic)
+        monkeypatch.setattr(encode_module, "arithmetic_at_hand", lambda device, chosen=arithmetic: chosen)
         codes[name] = encode(rows, atoms, 4)
     assert codes["native"].indices.dtype == codes["torch"].indices.dtype
     same = codes["native"].indices.eq(codes["torch"].indices).all(1)

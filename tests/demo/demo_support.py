@@ -2,4 +2,6 @@
 
 from __future__ import annotations
 
-SMALL = {"n_gaussians": 30_000, "width": 240, "height": 180, "n_building": 6, "n_held_out": 2}
+from typing import Any
+
+SMALL: dict[str, Any] = {"n_gaussians": 30_000, "width": 240, "height": 180, "n_building": 6, "n_held_out": 2}

@@ -9,7 +9,7 @@ import pytest
 from cli_support import run
 from scoup.errors import OutputExistsError
 
-SMALL = ("--n-gaussians", 12000, "--width", 160, "--height", 120, "--views", 6, "--epochs", 150)
+SMALL = ("--n-gaussians", 12000, "--width", 160, "--height", 120, "--views", 6)
 
 
 @pytest.mark.slow
@@ -39,9 +39,29 @@ def test_the_demos_folder_can_be_built_and_asked_from_the_command_line(tmp_path)
     out = tmp_path / "demo"
     assert run("demo", "--out", out, *SMALL)[0] == 0
     scene, field = out / "scene", tmp_path / "again.scoup"
-    assert run("build", scene, "--out", field, "--epochs", 150)[0] == 0
+    assert run("build", scene, "--out", field)[0] == 0
     code, printed, err = run(
         "query", field, "teapot", "--text", scene / "text.npz", "--out", tmp_path / "q", "--json"
     )
     assert code == 0, err
     assert json.loads(printed)["answers"][0]["text"] == "teapot"
+
+
+@pytest.mark.slow
+def test_another_layout_is_asked_for_what_it_holds(tmp_path):
+    out = tmp_path / "demo"
+    code, printed, err = run("demo", "--layout", "yard", "--out", out, *SMALL, "--json")
+    assert code == 0, err
+    record = json.loads(printed)
+    assert record["layout"] == "yard"
+    assert {"fountain", "gnome"} <= {row["name"] for row in record["names"]}
+    note = (out / "scene" / "README.txt").read_text()
+    assert "garden" in note
+    assert '"fountain"' in note
+
+
+def test_a_wrong_layout_is_told_before_anything_is_made(tmp_path):
+    code, _, err = run("demo", "--layout", "yrd", "--out", tmp_path / "demo", *SMALL)
+    assert code == 2
+    assert "yard" in err
+    assert not (tmp_path / "demo").exists()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 from demo_support import SMALL
 
 from scoup.demo import DemoScene, make_demo_scene
-from scoup.demo.room import make_room
+from scoup.demo.layouts.table import make_room
 from scoup.demo.things import Parts
 from scoup.errors import InputError, UnknownNameError
 from scoup.raster import look, render_channels, render_colors
@@ -134,7 +136,7 @@ def test_unknown_names_list_the_nearest(scene: DemoScene):
 
 
 @pytest.mark.parametrize("wrong", [{"n_gaussians": 10}, {"width": 4}, {"n_building": 0}])
-def test_sizes_too_small_are_refused(wrong: dict[str, int]):
+def test_sizes_too_small_are_refused(wrong: dict[str, Any]):
     with pytest.raises(InputError, match="at least 2000"):
         make_demo_scene(**wrong)
 

@@ -5,39 +5,47 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scoup.demo.room import make_room
+from scoup.demo.layouts import LAYOUTS
 from scoup.demo.things import Parts
 from scoup.demo.words import CANONICAL, DISTRACTORS, Words, make_words
 from scoup.regions import LEVELS
 
-PARTS = Parts.of(make_room())
+PARTS = {name: Parts.of(layout.things()) for name, layout in LAYOUTS.items()}
 
 
-@pytest.fixture(scope="module", params=[0, 1])
-def words(request: pytest.FixtureRequest) -> Words:
-    return make_words(PARTS, np.random.default_rng(request.param))
+@pytest.fixture(scope="module", params=[(name, seed) for name in LAYOUTS for seed in (0, 1)], ids=str)
+def made(request: pytest.FixtureRequest) -> tuple[Parts, Words]:
+    name, seed = request.param
+    return PARTS[name], make_words(PARTS[name], np.random.default_rng(seed))
 
 
-def meetings(words: Words) -> tuple[np.ndarray, list[str], np.ndarray]:
+@pytest.fixture(scope="module")
+def words() -> Words:
+    return make_words(PARTS["table"], np.random.default_rng(0))
+
+
+def meetings(parts: Parts, words: Words) -> tuple[np.ndarray, list[str], np.ndarray]:
     """Cosines [names, texts], the names, and the prototypes [names, D]."""
-    first = {name: (level, row) for level in reversed(LEVELS) for row, name in enumerate(PARTS.names(level))}
+    first = {name: (level, row) for level in reversed(LEVELS) for row, name in enumerate(parts.names(level))}
     names = list(first)
     prototypes = np.stack([words.prototypes[level][row] for level, row in first.values()])
     return prototypes @ words.vectors.T, names, prototypes
 
 
-def test_everything_is_there_and_unit(words: Words):
+def test_everything_is_there_and_unit(made: tuple[Parts, Words]):
+    parts, words = made
     for level in LEVELS:
-        assert words.prototypes[level].shape == (len(PARTS.names(level)), 512)
+        assert words.prototypes[level].shape == (len(parts.names(level)), 512)
         assert np.linalg.norm(words.prototypes[level], axis=1) == pytest.approx(1)
     assert np.linalg.norm(words.vectors, axis=1) == pytest.approx(1)
     assert len(set(words.texts)) == len(words.texts)
-    assert {*CANONICAL, *DISTRACTORS, *PARTS.objects, *PARTS.parts, *PARTS.groups} == set(words.texts)
-    assert not set(DISTRACTORS) & {*PARTS.objects, *PARTS.parts, *PARTS.groups}
+    assert {*CANONICAL, *DISTRACTORS, *parts.objects, *parts.parts, *parts.groups} == set(words.texts)
+    assert not set(DISTRACTORS) & {*parts.objects, *parts.parts, *parts.groups}
 
 
-def test_each_name_finds_its_own_prototype(words: Words):
-    cosines, names, _ = meetings(words)
+def test_each_name_finds_its_own_prototype(made: tuple[Parts, Words]):
+    parts, words = made
+    cosines, names, _ = meetings(parts, words)
     own = np.array([words.texts.index(name) for name in names])
     right = cosines[np.arange(len(names)), own]
     assert right.min() > 0.25
@@ -52,8 +60,9 @@ def test_each_name_finds_its_own_prototype(words: Words):
     assert canonical.max() < right.min()
 
 
-def test_texts_and_images_are_as_alike_as_in_clip(words: Words):
-    _, names, prototypes = meetings(words)
+def test_texts_and_images_are_as_alike_as_in_clip(made: tuple[Parts, Words]):
+    parts, words = made
+    _, names, prototypes = meetings(parts, words)
     upper = np.triu_indices(len(names), 1)
     texts = np.stack([words.vector(name) for name in names])
     assert 0.52 < np.median((texts @ texts.T)[upper]) < 0.62

@@ -48,3 +48,16 @@ def test_bootstrap() -> None:
     for wrong in (([], []), ([1.0], []), ([float("nan")], ["a"])):
         with pytest.raises(InputError):
             bootstrap_interval(*wrong)
+
+
+def test_each_scene_counts_alike() -> None:
+    values, groups = [1.0, 0.0, 0.0, 0.0], ["cup", "cup", "pot", "fork"]
+    whole = bootstrap_interval(values, groups)
+    assert whole == bootstrap_interval(values, groups, scenes=["a"] * 4)
+    assert whole.mean == 0.25
+    # A scene of one value and a scene of three; neither can be drawn away.
+    apart = bootstrap_interval(values, groups, scenes=["a", "b", "b", "b"])
+    assert apart.mean == 0.5
+    assert (apart.low, apart.high) == (0.5, 0.5)
+    with pytest.raises(InputError):
+        bootstrap_interval(values, groups, scenes=["a"])

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalNumber, OptionalPath, WritesCommon, common_last
+from scoup.cli.options import (
+    Flag,
+    OptionalInteger,
+    OptionalNumber,
+    OptionalPath,
+    OptionalText,
+    WritesCommon,
+    common_last,
+)
 
 if TYPE_CHECKING:
     from scoup.regions import Regions
@@ -45,21 +53,30 @@ class Build(WritesCommon):
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
     model: str = CLIP_MODEL
     """What made the region embeddings: a CLIP model by id, or a table of words. Queries will use it too."""
-    n_atoms: int = 64
+    preset: Literal["default", "paper"] = "default"
+    """default answers best (128 atoms, exact coding, two rounds of the vote); paper is the method as published (64
+    atoms, Adam, one round). The settings below, where given, override it."""
+    n_atoms: OptionalInteger = None
     """Atoms in the codebook of each level (L)."""
-    k: int = 4
+    k: OptionalInteger = None
     """Atoms in the code of a region (K)."""
-    keep: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    keep: OptionalInteger = None
     """Atoms each Gaussian keeps after the vote; 0 keeps all. Default: as many as K."""
-    solver: str = "adam"
+    rounds: OptionalInteger = None
+    """Rounds of the vote; in each after the first, regions count by their agreement with the outcome so far."""
+    consensus: Flag = False
+    """Bring regions that the same Gaussians see closer together before coding; keeps all region sums in memory."""
+    solver: OptionalText = None
     """How codes are learned: adam is the paper's; exact takes a second where that takes minutes."""
-    epochs: int = 4000
+    effort: OptionalText = None
+    """Of the exact solver: fast takes half the time of best."""
+    epochs: OptionalInteger = None
     """Epochs of the adam solver; fewer are faster and a little worse."""
     tolerance: OptionalNumber = None
-    """Stop coding early once its loss falls by less than this in 100 epochs. Default: never."""
+    """Stop adam early once its loss falls by less than this in 100 epochs. Default: never."""
     seed: int = 0
-    """Seed of the codebook's start; the same seed and number of threads give the same file."""
-    preset: Literal["auto", "inria", "gsplat"] = "auto"
+    """Seed of the codebook's start; the same seed gives the same file (with adam: and number of threads)."""
+    raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
     """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
     weight_bits: Literal[8, 16] = 16
     """Bits of a stored code weight."""
@@ -79,7 +96,7 @@ class Build(WritesCommon):
             load_gaussians,
             load_regions,
         )
-        from scoup.pipeline import BuildSettings, build
+        from scoup.pipeline import build, build_settings
 
         out = self.out or Path(f"{self.scene.resolve().name}.scoup")
         if out.suffix.lower() != ".scoup":
@@ -88,15 +105,19 @@ class Build(WritesCommon):
         if self.keep_accumulators:
             check_output(accumulators_path(out), self.overwrite)
         source = self._splat()
-        settings = BuildSettings(
+        settings = build_settings(
+            self.preset,
             n_atoms=self.n_atoms,
             k=self.k,
             keep=self.keep,
+            rounds=self.rounds,
+            consensus=self.consensus or None,
             solver=self.solver,
+            effort=self.effort,
             epochs=self.epochs,
             tolerance=self.tolerance,
             seed=self.seed,
-            raster_preset=default_preset(source) if self.preset == "auto" else self.preset,
+            raster_preset=default_preset(source) if self.raster_preset == "auto" else self.raster_preset,
         )
         gaussians = load_gaussians(source).to(self.device)
         distorted = "undistort" if self.undistort else "refuse"

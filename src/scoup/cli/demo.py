@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @common_last
 @dataclass(frozen=True, kw_only=True)
 class Demo(WritesCommon):
-    """Make a table-top scene, build its language field, ask for every object, and score the answers.
+    """Make a small scene, build its language field, ask for every object, and score the answers.
 
     Needs no network, no GPU and no data. Regions and embeddings are simulated; the truth comes from the scene's
     geometry. Afterwards OUT holds the scene as files (try `scoup build OUT/scene`), the field, a contact sheet of
@@ -25,6 +25,9 @@ class Demo(WritesCommon):
 
     out: Path = Path("demo")
     """Folder for everything."""
+    layout: str = "table"
+    """The kind of scene: table, shelves (many small things, little parallax), hall (seen from inside, all round) or
+    yard (a ring of cameras round its middle)."""
     seed: int = 0
     """Of the scene and the codebook."""
     n_gaussians: int = 160_000
@@ -35,13 +38,12 @@ class Demo(WritesCommon):
     """Of the views, in pixels."""
     views: int = 24
     """Views the field is built from; a quarter as many are held out to judge by."""
-    epochs: int = 4000
-    """Epochs of the coding; fewer are faster and a little worse."""
 
     def run(self, console: Console) -> None:
         """Run, draw, print."""
         import json
 
+        from scoup.demo.layouts import find_layout
         from scoup.demo.run import DemoSettings, run_demo
         from scoup.demo.sheet import query_sheet
         from scoup.io import check_output, save_png, write_text
@@ -49,9 +51,11 @@ class Demo(WritesCommon):
         sheet, scores = self.out / "queries.png", self.out / "scores.json"
         for path in (sheet, scores):
             check_output(path, self.overwrite)
-        settings = DemoSettings(self.seed, self.n_gaussians, self.width, self.height, self.views, self.epochs)
+        favourite = find_layout(self.layout).favourites[0]  # a wrong name is told before anything is made
+        settings = DemoSettings(self.seed, self.n_gaussians, self.width, self.height, self.views, self.layout)
         console.say(
-            f"a scene of {self.n_gaussians:,} Gaussians, {self.views} views of {self.width} x {self.height}"
+            f"a scene ({self.layout}) of {self.n_gaussians:,} Gaussians, "
+            f"{self.views} views of {self.width} x {self.height}"
         )
         with console.progress() as progress:
             result = run_demo(self.out, settings, self.overwrite, progress)
@@ -61,7 +65,9 @@ class Demo(WritesCommon):
         _print(console, result)
         console.say(f"\npictures: {sheet}\nscores:   {scores}\nfield:    {result.field_path}")
         words = self.out / "scene" / "text.npz"
-        console.say(f'ask it yourself: scoup query {result.field_path} "teapot" --text {words} --camera all')
+        console.say(
+            f'ask it yourself: scoup query {result.field_path} "{favourite}" --text {words} --camera all'
+        )
         console.result(record)
 
 
@@ -73,6 +79,7 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
     from scoup.demo.run import rows_by_name, summary
 
     return {
+        "layout": result.scene.layout,
         "protocol": "lerf-ovs 2D on held-out views",
         "gaussians": len(result.field),
         "coded": int(result.field.coded().sum()),

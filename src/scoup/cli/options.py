@@ -14,6 +14,7 @@ Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 # The help of these tells the default in words, which says more than "None".
 OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
 OptionalText = Annotated[str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")]
+OptionalInteger = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
 OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")]
 
 FieldFile = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FIELD", help_behavior_hint="")]

@@ -36,8 +36,10 @@ class Query(AsksText, AsksViews):
     """What to look for, for example "kettle" "wooden table"."""
     out: OptionalPath = None
     """Folder for the pictures and query.json. Default: <name of FIELD>_queries here."""
-    rule: Literal["scoup", "langsplatv2", "langsplat"] = "scoup"
-    """Whose constants turn relevancy into masks and points: sides of the boxes that smooth, and threshold."""
+    rule: Literal["default", "scoup", "langsplatv2", "langsplat"] = "default"
+    """What turns relevancy into masks and points: sides of the boxes that smooth, threshold, choice of the level.
+    scoup, langsplatv2 and langsplat are those systems' rules for LERF-OVS; default takes the constants of scoup and
+    the level whose mask is the most relevant on average."""
     threshold: OptionalNumber = None
     """A pixel is in the mask above this, 0 to 1, once relevancy is rescaled over the view. Default: the rule's."""
     pictures: Literal["all", "none"] = "all"

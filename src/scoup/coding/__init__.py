@@ -4,39 +4,55 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from scoup.codes import SparseCodes, index_dtype
 from scoup.coding.adam import AdamSettings, solve_adam
-from scoup.coding.codebook import Codebook
-from scoup.coding.exact import solve_exact
+from scoup.coding.codebook import Codebook, Encoded
+from scoup.coding.exact import PRESETS, solve_exact
 from scoup.coding.report import CodingReport, report_on
 from scoup.coding.rows import unit_rows
 from scoup.errors import InputError
 from scoup.progress import Progress, no_progress
 
-__all__ = ["SOLVERS", "Codebook", "CodingReport", "fit_codes"]
+__all__ = ["SOLVERS", "Codebook", "CodingReport", "Encoded", "fit_codes"]
 
-Solver = Callable[[Tensor, int, int, int, int, float | None, Progress], tuple[Tensor, SparseCodes, int]]
-"""``solver(rows, n_atoms, k, seed, epochs, tolerance, progress)`` gives atoms [L, D], the codes of the unit
-rows [R, D], and the number of epochs run.
+
+@dataclass(frozen=True)
+class SolverSettings:
+    """What a solver may be told; each reads what concerns it.
+
+    Attributes:
+        effort: of "exact": "fast" or "best".
+        epochs, tolerance: of "adam".
+    """
+
+    effort: str = "best"
+    epochs: int = 4000
+    tolerance: float | None = None
+
+
+Solver = Callable[[Tensor, int, int, int, SolverSettings, Progress], tuple[Tensor, SparseCodes, int]]
+"""``solver(rows, n_atoms, k, seed, settings, progress)`` gives atoms [L, D], the codes of the unit rows [R, D], and the
+number of epochs or steps run.
 """
 
 
 def _adam(
-    rows: Tensor, n_atoms: int, k: int, seed: int, epochs: int, tolerance: float | None, progress: Progress
+    rows: Tensor, n_atoms: int, k: int, seed: int, settings: SolverSettings, progress: Progress
 ) -> tuple[Tensor, SparseCodes, int]:
-    settings = AdamSettings(epochs=epochs, tolerance=tolerance)
-    solution = solve_adam(rows, n_atoms, k, seed, settings, progress)
+    adam = AdamSettings(epochs=settings.epochs, tolerance=settings.tolerance)
+    solution = solve_adam(rows, n_atoms, k, seed, adam, progress)
     return solution.atoms, solution.codes, solution.epochs
 
 
 def _exact(
-    rows: Tensor, n_atoms: int, k: int, seed: int, epochs: int, tolerance: float | None, progress: Progress
+    rows: Tensor, n_atoms: int, k: int, seed: int, settings: SolverSettings, progress: Progress
 ) -> tuple[Tensor, SparseCodes, int]:
-    solution = solve_exact(rows, n_atoms, k, seed, progress=progress)
+    solution = solve_exact(rows, n_atoms, k, seed, PRESETS[settings.effort], progress)
     return solution.atoms, solution.codes, solution.steps
 
 
@@ -47,10 +63,11 @@ def fit_codes(
     embeddings: Tensor,  # [R, D]
     n_atoms: int = 64,
     k: int = 4,
-    solver: str = "adam",
+    solver: str = "exact",
     seed: int = 0,
     epochs: int = 4000,
     tolerance: float | None = None,
+    effort: str = "best",
     progress: Progress = no_progress,
 ) -> Codebook:
     """Learn a codebook of L atoms and a K-sparse non-negative code for every embedding (method.md, stage 1).
@@ -63,10 +80,12 @@ def fit_codes(
         embeddings: [R, D] floating point, one row a region.
         n_atoms: L, 1 to 65536.
         k: K, the most atoms a code may use, 1 to 64.
-        solver: one of ``SOLVERS``; "adam" is the paper's, "exact" reaches a lower loss in a fraction of the time.
+        solver: one of ``SOLVERS``; "exact" (the default) reaches a lower loss than the paper's "adam" in a fraction of
+            its time.
         seed: of the random start.
         epochs: full-batch optimisation steps of "adam" at most; "exact" has a schedule of its own (``solve_exact``).
         tolerance: "adam" stops early, once the mean of 1 - cosine has fallen by less than this over 100 epochs.
+        effort: "fast" or "best" (the default): how long "exact" learns; see ``scoup.coding.exact.PRESETS``.
         progress: told after each epoch or step. An exception it raises (or Ctrl-C) stops the fit and nothing is kept.
 
     Raises:
@@ -78,12 +97,15 @@ def fit_codes(
         raise InputError(f"k must be 1 to 64 atoms a code, not {k}")
     if epochs < 0:
         raise InputError(f"epochs must not be negative, got {epochs}")
+    if effort not in PRESETS:
+        raise InputError(f"there is no effort {effort!r}; efforts: {', '.join(map(repr, PRESETS))}")
     index_dtype(n_atoms)  # checks its range
     started = time.perf_counter()
     rows = unit_rows(embeddings)
     coded = (rows != 0).any(1)
     if coded.any():
-        atoms, codes, run = SOLVERS[solver](rows[coded], n_atoms, k, seed, epochs, tolerance, progress)
+        settings = SolverSettings(effort, epochs, tolerance)
+        atoms, codes, run = SOLVERS[solver](rows[coded], n_atoms, k, seed, settings, progress)
         codes = _spread(codes, coded)
     else:
         run = 0

@@ -5,8 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from scoup.codes import SparseCodes
-from scoup.coding import exact_reference
-from scoup.coding.arithmetic import RowCodes, arithmetic_at_hand, as_sparse_codes
+from scoup.coding.arithmetic import arithmetic_at_hand, as_sparse_codes, working_device
 
 SWAP_PASSES = 1
 
@@ -27,11 +26,7 @@ def encode(
         atoms: [L, D] float32, any norm; atoms of norm zero are never used.
         k: most atoms a row may use; the codes have K columns even if there are fewer atoms.
     """
-    picks = min(k, len(atoms))
-    rows, atoms = rows.detach().float(), atoms.detach().float()
-    if rows.device.type == "cpu":
-        contiguous = rows.contiguous().numpy(), atoms.contiguous().numpy()
-        codes = arithmetic_at_hand().code_rows(*contiguous, picks, SWAP_PASSES)
-    else:
-        codes = RowCodes.from_torch(exact_reference.code_rows(rows, atoms, picks, SWAP_PASSES))
+    device = working_device(rows)
+    ours, codebook = (part.detach().to(device).float().contiguous() for part in (rows, atoms))
+    codes = arithmetic_at_hand(device).code_rows(ours, codebook, min(k, len(atoms)), SWAP_PASSES)
     return as_sparse_codes(codes, len(atoms), k, rows.device)

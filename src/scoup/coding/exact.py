@@ -19,18 +19,19 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.codes import SparseCodes
 from scoup.coding.arithmetic import (
     Arithmetic,
-    Doubles,
-    Floats,
     RowCodes,
     arithmetic_at_hand,
     as_sparse_codes,
+    ordered_sum,
+    square_root,
+    take_rows,
+    working_device,
 )
 from scoup.coding.exact_start import starting_atoms, unit
 from scoup.progress import Progress, no_progress
@@ -96,8 +97,9 @@ def solve_exact(
 ) -> ExactSolution:
     """Learn unit atoms and K-sparse codes of unit rows (method.md, stage 1) by exact coding.
 
-    The same seed gives the same bytes on the same kind of CPU; with the compiled core, whatever the number of
-    threads. The work is done on the CPU. Beyond the rows it takes memory for the codes and for L x (L + D) numbers.
+    The work is done on the device of the rows (on the CPU where torch has no float64 on that device). The same seed
+    gives the same bytes on the same kind of device; on a CPU with the compiled core, whatever the number of threads.
+    Beyond the rows it takes memory for the codes and for L x (L + D) numbers, and on a GPU for a block of similarities.
 
     Args:
         rows: [R, D] float32 unit vectors, R >= 1.
@@ -107,53 +109,52 @@ def solve_exact(
         settings: see ``ExactSettings``; ``FAST`` takes about half the time of ``BEST``.
         progress: told after every step and pass, as stage "sparse coding".
     """
-    learner = _Learner(rows.detach().cpu().float().contiguous().numpy(), n_atoms, min(k, n_atoms), seed)
+    ours = rows.detach().to(working_device(rows)).float().contiguous()
+    learner = _Learner(ours, n_atoms, min(k, n_atoms), seed)
     total = settings.steps + settings.passes + 1
     progress("sparse coding", 0, total)
     done = 0
     for done, _ in enumerate(itertools.chain(learner.steps(settings), learner.passes(settings)), 1):
         progress("sparse coding", done, total)
-    codes = learner.final_codes()
+    codes = as_sparse_codes(learner.final_codes(), n_atoms, k, rows.device)
     progress("sparse coding", total, total)
-    atoms = torch.from_numpy(learner.atoms).to(rows.device)
-    return ExactSolution(atoms, as_sparse_codes(codes, n_atoms, k, rows.device), done, tuple(learner.losses))
+    return ExactSolution(learner.atoms.to(rows.device), codes, done, tuple(learner.losses))
 
 
 class _Learner:
-    def __init__(self, rows: Floats, n_atoms: int, k: int, seed: int) -> None:
+    def __init__(self, rows: Tensor, n_atoms: int, k: int, seed: int) -> None:
         self._rows = rows
         self._k = k
+        # On the CPU, so that every device draws the same.
         self._random = torch.Generator().manual_seed(seed)
-        self._arithmetic: Arithmetic = arithmetic_at_hand()
+        self._arithmetic: Arithmetic = arithmetic_at_hand(rows.device)
         self.atoms = starting_atoms(rows, n_atoms, self._random, self._arithmetic)
         self._codes: RowCodes | None = None
         self.losses: list[float] = []
 
     def steps(self, settings: ExactSettings) -> Iterator[None]:
         """Take Adam steps, yielding after each."""
-        first, second = np.zeros_like(self.atoms), np.zeros_like(self.atoms)
-        uses = np.zeros(len(self.atoms), np.int64)
-        seen = 0
+        first, second = torch.zeros_like(self.atoms), torch.zeros_like(self.atoms)
+        supports: list[Tensor] = []  # since atoms were last placed anew
         batches = self._batches(min(settings.batch, len(self._rows)))
         for step in range(1, settings.steps + 1):
-            rows = self._rows[next(batches)]
+            rows = take_rows(self._rows, next(batches))
             codes = self._arithmetic.code_rows(rows, self.atoms, self._k, swap_passes=1)
             within, toward = self._moments(rows, codes)
-            gradient = self._gradient(within, toward) / np.float32(len(rows))
-            first += (gradient - first) * np.float32(1 - BETAS[0])
-            second += (gradient * gradient - second) * np.float32(1 - BETAS[1])
+            gradient = self._gradient(within, toward).div_(len(rows))
+            first += (gradient - first).mul_(1 - BETAS[0])
+            second += (gradient * gradient).sub_(second).mul_(1 - BETAS[1])
             rate = settings.learning_rate * 0.5 * (1 + math.cos(math.pi * step / settings.steps))
             rate /= 1 - BETAS[0] ** step
-            root = np.sqrt(second / np.float32(1 - BETAS[1] ** step)) + np.float32(EPSILON)
-            self.atoms = unit(self.atoms - np.float32(rate) * first / root, self.atoms)
+            root = square_root(second / (1 - BETAS[1] ** step)).add_(EPSILON)
+            self.atoms = unit(self.atoms - (rate * first).div_(root), self.atoms)
 
-            uses += np.bincount(codes.support[codes.support >= 0], minlength=len(uses))
-            seen += len(rows)
-            if step % RESEED_EVERY == 0:
-                if step < RESEED_UNTIL * settings.steps:
-                    placed = self._reseed(np.flatnonzero(uses < RARE * seen), rows, codes.cosines)
+            if step < RESEED_UNTIL * settings.steps:
+                supports.append(codes.support)
+                if step % RESEED_EVERY == 0:
+                    placed = self._reseed(self._rare(torch.cat(supports)), rows, codes.cosines)
                     first[placed] = second[placed] = 0
-                uses[:] = seen = 0
+                    supports.clear()
             yield
 
     def passes(self, settings: ExactSettings) -> Iterator[None]:
@@ -166,7 +167,7 @@ class _Learner:
         overstep = 0.0  # not in the first pass
         for _ in range(settings.passes):
             target = self._least_squares_atoms(codes)
-            atoms = unit(target + np.float32(overstep) * (target - self.atoms), self.atoms)
+            atoms = unit(target + overstep * (target - self.atoms), self.atoms)
             tried = self._code(atoms, swap_passes=1, warm=codes.support)
             better = _loss(tried) <= loss
             if better:
@@ -184,34 +185,40 @@ class _Learner:
         self.losses.append(_loss(codes))
         return codes
 
-    def _batches(self, size: int) -> Iterator[np.ndarray]:
+    def _batches(self, size: int) -> Iterator[Tensor]:
         """Row numbers [size] without end, every row once before any comes again, but for a last few."""
         while True:
-            order = torch.randperm(len(self._rows), generator=self._random).numpy()
+            order = torch.randperm(len(self._rows), generator=self._random).to(self._rows.device)
             for start in range(0, len(order) - size + 1, size):
                 yield order[start : start + size]
 
-    def _code(self, atoms: Floats, swap_passes: int, warm: np.ndarray | None = None) -> RowCodes:
+    def _code(self, atoms: Tensor, swap_passes: int, warm: Tensor | None = None) -> RowCodes:
         return self._arithmetic.code_rows(self._rows, atoms, self._k, swap_passes, warm)
 
-    def _moments(self, rows: Floats, codes: RowCodes) -> tuple[Doubles, Doubles]:
-        scale: Floats = np.reciprocal(np.maximum(codes.cosines, np.float32(_LEAST_COSINE)))
+    def _moments(self, rows: Tensor, codes: RowCodes) -> tuple[Tensor, Tensor]:
+        scale = codes.cosines.clamp(min=_LEAST_COSINE).reciprocal_()
         return self._arithmetic.code_moments(rows, codes, scale, len(self.atoms))
 
-    def _gradient(self, within: Doubles, toward: Doubles) -> Floats:
-        columns = np.ascontiguousarray(self.atoms.T)
-        return self._arithmetic.row_products(within.astype(np.float32), columns) - toward.astype(np.float32)
+    def _gradient(self, within: Tensor, toward: Tensor) -> Tensor:
+        columns = self.atoms.T.contiguous()
+        return self._arithmetic.row_products(within.float(), columns) - toward.float()
 
-    def _least_squares_atoms(self, codes: RowCodes) -> Floats:
+    def _least_squares_atoms(self, codes: RowCodes) -> Tensor:
         within, toward = self._moments(self._rows, codes)
         # Also holds atoms that nobody uses where they are.
-        ridge = max(RIDGE * float(within.diagonal().mean()), 1e-12)
-        within[np.diag_indices_from(within)] += ridge
-        return self._arithmetic.solve(within, toward + ridge * self.atoms).astype(np.float32)
+        diagonal = within.diagonal()
+        ridge = max(RIDGE * float(ordered_sum(diagonal, 0) / len(diagonal)), 1e-12)
+        diagonal += ridge
+        return self._arithmetic.solve(within, toward + ridge * self.atoms).float()
 
-    def _reseed(self, rare: np.ndarray, rows: Floats, cosines: Floats) -> np.ndarray:
+    def _rare(self, supports: Tensor) -> Tensor:
+        """Numbers of the atoms that few of these codes [n, K] use."""
+        uses = torch.bincount(supports[supports >= 0], minlength=len(self.atoms))
+        return (uses < RARE * len(supports)).nonzero()[:, 0]
+
+    def _reseed(self, rare: Tensor, rows: Tensor, cosines: Tensor) -> Tensor:
         """Place rarely used atoms at the rows that are coded worst; which were placed."""
-        worst = np.argsort(cosines, kind="stable")[: len(rare)]
+        worst = cosines.argsort(stable=True)[: len(rare)]
         worst = worst[cosines[worst] < 1 - 1e-6]
         placed = rare[: len(worst)]
         self.atoms[placed] = rows[worst]
@@ -219,4 +226,4 @@ class _Learner:
 
 
 def _loss(codes: RowCodes) -> float:
-    return 1.0 - float(codes.cosines.mean(dtype=np.float64))
+    return 1.0 - float(ordered_sum(codes.cosines.double(), 0)) / len(codes.cosines)

@@ -1,7 +1,7 @@
 """Exact sparse coding in Gram space, in plain torch: what the compiled coder computes, written to be read.
 
-Everything is batched over rows and in float64. It is the oracle of the compiled coder and stands in for it where
-it was not built, or where the rows are on a GPU.
+Everything is batched over rows and in float64. It is the oracle of the compiled coder and of the GPU's, and stands in
+for them where there is neither.
 """
 
 from __future__ import annotations
@@ -68,14 +68,28 @@ def code_rows(
     warm: Tensor | None = None,  # [R, K]
 ) -> Coded:
     """``code`` of rows under atoms, in blocks of rows, so that memory does not grow with R x L."""
-    gram = atoms @ atoms.T
+    gram = full_products(atoms, atoms)
     size = max(1, _BLOCK_NUMBERS // (k * len(atoms)))
     blocks = [slice(start, start + size) for start in range(0, max(1, len(rows)), size)]
     coded = [
-        code(rows[block] @ atoms.T, gram, k, swap_passes, None if warm is None else warm[block])
+        code(full_products(rows[block], atoms), gram, k, swap_passes, None if warm is None else warm[block])
         for block in blocks
     ]
     return Coded(*(torch.cat(parts) for parts in zip(*coded, strict=True)))
+
+
+def full_products(rows: Tensor, others: Tensor) -> Tensor:
+    """[R, N]: ``rows`` [R, D] times the transposed ``others`` [N, D], in full float32 also where the user lets torch
+    multiply with fewer bits on a GPU: a similarity rounded to 10 bits of mantissa picks other atoms.
+    """
+    if rows.device.type != "cuda":
+        return rows @ others.T
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("highest")
+    try:
+        return rows @ others.T
+    finally:
+        torch.set_float32_matmul_precision(before)
 
 
 class _Found(NamedTuple):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from scoup.cameras import Camera
+from scoup.demo.layouts import find_layout
 from scoup.demo.polygons import mask_polygons
 from scoup.demo.scene import EMBEDDING_MODEL, DemoScene
 from scoup.demo.splat import SH_C0
@@ -29,7 +30,7 @@ from scoup.text_table import save_table
 
 SPARSE_POINTS = 4000
 
-NOTE = """A table-top made by a program (scoup demo). Nothing in it was photographed or trained.
+NOTE = """A {title} made by a program (scoup demo). Nothing in it was photographed or trained.
 
 point_cloud.ply      the Gaussians, in the layout of the 3DGS reference code
 images/              renders of them, in place of photographs
@@ -41,7 +42,7 @@ held_out/            views without regions: images/, transforms.json (nerfstudio
 
 Build and ask:
     scoup build . --out field.scoup
-    scoup query field.scoup "teapot" --text text.npz
+    scoup query field.scoup "{name}" --text text.npz
 """
 
 
@@ -108,7 +109,9 @@ def write_demo_scene(
         frame = scene.labelled_frame(camera.name, levels)
         content = label_file(frame, camera.name, {name: scene.level_of(name) for name in frame.labels})
         write_text(held_out / "label" / f"{frame.name}.json", json.dumps(content) + "\n", overwrite)
-    write_text(folder / "README.txt", NOTE, overwrite)
+    layout = find_layout(scene.layout)
+    note = NOTE.format(title=layout.title, name=layout.favourites[0])
+    write_text(folder / "README.txt", note, overwrite)
     return folder
 
 

@@ -6,6 +6,8 @@ What blocks the light is found with the z-buffer, one picture of the room from e
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from scoup.demo.meshes import Floats, Mesh
@@ -21,6 +23,30 @@ SHADOW_SIZE = 512  # pixels on each side of a picture taken from a light's direc
 SHADOW_GAP = 0.012  # metres: how far behind a blocker a point must lie to be in its shadow
 
 
+@dataclass(frozen=True, eq=False)
+class Light:
+    """The light of a scene.
+
+    Attributes:
+        lamp: [3] position of a small warm light, metres.
+        shell: names of things that throw no shadow, as light has to come in through them.
+        sun: [3] unit vector towards the sun.
+        eye: [3] direction that highlights are seen from: the middle of the cameras.
+        lamp_strength: of the lamp; the light of one at a metre's distance.
+        shadow_size: pixels on each side of a picture taken from a light's direction.
+        shadow_gap: metres that a point must lie behind a blocker to be in its shadow: about two of those pixels,
+            or surfaces at an angle to the light shade themselves.
+    """
+
+    lamp: Floats
+    shell: frozenset[str] = frozenset()
+    sun: Floats = field(default_factory=SUN.copy)
+    eye: Floats = field(default_factory=EYE.copy)
+    lamp_strength: float = 0.022
+    shadow_size: int = SHADOW_SIZE
+    shadow_gap: float = SHADOW_GAP
+
+
 def lit(
     points: Floats,
     normals: Floats,
@@ -28,7 +54,7 @@ def lit(
     gloss: Floats,
     glow: Floats,
     blockers: Mesh,
-    lamp: Floats,
+    light: Light,
     n_directions: int = 30,
 ) -> Floats:
     """Shaded colours of points on surfaces.
@@ -38,53 +64,52 @@ def lit(
         albedo: [n, 3] sRGB, 0..1.
         gloss, glow: [n] 0..1.
         blockers: what throws shadows.
-        lamp: [3] position of a small warm light, in metres.
+        light: sun, lamp and how shadows are found.
         n_directions: light directions, a third of them for the sun.
 
     Returns:
         [n, 3] sRGB, 0..1.
     """
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    light = (0.5 - 0.5 * normals[:, 2:3]) * FLOOR_COLOR
+    received = (0.5 - 0.5 * normals[:, 2:3]) * FLOOR_COLOR
     n_sun = max(1, n_directions // 3)
     n_sky = max(1, n_directions - n_sun)
-    spread = _hemisphere(n_sun, np.sqrt(0.02)) @ _frame(SUN)
+    spread = _hemisphere(n_sun, np.sqrt(0.02)) @ _frame(light.sun)
     sky = _hemisphere(n_sky, 0.98)
     sun_seen = np.zeros(len(points))
     for directions, strength in ((spread, SUN_COLOR / n_sun), (sky, SKY_COLOR * 2.6 / n_sky)):
         for direction in directions:
-            facing = (normals @ direction).clip(0) * visible(points, normals, direction, blockers)
-            light += facing[:, None] * strength
+            facing = (normals @ direction).clip(0) * visible(points, normals, direction, blockers, light)
+            received += facing[:, None] * strength
             if directions is spread:
                 sun_seen += (facing > 0) / n_sun
-    to_lamp = lamp - points
+    to_lamp = light.lamp - points
     distance = np.linalg.norm(to_lamp, axis=1)
     facing = np.einsum("nd,nd->n", normals, to_lamp).clip(0) / np.maximum(distance, 1e-6)
-    light += (facing * 0.022 / (distance**2 + 0.02))[:, None] * LAMP_COLOR
+    received += (facing * light.lamp_strength / (distance**2 + 0.02))[:, None] * LAMP_COLOR
 
-    half = SUN / np.linalg.norm(SUN) + EYE / np.linalg.norm(EYE)
+    half = light.sun / np.linalg.norm(light.sun) + light.eye / np.linalg.norm(light.eye)
     aligned = (normals @ (half / np.linalg.norm(half))).clip(0)
     shine = gloss * (0.15 + 0.85 * sun_seen) * (0.9 * aligned**90 + 0.16 * aligned**14)
     linear = np.asarray(albedo, float) ** 2.2
-    shown = linear * light * (1 - glow[:, None]) + linear * glow[:, None] * 1.05 + shine[:, None]
+    shown = linear * received * (1 - glow[:, None]) + linear * glow[:, None] * 1.05 + shine[:, None]
     # A gentle shoulder keeps bright places coloured instead of clipping them.
     shown = np.where(shown > 0.7, 0.7 + 0.3 * np.tanh((shown - 0.7) / 0.3 * 0.8), shown)
     return shown.clip(0, 1) ** (1 / 2.2)
 
 
-def visible(points: Floats, normals: Floats, direction: Floats, blockers: Mesh) -> Floats:
+def visible(points: Floats, normals: Floats, direction: Floats, blockers: Mesh, light: Light) -> Floats:
     """[n] share 0..1 of the light from ``direction`` (unit, towards the light) that reaches each point [n,
     3].
     """
+    size, gap = light.shadow_size, light.shadow_gap
     frame = _frame(direction)
     flat = blockers.vertices @ frame.T
     low, high = flat.min(0), flat.max(0)
-    scale = SHADOW_SIZE / (high[:2] - low[:2]).max()
-    _, seen = draw(
-        (flat[:, :2] - low[:2]) * scale, flat[:, 2] - low[2] + 1.0, blockers.faces, SHADOW_SIZE, SHADOW_SIZE
-    )
+    scale = size / (high[:2] - low[:2]).max()
+    _, seen = draw((flat[:, :2] - low[:2]) * scale, flat[:, 2] - low[2] + 1.0, blockers.faces, size, size)
     # Points are lifted off their surface, so that a surface seen at an angle does not shade itself.
-    spot = (points + normals * SHADOW_GAP * 0.5) @ frame.T
+    spot = (points + normals * gap * 0.5) @ frame.T
     place, height = (spot[:, :2] - low[:2]) * scale - 0.5, spot[:, 2] - low[2] + 1.0
     corner = np.floor(place).astype(int)
     share = place - corner
@@ -92,10 +117,10 @@ def visible(points: Floats, normals: Floats, direction: Floats, blockers: Mesh) 
     for step_x in (0, 1):
         for step_y in (0, 1):
             x, y = corner[:, 0] + step_x, corner[:, 1] + step_y
-            inside = (x >= 0) & (x < SHADOW_SIZE) & (y >= 0) & (y < SHADOW_SIZE)
-            blocker = np.where(inside, seen[y.clip(0, SHADOW_SIZE - 1), x.clip(0, SHADOW_SIZE - 1)], 0)
+            inside = (x >= 0) & (x < size) & (y >= 0) & (y < size)
+            blocker = np.where(inside, seen[y.clip(0, size - 1), x.clip(0, size - 1)], 0)
             weight = np.abs(1 - step_x - share[:, 0]) * np.abs(1 - step_y - share[:, 1])
-            total += weight * (height > blocker - SHADOW_GAP)
+            total += weight * (height > blocker - gap)
     return total
 
 

@@ -30,3 +30,14 @@ def shrunk(mask: Mask, steps: int) -> Mask:
 def filled(mask: Mask) -> Mask:
     """The mask without its holes."""
     return np.asarray(ndimage.binary_fill_holes(mask), bool)
+
+
+def patch_boxes(mask: Mask, least: float) -> list[tuple[int, int, int, int]]:
+    """Boxes (x1, y1, x2, y2), corners inside, of the connected pieces of at least ``least`` pixels."""
+    labels, count = components(mask)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    return [
+        (columns.start, rows.start, columns.stop - 1, rows.stop - 1)
+        for (rows, columns), size in zip(ndimage.find_objects(labels), sizes, strict=True)
+        if size >= least
+    ]

@@ -34,7 +34,7 @@ class DemoSettings:
         n_gaussians: of the scene.
         width, height: of its views, in pixels.
         n_building: views the field is built from; another quarter of that is held out to judge by.
-        epochs: of the "adam" solver.
+        layout: the kind of scene, a name from ``scoup.demo.layouts.LAYOUTS``.
     """
 
     seed: int = 0
@@ -42,7 +42,7 @@ class DemoSettings:
     width: int = 480
     height: int = 360
     n_building: int = 24
-    epochs: int = 4000
+    layout: str = "table"
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +104,7 @@ def run_demo(
             settings.height,
             settings.n_building,
             max(1, settings.n_building // 4),
+            settings.layout,
         )
     with _timed(seconds, "write it as files"):
         folder = write_demo_scene(scene, out / "scene", overwrite, LEVELS_ASKED, progress=progress)
@@ -119,7 +120,7 @@ def run_demo(
             gaussians,
             cameras,
             regions,
-            settings=BuildSettings(seed=settings.seed, epochs=settings.epochs),
+            settings=BuildSettings(seed=settings.seed),
             embedding_model=EMBEDDING_MODEL,
             geometry_path=splat,
             keep_accumulators=True,

@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 from scoup.cameras import Cameras
+from scoup.demo.layouts import find_layout
+from scoup.demo.masks import patch_boxes
 from scoup.demo.observe import IntMap, observe
-from scoup.demo.room import LAMP, SHELL, make_room
 from scoup.demo.splat import make_splat
 from scoup.demo.things import Parts, Surface
-from scoup.demo.views import make_cameras
 from scoup.demo.words import CANONICAL, Words, make_words
 from scoup.demo.zbuffer import visible_faces
 from scoup.errors import InputError, UnknownNameError
@@ -45,6 +45,7 @@ class DemoScene:
         part_maps: the true part of each pixel of every view, [H, W] int32 by view name; -1 = nothing.
         part_of_gaussian: [N] int64, the part each Gaussian was put on; -1 for haze.
         words: text vectors, and the prototypes behind the region embeddings.
+        layout: name of the kind of scene.
     """
 
     gaussians: Gaussians
@@ -55,6 +56,7 @@ class DemoScene:
     part_maps: Mapping[str, IntMap]
     part_of_gaussian: Tensor
     words: Words
+    layout: str = "table"
 
     @property
     def cameras(self) -> Cameras:
@@ -93,7 +95,8 @@ class DemoScene:
 
     def labelled_frame(self, view_name: str, levels: tuple[str, ...] = ("m",)) -> LabelledFrame:
         """The truth of a view in the form that ``scoup.evaluate`` scores: each name with at least
-        ``SMALLEST_LABEL`` pixels in sight (scaled with the image), and one box around all of them.
+        ``SMALLEST_LABEL`` pixels in sight (scaled with the image), and one box around all of them. A name of
+        several things has a box around each patch of it that is large enough.
         """
         height, width = self.part_maps[view_name].shape
         least = SMALLEST_LABEL * (width / 480) ** 2
@@ -103,9 +106,11 @@ class DemoScene:
             mask = self.mask(view_name, name)
             box = mask_box(mask)
             if box is not None and int(mask.sum()) >= least:
-                # Corners of a label's box are pixels inside it.
                 masks[name] = mask
-                boxes[name] = torch.tensor([[box[0], box[1], box[2] - 1, box[3] - 1]], dtype=torch.float32)
+                found = patch_boxes(mask.numpy(), least) if name in self.parts.several else []
+                # Corners of a label's box are pixels inside it.
+                found = found or [(box[0], box[1], box[2] - 1, box[3] - 1)]
+                boxes[name] = torch.tensor(found, dtype=torch.float32)
         return LabelledFrame(view_name.rsplit(".", 1)[0], width, height, masks, boxes)
 
 
@@ -116,6 +121,7 @@ def make_demo_scene(
     height: int = 360,
     n_building: int = 24,
     n_held_out: int = 6,
+    layout: str = "table",
 ) -> DemoScene:
     """Make the demo scene. The same arguments give the same scene, to the last bit on one machine.
 
@@ -125,23 +131,26 @@ def make_demo_scene(
         width, height: of all views, in pixels.
         n_building: views with regions.
         n_held_out: views without, to judge by.
+        layout: the kind of scene, a name from ``scoup.demo.layouts.LAYOUTS``.
 
     Raises:
         InputError: a number is too small for a scene.
+        UnknownNameError: there is no such layout.
     """
     if n_gaussians < 2000 or min(width, height) < 32 or n_building < 1 or n_held_out < 0:
         raise InputError(
             "a demo scene needs at least 2000 Gaussians, 32 x 32 pixels and one view, "
             f"not {n_gaussians} Gaussians, {width} x {height} pixels and {n_building} views"
         )
+    plan = find_layout(layout)
     # A generator for each trade: changing how one draws leaves the others as they are.
     for_cameras, for_splat, for_words, for_regions = (
         np.random.default_rng([seed, trade]) for trade in range(4)
     )
-    things = make_room()
+    things = plan.things()
     parts = Parts.of(things)
     surface = Surface.of(things, parts)
-    building, held_out = make_cameras(n_building, n_held_out, width, height, for_cameras)
+    building, held_out = plan.cameras(n_building, n_held_out, width, height, for_cameras)
 
     part_of_face = np.append(surface.part_of_face, -1).astype(np.int32)
     seen = np.zeros(len(part_of_face), bool)
@@ -151,7 +160,7 @@ def make_demo_scene(
         part_maps[camera.name] = part_of_face[faces]
         if camera.name in building.names:
             seen[faces] = True
-    splat = make_splat(things, parts, n_gaussians, for_splat, LAMP, seen[:-1], SHELL)
+    splat = make_splat(things, parts, n_gaussians, for_splat, plan.light, seen[:-1])
     words = make_words(parts, for_words)
     regions = observe({name: part_maps[name] for name in building.names}, parts, words, for_regions)
     return DemoScene(
@@ -163,4 +172,5 @@ def make_demo_scene(
         part_maps,
         torch.from_numpy(splat.part_of_gaussian),
         words,
+        layout,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from scoup.demo.layouts import find_layout
 from scoup.demo.run import METHOD, DemoResult, rows_by_name
 from scoup.evaluate.lerf_ovs import PairScore
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
@@ -12,13 +13,6 @@ from scoup.query import localize, segment
 from scoup.raster import render_colors
 
 TRUTH_COLOR = (70, 200, 110)
-FAVOURITES = (
-    "teapot",
-    "rubber duck",
-    "fruit bowl",
-    "alarm clock",
-    "sunflowers",
-)  # shown if they are in sight
 
 
 def query_sheet(result: DemoResult) -> Picture:
@@ -39,10 +33,11 @@ def query_sheet(result: DemoResult) -> Picture:
 
 
 def names_to_show(result: DemoResult) -> list[str]:
-    """Favourites in sight (or the best answered), then the name answered worst."""
+    """The layout's favourites in sight (or the best answered), then the name answered worst."""
     rows = rows_by_name(result)
     known = {row.name for row in rows}
-    chosen = [name for name in FAVOURITES if name in known] or [row.name for row in rows[:4]]
+    favourites = find_layout(result.scene.layout).favourites
+    chosen = [name for name in favourites if name in known] or [row.name for row in rows[:4]]
     worst = rows[-1].name
     return [name for name in chosen if name != worst] + [worst]
 

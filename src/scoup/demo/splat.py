@@ -11,7 +11,7 @@ import torch
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from scoup.demo.lighting import lit
+from scoup.demo.lighting import Light, lit
 from scoup.demo.meshes import Floats, Ints, Mesh, merged
 from scoup.demo.things import Parts, Piece, Thing
 from scoup.gaussians import Gaussians
@@ -64,9 +64,8 @@ def make_splat(
     parts: Parts,
     n_gaussians: int,
     rng: np.random.Generator,
-    lamp: Floats,
+    light: Light,
     seen: np.ndarray | None = None,
-    shell: frozenset[str] = frozenset(),
     n_directions: int = 30,
 ) -> Splat:
     """Cover all things with exactly ``n_gaussians`` Gaussians.
@@ -76,16 +75,15 @@ def make_splat(
         parts: numbers of the parts.
         n_gaussians: how many; at least a few a piece.
         rng: all randomness.
-        lamp: [3] position of the lamp, metres.
+        light: of the scene.
         seen: [F] boolean, the faces of ``Surface.of(things, parts)`` that some photograph shows. Faces far
             from these stay bare: training puts no Gaussians where no photograph looks. None covers all.
-        shell: names of things that throw no shadow (the room's own walls).
         n_directions: light directions, see ``lighting.lit``.
     """
     n_haze = int(n_gaussians * HAZE_SHARE)
     samples = _cover(things, parts, n_gaussians - n_haze, seen, rng)
     blockers = merged(
-        [thing.mesh(piece) for thing in things if thing.name not in shell for piece in thing.pieces]
+        [thing.mesh(piece) for thing in things if thing.name not in light.shell for piece in thing.pieces]
     )
     colors = lit(
         samples.points,
@@ -94,7 +92,7 @@ def make_splat(
         samples.gloss,
         samples.glow,
         blockers,
-        lamp,
+        light,
         n_directions,
     )
     count = len(samples.points)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -40,12 +41,13 @@ class Thing:
     """An object: what a person would point at and name.
 
     Attributes:
-        name: its name, unique in the room.
+        name: its name, unique in the room unless it is one of ``several``.
         pieces: what it is made of.
         group: the larger whole it belongs to; its own name if it stands alone.
         turn: [3, 3] rotation in the room.
         place: [3] position in metres.
         size: metres per centimetre of the pieces.
+        several: whether other things may have its name, and be the same object: what one means by "chairs".
     """
 
     name: str
@@ -54,6 +56,7 @@ class Thing:
     turn: Floats = field(default_factory=lambda: np.eye(3))
     place: Floats = field(default_factory=lambda: np.zeros(3))
     size: float = 0.01
+    several: bool = False
 
     def at(
         self,
@@ -88,6 +91,7 @@ class Parts:
         parts, objects, groups: names, unique at their level.
         object_of_part: [parts] int64 number of the object that a part belongs to.
         group_of_object: [objects] int64.
+        several: the objects that are several things of one name.
     """
 
     parts: tuple[str, ...]
@@ -95,6 +99,7 @@ class Parts:
     groups: tuple[str, ...]
     object_of_part: np.ndarray
     group_of_object: np.ndarray
+    several: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, things: tuple[Thing, ...]) -> Parts:
@@ -104,24 +109,32 @@ class Parts:
             InputError: a name stands for two different things, so that nobody could say what it means.
         """
         groups = tuple(dict.fromkeys(thing.group or thing.name for thing in things))
-        owners = {piece.part: number for number, thing in enumerate(things) for piece in thing.pieces}
+        objects = {thing.name: thing.group or thing.name for thing in things}
+        numbers = {name: number for number, name in enumerate(objects)}
+        owners: dict[str, int] = {}
         for thing in things:
+            for piece in thing.pieces:
+                if owners.setdefault(piece.part, numbers[thing.name]) != numbers[thing.name]:
+                    raise InputError(f"{piece.part!r} names parts of two things")
+            if objects[thing.name] != (thing.group or thing.name):
+                raise InputError(f"things called {thing.name!r} belong to different groups")
             members = [other.name for other in things if (other.group or other.name) == thing.name]
             inside = {piece.part for piece in thing.pieces}
-            if (thing.name in inside and len(inside) > 1) or members not in ([], [thing.name]):
+            if (thing.name in inside and len(inside) > 1) or set(members) - {thing.name}:
                 raise InputError(
                     f"{thing.name!r} names an object and also a part or a group that differs from it"
                 )
-        if len({thing.name for thing in things}) < len(things) or set(groups) & (
-            set(owners) - {t.name for t in things}
-        ):
+        named = Counter(thing.name for thing in things)
+        alone = Counter(thing.name for thing in things if not thing.several)
+        if any(named[name] > 1 for name in alone) or set(groups) & (set(owners) - set(objects)):
             raise InputError("two things of the room share a name")
         return cls(
             tuple(owners),
-            tuple(thing.name for thing in things),
+            tuple(objects),
             groups,
             np.array(list(owners.values())),
-            np.array([groups.index(thing.group or thing.name) for thing in things]),
+            np.array([groups.index(group) for group in objects.values()]),
+            frozenset(name for name, count in named.items() if count > 1),
         )
 
     def at_level(self, parts: np.ndarray, level: str) -> np.ndarray:

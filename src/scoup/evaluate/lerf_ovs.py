@@ -91,7 +91,8 @@ def score_frame(
         frame: the truth; resized to the size of the relevancy maps (masks nearest) if they differ.
         relevancy: per label of the frame [S, H, W] in 0..1 (a mapping may make them as it is asked), or all
             stacked in the order of ``frame.labels``, [S, Q, H, W].
-        preset: how maps become masks and points.
+        preset: how maps become masks and points. The protocol's default is "scoup", which chooses the level as the
+            paper does; everyday queries (``segment``) choose it otherwise.
 
     Raises:
         InputError: a label has no relevancy map.
@@ -134,7 +135,8 @@ def score_scene(
     frames: Iterable[tuple[LabelledFrame, Mapping[str, Tensor] | Tensor]],
     preset: QueryPreset = PRESETS["scoup"],
 ) -> SceneScore:
-    """Score all frames of a scene, given with their relevancy as for ``score_frame`` (a generator is fine).
+    """Score all frames of a scene, given with their relevancy as for ``score_frame`` (a generator is fine), by
+    default with the paper's own rules, preset "scoup".
 
     Raises:
         InputError: there is not a single label.

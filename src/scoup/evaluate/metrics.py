@@ -52,6 +52,7 @@ def bootstrap_interval(
     seed: int = 0,
     confidence: float = 0.95,
     samples: int = 2000,
+    scenes: Sequence[str] | None = None,
 ) -> Interval:
     """Percentile bootstrap of the mean, drawing whole groups with replacement.
 
@@ -64,21 +65,42 @@ def bootstrap_interval(
         seed: of the draws.
         confidence: of the interval, 0..1.
         samples: draws.
+        scenes: the scene each value belongs to, same length. The mean is then that of the scenes' means, so that
+            each scene counts alike, and groups are drawn scene by scene.
 
     Raises:
         InputError: there are no values, lengths differ, or a value is not finite.
     """
-    if len(values) != len(groups) or not len(values):
+    scenes = [""] * len(values) if scenes is None else scenes
+    if len(values) != len(groups) or len(scenes) != len(groups) or not len(values):
         raise InputError(
-            f"{len(values)} values in {len(groups)} groups; there must be one group for each, at least one"
+            f"{len(values)} values in {len(groups)} groups; there must be one group (and scene) for each, "
+            "at least one"
         )
     numbers = np.asarray(values, dtype=np.float64)
     if not np.isfinite(numbers).all():
         raise InputError("values to average must be finite")
-    _, members = np.unique(np.asarray(groups, dtype=str), return_inverse=True)
+    names, kinds = np.asarray(groups, dtype=str), np.asarray(scenes, dtype=str)
+    generator = np.random.default_rng(seed)
+    parts = [
+        (
+            numbers[kinds == kind].mean(),
+            _drawn_means(numbers[kinds == kind], names[kinds == kind], generator, samples),
+        )
+        for kind in np.unique(kinds)
+    ]
+    mean = np.mean([mean for mean, _ in parts])
+    means = np.mean([drawn for _, drawn in parts], axis=0)
+    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Interval(float(mean), float(low), float(high))
+
+
+def _drawn_means(
+    numbers: np.ndarray, groups: np.ndarray, generator: np.random.Generator, samples: int
+) -> np.ndarray:
+    """Means [samples] of values [V] float64 under draws of their groups [V]."""
+    _, members = np.unique(groups, return_inverse=True)
     sums = np.bincount(members, numbers)
     counts = np.bincount(members)
-    draws = np.random.default_rng(seed).integers(len(sums), size=(samples, len(sums)))
-    means = sums[draws].sum(1) / counts[draws].sum(1)
-    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
-    return Interval(float(numbers.mean()), float(low), float(high))
+    draws = generator.integers(len(sums), size=(samples, len(sums)))
+    return sums[draws].sum(1) / counts[draws].sum(1)

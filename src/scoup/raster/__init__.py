@@ -22,6 +22,7 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
+from scoup.agreement import Agreement
 from scoup.cameras import Camera
 from scoup.codes import SparseCodes
 from scoup.errors import InputError, UnknownNameError
@@ -153,19 +154,26 @@ class Uplift:
     Args:
         out: [N, S, L] float32, contiguous; added to in place.
         backend: as for ``look``; the views must come from the same one.
+        agreement: outcome of an earlier round, with which the regions' codes must agree to count in full.
 
     Raises:
-        InputError: the accumulators are of another form.
+        InputError: the accumulators are of another form, or the earlier round had another.
     """
 
-    def __init__(self, out: Tensor, backend: str | None = None) -> None:
+    def __init__(self, out: Tensor, backend: str | None = None, agreement: Agreement | None = None) -> None:
         if out.dim() != 3 or not out.is_contiguous() or out.dtype != torch.float32:
             raise InputError(
                 f"accumulators must be contiguous float32 [N, S, L], not {out.dtype} {list(out.shape)}"
             )
+        if agreement is not None:
+            earlier = (*agreement.indices.shape[:2], agreement.n_atoms)
+            if earlier != tuple(out.shape):
+                raise InputError(
+                    f"accumulators {list(out.shape)} do not fit an earlier round of {list(earlier)}"
+                )
         self.out = out
         self.backend, module = _backend(backend, out.device)
-        self._uplift = module.Uplift(out)
+        self._uplift = module.Uplift(out, agreement)
 
     @property
     def n_taken(self) -> int:

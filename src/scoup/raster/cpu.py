@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from scoup.agreement import Agreement
 from scoup.cameras import Camera
 from scoup.codes import SparseCodes, check_atoms, index_dtype
 from scoup.errors import InputError
@@ -89,8 +90,14 @@ class Uplift:
 
     intact = True  # an interrupted call changes nothing, or can be taken up again by ``flush``
 
-    def __init__(self, out: Tensor) -> None:
-        self._handle = _core().Uplift(out.detach().numpy())
+    def __init__(self, out: Tensor, agreement: Agreement | None = None) -> None:
+        self._agreement = agreement
+        earlier = None
+        if agreement is not None:
+            indices = _array(agreement.indices, agreement.indices.dtype)
+            earlier = (indices, _array(agreement.weights), _array(agreement.sharpness))
+        with _refusals():
+            self._handle = _core().Uplift(out.detach().numpy(), earlier)
 
     @property
     def n_taken(self) -> int:
@@ -98,8 +105,10 @@ class Uplift:
 
     def add(self, view: NativeView, labels: Tensor, codes: list[SparseCodes]) -> None:
         tables = [(_array(level.indices, level.indices.dtype), _array(level.weights)) for level in codes]
+        known = [] if self._agreement is None else self._agreement.region_cosines(codes)
         with _refusals():
-            self._handle.add(view.handle, _labels(labels), tables, torch.get_num_threads())
+            cosines = [_array(table) for table in known]
+            self._handle.add(view.handle, _labels(labels), tables, torch.get_num_threads(), cosines)
         if self._handle.pending_bytes > MOST_PENDING:
             self.flush()
 

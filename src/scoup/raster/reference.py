@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from scoup.agreement import Agreement
 from scoup.cameras import Camera
 from scoup.codes import SparseCodes, add_codes, check_atoms, cosines_from_products
 from scoup.gaussians import Gaussians
@@ -98,8 +99,9 @@ def region_weights(view: ReferenceView, labels: Tensor) -> tuple[Tensor, Tensor,
 class Uplift:
     """See ``raster.Uplift``. Nothing is ever pending."""
 
-    def __init__(self, out: Tensor) -> None:
+    def __init__(self, out: Tensor, agreement: Agreement | None = None) -> None:
         self._out = out
+        self._agreement = agreement
         self.intact = True
         self.n_taken = 0
 
@@ -108,6 +110,8 @@ class Uplift:
         # The sums of a view are small; the accumulators may be too large for the device it was rasterised on.
         sums = (part.to(self._out.device) for part in region_weights(view, labels))
         gaussian, key, weight = sums
+        if self._agreement is not None:
+            weight = weight * self._agreement.factors(gaussian, key, stride, codes)
         self.intact = False
         add_codes(gaussian, key, weight, stride, codes, self._out)
         self.n_taken += 1

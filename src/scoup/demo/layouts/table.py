@@ -1,17 +1,23 @@
-"""The demo room: a table-top in the corner of a room, with everything on and around it."""
+"""The table: a table-top in the corner of a room, with everything on and around it, seen in a swing around
+its open sides.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from scoup.cameras import Camera, Cameras
 from scoup.demo import desk_things as desk
 from scoup.demo import furniture, tableware
+from scoup.demo.layouts.layout import Layout
+from scoup.demo.lighting import Light
 from scoup.demo.things import Thing
+from scoup.demo.views import look_at
 
 LEFT, BACK, REACH, HEIGHT = -1.55, 1.3, 5.4, 2.3  # metres: the walls x = LEFT and y = BACK
 TOP = furniture.TABLE_HEIGHT / 100
+TARGET = np.array([0.0, 0.02, 0.86])  # metres: just above the middle of the table
 LAMP = np.array([0.5, 0.26, 1.1])  # metres: the light bulb, just below the shade
-SHELL = frozenset({"wall", "floor"})  # these throw no shadow: the light comes in through them
 
 
 def make_room() -> tuple[Thing, ...]:
@@ -91,3 +97,42 @@ def _toys() -> tuple[Thing, ...]:
         desk.rubber_duck().at(0.08, -0.17, TOP, -50, group=group, grow=0.95),
         desk.ball().at(0.98, -0.62, 0, 20, (30, 10), group=group),
     )
+
+
+def make_cameras(
+    n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
+) -> tuple[Cameras, Cameras]:
+    """Cameras to build the field from, and others to judge it by: a swing around the table's open sides.
+
+    Height and distance vary along the way, and each camera looks at its own point on the table. No held-out
+    camera stands where a building camera does.
+    """
+    return (
+        Cameras(_swing("view", n_building, 0.0, width, height, rng)),
+        Cameras(_swing("held_out", n_held_out, 0.37, width, height, rng)),
+    )
+
+
+def _swing(
+    kind: str, count: int, phase: float, width: int, height: int, rng: np.random.Generator
+) -> list[Camera]:
+    cameras = []
+    for step in range(count):
+        along = (step + 0.5) / count
+        azimuth = np.radians(-122 + 132 * along + rng.uniform(-2, 2))
+        rise = np.sin(2 * np.pi * (along * 3 + phase))
+        distance = 1.42 + 0.2 * np.cos(2 * np.pi * (along * 2 + phase)) + 0.25 * along
+        eye = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), 1.44 + 0.24 * rise])
+        aim = TARGET + rng.uniform(-1, 1, 3) * [0.1, 0.08, 0.04]
+        cameras.append(look_at(eye, aim, f"{kind}_{step:02d}.png", width, height))
+    return cameras
+
+
+TABLE = Layout(
+    "table",
+    "table-top",
+    make_room,
+    make_cameras,
+    Light(LAMP, frozenset({"wall", "floor"})),
+    ("teapot", "rubber duck", "fruit bowl", "alarm clock", "sunflowers"),
+)

@@ -1,0 +1,134 @@
+"""Which way of coding and voting answers best, on clean and on faulty regions: the table behind our defaults.
+
+    python -m benchmarks.voting [--scenes kitchen table-0 shelves-0 ...] [--cases clean wrong20 noise60 ...]
+        [--ways dense paper exact ... default] [--seeds 0 1 2 3 4] [--out docs/benchmarks/voting.json]
+
+Scenes are rasterised once, faults are put into their region sums (``scoup.evaluate.perturbations``), and every way
+codes, votes and answers on the same sums, views and words. Masks and embeddings are simulated everywhere, geometry
+and text vectors of kitchen (--data, as in benchmarks/kitchen.py) are real: figures compare ways with each other and
+cannot be set against published ones. Faults are drawn once a case; seeds are those of the codebook.
+
+Results are written after every way of every scene and case, and what is there is not run again: an interrupted run
+goes on, another --ways or --scenes adds to it, and a run with nothing left to do prints the table. It does not notice
+that the code has changed: each entry names its commit; delete the file to start over.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import tyro
+
+from benchmarks.voting_results import Entry, Results, table
+from benchmarks.voting_scenes import SceneSize, VotingScene, make_scene
+from benchmarks.voting_scores import Scores, score_dense, score_sparse
+from benchmarks.voting_ways import (
+    WAYS,
+    Recipe,
+    bytes_per_gaussian,
+    code,
+    find_way,
+    vote,
+)
+from scoup.evaluate.perturbations import LevelSums, as_region_sums, perturbed
+
+SCENES = ("kitchen", "table-0", "shelves-0", "hall-0", "yard-0")
+CASES = ("clean", "wrong20", "noise60", "wrong20+noise60", "missing40", "rare")
+
+
+@dataclass(frozen=True)
+class Arguments:
+    scenes: tuple[str, ...] = SCENES
+    """kitchen, or a layout of the demo and its seed."""
+    cases: tuple[str, ...] = CASES
+    """Faults joined by "+", see scoup.evaluate.perturbations."""
+    ways: tuple[str, ...] = tuple(WAYS)
+    """Names from benchmarks.voting_ways."""
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    """Seeds of the codebook; scores are means over them."""
+    epochs: int = 4000
+    """Epochs of the adam solver."""
+    draw: int = 0
+    """Seed of the faults."""
+    out: Path = Path("docs/benchmarks/voting.json")
+    """Where results are kept, and taken up again."""
+    data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
+    """Folder that holds kitchen/ and clip/."""
+    size: SceneSize = field(default_factory=SceneSize)
+
+
+def main(arguments: Arguments) -> Results:
+    """Run what is missing and print the table."""
+    settings = {"draw": arguments.draw, "size": asdict(arguments.size)}
+    results = Results.open(arguments.out, settings)
+    ways = {name: find_way(name, arguments.epochs) for name in arguments.ways}
+    recipes = list(dict.fromkeys(way.recipe for way in ways.values()))
+    for name in arguments.scenes:
+        left = {
+            case: [r for r in recipes if not results.has(name, case, r.key, _seeds(r, arguments.seeds))]
+            for case in arguments.cases
+        }
+        if not any(left.values()):
+            continue
+        started = time.perf_counter()
+        scene = make_scene(name, arguments.data, arguments.size)
+        regions = [len(level.embeddings) for level in scene.levels]
+        print(
+            f"{name}: {len(scene.gaussians)} Gaussians, {regions} regions, {len(scene.pairs)} pairs, "
+            f"{time.perf_counter() - started:.1f} s",
+            flush=True,
+        )
+        for case, missing in left.items():
+            if not missing:
+                continue
+            levels = perturbed(scene.levels, case, arguments.draw, scene.shares)
+            for recipe, entry in run_case(scene, levels, missing, arguments.seeds):
+                results.put(name, case, recipe.key, scene.pairs, entry)
+                print(
+                    f"{name:10} {case:16} {recipe.key:36} peak {_mean(entry.peak):.3f} mask {_mean(entry.mask):.3f} "
+                    f"best {_mean(entry.best):.3f} hit {_mean(entry.hit):.3f}  {entry.seconds:.1f} s",
+                    flush=True,
+                )
+    print(table(results, arguments.scenes, arguments.cases, ways))
+    return results
+
+
+def run_case(
+    scene: VotingScene, levels: Sequence[LevelSums], recipes: Sequence[Recipe], seeds: Sequence[int]
+) -> Iterator[tuple[Recipe, Entry]]:
+    """Every recipe on one scene with its faults; recipes that share their codes follow each other."""
+    dim = levels[0].embeddings.shape[1]
+    sums = as_region_sums(levels)
+    coded: dict[int, tuple[Recipe, tuple]] = {}
+    for recipe in sorted(recipes, key=lambda recipe: recipe.coded_once.key):
+        started = time.perf_counter()
+        scores: list[Scores] = []
+        for seed in _seeds(recipe, seeds):
+            if recipe.coding == "dense":
+                scores.append(score_dense(scene, levels))
+                continue
+            if seed not in coded or coded[seed][0] != recipe.coded_once:
+                coded[seed] = (recipe.coded_once, code(levels, recipe, seed))
+            codes, codebook = coded[seed][1]
+            indices, weights = vote(sums, codes, codebook, recipe)
+            scores.append(score_sparse(scene, indices, weights, codebook))
+        seconds = time.perf_counter() - started
+        size = bytes_per_gaussian(recipe, len(levels), dim)
+        yield recipe, Entry.of(scores, _seeds(recipe, seeds), size, seconds)
+
+
+def _seeds(recipe: Recipe, seeds: Sequence[int]) -> list[int]:
+    """Full embeddings know no codebook."""
+    return [0] if recipe.coding == "dense" else list(seeds)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))

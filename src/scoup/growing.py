@@ -1,0 +1,166 @@
+"""What a language field needs in order to take in a view that its codebook was not learned from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from scoup.agreement import Agreement
+from scoup.codes import SparseCodes
+from scoup.coding.codebook import check_new_atoms, encode_rows, learn_atoms
+from scoup.coding.encode import encode
+from scoup.coding.rows import unit_rows
+from scoup.errors import InputError
+from scoup.regions import Regions
+from scoup.rounds import outcome
+
+MANY = 0.3  # share of a view's regions; about a tenth are badly explained where nothing is new
+
+
+@dataclass(frozen=True, eq=False)
+class CodedView:
+    """The regions of one view under a field's codebook.
+
+    Attributes:
+        codes: of the regions, one SparseCodes a level, all over L' atoms.
+        codebook: [S, L', D] float32; the field's own atoms come first, unchanged.
+        n_new: atoms added at each level.
+        n_regions: regions at all levels together, those of norm zero not counted.
+        n_badly_explained: how many of these the field's own atoms explain badly; None if the field does not tell what
+            to expect of its codebook.
+    """
+
+    codes: list[SparseCodes]
+    codebook: Tensor  # [S, L', D]
+    n_new: list[int]
+    n_regions: int
+    n_badly_explained: int | None
+
+
+def embeddings_of(view_name: str, regions: Regions, levels: Sequence[str], dim: int) -> list[Tensor]:
+    """S x [R, D]: what a view shows at a field's levels.
+
+    Raises:
+        InputError: the regions have other levels, or embeddings of another size.
+    """
+    if tuple(regions.levels) != tuple(levels):
+        raise InputError(f"the regions have levels {list(regions.levels)}, the field {list(levels)}")
+    embeddings = [regions.load_embeddings(view_name, level) for level in levels]
+    for rows in embeddings:
+        if rows.shape[1] != dim:
+            raise InputError(
+                f"the regions of {view_name!r} have embeddings of {rows.shape[1]} dimensions, the field {dim}"
+            )
+    return embeddings
+
+
+def code_view(
+    codebook: Tensor,
+    embeddings: Sequence[Tensor],
+    k: int,
+    bars: Sequence[float] | None,
+    new_atoms: int = 0,
+) -> CodedView:
+    """Code a view's regions, with atoms added for those badly explained if wanted.
+
+    Args:
+        codebook: [S, L, D] float32.
+        embeddings: S x [R_s, D].
+        k: K, the most atoms of a code.
+        bars: per level, the cosine below which a region is badly explained (``bars_of``); None if not known.
+        new_atoms: add at most so many atoms a level.
+
+    Raises:
+        InputError: embeddings are not finite, ``new_atoms`` is negative or too large, or wanted without ``bars``.
+    """
+    check_new_atoms(codebook.shape[1], new_atoms)
+    if bars is None and new_atoms:
+        raise InputError(
+            "this field does not tell how well its codebook explains regions (provenance), so none can be called badly "
+            "explained; build it again, or add the view with new_atoms=0"
+        )
+    rows = [unit_rows(of_level) for of_level in embeddings]
+    expected = [0.0] * len(rows) if bars is None else bars
+    encoded = [encode_rows(r, atoms, k, bar) for r, atoms, bar in zip(rows, codebook, expected, strict=True)]
+    new = [
+        learn_atoms(r[coded.badly_explained], atoms, k, new_atoms)
+        for r, atoms, coded in zip(rows, codebook, encoded, strict=True)
+    ]
+    codes = [coded.codes for coded in encoded]
+    if any(len(atoms) for atoms in new):
+        codebook = append_atoms(codebook, new)
+        codes = [encode(r, atoms, k) for r, atoms in zip(rows, codebook, strict=True)]
+    badly_explained = sum(int(coded.badly_explained.sum()) for coded in encoded)
+    return CodedView(
+        codes,
+        codebook,
+        [len(atoms) for atoms in new],
+        sum(int(r.any(1).sum()) for r in rows),
+        None if bars is None else badly_explained,
+    )
+
+
+def append_atoms(codebook: Tensor, new: Sequence[Tensor]) -> Tensor:
+    """[S, L', D]: a codebook [S, L, D] with S x [M_s, D] atoms after each level's own.
+
+    All levels have as many places as the one that needs most. The places left over are filled with zeros, which no
+    code ever uses, and are taken first when atoms are added again.
+    """
+    levels = []
+    for atoms, more in zip(codebook, new, strict=True):
+        filled = atoms.any(1).nonzero()
+        levels.append(torch.cat([atoms[: int(filled[-1]) + 1 if len(filled) else 0], more]))
+    count = max(codebook.shape[1], *(len(level) for level in levels))
+    grown = codebook.new_zeros(len(levels), count, codebook.shape[2])
+    for place, level in zip(grown, levels, strict=True):
+        place[: len(level)] = level
+    return grown
+
+
+def widened(accumulators: Tensor, n_atoms: int) -> Tensor:
+    """A copy [N, S, L'] of accumulators [N, S, L], zero for the atoms that were not there."""
+    wide = accumulators.new_zeros(*accumulators.shape[:2], n_atoms)
+    wide[..., : accumulators.shape[2]] = accumulators
+    return wide
+
+
+def bars_of(provenance: dict[str, Any], levels: Sequence[str]) -> list[float] | None:
+    """Per level, the cosine below which its codebook explains a region badly; None where it is not recorded."""
+    try:
+        return [float(provenance["coding"][level]["explained_from"]) for level in levels]
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def agreement_of(
+    provenance: dict[str, Any], accumulators: Tensor, codebook: Tensor, k: int
+) -> Agreement | None:
+    """What a new view must agree with to count in full: the vote so far, if it took several rounds.
+
+    Args:
+        provenance: of the field.
+        accumulators: [N, S, L] before the view.
+        codebook: [S, L, D].
+        k: atoms of a Gaussian that it must agree with.
+    """
+    sharpness = provenance.get("sharpness")
+    if sharpness is None:
+        return None
+    return outcome(accumulators, codebook, k, torch.tensor(sharpness, dtype=torch.float32))
+
+
+def provenance_with(
+    provenance: dict[str, Any], view_name: str, levels: Sequence[str], n_new: Sequence[int]
+) -> dict[str, Any]:
+    """A field's provenance after a view was added: ``added_views`` lists it, ``added_atoms`` says how many atoms came
+    with it at each level, if any did.
+    """
+    changed = {**provenance, "added_views": [*provenance.get("added_views", []), view_name]}
+    if any(n_new):
+        atoms = dict(zip(levels, n_new, strict=True))
+        changed["added_atoms"] = {**provenance.get("added_atoms", {}), view_name: atoms}
+    return changed

@@ -1,0 +1,138 @@
+"""benchmarks/voting.py on a tiny scene: results on disk, what is run again and what is not, the table."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from scoup import raster
+from scoup.errors import InputError, UnknownNameError
+from scoup.evaluate.lerf_ovs import score_frame
+from scoup.evaluate.metrics import bootstrap_interval
+from scoup.evaluate.perturbations import as_region_sums
+from scoup.pipeline import BuildSettings
+from scoup.query import PRESETS
+from scoup.relevancy import relevancy
+
+PARTS = ("_scenes", "_ways", "_scores", "_results")
+ROOT = Path(__file__).resolve().parents[2]
+WAYS = ("dense", "paper", "paper-no-top-k", "exact", "exact-mask", "default")
+
+
+@pytest.fixture(scope="module")
+def voting():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT))
+        modules = {name: importlib.import_module(f"benchmarks.voting{name}") for name in ("", *PARTS)}
+        # The scene is the same for all tests, and takes longer to make than to be asked.
+        patch.setattr(modules[""], "make_scene", functools.cache(modules["_scenes"].make_scene))
+        yield lambda name="": modules[name]
+
+
+def tiny(voting, out: Path, **changes: Any):
+    size = voting("_scenes").SceneSize(2500, 64, 48, n_building=4, n_held_out=2)
+    given = {"scenes": ("table-0",), "cases": ("wrong20+rare",), "ways": WAYS, "seeds": (0,)}
+    return voting().Arguments(**{**given, "epochs": 3, "out": out, "size": size, **changes})
+
+
+def test_from_arguments_to_the_table(voting, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "voting.json"
+    cases = ("clean", "wrong20+rare")
+    first = voting().main(tiny(voting, out, cases=cases, ways=("dense", "dense-mask")))
+    lines = capsys.readouterr().out.splitlines()
+    assert "| difference | clean | wrong20+rare | all cases |" in lines
+    assert [line.split(" | ")[0] for line in lines if "[" in line and "|" in line] == ["| mask - peak, dense"]
+    kept = json.loads(out.read_text())
+    assert kept == first.content
+
+    results = voting().main(tiny(voting, out))
+    assert json.loads(out.read_text()) == results.content
+    # What was there was not run again: its seconds are the same, too.
+    for case in cases:
+        of_scene = results.content["scenes"]["table-0"]["cases"]
+        assert of_scene[case]["dense"] == kept["scenes"]["table-0"]["cases"][case]["dense"]
+    printed = capsys.readouterr().out
+    assert not any("table-0    wrong20+rare     dense" in line for line in printed.splitlines())
+    rows = [line for line in printed.splitlines() if line.startswith("| ")]
+    for name in (*WAYS, "exact - paper", "top-K - no top-K, paper", "mask - peak, exact", "default - dense"):
+        assert any(row.startswith(f"| {name} |") for row in rows), name
+    # Nothing is left to do; the table is the same.
+    before = out.read_bytes()
+    again = voting().main(tiny(voting, out))
+    assert capsys.readouterr().out.strip() == printed[printed.rindex("mIoU / loc") :].strip()
+    assert (out.read_bytes(), again.content) == (before, results.content)
+
+    find_way, compare = voting("_ways").find_way, voting("_results").compare
+    ways = [find_way(name, 3) for name in ("exact-mask", "exact")]
+    entry = results.get("table-0", "wrong20+rare", ways[0].recipe.key)
+    assert entry.bytes_per_gaussian == 36
+    assert entry.mask_by_seed == pytest.approx([sum(entry.mask) / len(entry.mask)], abs=1e-4)
+    differences = [a - b for a, b in zip(entry.mask, entry.peak, strict=True)]
+    labels = [label for _, label in results.pairs("table-0")]
+    assert compare(results, ["table-0"], ["wrong20+rare"], *ways) == bootstrap_interval(differences, labels)
+    assert compare(results, ["table-0"], ["clean"], *ways) is None
+
+
+def test_scores_are_those_of_the_protocol(voting, tmp_path: Path) -> None:
+    ways, scores = voting("_ways"), voting("_scores")
+    arguments = tiny(voting, tmp_path / "voting.json")
+    scene = voting().make_scene("table-0", arguments.data, arguments.size)
+    codes, codebook = ways.code(scene.levels, ways.EXACT, 0)
+    indices, weights = ways.vote(as_region_sums(scene.levels), codes, codebook, ways.EXACT)
+    found = scores.score_sparse(scene, indices, weights, codebook)
+    for name, values in (("scoup", found.peak), ("default", found.mask)):
+        expected = []
+        for frame, view in scene.frames:
+            queries = torch.stack([scene.queries[label] for label in frame.labels])
+            cosines = raster.render_cosines(
+                view, indices, weights, codebook, torch.cat([queries, scene.canonical])
+            )
+            maps = relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
+            expected += score_frame(frame, maps, PRESETS[name])
+        assert values == [pair.iou for pair in expected]
+        assert found.hit == [pair.hit for pair in expected]
+        assert scene.pairs == [(pair.frame, pair.label) for pair in expected]
+    assert all(best >= max(both) for best, *both in zip(found.best, found.peak, found.mask, strict=True))
+
+
+def test_seeds_are_averaged_pair_by_pair(voting) -> None:
+    scores = voting("_scores").Scores
+    first = scores([0.5, 1.0], [0.25, 0.5], [0.5, 1.0], [1.0, 1.0])
+    second = scores([0.0, 0.5], [0.75, 1.0], [0.75, 1.0], [0.0, 1.0])
+    entry = voting("_results").Entry.of([first, second], [3, 4], 36.0, 1.25)
+    assert (entry.peak, entry.mask, entry.best) == ([0.25, 0.75], [0.5, 0.75], [0.625, 1.0])
+    assert (entry.hit, entry.seeds) == ([0.5, 1.0], [3, 4])
+    assert (entry.peak_by_seed, entry.mask_by_seed) == ([0.75, 0.25], [0.375, 0.875])
+
+
+def test_what_cannot_be(voting, tmp_path: Path) -> None:
+    out = tmp_path / "voting.json"
+    out.write_text(json.dumps({"version": 1, "settings": {"draw": 9}, "scenes": {}}))
+    with pytest.raises(InputError, match="another --out"):
+        voting().main(tiny(voting, out))
+    with pytest.raises(UnknownNameError, match="exact"):
+        voting("_ways").find_way("exakt", 3)
+
+
+def test_every_comparison_is_of_known_ways(voting) -> None:
+    ways = voting("_ways")
+    assert {name for pair in ways.COMPARISONS.values() for name in pair} <= set(ways.WAYS)
+    keys = {way.recipe.key for way in ways.WAYS.values()}
+    assert len(keys) == len({way.recipe for way in ways.WAYS.values()})
+
+
+def test_the_default_way_is_what_build_and_query_do(voting) -> None:
+    ways = voting("_ways")
+    default, paper = ways.WAYS["default"], ways.WAYS["paper"]
+    assert default.level_choice == PRESETS["default"].level_choice
+    assert paper == ways.Way(ways.Recipe("adam", 4000, 64, 4, 4, False, 1), "peak")
+    everything = BuildSettings(solver="exact", n_atoms=300, keep=0)
+    assert ways.Recipe.of(everything).keep is None
+    assert ways.bytes_per_gaussian(ways.Recipe.of(everything), 3, 512) == 1800
+    assert ways.bytes_per_gaussian(ways.Recipe.of(BuildSettings(n_atoms=300)), 3, 512) == 48
