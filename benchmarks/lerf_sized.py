@@ -121,8 +121,8 @@ def main(arguments: Arguments) -> dict[str, Any]:
     print(
         f"{arguments.n_gaussians:,} Gaussians, {arguments.views} views of {arguments.width} x {arguments.height}, "
         f"{arguments.regions} regions a view,\n"
-        f"preset {arguments.preset}, solver {settings.solver}, {settings.n_atoms} atoms, {settings.rounds} rounds, backend {backend}, "
-        f"{arguments.threads} threads\n"
+        f"preset {arguments.preset}, solver {settings.solver}, {settings.n_atoms} atoms, {settings.rounds} rounds, "
+        f"backend {backend}, {arguments.threads} threads\n"
     )
     names = {"start": "stack embeddings, fingerprint", "after uplift": "vote, field"}
     body = [[names.get(stage, stage), f"{value:.2f}"] for stage, value in seconds.items() if value >= 0.005]

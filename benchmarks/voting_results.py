@@ -113,7 +113,7 @@ class Results:
         of_scene = self.content["scenes"].setdefault(
             scene, {"pairs": [list(pair) for pair in pairs], "cases": {}}
         )
-        entry = replace(entry, commit=self._environment["commit"])
+        entry = replace(entry, commit=str(self._environment["commit"]))
         of_scene["cases"].setdefault(case, {})[recipe] = asdict(entry)
         self.content["environment"] = self._environment
         self.path.parent.mkdir(parents=True, exist_ok=True)

@@ -18,7 +18,7 @@ sums = scoup.region_sums(gaussians, cameras, regions)
 
 embeddings = [regions.embeddings(level)[0] for level in regions.levels]
 for n_atoms in (32, 64):
-    books = [scoup.fit_codes(rows, n_atoms, k=4, epochs=300) for rows in embeddings]
+    books = [scoup.fit_codes(rows, n_atoms, k=4) for rows in embeddings]
     accumulators = scoup.uplift(sums, [book.codes for book in books])
     indices, weights = top_k(accumulators, 4)
     cosines = ", ".join(

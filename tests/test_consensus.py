@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -334,6 +336,7 @@ def test_what_cannot_be_used_is_refused() -> None:
     sums, embeddings = sums_of_views()
     with pytest.raises(InputError, match="2 levels"):
         consensus(sums, embeddings[:1])
-    for wrong in ({"rounds": -1}, {"most": 0}, {"least": 1.0}, {"strictness": -1.0}):
+    bad: list[dict[str, Any]] = [{"rounds": -1}, {"most": 0}, {"least": 1.0}, {"strictness": -1.0}]
+    for wrong in bad:
         with pytest.raises(InputError):
             ConsensusSettings(**wrong)

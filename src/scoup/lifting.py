@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
 from scoup import raster
 from scoup.cameras import Camera
@@ -44,21 +43,10 @@ class Source:
         elif self.scene is not None:
             for camera in cameras:
                 labels, _ = self.regions.load_view(camera.name, camera.width, camera.height)
-                camera, labels = every_second_pixel(camera, labels)
                 view = raster.look(self.scene, camera, self.raster_preset)
                 triplets = raster.region_weights(view, labels.to(self.scene.gaussians.device))
                 parts = [part.cpu() for part in triplets]
                 yield ViewSums(camera.name, parts[0], parts[1], parts[2], int(labels.max()) + 1)
-
-
-def every_second_pixel(camera: Camera, labels: Tensor) -> tuple[Camera, Tensor]:
-    """A view at half the size, with the labels [S, H, W] of every second pixel each way.
-
-    What a round finds from it is nearly what it finds from all pixels (docs/benchmarks.md, ``fewer_pixels``), in half
-    the time: good enough for a yardstick, not for the result.
-    """
-    smaller = camera.resized(max(1, camera.width // 2), max(1, camera.height // 2))
-    return smaller, labels[:, : 2 * smaller.height : 2, : 2 * smaller.width : 2].contiguous()
 
 
 class Lift:
@@ -86,13 +74,13 @@ class Lift:
         self.keeper = keeper
         self.progress = progress
 
-    def add_round(self, source: Source, last: bool = True) -> None:
-        """Take in every view that is not in yet; at half the size where another round follows."""
+    def add_round(self, source: Source) -> None:
+        """Take in every view that is not in yet."""
         left = [camera for camera in source.cameras if camera.name not in self.state.views_done]
         if source.sums is not None:
             self.add_sums(source.iterate_sums(left))
         elif source.scene is not None:
-            self.add_views(source.scene, left, source.regions, source.raster_preset, last)
+            self.add_views(source.scene, left, source.regions, source.raster_preset)
 
     def end_round(self, source: Source, keep: int) -> None:
         """Make what this round has found the yardstick of the next, and empty the accumulators.
@@ -111,17 +99,9 @@ class Lift:
         self.keeper.write(state)
 
     def add_views(
-        self,
-        scene: raster.PreparedScene,
-        cameras: Sequence[Camera],
-        regions: Regions,
-        raster_preset: str,
-        whole: bool = True,
+        self, scene: raster.PreparedScene, cameras: Sequence[Camera], regions: Regions, raster_preset: str
     ) -> None:
-        """Rasterise views and lift their codes; the accumulators are in the order of the prepared scene.
-
-        ``whole``: with all pixels, see ``every_second_pixel``.
-        """
+        """Rasterise views and lift their codes; the accumulators are in the order of the prepared scene."""
         uplift = raster.Uplift(self.state.accumulators, scene.backend, self.state.agreement)
         self._report()
         at_hand = ("", "")  # name and digest of the view that is being taken in
@@ -130,8 +110,6 @@ class Lift:
             for camera in cameras:
                 labels, _ = regions.load_view(camera.name, camera.width, camera.height)
                 at_hand = (camera.name, digest_of_labels(labels))
-                if not whole:
-                    camera, labels = every_second_pixel(camera, labels)
                 labels = labels.to(scene.gaussians.device)
                 view = raster.look(scene, camera, raster_preset)
                 uplift.add(view, labels, self.codes_of(camera.name))

@@ -162,7 +162,7 @@ def build(
     source = Source(views, regions, settings.raster_preset, scene, sums)
     lift = Lift(state, rows, len(views), keeper, progress)
     while state.rounds_done + 1 < settings.rounds:
-        lift.add_round(source, last=False)
+        lift.add_round(source)
         lift.end_round(source, settings.keep or settings.k)
     lift.add_round(source)
     accumulators = state.accumulators

@@ -19,6 +19,7 @@ from raster.parity import (
     sure_pixels,
 )
 from scoup import raster
+from scoup.agreement import Agreement
 from scoup.codes import SparseCodes, index_dtype
 from scoup.uplifting import MOST_VOTED_BY_INSERTION, top_k
 from support import make_camera, random_gaussians, random_labels, unit
@@ -137,6 +138,23 @@ def test_uplift(scene, levels, n_atoms, k, seed):
     sums = [before.clone(), before.clone()]
     for view, out in zip((native, reference), sums, strict=True):
         raster.uplift_view(view, labels, codes, out)
+    assert_close(sums[0], sums[1])
+
+    # A second round, held to any votes: also of Gaussians without a code.
+    voted = torch.rand(len(gaussians) * levels, n_atoms, generator=generator)
+    voted[torch.rand(len(voted), generator=generator) < 0.2] = 0
+    votes = SparseCodes.from_dense(voted, k)
+    agreement = Agreement.with_codes(
+        votes.indices.view(len(gaussians), levels, k),
+        votes.weights.view(len(gaussians), levels, k),
+        torch.randn(levels, n_atoms, 12, generator=generator),
+        10 * torch.rand(levels, generator=generator),
+    )
+    sums = [before.clone(), before.clone()]
+    for view, out in zip((native, reference), sums, strict=True):
+        uplift = raster.Uplift(out, view.backend, agreement)
+        uplift.add(view, labels, codes)
+        uplift.flush()
     assert_close(sums[0], sums[1])
 
 

@@ -19,6 +19,7 @@ from scoup.field import LanguageField
 from scoup.io import check_output, load_cameras, load_gaussians, load_regions
 from scoup.pipeline import BuildSettings, build
 from scoup.progress import Progress, no_progress
+from scoup.query import PRESETS
 from scoup.uplifting import region_sums
 
 METHOD, ALL_ATOMS, DENSE = "sparse, top-K vote", "sparse, no top-K", "dense 512-d"
@@ -142,7 +143,15 @@ def run_demo(
     labels = sorted({label for frame, _ in frames for label in frame.labels})
     vectors = dict(zip(labels, scene.text_vectors(labels), strict=True))
     with _timed(seconds, "ask and score all three"):
-        scores = score_variants(variants, gaussians, frames, vectors, scene.canonical, progress=progress)
+        scores = score_variants(
+            variants,
+            gaussians,
+            frames,
+            vectors,
+            scene.canonical,
+            progress=progress,
+            preset=PRESETS["default"],
+        )
     sizes = {variant.name: variant.bytes_per_gaussian for variant in variants}
     return DemoResult(scene, field, path, scores, sizes, seconds)
 

@@ -19,6 +19,7 @@ from scoup.evaluate.lerf_ovs import LabelledFrame, PairScore, SceneScore, score_
 from scoup.field import FieldInfo, LanguageField
 from scoup.gaussians import Gaussians
 from scoup.progress import Progress, no_progress
+from scoup.query import PRESETS, QueryPreset
 from scoup.uplifting import RegionSums, top_k
 
 Ask = Callable[[Camera, raster.View, Tensor, Tensor], Tensor]
@@ -82,6 +83,7 @@ def score_variants(
     raster_preset: str = "inria",
     scene: str = "",
     progress: Progress = no_progress,
+    preset: QueryPreset = PRESETS["scoup"],
 ) -> dict[str, SceneScore]:
     """Score each variant on labelled frames with the LERF-OVS protocol; each view is projected once.
 
@@ -94,6 +96,7 @@ def score_variants(
         raster_preset: as the scene was built.
         scene: its name, for the tables.
         progress: told after each frame and variant.
+        preset: how maps become masks and points; the protocol's by default.
 
     Returns:
         Scores by the name of the variant.
@@ -106,7 +109,7 @@ def score_variants(
         queries = torch.stack([vectors[label] for label in frame.labels])
         for variant in variants:
             relevancy = variant.ask(camera, view, queries, canonical)
-            pairs[variant.name].extend(score_frame(frame, relevancy))
+            pairs[variant.name].extend(score_frame(frame, relevancy, preset))
             done += 1
             progress("scoring", done, total)
-    return {name: SceneScore(scene, "scoup", tuple(of_name)) for name, of_name in pairs.items()}
+    return {name: SceneScore(scene, preset.name, tuple(of_name)) for name, of_name in pairs.items()}
