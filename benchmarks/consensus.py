@@ -30,7 +30,7 @@ from benchmarks.raster import report
 from scoup.bench import describe_environment, markdown, write_json
 from scoup.bench.environment import in_one_line
 from scoup.bench.measure import torch_threads
-from scoup.consensus import ConsensusSettings, consensus_of, covisible, stacked_sums
+from scoup.consensus import ConsensusSettings, consensus_of, covisible
 from scoup.io import check_output
 from scoup.uplifting import RegionSums, ViewSums
 
@@ -95,14 +95,14 @@ def main(arguments: Arguments) -> dict[str, Any]:
         return result
 
     with torch_threads(arguments.threads):
-        matrix = timed(STACK, stacked_sums, sums, 0)
+        matrix = timed(STACK, sums.matrix, 0)
         shares = timed(MATRIX, covisible, matrix, settings, report)
         agreed = timed(WHOLE, consensus_of, matrix, rows, settings, report)
         memory = peak_memory()
         if arguments.coding:
             timed(CODING, scoup.fit_codes, rows, solver="exact", progress=report)
         for _ in range(arguments.repeats - 1):
-            timed(STACK, stacked_sums, sums, 0)
+            timed(STACK, sums.matrix, 0)
             timed(MATRIX, covisible, matrix, settings, report)
             timed(WHOLE, consensus_of, matrix, rows, settings, report)
             if arguments.coding:

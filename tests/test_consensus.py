@@ -9,11 +9,11 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.sparse import csr_array
+from scipy.sparse import coo_array, csr_array
 from torch import Tensor
 
 from scoup import consensus as module
-from scoup.consensus import ConsensusSettings, consensus, consensus_of, covisible, stacked_sums
+from scoup.consensus import ConsensusSettings, consensus, consensus_of, covisible
 from scoup.errors import InputError
 from scoup.uplifting import RegionSums, ViewSums
 
@@ -282,10 +282,23 @@ def sums_of_views(seed: int = 0) -> tuple[RegionSums, list[Tensor]]:
     return RegionSums(n, ("s", "m"), views, rows), [random_rows(total, seed) for total in start]
 
 
-def test_stacked_sums_are_the_matrix() -> None:
+def all_at_once(sums: RegionSums, level: int) -> csr_array:
+    """The matrix from all triplets together, by scipy."""
+    gaussians, regions, weights = [], [], []
+    for view in sums.views:
+        gaussian, region, weight = view.level(level)
+        gaussians.append(gaussian)
+        regions.append(region + sums.rows[level][view.view_name].start)
+        weights.append(weight)
+    total = max(rows.stop for rows in sums.rows[level].values())
+    parts = torch.cat(weights).numpy(), (torch.cat(gaussians).numpy(), torch.cat(regions).numpy())
+    return coo_array(parts, shape=(sums.n_gaussians, total)).tocsr()
+
+
+def test_sums_stacked_view_by_view_are_the_matrix() -> None:
     sums, _ = sums_of_views()
     for level in (0, 1):
-        stacked, matrix = stacked_sums(sums, level), sums.matrix(level)
+        stacked, matrix = sums.matrix(level), all_at_once(sums, level)
         assert stacked.dtype == np.float32
         assert stacked.shape == matrix.shape
         assert stacked.nnz == matrix.nnz

@@ -104,7 +104,7 @@ def test_sharpness_is_set_by_the_usual_deviation():
     assert float(found[0]) == pytest.approx(SHARPNESS / float(deviations.median()), rel=1e-6)
     assert found[1] == SHARPNESS  # a level that no view shows
     # Where nothing deviates it stays finite.
-    same = outcome(codes[0].to_dense()[1].repeat(20, 2, 1), codebook, 3)
+    same = outcome(codes[0].to_dense()[1].repeat(20, 2, 1), codebook, 3, torch.zeros(2))
     alone = ViewSums("v", torch.arange(20), torch.ones(20, dtype=torch.long), torch.ones(20), 12)
     assert torch.isfinite(sharpness_of(same, [alone], lambda _: codes)).all()
 

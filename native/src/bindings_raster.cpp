@@ -80,7 +80,25 @@ void check_indices(const Index* indices, int64_t count, int32_t n_atoms) {
         throw std::invalid_argument("a code refers to atom " + std::to_string(largest) + " of " + std::to_string(n_atoms));
 }
 
-bool holds_bytes(const Array& indices) { return indices.dtype() == nb::dtype<uint8_t>(); }
+// Code indices of one byte, or else of two; the other pointer is null. `n_atoms`: what they are checked against.
+struct Indices {
+    const uint8_t* bytes = nullptr;
+    const uint16_t* wide = nullptr;
+};
+
+Indices code_indices(const Array& indices, const char* name, std::initializer_list<int64_t> shape, int32_t n_atoms) {
+    int64_t count = 1;
+    for (const int64_t size : shape) count *= size;
+    Indices found;
+    if (indices.dtype() == nb::dtype<uint8_t>()) {
+        found.bytes = data_of<uint8_t>(indices, name, shape);
+        if (n_atoms < 256) check_indices(found.bytes, count, n_atoms);
+    } else {
+        found.wide = data_of<uint16_t>(indices, name, shape);
+        if (n_atoms < 65536) check_indices(found.wide, count, n_atoms);
+    }
+    return found;
+}
 
 // Indices, weights and sharpness of an earlier round.
 using EarlierArrays = std::tuple<Array, Array, Array>;
@@ -98,13 +116,8 @@ Uplift py_uplift(const WritableArray& out, const std::optional<EarlierArrays>& e
         votes.weights = data_of<float>(weights, "earlier weights", {n, levels, k});
         votes.sharpness = data_of<float>(sharpness, "sharpness", {levels});
         votes.k = int32_t(k);
-        if (holds_bytes(indices)) {
-            votes.indices8 = data_of<uint8_t>(indices, "earlier indices", {n, levels, k});
-            check_indices(votes.indices8, n * levels * k, n_atoms);
-        } else {
-            votes.indices16 = data_of<uint16_t>(indices, "earlier indices", {n, levels, k});
-            check_indices(votes.indices16, n * levels * k, n_atoms);
-        }
+        const Indices atoms = code_indices(indices, "earlier indices", {n, levels, k}, int32_t(n_atoms));
+        votes.indices8 = atoms.bytes, votes.indices16 = atoms.wide;
     }
     return {sums, n, int32_t(levels), int32_t(n_atoms), votes};
 }
@@ -119,15 +132,9 @@ void py_add(Uplift& uplift, const View& view, const Array& labels, const std::ve
         if (indices.ndim() != 2) throw std::invalid_argument("code indices must be [regions, k]");
         const auto rows = int64_t(indices.shape(0)), k = int64_t(indices.shape(1));
         if (k > 65536) throw std::invalid_argument("codes of too many entries");
-        RegionCodes code{nullptr, nullptr, data_of<float>(weights, "code weights", {rows, k}), rows, int32_t(k)};
-        if (holds_bytes(indices)) {
-            code.indices8 = data_of<uint8_t>(indices, "code indices", {rows, k});
-            check_indices(code.indices8, rows * k, uplift.n_atoms());
-        } else {
-            code.indices16 = data_of<uint16_t>(indices, "code indices", {rows, k});
-            check_indices(code.indices16, rows * k, uplift.n_atoms());
-        }
-        levels.push_back(code);
+        const auto* parts = data_of<float>(weights, "code weights", {rows, k});
+        const Indices atoms = code_indices(indices, "code indices", {rows, k}, uplift.n_atoms());
+        levels.push_back({atoms.bytes, atoms.wide, parts, rows, int32_t(k)});
     }
     if (cosines.size() != (uplift.has_earlier_votes() ? levels.size() : 0))
         throw std::invalid_argument("there must be cosines of every level's regions after an earlier round, and only then");
@@ -170,13 +177,8 @@ GaussianCodes gaussian_codes(const View& view, const Array& indices, const Array
     const int64_t n = view.n_gaussians, levels = int64_t(indices.shape(1)), k = int64_t(indices.shape(2));
     if (levels > 1024 || k > n_atoms + 65536) throw std::invalid_argument("codes of too many levels or entries");
     GaussianCodes codes{nullptr, nullptr, nullptr, nullptr, int32_t(levels), int32_t(k), int32_t(n_atoms)};
-    if (holds_bytes(indices)) {
-        codes.indices8 = data_of<uint8_t>(indices, "code indices", {n, levels, k});
-        if (n_atoms < 256) check_indices(codes.indices8, n * levels * k, codes.n_atoms);
-    } else {
-        codes.indices16 = data_of<uint16_t>(indices, "code indices", {n, levels, k});
-        if (n_atoms < 65536) check_indices(codes.indices16, n * levels * k, codes.n_atoms);
-    }
+    const Indices atoms = code_indices(indices, "code indices", {n, levels, k}, codes.n_atoms);
+    codes.indices8 = atoms.bytes, codes.indices16 = atoms.wide;
     if (weights.dtype() == nb::dtype<uint16_t>())
         codes.half_weights = data_of<uint16_t>(weights, "code weights", {n, levels, k});
     else

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes, index_dtype
+from scoup.codes import SparseCodes, index_dtype, row_products
 from scoup.errors import InputError
-from scoup.native import native_core
 
 LEAST_AGREEMENT = 1e-6  # no Gaussian loses its code for being odd
 _ROWS_AT_A_TIME = 1 << 17
@@ -63,7 +62,7 @@ class Agreement:
             codebook: [S, L, D] float32.
             sharpness: [S].
         """
-        grams = torch.stack([_gram(atoms) for atoms in codebook]).to(weights.device)
+        grams = torch.stack([row_products(atoms, atoms) for atoms in codebook]).to(weights.device)
         weights = _scaled_to_unit_norm(indices, weights, grams)
         return cls(indices, weights, grams, sharpness.to(weights.device, torch.float32))
 
@@ -113,15 +112,6 @@ class Agreement:
             sharpness = self.sharpness[level].to(gaussian.device)
             out[chosen] = torch.exp(sharpness * (cosines - 1).clamp(max=0)).clamp(min=LEAST_AGREEMENT)
         return out
-
-
-def _gram(atoms: Tensor) -> Tensor:
-    """[L, L] float32, the same whatever the number of threads where the compiled core is there."""
-    core = native_core() if atoms.device.type == "cpu" else None
-    if core is None:
-        return atoms @ atoms.T
-    rows = atoms.detach().float().contiguous().numpy()
-    return torch.from_numpy(core.row_products(rows, rows, torch.get_num_threads()))
 
 
 def _scaled_to_unit_norm(indices: Tensor, weights: Tensor, grams: Tensor) -> Tensor:

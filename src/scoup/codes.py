@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from scoup.errors import InputError
+from scoup.native import native_core
 
 
 def index_dtype(n_atoms: int) -> torch.dtype:
@@ -111,6 +112,19 @@ def cosines_from_products(weights: Tensor, scores: Tensor, gram: Tensor) -> Tens
     squared_norm = ((weights @ gram) * weights).sum(-1, keepdim=True)
     norm = torch.sqrt(squared_norm.clamp(min=torch.finfo(weights.dtype).tiny))
     return torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)
+
+
+def row_products(rows: Tensor, others: Tensor) -> Tensor:
+    """[R, N] float32: ``rows`` [R, D] times the transposed ``others`` [N, D].
+
+    With the compiled core the result is the same for any number of threads; that of torch's products is not, on some
+    machines.
+    """
+    core = native_core() if rows.device.type == "cpu" else None
+    if core is None:
+        return rows @ others.T
+    arrays = (part.detach().float().contiguous().numpy() for part in (rows, others))
+    return torch.from_numpy(core.row_products(*arrays, torch.get_num_threads()))
 
 
 def check_atoms(indices: Tensor, n_atoms: int) -> None:

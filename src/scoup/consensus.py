@@ -106,9 +106,7 @@ def consensus(
     if len(embeddings) != len(sums.levels):
         raise InputError(f"there are {len(sums.levels)} levels, but embeddings of {len(embeddings)}")
     step = _counted(progress, sum(map(len, embeddings)) * (1 + settings.rounds))
-    return [
-        _consensus(stacked_sums(sums, level), rows, settings, step) for level, rows in enumerate(embeddings)
-    ]
+    return [_consensus(sums.matrix(level), rows, settings, step) for level, rows in enumerate(embeddings)]
 
 
 def consensus_of(
@@ -159,38 +157,6 @@ def covisible(
     named = csr_array(named[back])
     named.sort_indices()
     return named
-
-
-def stacked_sums(sums: RegionSums, level: int) -> csr_array:
-    """A [N, R] of one level as float32 CSR: ``RegionSums.matrix`` in less memory.
-
-    It places the triplets view by view: 8 bytes a non-zero in all, where a matrix made from all triplets at once
-    passes through some 40. Columns are in order where the rows of the views are.
-    """
-    from scipy.sparse import csr_array
-
-    count = sums.n_gaussians
-    places = sums.rows[level]
-    total = max((rows.stop for rows in places.values()), default=0)
-    ends = np.zeros(count + 1, np.int64)
-    for view in sums.views:
-        ends[1:] += np.bincount(view.level(level)[0].cpu().numpy(), minlength=count)
-    np.cumsum(ends, out=ends)
-    columns = np.empty(ends[-1], np.int32)
-    weights = np.empty(ends[-1], np.float32)
-    free = ends[:-1].copy()  # the next place of each Gaussian
-    for view in sums.views:
-        gaussian, region, weight = (part.cpu().numpy() for part in view.level(level))
-        order = np.argsort(gaussian.astype(np.int64) * max(1, view.stride) + region, kind="stable")
-        gaussian = gaussian[order]
-        # Where a Gaussian paints several regions of the view, they follow each other.
-        first = np.flatnonzero(np.diff(gaussian, prepend=-1))
-        repeats = np.diff(first, append=len(gaussian))
-        at = free[gaussian] + np.arange(len(gaussian)) - np.repeat(first, repeats)
-        columns[at] = region[order] + places[view.view_name].start
-        weights[at] = weight[order]
-        free[gaussian[first]] += repeats
-    return csr_array((weights, columns, _narrow(ends)), shape=(count, total))
 
 
 def _counted(progress: Progress, total: int) -> Step:

@@ -13,8 +13,15 @@ from scoup.checkpoint import BuildState, Checkpoint
 from scoup.codes import SparseCodes
 from scoup.progress import Progress
 from scoup.regions import Regions
-from scoup.rounds import outcome, sharpness_of, spread
-from scoup.uplifting import RegionSums, ViewSums, add_view, digest_of_labels
+from scoup.rounds import next_agreement, spread
+from scoup.uplifting import (
+    RegionSums,
+    ViewSums,
+    add_view,
+    codes_of_view,
+    digest_of_labels,
+    iterate_region_sums,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +48,7 @@ class Source:
             wanted = {camera.name for camera in cameras}
             yield from (view for view in self.sums.views if view.view_name in wanted)
         elif self.scene is not None:
-            for camera in cameras:
-                labels, _ = self.regions.load_view(camera.name, camera.width, camera.height)
-                view = raster.look(self.scene, camera, self.raster_preset)
-                triplets = raster.region_weights(view, labels.to(self.scene.gaussians.device))
-                parts = [part.cpu() for part in triplets]
-                yield ViewSums(camera.name, parts[0], parts[1], parts[2], int(labels.max()) + 1)
+            yield from iterate_region_sums(self.scene, cameras, self.regions, self.raster_preset)
 
 
 class Lift:
@@ -90,11 +92,14 @@ class Lift:
             keep: atoms of a Gaussian that are handed on.
         """
         state = self.state
-        known = None if state.agreement is None else state.agreement.sharpness
-        agreement = outcome(state.accumulators, torch.stack(state.atoms), keep, known)
-        if known is None:
-            sample = source.iterate_sums(spread(source.cameras))
-            agreement = agreement.with_sharpness(sharpness_of(agreement, sample, self.codes_of))
+        agreement = next_agreement(
+            state.accumulators,
+            torch.stack(state.atoms),
+            keep,
+            state.agreement,
+            lambda: source.iterate_sums(spread(source.cameras)),
+            self.codes_of,
+        )
         state.end_round(agreement)
         self.keeper.write(state)
 
@@ -147,7 +152,7 @@ class Lift:
 
     def codes_of(self, view_name: str) -> list[SparseCodes]:
         """Per level, the codes of a view's regions."""
-        return [codes.rows(rows[view_name]) for codes, rows in zip(self.state.codes, self.rows, strict=True)]
+        return codes_of_view(self.state.codes, self.rows, view_name)
 
     def _report(self) -> None:
         stage = "uplift" if self.state.rounds_done == 0 else f"uplift, round {self.state.rounds_done + 1}"

@@ -18,6 +18,7 @@ from scoup.cameras import Camera, Cameras
 from scoup.checkpoint import BuildState, Checkpoint, Embeddings, build_key
 from scoup.codes import SparseCodes
 from scoup.coding import fit_codes
+from scoup.consensus import consensus
 from scoup.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.field import FieldInfo, LanguageField
 from scoup.gaussians import Gaussians
@@ -147,8 +148,6 @@ def build(
     state = keeper.read((len(gaussians), len(embeddings), settings.n_atoms))
     if state is None:
         if settings.consensus and sums is not None:
-            from scoup.consensus import consensus
-
             agreed = consensus(sums, [rows for rows, _ in embeddings.values()], progress=progress)
             embeddings = {
                 level: (rows, of_views)

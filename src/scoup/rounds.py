@@ -9,7 +9,7 @@ from torch import Tensor
 
 from scoup.agreement import Agreement
 from scoup.codes import SparseCodes
-from scoup.uplifting import RegionSums, ViewSums, top_k, uplift
+from scoup.uplifting import RegionSums, ViewSums, codes_of_view, top_k, uplift
 
 SHARPNESS = 3.0  # times the inverse of the usual deviation
 LEAST_DEVIATION = 1e-3  # 1 - cosine; identical regions would make it infinite
@@ -34,30 +34,50 @@ def accumulate(
     Returns:
         [N, S, L] float32.
     """
+    agreement = None
     accumulators = uplift(sums, codes)
-    sharpness = None
     for _ in range(1, rounds):
-        agreement = outcome(accumulators, codebook, keep, sharpness)
-        if sharpness is None:
-            rows = sums.rows
-
-            def of_view(name: str, rows: Sequence[dict[str, slice]] = rows) -> list[SparseCodes]:
-                return [level.rows(of_level[name]) for level, of_level in zip(codes, rows, strict=True)]
-
-            sharpness = sharpness_of(agreement, spread(sums.views), of_view)
-            agreement = agreement.with_sharpness(sharpness)
+        agreement = next_agreement(
+            accumulators,
+            codebook,
+            keep,
+            agreement,
+            lambda: spread(sums.views),
+            lambda name: codes_of_view(codes, sums.rows, name),
+        )
         accumulators = uplift(sums, codes, agreement)
     return accumulators
 
 
-def outcome(accumulators: Tensor, codebook: Tensor, keep: int, sharpness: Tensor | None = None) -> Agreement:
-    """What a round has found: the vote of ``keep`` atoms over accumulators [N, S, L]; codebook [S, L, D].
+def next_agreement(
+    accumulators: Tensor,
+    codebook: Tensor,
+    keep: int,
+    previous: Agreement | None,
+    sample: Callable[[], Iterable[ViewSums]],
+    codes_of: Callable[[str], list[SparseCodes]],
+) -> Agreement:
+    """What a round has found, as the yardstick of the next.
 
-    ``sharpness`` [S] is zero, and all regions count alike, until it is known.
+    The sharpness is learned after the first round and kept.
+
+    Args:
+        accumulators: [N, S, L] of the round.
+        codebook: [S, L, D].
+        keep: atoms of a Gaussian that are handed on.
+        previous: what this round was held to; None after the first.
+        sample: makes the region sums of some views; called after the first round only.
+        codes_of: per level, the codes of a view's regions, by the name of the view.
     """
+    if previous is not None:
+        return outcome(accumulators, codebook, keep, previous.sharpness)
+    agreement = outcome(accumulators, codebook, keep, torch.zeros(accumulators.shape[1]))
+    return agreement.with_sharpness(sharpness_of(agreement, sample(), codes_of))
+
+
+def outcome(accumulators: Tensor, codebook: Tensor, keep: int, sharpness: Tensor) -> Agreement:
+    """The vote of ``keep`` atoms over accumulators [N, S, L]; codebook [S, L, D], sharpness [S]."""
     indices, weights = top_k(accumulators, keep)
-    if sharpness is None:
-        sharpness = torch.zeros(accumulators.shape[1])
     return Agreement.with_codes(indices, weights, codebook.to(accumulators.device), sharpness)
 
 

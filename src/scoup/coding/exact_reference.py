@@ -6,6 +6,7 @@ for them where there is neither.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -68,13 +69,30 @@ def code_rows(
     warm: Tensor | None = None,  # [R, K]
 ) -> Coded:
     """``code`` of rows under atoms, in blocks of rows, so that memory does not grow with R x L."""
-    gram = full_products(atoms, atoms)
     size = max(1, _BLOCK_NUMBERS // (k * len(atoms)))
-    blocks = [slice(start, start + size) for start in range(0, max(1, len(rows)), size)]
-    coded = [
-        code(full_products(rows[block], atoms), gram, k, swap_passes, None if warm is None else warm[block])
-        for block in blocks
-    ]
+    return code_in_blocks(
+        lambda similarities, gram, start: code(similarities, gram, k, swap_passes, start),
+        rows,
+        atoms,
+        size,
+        warm,
+    )
+
+
+def code_in_blocks(
+    coder: Callable[[Tensor, Tensor, Tensor | None], Coded],
+    rows: Tensor,  # [R, D]
+    atoms: Tensor,  # [L, D]
+    size: int,
+    warm: Tensor | None,  # [R, K]
+) -> Coded:
+    """Codes of rows, ``size`` rows at a time, by ``coder(similarities [n, L], gram [L, L], warm [n, K] or None)``."""
+    gram = full_products(atoms, atoms)
+    coded = []
+    for start in range(0, max(1, len(rows)), size):
+        block = slice(start, start + size)
+        similarities = full_products(rows[block], atoms)
+        coded.append(coder(similarities, gram, None if warm is None else warm[block]))
     return Coded(*(torch.cat(parts) for parts in zip(*coded, strict=True)))
 
 

@@ -10,7 +10,7 @@ import torch
 import triton
 from torch import Tensor
 
-from scoup.coding.exact_reference import Coded, full_products
+from scoup.coding.exact_reference import Coded, code_in_blocks
 from scoup.coding.gpu_kernels import code_kernel
 
 MOST_ATOMS, MOST_SLOTS = 1024, 16  # what one program's registers hold
@@ -103,13 +103,10 @@ def code_rows(
     warm: Tensor | None = None,  # [R, K]
 ) -> Coded:
     """``code`` of float32 rows under atoms, in blocks of rows, so that memory does not grow with R x L."""
-    gram = full_products(atoms, atoms)
-    size = _CALL_NUMBERS // len(atoms)
-    coded = []
-    for start in range(0, max(1, len(rows)), size):
-        block = slice(start, start + size)
-        similarities = full_products(rows[block], atoms)
+
+    def coder(similarities: Tensor, gram: Tensor, start: Tensor | None) -> Coded:
         # A kernel is launched on the current device, whichever the tensors are on.
         with torch.cuda.device_of(similarities):
-            coded.append(code(similarities, gram, k, swap_passes, None if warm is None else warm[block]))
-    return Coded(*(torch.cat(parts) for parts in zip(*coded, strict=True)))
+            return code(similarities, gram, k, swap_passes, start)
+
+    return code_in_blocks(coder, rows, atoms, _CALL_NUMBERS // len(atoms), warm)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from scoup.agreement import Agreement
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes, check_atoms, index_dtype
+from scoup.codes import SparseCodes, check_atoms, index_dtype, row_products
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
 from scoup.native import native_core
@@ -135,13 +135,11 @@ def render_cosines(
 ) -> Tensor:
     """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
     table = _code_table(indices, weights, codebook.shape[1])
-    levels, asked = _array(codebook), _array(queries)
-    core, threads = _core(), torch.get_num_threads()
+    levels, asked = codebook.cpu(), queries.cpu()
     with _refusals():
-        # Not torch's products: on some machines their rounding depends on the number of threads.
-        grams = np.stack([core.row_products(atoms, atoms, threads) for atoms in levels])
-        scores = np.stack([core.row_products(atoms, asked, threads) for atoms in levels])
-        found = core.render_cosines(view.handle, *table, grams, scores, threads)
+        grams = _array(torch.stack([row_products(atoms, atoms) for atoms in levels]))
+        scores = _array(torch.stack([row_products(atoms, asked) for atoms in levels]))
+        found = _core().render_cosines(view.handle, *table, grams, scores, torch.get_num_threads())
     return torch.from_numpy(found)
 
 
