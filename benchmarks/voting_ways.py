@@ -91,6 +91,7 @@ class Way:
 
 DENSE = Recipe("dense")
 PAPER = Recipe.of(BUILD_PRESETS["paper"])
+PAPER_128 = replace(PAPER, n_atoms=128)
 EXACT = Recipe("exact")
 EXACT_128 = replace(EXACT, n_atoms=128)
 WAYS: dict[str, Way] = {
@@ -98,6 +99,8 @@ WAYS: dict[str, Way] = {
     "dense-mask": Way(DENSE, "mask"),
     "paper": Way(PAPER),
     "paper-no-top-k": Way(replace(PAPER, keep=None)),
+    "paper-128": Way(PAPER_128),
+    "paper-128-rounds-mask": Way(replace(PAPER_128, rounds=2), "mask"),
     "exact": Way(EXACT),
     "exact-no-top-k": Way(replace(EXACT, keep=None)),
     "exact-mask": Way(EXACT, "mask"),

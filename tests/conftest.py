@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from pathlib import Path
 
@@ -28,3 +29,10 @@ def data_folder() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real data at {folder} (set SCOUP_TEST_DATA)")
     return folder
+
+
+@pytest.fixture(scope="session")
+def needs_triton() -> None:
+    """Tests that compile or interpret kernels are skipped where triton is not installed."""
+    if importlib.util.find_spec("triton") is None:
+        pytest.skip("triton is not installed")

@@ -114,6 +114,27 @@ def cosines_from_products(weights: Tensor, scores: Tensor, gram: Tensor) -> Tens
     return torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)
 
 
+def decoded(weights: Tensor, codebook: Tensor) -> Tensor:
+    """[..., D] decoded codes of unit norm, zero where the coefficients [..., L] decode to nothing; codebook [L, D]."""
+    return torch.nn.functional.normalize(weights @ codebook, dim=-1)
+
+
+def full_products(rows: Tensor, others: Tensor) -> Tensor:
+    """[..., R, N]: ``rows`` [..., R, D] times the transposed ``others`` [..., N, D], in full float32.
+
+    Also where the user lets torch multiply with fewer bits on a GPU: a similarity rounded to 10 bits of mantissa picks
+    other atoms.
+    """
+    if rows.device.type != "cuda":
+        return rows @ others.transpose(-1, -2)
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("highest")
+    try:
+        return rows @ others.transpose(-1, -2)
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
 def row_products(rows: Tensor, others: Tensor) -> Tensor:
     """[R, N] float32: ``rows`` [R, D] times the transposed ``others`` [N, D].
 
@@ -122,7 +143,7 @@ def row_products(rows: Tensor, others: Tensor) -> Tensor:
     """
     core = native_core() if rows.device.type == "cpu" else None
     if core is None:
-        return rows @ others.T
+        return full_products(rows, others)
     arrays = (part.detach().float().contiguous().numpy() for part in (rows, others))
     return torch.from_numpy(core.row_products(*arrays, torch.get_num_threads()))
 

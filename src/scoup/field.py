@@ -169,10 +169,8 @@ class LanguageField:
         index = self.level_index(level)
         view = view or self.look(camera)
         chosen = slice(index, index + 1)
-        codes = raster.render_codes(
-            view, self.code_indices[:, chosen], self.code_weights[:, chosen], self.n_atoms
-        )
-        return torch.nn.functional.normalize(codes[0] @ self.codebook[index], dim=-1)
+        indices, weights = self.code_indices[:, chosen], self.code_weights[:, chosen]
+        return raster.render_features(view, indices, weights, self.codebook[chosen])[0]
 
     def relevancy(
         self, camera: Camera, queries: Tensor, canonical: Tensor, view: raster.View | None = None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -41,7 +40,7 @@ def native_coder(core: ModuleType) -> Coder:
 
 
 def interpreted_coder(worker: Executor) -> Coder:
-    """The Triton kernel, interpreted in a process that ``interpret_kernels`` has prepared."""
+    """The Triton kernel, interpreted in a process of ``interpreting.interpreter``."""
 
     def run(
         similarities: Tensor,
@@ -59,12 +58,6 @@ def interpreted_coder(worker: Executor) -> Coder:
         return Coded(support.long(), weights.double(), cosines.double())
 
     return run
-
-
-def interpret_kernels() -> None:
-    """Triton looks at this when it is first imported, and never again: a process interprets all kernels or none."""
-    os.environ["TRITON_INTERPRET"] = "1"
-    torch.set_num_threads(1)
 
 
 def _interpreted(

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
-import multiprocessing
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from types import ModuleType
 
 import pytest
-from coders import Coder, interpret_kernels, interpreted_coder, native_coder, reference_coder
+from coders import Coder, interpreted_coder, native_coder, reference_coder
 
+from interpreting import interpreter
 from scoup.coding import exact
 from scoup.coding.arithmetic import Arithmetic, NativeArithmetic, TorchArithmetic
 
@@ -24,18 +22,10 @@ def core() -> ModuleType:
     return module
 
 
-@pytest.fixture(scope="session")
-def needs_triton() -> None:
-    """Tests that compile or interpret kernels are skipped where triton is not installed."""
-    if importlib.util.find_spec("triton") is None:
-        pytest.skip("triton is not installed")
-
-
 @pytest.fixture(scope="module")
 def interpreted(needs_triton: None) -> Iterator[Coder]:
     """The coder for GPUs, interpreted on the CPU in a process of its own; slow, so give it few rows."""
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=spawn, initializer=interpret_kernels) as worker:
+    with interpreter() as worker:
         yield interpreted_coder(worker)
 
 

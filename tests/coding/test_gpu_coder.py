@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +11,7 @@ import torch
 from coders import Coder, assert_valid, clip_like, dense, problem
 from torch import Tensor
 
+from compiling import compile_kernel
 from scoup.coding.encode import encode
 from scoup.coding.exact import ExactSettings, solve_exact
 from scoup.coding.exact_reference import Coded, code
@@ -109,10 +109,6 @@ def test_copies_of_an_atom_are_used_once(interpreted: Coder) -> None:
 def test_compiles_without_spilling(
     needs_triton: None, tmp_path: Path, capability: int, n_atoms: int, k: int, warm: bool
 ) -> None:
-    import triton
-    from triton.backends.compiler import GPUTarget
-    from triton.compiler import ASTSource
-
     from scoup.coding import gpu
     from scoup.coding.gpu_kernels import code_kernel
 
@@ -132,22 +128,10 @@ def test_compiles_without_spilling(
         **dict.fromkeys(floats, "*fp32"),
         **dict.fromkeys(integers, "*i32"),
         **dict.fromkeys(("n_rows", "n_atoms", "swap_passes"), "i32"),
-        **dict.fromkeys(constants, "constexpr"),
     }
-    source = ASTSource(code_kernel, {name: types[name] for name in code_kernel.arg_names}, constants)
-    options = {"num_warps": sizes.warps, "enable_fp_fusion": True}
-    compiled = triton.compile(source, target=GPUTarget("cuda", capability, 32), options=options)
-    (tmp_path / "kernel.cubin").write_bytes(compiled.asm["cubin"])
-    tool = Path(triton.__file__).parent / "backends" / "nvidia" / "bin" / "cuobjdump"
-    if not tool.exists():
-        pytest.skip("compiled; this triton comes without cuobjdump, which tells what spills")
-    command = [str(tool), "-res-usage", str(tmp_path / "kernel.cubin")]
-    usage = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    found = re.search(r"code_kernel.*?REG:(\d+) STACK:(\d+) .*?LOCAL:(\d+)", usage, re.DOTALL)
-    assert found, usage
-    registers, stack, local = map(int, found.groups())
-    assert stack + local <= MOST_STACK, usage
-    assert registers <= 255
+    usage = compile_kernel(code_kernel, types, constants, sizes.warps, capability, tmp_path)
+    assert usage.spilled <= MOST_STACK, usage
+    assert usage.registers <= 255
 
 
 def test_triton_is_not_imported_for_rows_on_a_cpu() -> None:

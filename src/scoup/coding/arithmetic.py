@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes, index_dtype
+from scoup.codes import SparseCodes, full_products, index_dtype
 from scoup.coding import exact_reference
-from scoup.coding.exact_reference import full_products
 from scoup.native import native_core
 
 _BLOCK_ROWS = 4096  # of the sums in torch

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from scoup.codes import full_products
+
 DEPENDENT = 1e-5  # an atom with less than this share of its squared norm left depends on those chosen
 NO_GAIN = 1e-9  # share of the explained square below which another atom is rounding
 SWAP_GAIN = 1e-6  # share by which a swap must raise the explained square
@@ -94,20 +96,6 @@ def code_in_blocks(
         similarities = full_products(rows[block], atoms)
         coded.append(coder(similarities, gram, None if warm is None else warm[block]))
     return Coded(*(torch.cat(parts) for parts in zip(*coded, strict=True)))
-
-
-def full_products(rows: Tensor, others: Tensor) -> Tensor:
-    """[R, N]: ``rows`` [R, D] times the transposed ``others`` [N, D], in full float32 also where the user lets torch
-    multiply with fewer bits on a GPU: a similarity rounded to 10 bits of mantissa picks other atoms.
-    """
-    if rows.device.type != "cuda":
-        return rows @ others.T
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("highest")
-    try:
-        return rows @ others.T
-    finally:
-        torch.set_float32_matmul_precision(before)
 
 
 class _Found(NamedTuple):

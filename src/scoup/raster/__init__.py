@@ -7,6 +7,7 @@ is zero.
 
 A backend is one module with these functions. It is chosen by the device of the tensors, or by name:
 
+* ``triton``: kernels for tensors on a GPU;
 * ``native``: the compiled core, SIMD and threads, for tensors on a CPU;
 * ``reference``: plain torch, any device; what the others are tested against.
 """
@@ -14,10 +15,14 @@ A backend is one module with these functions. It is chosen by the device of the 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib
+import importlib.util
+import os
+import warnings
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, Union
 
 import torch
 from torch import Tensor
@@ -25,7 +30,7 @@ from torch import Tensor
 from scoup.agreement import Agreement
 from scoup.cameras import Camera
 from scoup.codes import SparseCodes
-from scoup.errors import InputError, UnknownNameError
+from scoup.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.gaussians import Gaussians
 from scoup.native import missing_reason, native_core, warn_once_if_missing
 from scoup.raster.cpu import NativeView
@@ -36,19 +41,40 @@ from scoup.raster.presets import raster_preset
 from scoup.raster.reference import ReferenceView
 from scoup.raster.spherical_harmonics import view_colors as view_colors
 
-View: TypeAlias = ReferenceView | NativeView
+if TYPE_CHECKING:
+    from scoup.raster.gpu_view import GpuView
 
-BACKENDS = {"native": "scoup.raster.cpu", "reference": "scoup.raster.reference"}
+View: TypeAlias = Union[ReferenceView, NativeView, "GpuView"]
+
+BACKENDS = {
+    "native": "scoup.raster.cpu",
+    "reference": "scoup.raster.reference",
+    "triton": "scoup.raster.gpu",
+}
 
 
 def default_backend(device: torch.device) -> str:
-    """The fastest backend that serves tensors on this device; warns once where the compiled core is missing."""
+    """The fastest backend that serves tensors on this device; warns once where what makes it fast is missing."""
+    if device.type == "cuda":  # what torch calls AMD's devices, too
+        if importlib.util.find_spec("triton") is not None:
+            return "triton"
+        _warn_once_of_triton()
+        return "reference"
     if device.type != "cpu":
         return "reference"
     if native_core() is None:
         warn_once_if_missing()
         return "reference"
     return "native"
+
+
+@functools.cache
+def _warn_once_of_triton() -> None:
+    warnings.warn(
+        "triton is not installed: rasterising on the GPU takes the slow reference path (pip install triton)",
+        ScoupWarning,
+        stacklevel=3,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,6 +311,23 @@ def render_cosines(view: View, indices: Tensor, weights: Tensor, codebook: Tenso
     return _backend_of(view).render_cosines(view, indices, weights, codebook.float(), queries.float())
 
 
+def render_features(view: View, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
+    """Decoded features of each pixel, for those who want the map: S x H x W x D numbers.
+
+    Args:
+        view: from ``look``.
+        indices, weights: [N, S, K] sparse codes.
+        codebook: [S, L, D] float32.
+
+    Returns:
+        [S, H, W, D] float32 of unit norm; zero where nothing is rendered.
+    """
+    _check_codes(view, indices, weights)
+    if codebook.dim() != 3 or codebook.shape[0] != indices.shape[1]:
+        raise InputError(f"codebook {list(codebook.shape)} does not fit {indices.shape[1]} levels")
+    return _backend_of(view).render_features(view, indices, weights, codebook.float())
+
+
 def render_colors(
     gaussians: Gaussians, camera: Camera, view: View | None = None, background: float = 0.0
 ) -> Tensor:
@@ -304,6 +347,11 @@ def _backend(name: str | None, device: torch.device) -> tuple[str, ModuleType]:
             raise InputError(f"the backend 'native' cannot be used: {missing_reason()}")
         if device.type != "cpu":
             raise InputError(f"the backend 'native' serves tensors on a CPU, these are on {device}")
+    if name == "triton":
+        if importlib.util.find_spec("triton") is None:
+            raise InputError("the backend 'triton' cannot be used: triton is not installed")
+        if device.type != "cuda" and os.environ.get("TRITON_INTERPRET") != "1":
+            raise InputError(f"the backend 'triton' serves tensors on a GPU, these are on {device}")
     return name, importlib.import_module(BACKENDS[name])
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from scoup.agreement import Agreement
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes, check_atoms, index_dtype, row_products
+from scoup.codes import SparseCodes, check_atoms, decoded, index_dtype, row_products
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
 from scoup.native import native_core
@@ -141,6 +141,15 @@ def render_cosines(
         scores = _array(torch.stack([row_products(atoms, asked) for atoms in levels]))
         found = _core().render_cosines(view.handle, *table, grams, scores, torch.get_num_threads())
     return torch.from_numpy(found)
+
+
+def render_features(view: NativeView, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
+    """See ``raster.render_features``. One level's coefficients are kept at a time."""
+    levels = range(codebook.shape[0])
+    codes = (
+        render_codes(view, indices[:, s : s + 1], weights[:, s : s + 1], codebook.shape[1])[0] for s in levels
+    )
+    return torch.stack([decoded(of_level, atoms) for of_level, atoms in zip(codes, codebook, strict=True)])
 
 
 def count_work(view: NativeView) -> dict[str, int]:

@@ -98,18 +98,7 @@ def _image_plane_factor(
 ) -> Tensor:
     """B [M, 2, 3] float64 with B B^T the 2D covariance before the low-pass: B = J W R S."""
     depth = points[:, 2]
-    tan_x, tan_y = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
-    if preset.centred_clamp:
-        x_low, x_high, y_low, y_high = -1.3 * tan_x, 1.3 * tan_x, -1.3 * tan_y, 1.3 * tan_y
-    else:
-        x_low, x_high = (
-            -camera.cx / camera.fx - 0.3 * tan_x,
-            (camera.width - camera.cx) / camera.fx + 0.3 * tan_x,
-        )
-        y_low, y_high = (
-            -camera.cy / camera.fy - 0.3 * tan_y,
-            (camera.height - camera.cy) / camera.fy + 0.3 * tan_y,
-        )
+    x_low, x_high, y_low, y_high = ray_limits(camera, preset)
     ray_x = (points[:, 0] / depth).clamp(x_low, x_high)
     ray_y = (points[:, 1] / depth).clamp(y_low, y_high)
 
@@ -118,6 +107,19 @@ def _image_plane_factor(
     row_x = (axes[:, 0] - ray_x[:, None] * axes[:, 2]) * (camera.fx / depth)[:, None]
     row_y = (axes[:, 1] - ray_y[:, None] * axes[:, 2]) * (camera.fy / depth)[:, None]
     return torch.stack([row_x, row_y], 1)
+
+
+def ray_limits(camera: Camera, preset: RasterPreset) -> tuple[float, float, float, float]:
+    """Bounds (x low, x high, y low, y high) of x / z and y / z at which the Jacobian is taken."""
+    tan_x, tan_y = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
+    if preset.centred_clamp:
+        return -1.3 * tan_x, 1.3 * tan_x, -1.3 * tan_y, 1.3 * tan_y
+    return (
+        -camera.cx / camera.fx - 0.3 * tan_x,
+        (camera.width - camera.cx) / camera.fx + 0.3 * tan_x,
+        -camera.cy / camera.fy - 0.3 * tan_y,
+        (camera.height - camera.cy) / camera.fy + 0.3 * tan_y,
+    )
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from scoup.agreement import Agreement
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes, add_codes, check_atoms, cosines_from_products
+from scoup.codes import SparseCodes, add_codes, check_atoms, cosines_from_products, decoded
 from scoup.gaussians import Gaussians
 from scoup.raster.binning import Bins, bin_to_tiles
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
@@ -159,6 +159,15 @@ def render_cosines(
         tiles[tile] = cosines.transpose(0, 1).flatten(1)
     image = _from_tiles(tiles, view).reshape(view.height, view.width, levels, count)
     return image.permute(2, 3, 0, 1).contiguous()
+
+
+def render_features(view: ReferenceView, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
+    """See ``raster.render_features``. One level's coefficients are kept at a time."""
+    levels = range(codebook.shape[0])
+    codes = (
+        render_codes(view, indices[:, s : s + 1], weights[:, s : s + 1], codebook.shape[1])[0] for s in levels
+    )
+    return torch.stack([decoded(of_level, atoms) for of_level, atoms in zip(codes, codebook, strict=True)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,189 @@
+"""What must hold for the kernels of a GPU, on any device: on "cpu" they are interpreted, with few programs of many
+lanes. The reference answers for the same scene on the CPU.
+
+Every check makes its scene from a kind or a seed, so that it can be run in another process.
+"""
+
+from __future__ import annotations
+
+import os
+
+import torch
+from torch import Tensor
+
+from raster.hard_scenes import HARD_KINDS, hard_scene
+from raster.parity import (
+    assert_close,
+    assert_same_triplets,
+    explained_flips,
+    span_of,
+    sure_pixels,
+)
+from scoup import raster
+from scoup.agreement import Agreement
+from scoup.cameras import Camera
+from scoup.codes import SparseCodes, index_dtype
+from scoup.gaussians import Gaussians
+from support import KINDS, make_camera, random_gaussians, random_labels, unit
+
+KINDS_OF_SCENES = (*KINDS, *HARD_KINDS, "empty", "one pixel", "mixed")
+
+
+def scene_of(kind: str, seed: int, few: bool) -> tuple[Gaussians, Camera]:
+    """A hard scene, one of ugly Gaussians, or one of both; with ``few`` small enough to be interpreted."""
+    if kind == "empty":
+        return random_gaussians(6, seed, ("behind",)), make_camera(7, 5, seed=seed)
+    if kind == "one pixel":
+        return random_gaussians(40, seed), make_camera(1, 1, 36.0, seed)
+    if kind in ("mixed", *KINDS):
+        kinds = KINDS if kind == "mixed" else (kind, "plain")
+        return random_gaussians(60, seed, kinds), make_camera(37, 21, 36.0, seed)
+    gaussians, camera = hard_scene(kind, seed)
+    if few and len(gaussians) > 150:
+        gaussians = gaussians.select(torch.arange(150))
+    if few and camera.width > 48:
+        camera = make_camera(48, 35, 38.4, seed)
+    return gaussians, camera
+
+
+def views_of(
+    gaussians: Gaussians, camera: Camera, preset: str, device: str, precision: str = "fp16x3"
+) -> tuple[raster.View, raster.View]:
+    """(on the device, reference) views."""
+    from scoup.raster import gpu, gpu_regions
+
+    if device == "cpu":
+        assert os.environ.get("TRITON_INTERPRET") == "1"
+        gpu_regions._LANES = 1024  # a program costs the interpreter as much as a lane does not
+    constants = raster.raster_preset(preset)
+    view = gpu.look(gaussians.to(device), camera, constants, precision)
+    return view, raster.look(gaussians, camera, preset, "reference")
+
+
+def check_channels(kind: str, seed: int, preset: str, channels: int, device: str) -> None:
+    gaussians, camera = scene_of(kind, seed, device == "cpu")
+    view, reference = views_of(gaussians, camera, preset, device)
+    values = torch.randn(len(gaussians), channels, generator=torch.Generator().manual_seed(seed))
+    image, alpha = raster.render_channels(view, values.to(device))
+    expected, expected_alpha = raster.render_channels(reference, values)
+    actual = torch.cat([image, alpha[..., None]], 2).cpu()
+    expected = torch.cat([expected, expected_alpha[..., None]], 2)
+    span = max(1.0, span_of(values))
+    assert_close(actual, expected, span, sure_pixels(gaussians, camera, preset))
+    explained_flips(gaussians, camera, preset, actual, expected, span)
+    if kind not in ("empty", "behind", "opacity 0", "nan", "zero quat", "near"):
+        assert bool((actual[..., -1] > 0).any()), "nothing is drawn: proves little"
+
+
+def check_regions(kind: str, seed: int, levels: int, n_regions: int, device: str) -> None:
+    gaussians, camera = scene_of(kind, seed, device == "cpu")
+    view, reference = views_of(gaussians, camera, "inria", device)
+    if n_regions > camera.width * camera.height:  # every pixel its own
+        pixels = camera.width * camera.height
+        generator = torch.Generator().manual_seed(seed)
+        labels = torch.stack([torch.randperm(pixels, generator=generator) for _ in range(levels)])
+        labels = labels.view(levels, camera.height, camera.width).int()
+    else:
+        labels = random_labels(levels, camera.height, camera.width, n_regions, seed)
+    labels[:, ~sure_pixels(gaussians, camera)] = -1
+    found = raster.region_weights(view, labels.to(device))
+    again = raster.region_weights(view, labels.to(device))
+    assert all(torch.equal(one, other) for one, other in zip(found, again, strict=True))
+    assert_same_triplets(tuple(part.cpu() for part in found), raster.region_weights(reference, labels))
+
+
+def check_votes(kind: str, seed: int, n_atoms: int, k: int, rounds: int, few_tiles: int, device: str) -> None:
+    """Uplift of three levels; ``few_tiles`` decides which of the two kernels adds a Gaussian up."""
+    from scoup.raster import gpu_regions
+
+    gaussians, camera = scene_of(kind, seed, device == "cpu")
+    if device == "cpu" and few_tiles < 100:  # a program for each Gaussian
+        gaussians = gaussians.select(torch.arange(min(12, len(gaussians))))
+    view, reference = views_of(gaussians, camera, "inria", device)
+    generator = torch.Generator().manual_seed(seed)
+    labels = random_labels(3, camera.height, camera.width, 9, seed)
+    labels[:, ~sure_pixels(gaussians, camera)] = -1
+    codes = [SparseCodes.from_dense(torch.rand(9, n_atoms, generator=generator), k) for _ in range(3)]
+    agreement = there = None
+    if rounds > 1:
+        indices, weights = random_codes(len(gaussians), 3, 3, n_atoms, seed)
+        codebook = torch.randn(3, n_atoms, 12, generator=generator).abs()
+        agreement = Agreement.with_codes(indices, weights, codebook, torch.tensor([3.0, 0.0, 20.0]))
+        there = Agreement(
+            *(
+                part.to(device)
+                for part in (agreement.indices, agreement.weights, agreement.grams, agreement.sharpness)
+            )
+        )
+    expected = torch.rand(len(gaussians), 3, n_atoms, generator=generator)
+    found = [expected.to(device, copy=True) for _ in range(2)]
+    uplift = raster.Uplift(expected, "reference", agreement)
+    uplift.add(reference, labels, codes)
+    before, gpu_regions.FEW_TILES = gpu_regions.FEW_TILES, few_tiles
+    codes = [SparseCodes(c.indices.to(device), c.weights.to(device), c.n_atoms) for c in codes]
+    try:
+        for out in found:
+            uplift = raster.Uplift(out, "triton", there)
+            uplift.add(view, labels.to(device), codes)
+            uplift.flush()
+            assert uplift.n_taken == 1
+    finally:
+        gpu_regions.FEW_TILES = before
+    assert torch.equal(found[0], found[1])
+    assert_close(found[0].cpu(), expected, 3.0)
+
+
+def check_codes(
+    kind: str,
+    seed: int,
+    levels: int,
+    n_atoms: int,
+    k: int,
+    halves: bool,
+    device: str,
+    precision: str = "fp16x3",
+) -> None:
+    """Coefficients, cosines and features of the same codes."""
+    gaussians, camera = scene_of(kind, seed, device == "cpu")
+    view, reference = views_of(gaussians, camera, "gsplat", device, precision)
+    generator = torch.Generator().manual_seed(seed)
+    dtype = torch.float16 if halves else torch.float32
+    indices, weights = random_codes(len(gaussians), levels, k, n_atoms, seed, dtype)
+    there = indices.to(device), weights.to(device)
+    sure = sure_pixels(gaussians, camera, "gsplat")
+    painted = raster.render_codes(reference, indices, weights, n_atoms)
+    found = raster.render_codes(view, *there, n_atoms).cpu()
+    assert_close(found.movedim(0, 2), painted.movedim(0, 2), max(1, k / 4), sure)
+
+    codebook = torch.randn(levels, n_atoms, 24, generator=generator) * 3
+    queries = unit(torch.randn(5, 24, generator=generator))
+    expected = raster.render_cosines(reference, indices, weights, codebook, queries)
+    found = raster.render_cosines(view, *there, codebook.to(device), queries.to(device)).cpu()
+    # Where atoms cancel, so do digits: a feature is known to the share that is left of its terms.
+    terms = (painted * codebook.norm(dim=2)[:, None, None]).sum(3)
+    left = torch.einsum("shwl,sld->shwd", painted, codebook).norm(dim=3) / terms.clamp(min=1e-30)
+    whole = (left > 0.1).all(0) & sure
+    assert_close(found.permute(2, 3, 0, 1), expected.permute(2, 3, 0, 1), 5.0, whole)
+    assert bool(torch.isfinite(found).all())
+    assert bool((found.abs() <= 1 + 1e-3).all())
+    unpainted = (painted == 0).all(3) & sure
+    assert not bool(found.movedim(1, 3)[unpainted].any())
+
+    expected = raster.render_features(reference, indices, weights, codebook)
+    found = raster.render_features(view, *there, codebook.to(device)).cpu()
+    assert_close(found.movedim(0, 2), expected.movedim(0, 2), 5.0, whole)
+    assert not bool(found[unpainted].any())
+
+
+def random_codes(
+    count: int, levels: int, k: int, n_atoms: int, seed: int, dtype: torch.dtype = torch.float32
+) -> tuple[Tensor, Tensor]:
+    """(indices, weights) [N, S, K] as fields have them, a third of the Gaussians without a code."""
+    generator = torch.Generator().manual_seed(seed)
+    indices = torch.rand(count, levels, n_atoms, generator=generator).argsort(2)[..., :k]
+    if n_atoms < k:
+        indices = torch.nn.functional.pad(indices, (0, k - n_atoms))
+    weights = torch.rand(count, levels, k, generator=generator).sort(dim=2, descending=True).values
+    weights[..., n_atoms:] = 0
+    weights[torch.rand(count, generator=generator) < 0.3] = 0
+    return indices.to(index_dtype(n_atoms)), weights.to(dtype)

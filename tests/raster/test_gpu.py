@@ -1,0 +1,208 @@
+"""The rasteriser's kernels for GPUs: interpreted on the CPU, compiled without a GPU, and where there is one, run on it.
+
+python -m pytest tests/raster/test_gpu.py       # on a machine with a GPU: all of it
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from compiling import DOUBLE, F32, HALF, I8, I16, I32, I64, U8, compile_kernel
+from interpreting import interpreter
+from raster import gpu_checks
+from raster.gpu_checks import KINDS_OF_SCENES
+
+MOST_SPILLED = 256  # bytes a thread, all of it behind the loop over Gaussians
+MOST_SHARED = 99 << 10  # bytes a block may have on the smallest of the GPUs served
+
+on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+
+
+@pytest.fixture(scope="module")
+def interpreted(needs_triton: None) -> Iterator[Callable[..., None]]:
+    """Runs a check of ``gpu_checks`` with interpreted kernels."""
+    with interpreter() as worker:
+        yield lambda check, *arguments: worker.submit(check, *arguments, "cpu").result()
+
+
+# Each kind of scene once, in turn with what is asked of it: the interpreter is slow.
+@pytest.mark.parametrize(("number", "kind"), list(enumerate(KINDS_OF_SCENES)))
+def test_channels_agree_with_the_reference(interpreted, number, kind):
+    preset, channels = ("inria", "gsplat")[number % 2], (1, 3, 17, 0, 70)[number % 5]
+    interpreted(gpu_checks.check_channels, kind, number, preset, channels)
+
+
+@pytest.mark.parametrize(
+    ("kind", "levels", "n_regions"),
+    [
+        ("mixed", 3, 6),
+        ("wall", 1, 40),
+        ("needles", 2, 5),
+        ("one pixel", 8, 3),
+        ("empty", 3, 2),
+        ("crowd", 3, 10**6),
+    ],
+)
+def test_region_sums_agree_with_the_reference(interpreted, kind, levels, n_regions):
+    interpreted(gpu_checks.check_regions, kind, 3, levels, n_regions)
+
+
+@pytest.mark.parametrize(
+    ("kind", "n_atoms", "k", "rounds", "few_tiles"),
+    [
+        ("mixed", 40, 4, 1, 1000),
+        ("mixed", 40, 4, 2, 0),
+        ("copies", 300, 2, 2, 3),
+        ("giants", 7, 9, 1, 2),
+        ("empty", 5, 1, 2, 2),
+        ("one pixel", 64, 4, 2, 0),
+    ],
+)
+def test_votes_agree_with_the_reference(interpreted, kind, n_atoms, k, rounds, few_tiles):
+    interpreted(gpu_checks.check_votes, kind, 5, n_atoms, k, rounds, few_tiles)
+
+
+@pytest.mark.parametrize(
+    ("kind", "levels", "n_atoms", "k", "halves"),
+    [
+        ("mixed", 3, 64, 4, True),
+        ("equal depths", 1, 128, 2, True),
+        ("needles", 5, 20, 4, False),
+        ("off centre", 1, 200, 4, True),
+        ("near", 1, 300, 1, False),
+        ("empty", 2, 16, 4, True),
+        ("one pixel", 4, 1, 3, True),
+    ],
+)
+def test_codes_agree_with_the_reference(interpreted, kind, levels, n_atoms, k, halves):
+    interpreted(gpu_checks.check_codes, kind, 7, levels, n_atoms, k, halves)
+
+
+LISTS = {"pair_ids": I32, "corners": F32, "records": F32, "starts": I64}
+SIZE = {"width": "i32", "height": "i32", "across": "i32"}
+BOUNDS = {"alpha_max": "fp32", "stop": "fp32"}
+CODES = {
+    "indices": U8,
+    "weights": HALF,
+    "n_levels": "i32",
+    "n_atoms": "i32",
+    "first_level": "i32",
+    "out": F32,
+}
+TABLES = {"grams": F32, "tables": F32, "n_columns": "i32"}
+VOTES = {
+    "chosen": I64, "ids": I64, "firsts": I64, "tiles": I16, "places": I32, "starts": I64, "n_columns": I32,
+    "bases": I64, "sums": F32, "first_columns": I64, "column_regions": I32, "first_rows": I64, "atoms": I32,
+    "weights": F32, "earlier_atoms": U8, "earlier_weights": F32, "region_cosines": F32, "sharpness": F32, "out": F32,
+    "n_levels": "i32", "n_tiles": "i32", "n_atoms": "i32",
+}  # fmt: skip
+SCENE = {"means": F32, "quats": F32, "scales": F32, "opacities": F32, "camera": DOUBLE}
+
+
+def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
+    """By name: kernel, types, constants and warps, as ``scoup.raster.gpu`` launches them."""
+    from scoup.raster import gpu, gpu_regions
+    from scoup.raster.gpu_view import TILE
+    from scoup.raster.kernels import projection, regions, rendering, votes
+
+    blended = {"STOP_INCLUSIVE": False, "TILE": TILE, "CHUNK": 16, "PRECISION": "fp16x3"}
+    found: dict[str, tuple[Any, dict[str, str], dict[str, Any], int]] = {}
+    for channels, pixels in ((16, 256), (64, 128)):
+        types = {**LISTS, **SIZE, **BOUNDS, "values": F32, "image": F32, "coverage": F32, "n_channels": "i32"}
+        constants = {**blended, "PRECISION": "tf32x3", "PIXELS": pixels, "CHANNELS": channels}
+        found[f"{channels} channels"] = rendering.channels_kernel, types, constants, 8
+    for levels, n_atoms in ((3, 64), (3, 128), (1, 256), (4, 20)):
+        blocks = gpu.code_blocks(levels, n_atoms)
+        sizes = {"PIXELS": blocks.pixels, "LEVELS": blocks.levels, "K": 4, "ATOMS": blocks.atoms}
+        types, constants = {**LISTS, **SIZE, **BOUNDS, **CODES}, {**blended, **sizes}
+        found[f"codes {levels} x {n_atoms}"] = rendering.codes_kernel, types, constants, blocks.warps
+        asked = {**constants, "COLUMNS": 16, "PIXELS_LAST": True, "TABLE_PRECISION": "fp16x3"}
+        found[f"cosines {levels} x {n_atoms}"] = (
+            rendering.products_kernel, {**types, **TABLES}, asked, blocks.warps,
+        )  # fmt: skip
+    blocks = gpu.code_blocks(1, 64)
+    sizes = {"PIXELS": blocks.pixels, "LEVELS": 1, "K": 4, "ATOMS": 64, "COLUMNS": 32, "PIXELS_LAST": False}
+    constants = {**blended, **sizes, "TABLE_PRECISION": "fp16x3"}
+    types = {**LISTS, **SIZE, **BOUNDS, **CODES, **TABLES}
+    found["features"] = rendering.products_kernel, types, constants, blocks.warps
+    types = {**LISTS, **SIZE, **BOUNDS, "columns": I16, "n_columns": I32, "bases": I64, "sums": F32}
+    constants = {**blended, "CHUNK": 32, "COLUMNS": 16}
+    found["region sums"] = regions.region_sums_kernel, {**types, "first_tile": "i32"}, constants, 8
+    types = {"labels": I32, "first_alike": I32, **SIZE, "n_levels": "i32"}
+    found["alike"] = regions.alike_kernel, types, {"TILE": TILE, "OTHERS": 32}, 4
+    types = {**VOTES, "n_chosen": "i32"}
+    for earlier_k in (0, 4):
+        sizes = {"K": 4, "EARLIER_K": earlier_k}
+        found[f"few votes, {earlier_k} earlier"] = votes.add_few_kernel, types, {**sizes, "BLOCK": 32}, 1
+        constants = {**sizes, "PAIRS": gpu_regions.pairs_at_once(128), "ATOMS": 128}
+        found[f"many votes, {earlier_k} earlier"] = votes.add_many_kernel, VOTES, constants, 4
+    types = {name: SCENE[name] for name in ("means", "scales", "opacities", "camera")}
+    found["sieve"] = projection.sieve_kernel, {**types, "keep": I8, "count": "i32"}, {"BLOCK": 128}, 4
+    visible = {"ids": I64, "rects": I32, "geometry": DOUBLE, "across": "i32", "down": "i32"}
+    types = {**SCENE, **visible, "depths": DOUBLE, "counts": I32, "records": F32, "n_visible": "i32"}
+    found["project"] = projection.project_kernel, types, {"TILE": TILE, "BLOCK": 128}, 4
+    types = {
+        **visible, "camera": DOUBLE, "ranks": I64, "order": I64, "firsts": I64, "tiles": I16, "pair_ids": I32,
+        "corners": F32, "n_pairs": "i32",
+    }  # fmt: skip
+    found["expand"] = projection.expand_kernel, types, {"TILE": TILE, "BLOCK": 128}, 4
+    return found
+
+
+@pytest.mark.parametrize("capability", [80, 90])
+def test_kernels_compile_within_a_gpu(needs_triton: None, tmp_path: Path, capability: int) -> None:
+    for name, launch in launches().items():
+        usage = compile_kernel(*launch, capability, tmp_path)
+        assert usage.spilled <= MOST_SPILLED, (name, usage)
+        assert usage.shared <= MOST_SHARED, (name, usage)
+
+
+def test_triton_is_not_imported_for_tensors_on_a_cpu() -> None:
+    program = (
+        "import sys, torch, scoup; from scoup import raster; from scoup.gaussians import Gaussians; "
+        "from scoup.cameras import Camera; "
+        "g = Gaussians(torch.rand(3, 3) + 2, torch.rand(3, 4), torch.rand(3, 3), torch.rand(3), torch.rand(3, 1, 3)); "
+        "K = torch.tensor([[9., 0, 4], [0, 9, 4], [0, 0, 1]]).double(); "
+        "raster.render_channels(raster.look(g, Camera('a', torch.eye(4).double(), K, 8, 8)), torch.rand(3, 2)); "
+        "sys.exit('triton' in sys.modules or 'scoup.raster.gpu' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_tensors_on_a_cpu_are_refused() -> None:
+    from scoup import raster
+    from scoup.errors import InputError
+    from support import make_camera, random_gaussians
+
+    with pytest.raises(InputError, match="serves tensors on a GPU"):
+        raster.look(random_gaussians(3, 0), make_camera(), backend="triton")
+
+
+@on_a_gpu
+@pytest.mark.parametrize("kind", KINDS_OF_SCENES)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_on_a_gpu(kind: str, seed: int) -> None:
+    for preset in ("inria", "gsplat"):
+        for channels in (0, 1, 3, 64, 130):
+            gpu_checks.check_channels(kind, seed, preset, channels, "cuda")
+    for levels, n_regions in ((1, 3), (3, 40), (8, 5), (2, 10**6)):
+        gpu_checks.check_regions(kind, seed, levels, n_regions, "cuda")
+    for n_atoms, k, rounds, few_tiles in ((64, 4, 1, 48), (128, 4, 2, 48), (300, 16, 2, 0), (7, 9, 2, 1000)):
+        gpu_checks.check_votes(kind, seed, n_atoms, k, rounds, few_tiles, "cuda")
+    for levels, n_atoms, k in ((1, 1, 1), (3, 64, 4), (3, 128, 4), (8, 20, 2), (2, 256, 16), (1, 1024, 4)):
+        for halves in (True, False):
+            gpu_checks.check_codes(kind, seed, levels, n_atoms, k, halves, "cuda")
+
+
+@on_a_gpu
+@pytest.mark.parametrize("precision", ["ieee", "tf32x3"])
+def test_precisions_on_a_gpu(precision: str) -> None:
+    for n_atoms in (64, 128, 256):
+        gpu_checks.check_codes("mixed", 0, 3, n_atoms, 4, True, "cuda", precision)
