@@ -66,6 +66,10 @@ class Agreement:
         weights = _scaled_to_unit_norm(indices, weights, grams)
         return cls(indices, weights, grams, sharpness.to(weights.device, torch.float32))
 
+    def to(self, device: torch.device | str) -> Agreement:
+        parts = (self.indices, self.weights, self.grams, self.sharpness)
+        return Agreement(*(part.to(device) for part in parts))
+
     def with_sharpness(self, sharpness: Tensor) -> Agreement:
         """The same votes held to more or less strictly."""
         return Agreement(self.indices, self.weights, self.grams, sharpness.to(self.sharpness))

@@ -7,7 +7,7 @@ import json
 import time
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -55,6 +55,16 @@ class BuildState:
     agreement: Agreement | None = None
     earlier_views: dict[str, str] = field(default_factory=dict)
     between_views: bool = True
+
+    def to(self, device: torch.device, accumulators: torch.device) -> BuildState:
+        """The same with codes on one device, accumulators and what is compared with them on another."""
+        return replace(
+            self,
+            atoms=[atoms.to(device) for atoms in self.atoms],
+            codes=[codes.to(device) for codes in self.codes],
+            accumulators=self.accumulators.to(accumulators),
+            agreement=None if self.agreement is None else self.agreement.to(accumulators),
+        )
 
     def start_over(self) -> None:
         """Forget all views, keep the codes."""

@@ -58,6 +58,9 @@ class SparseCodes:
         dense = torch.zeros(len(self), self.n_atoms, device=self.weights.device)
         return dense.scatter_add_(1, self.indices.long(), self.weights)
 
+    def to(self, device: torch.device | str) -> SparseCodes:
+        return SparseCodes(self.indices.to(device), self.weights.to(device), self.n_atoms)
+
     def rows(self, chosen: Tensor | slice) -> SparseCodes:
         return SparseCodes(self.indices[chosen], self.weights[chosen], self.n_atoms)
 

@@ -135,13 +135,14 @@ class LanguageField:
         assert self._gaussians is not None
         return self._gaussians
 
-    def attach(self, gaussians: Gaussians, source: str = "the Gaussians given") -> None:
-        """Use this geometry, after checking that it is the right one.
+    def attach(self, gaussians: Gaussians, source: str = "the Gaussians given", known: bool = False) -> None:
+        """Use this geometry, after checking that it is the right one; ``known`` says that it is.
 
         Raises:
             GeometryMismatchError: it is not.
         """
-        if len(gaussians) != self.info.n_gaussians or gaussians.fingerprint() != self.info.fingerprint:
+        same = len(gaussians) == self.info.n_gaussians
+        if not same or (not known and gaussians.fingerprint() != self.info.fingerprint):
             difference = (
                 "as many Gaussians, but others"
                 if len(gaussians) == self.info.n_gaussians

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
 from scoup import raster
 from scoup.cameras import Camera
@@ -22,6 +25,8 @@ from scoup.uplifting import (
     digest_of_labels,
     iterate_region_sums,
 )
+
+VIEWS_AHEAD = 2  # read while another is worked on
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +54,35 @@ class Source:
             yield from (view for view in self.sums.views if view.view_name in wanted)
         elif self.scene is not None:
             yield from iterate_region_sums(self.scene, cameras, self.regions, self.raster_preset)
+
+
+def load_labels(
+    regions: Regions, cameras: Sequence[Camera], device: torch.device
+) -> Iterator[tuple[Camera, Tensor, str]]:
+    """(camera, labels [S, H, W] on the device, their digest) view by view.
+
+    For a GPU the next view is read and hashed by another thread while this one is worked on, and copied from pinned
+    memory; on a CPU it would only take the processor from it.
+    """
+
+    def load(camera: Camera) -> tuple[Camera, Tensor, str]:
+        labels, _ = regions.load_view(camera.name, camera.width, camera.height)
+        digest = digest_of_labels(labels)
+        return camera, labels.pin_memory() if device.type == "cuda" else labels, digest
+
+    if device.type == "cpu":
+        yield from map(load, cameras)
+        return
+    with ThreadPoolExecutor(1) as reader:
+        ahead: deque[Future] = deque()
+        for camera in cameras:
+            ahead.append(reader.submit(load, camera))
+            if len(ahead) > VIEWS_AHEAD:
+                taken, labels, digest = ahead.popleft().result()
+                yield taken, labels.to(device, non_blocking=True), digest
+        for future in ahead:
+            taken, labels, digest = future.result()
+            yield taken, labels.to(device, non_blocking=True), digest
 
 
 class Lift:
@@ -112,10 +146,8 @@ class Lift:
         at_hand = ("", "")  # name and digest of the view that is being taken in
         before = len(self.state.views_done)
         try:
-            for camera in cameras:
-                labels, _ = regions.load_view(camera.name, camera.width, camera.height)
-                at_hand = (camera.name, digest_of_labels(labels))
-                labels = labels.to(scene.gaussians.device)
+            for camera, labels, digest in load_labels(regions, cameras, scene.gaussians.device):
+                at_hand = (camera.name, digest)
                 view = raster.look(scene, camera, raster_preset)
                 uplift.add(view, labels, self.codes_of(camera.name))
                 self.state.views_done[at_hand[0]] = at_hand[1]

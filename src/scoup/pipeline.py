@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,7 @@ from scoup.progress import Progress, no_progress
 from scoup.regions import Regions
 from scoup.uplifting import RegionSums, cameras_with_regions, digest_of_labels, region_sums, top_k
 
+MOST_OF_MEMORY = 0.5  # of a GPU's free memory, for accumulators
 FEW_GAUSSIANS = 0.01  # share of coded Gaussians under which the frames of splat and cameras are doubted
 
 
@@ -143,6 +146,8 @@ def build(
         sums = region_sums(gaussians, chosen, regions, settings.raster_preset, backend, progress)
 
     scene = None if sums is not None else raster.prepare(gaussians, backend)
+    # Region sums are kept on the CPU, and added there in a fixed order.
+    device = gaussians.device if sums is None else torch.device("cpu")
     rows_order = "original" if scene is None or scene.order is None else "moved"
     keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), key, rows_order)
     state = keeper.read((len(gaussians), len(embeddings), settings.n_atoms))
@@ -153,9 +158,10 @@ def build(
                 level: (rows, of_views)
                 for (level, (_, of_views)), rows in zip(embeddings.items(), agreed, strict=True)
             }
-        state = _learn_codes(embeddings, settings, len(gaussians), progress)
+        state = _learn_codes(embeddings, settings, len(gaussians), device, progress)
         keeper.write(state)
     else:
+        state = state.to(device, _place_of_accumulators(device, state.accumulators.shape))
         _forget_other_maps(state, views, regions)
     del embeddings  # the uplift needs the codes only
     source = Source(views, regions, settings.raster_preset, scene, sums)
@@ -198,7 +204,7 @@ def build(
         accumulators if keep_accumulators else None,
         Cameras(views),
     ).to(gaussians.device)
-    field.attach(gaussians)
+    field.attach(gaussians, known=True)
     return field
 
 
@@ -269,15 +275,20 @@ def _forget_other_maps(state: BuildState, views: list[Camera], regions: Regions)
 
 
 def _learn_codes(
-    embeddings: dict[str, Embeddings], settings: BuildSettings, n_gaussians: int, progress: Progress
+    embeddings: dict[str, Embeddings],
+    settings: BuildSettings,
+    n_gaussians: int,
+    device: torch.device,
+    progress: Progress,
 ) -> BuildState:
+    """Codes of every level, and empty accumulators."""
     atoms: list[Tensor] = []
     codes: list[SparseCodes] = []
     reports: list[dict[str, Any]] = []
     for level, (rows, _) in embeddings.items():
         name = f"coding {level}"
         book = fit_codes(
-            rows,
+            rows.to(device),
             settings.n_atoms,
             settings.k,
             solver=settings.solver,
@@ -293,7 +304,16 @@ def _learn_codes(
         report = {key: value for key, value in dataclasses.asdict(book.report).items() if key != "seconds"}
         reports.append(report)
     shape = (n_gaussians, len(embeddings), settings.n_atoms)
-    return BuildState(atoms, codes, reports, torch.zeros(shape), {})
+    accumulators = torch.zeros(shape, device=_place_of_accumulators(device, shape))
+    return BuildState(atoms, codes, reports, accumulators, {})
+
+
+def _place_of_accumulators(device: torch.device, shape: Sequence[int]) -> torch.device:
+    """Where the work is done, unless that is a GPU whose free memory they would fill."""
+    if device.type != "cuda":
+        return device
+    free, _ = torch.cuda.mem_get_info(device)
+    return device if 4 * math.prod(shape) <= MOST_OF_MEMORY * free else torch.device("cpu")
 
 
 def _check_seen(weights: Tensor) -> None:

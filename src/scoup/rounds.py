@@ -105,10 +105,8 @@ def sharpness_of(
     for view in views:
         tables = agreement.region_cosines(codes_of(view.view_name))
         for level, table in enumerate(tables):
-            gaussian, region, _ = view.level(level)
-            deviations[level].append(
-                1 - agreement.cosines(level, gaussian, region, table.to(gaussian.device))
-            )
+            gaussian, region, _ = (part.to(table.device) for part in view.level(level))
+            deviations[level].append(1 - agreement.cosines(level, gaussian, region, table))
     found = [torch.cat(of_level) for of_level in deviations]
-    medians = [of_level.median() if len(of_level) else torch.tensor(1.0) for of_level in found]
+    medians = [of_level.median() if len(of_level) else of_level.new_ones(()) for of_level in found]
     return SHARPNESS / torch.stack(medians).float().clamp(min=LEAST_DEVIATION)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 # The compiled vote keeps its best by insertion, which is for short lists; a sort serves longer ones.
 MOST_VOTED_BY_INSERTION = 32
+SORTED_AT_A_TIME = 1 << 18  # Gaussians, by the vote where the compiled core does not do it
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +73,9 @@ def iterate_region_sums(
     device = (gaussians.gaussians if isinstance(gaussians, raster.PreparedScene) else gaussians).device
     for camera in cameras:
         labels, _ = regions.load_view(camera.name, camera.width, camera.height)
-        labels = labels.to(device)
         view = raster.look(gaussians, camera, raster_preset, backend)
-        gaussian, key, weight = raster.region_weights(view, labels)
-        # Sums are small next to a view; the accumulators they go to may be too large for a GPU.
+        gaussian, key, weight = raster.region_weights(view, labels.to(device))
+        # Those of all views together may be too large for a GPU.
         stride = int(labels.max()) + 1
         parts = (gaussian.cpu(), key.cpu(), weight.cpu())
         yield ViewSums(camera.name, *parts, stride, digest_of_labels(labels))
@@ -238,7 +238,9 @@ def top_k(accumulators: Tensor, k: int | None) -> tuple[Tensor, Tensor]:
         return indices, weights
     indices = torch.zeros(count, levels, keep, dtype=index_dtype(n_atoms), device=accumulators.device)
     weights = torch.zeros(count, levels, keep, device=accumulators.device)
-    for level in range(levels):  # one level at a time bounds the memory of the sort
-        codes = SparseCodes.from_dense(accumulators[:, level], keep)
-        indices[:, level], weights[:, level] = codes.indices, codes.weights
+    for level in range(levels):
+        for start in range(0, count, SORTED_AT_A_TIME):  # bounds the memory of the sort
+            rows = slice(start, start + SORTED_AT_A_TIME)
+            codes = SparseCodes.from_dense(accumulators[rows, level], keep)
+            indices[rows, level], weights[rows, level] = codes.indices, codes.weights
     return indices, weights

@@ -85,6 +85,10 @@ def test_codes_agree_with_the_reference(interpreted, kind, levels, n_atoms, k, h
     interpreted(gpu_checks.check_codes, kind, 7, levels, n_atoms, k, halves)
 
 
+def test_a_build_agrees_with_the_reference(interpreted):
+    interpreted(gpu_checks.check_build)
+
+
 LISTS = {"pair_ids": I32, "corners": F32, "records": F32, "starts": I64}
 SIZE = {"width": "i32", "height": "i32", "across": "i32"}
 BOUNDS = {"alpha_max": "fp32", "stop": "fp32"}
@@ -199,6 +203,11 @@ def test_on_a_gpu(kind: str, seed: int) -> None:
     for levels, n_atoms, k in ((1, 1, 1), (3, 64, 4), (3, 128, 4), (8, 20, 2), (2, 256, 16), (1, 1024, 4)):
         for halves in (True, False):
             gpu_checks.check_codes(kind, seed, levels, n_atoms, k, halves, "cuda")
+
+
+@on_a_gpu
+def test_a_build_on_a_gpu() -> None:
+    gpu_checks.check_build("cuda")
 
 
 @on_a_gpu

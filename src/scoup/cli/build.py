@@ -156,9 +156,13 @@ class Build(WritesCommon):
             f"{out}: {size / 1e6:.1f} MB ({size / max(1, len(field)):.0f} bytes a Gaussian), "
             f"{coded:,} of {len(field):,} Gaussians have a code, built in {seconds:.0f} s"
         )
+        peak = _peak_gpu_memory(self.device)
+        if peak is not None:
+            console.say(f"peak memory on {self.device}: {peak / 1e9:.2f} GB")
         console.result(
             {
                 "field": out,
+                **({} if peak is None else {"peak_gpu_bytes": peak}),
                 "bytes": size,
                 "gaussians": len(field),
                 "coded": coded,
@@ -211,3 +215,12 @@ class Build(WritesCommon):
                 f"{wanted}; give the table that was made with the same model"
             )
         return Path(os.path.relpath(self.model, out.absolute().parent)).as_posix()
+
+
+def _peak_gpu_memory(device: str) -> int | None:
+    """Most bytes that tensors took on a GPU so far; None for the CPU."""
+    if device == "cpu":
+        return None
+    import torch
+
+    return torch.cuda.max_memory_allocated(device)

@@ -198,7 +198,11 @@ class Uplift:
                     f"accumulators {list(out.shape)} do not fit an earlier round of {list(earlier)}"
                 )
         self.out = out
-        self.backend, module = _backend(backend, out.device)
+        if backend == "triton" and out.device.type == "cpu":
+            # Accumulators may be too large for the GPU on which views are rasterised.
+            self.backend, module = backend, importlib.import_module(BACKENDS[backend])
+        else:
+            self.backend, module = _backend(backend, out.device)
         self._uplift = module.Uplift(out, agreement)
 
     @property
@@ -232,8 +236,8 @@ class Uplift:
                 f"accumulators {list(self.out.shape)} and {len(codes)} levels of codes do not fit "
                 f"{view.n_gaussians} Gaussians and {len(labels)} levels of labels"
             )
-        for level, level_codes in enumerate(codes):
-            highest = int(labels[level].max()) if labels[level].numel() else -1
+        highest_labels = labels.flatten(1).amax(1).tolist() if labels.numel() else [-1] * len(labels)
+        for level, (level_codes, highest) in enumerate(zip(codes, highest_labels, strict=True)):
             if highest >= len(level_codes):
                 raise InputError(f"level {level}: label {highest} has no code, there are {len(level_codes)}")
             if level_codes.n_atoms != self.out.shape[2]:

@@ -2,7 +2,8 @@
 
 Nothing here is imported before tensors on a GPU are rasterised. Kernels are compiled when first used (seconds, once
 for each machine) and do not depend on the number of Gaussians or the image size. The result does not depend on which
-program runs first: same input, same bytes.
+program runs first: same input, same bytes. Code indices are not checked here, which would take as long as a picture;
+an index beyond the codebook paints nothing.
 """
 
 # A launch takes plain numbers as constants, and options beside the kernel's arguments.
@@ -17,7 +18,7 @@ import triton
 from torch import Tensor
 
 from scoup.agreement import Agreement
-from scoup.codes import SparseCodes, add_codes, check_atoms, cosines_from_products, full_products
+from scoup.codes import SparseCodes, add_codes, cosines_from_products, full_products
 from scoup.raster.gpu_regions import add_votes, triplets
 from scoup.raster.gpu_view import TILE, GpuView
 from scoup.raster.gpu_view import look as look
@@ -62,7 +63,7 @@ class Uplift:
         stride = int(labels.max()) + 1 if labels.numel() else 0
         device = self._out.device
         gaussian, key, weight = (part.to(device) for part in region_weights(view, labels))
-        here = [SparseCodes(c.indices.to(device), c.weights.to(device), c.n_atoms) for c in codes]
+        here = [level.to(device) for level in codes]
         if self._agreement is not None:
             weight = weight * self._agreement.factors(gaussian, key, stride, here)
         self.intact = False
@@ -93,7 +94,6 @@ def render_channels(view: GpuView, values: Tensor) -> tuple[Tensor, Tensor]:
 
 def render_codes(view: GpuView, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
-    check_atoms(indices, n_atoms)
     levels, k = indices.shape[1:]
     out = torch.zeros(levels, view.height, view.width, n_atoms, device=view.device)
     if out.numel() == 0 or k == 0:
@@ -141,7 +141,6 @@ def _render_products(
 ) -> Tensor:
     """Coefficients times ``table`` over the norm of the decoded feature, into zeros."""
     n_atoms, columns = table.shape[1:]
-    check_atoms(indices, n_atoms)
     levels, k = indices.shape[1:]
     if out.numel() == 0 or k == 0 or n_atoms == 0:
         return out
