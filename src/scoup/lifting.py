@@ -14,6 +14,7 @@ from scoup import raster
 from scoup.cameras import Camera
 from scoup.checkpoint import BuildState, Checkpoint
 from scoup.codes import SparseCodes
+from scoup.processes import Processes
 from scoup.progress import Progress
 from scoup.regions import Regions
 from scoup.rounds import next_agreement, spread
@@ -26,6 +27,7 @@ from scoup.uplifting import (
     iterate_region_sums,
 )
 
+ALONE = Processes()
 VIEWS_AHEAD = 2  # read while another is worked on
 
 
@@ -94,6 +96,8 @@ class Lift:
         n_views: of the whole build.
         keeper: where the state is stored.
         progress: told of each view.
+        processes: each takes its share of the views; the accumulators are summed up at the end of a round, and only
+            then is the state stored.
     """
 
     def __init__(
@@ -103,20 +107,30 @@ class Lift:
         n_views: int,
         keeper: Checkpoint,
         progress: Progress,
+        processes: Processes = ALONE,
     ) -> None:
         self.state = state
         self.rows = rows
         self.n_views = n_views
         self.keeper = keeper
         self.progress = progress
+        self.processes = processes
 
     def add_round(self, source: Source) -> None:
         """Take in every view that is not in yet."""
         left = [camera for camera in source.cameras if camera.name not in self.state.views_done]
+        mine = self.processes.share(left)
+        if left and not self.processes.first:
+            self.state.accumulators.zero_()  # what an earlier run has left there counts once
         if source.sums is not None:
-            self.add_sums(source.iterate_sums(left))
+            self.add_sums(source.iterate_sums(mine))
         elif source.scene is not None:
-            self.add_views(source.scene, left, source.regions, source.raster_preset)
+            self.add_views(source.scene, mine, source.regions, source.raster_preset)
+        if self.processes.world > 1 and left:
+            self.processes.sum(self.state.accumulators)
+            for done in self.processes.gather(self.state.views_done):
+                self.state.views_done.update(done)
+            self._report()
 
     def end_round(self, source: Source, keep: int) -> None:
         """Make what this round has found the yardstick of the next, and empty the accumulators.
@@ -135,7 +149,8 @@ class Lift:
             self.codes_of,
         )
         state.end_round(agreement)
-        self.keeper.write(state)
+        if self.processes.first:
+            self.keeper.write(state)
 
     def add_views(
         self, scene: raster.PreparedScene, cameras: Sequence[Camera], regions: Regions, raster_preset: str
@@ -152,11 +167,11 @@ class Lift:
                 uplift.add(view, labels, self.codes_of(camera.name))
                 self.state.views_done[at_hand[0]] = at_hand[1]
                 self._report()
-                if self.keeper.is_due():
+                if self._may_store():
                     uplift.flush()
                     self.keeper.write(self.state)
         except KeyboardInterrupt:
-            if self.keeper.path is not None and uplift.intact:
+            if self._stores_parts and uplift.intact:
                 # The interruption may have come after the view was taken in.
                 if uplift.n_taken > len(self.state.views_done) - before:
                     self.state.views_done[at_hand[0]] = at_hand[1]
@@ -176,15 +191,24 @@ class Lift:
                 self.state.views_done[sums.view_name] = sums.labels_digest
                 self.state.between_views = True
                 self._report()
-                if self.keeper.is_due():
+                if self._may_store():
                     self.keeper.write(self.state)
         except KeyboardInterrupt:
-            self.keeper.write(self.state)
+            if self._stores_parts:
+                self.keeper.write(self.state)
             raise
 
     def codes_of(self, view_name: str) -> list[SparseCodes]:
         """Per level, the codes of a view's regions."""
         return codes_of_view(self.state.codes, self.rows, view_name)
+
+    @property
+    def _stores_parts(self) -> bool:
+        """Whether the state may be stored in the middle of a round: what one of several processes has is no state."""
+        return self.keeper.path is not None and self.processes.world == 1
+
+    def _may_store(self) -> bool:
+        return self._stores_parts and self.keeper.is_due()
 
     def _report(self) -> None:
         stage = "uplift" if self.state.rounds_done == 0 else f"uplift, round {self.state.rounds_done + 1}"

@@ -25,6 +25,7 @@ from scoup.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.field import FieldInfo, LanguageField
 from scoup.gaussians import Gaussians
 from scoup.lifting import Lift, Source
+from scoup.processes import Processes, at_work
 from scoup.progress import Progress, no_progress
 from scoup.regions import Regions
 from scoup.uplifting import RegionSums, cameras_with_regions, digest_of_labels, region_sums, top_k
@@ -111,6 +112,9 @@ def build(
     The parts can be called one by one: ``fit_codes``, ``region_sums``, ``uplift``, ``top_k``, ``LanguageField``.
     Beyond the embeddings, and then the codes, of all regions, memory does not grow with the number of views.
 
+    Where torch's process group is set up (torchrun), each process learns the codes of some levels and lifts its share
+    of the views; all of them return the same field. Sums are then rounded in another order than by one process.
+
     Args:
         gaussians: the trained scene; never changed.
         cameras: posed views; those without regions are passed over.
@@ -150,7 +154,10 @@ def build(
     device = gaussians.device if sums is None else torch.device("cpu")
     rows_order = "original" if scene is None or scene.order is None else "moved"
     keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), key, rows_order)
+    processes = at_work()
     state = keeper.read((len(gaussians), len(embeddings), settings.n_atoms))
+    if None in processes.gather(None if state is None else len(state.views_done)):
+        state = None  # one of the processes cannot go on from it
     if state is None:
         if settings.consensus and sums is not None:
             agreed = consensus(sums, [rows for rows, _ in embeddings.values()], progress=progress)
@@ -158,14 +165,15 @@ def build(
                 level: (rows, of_views)
                 for (level, (_, of_views)), rows in zip(embeddings.items(), agreed, strict=True)
             }
-        state = _learn_codes(embeddings, settings, len(gaussians), device, progress)
-        keeper.write(state)
+        state = _learn_codes(embeddings, settings, len(gaussians), device, processes, progress)
+        if processes.first:
+            keeper.write(state)
     else:
         state = state.to(device, _place_of_accumulators(device, state.accumulators.shape))
         _forget_other_maps(state, views, regions)
     del embeddings  # the uplift needs the codes only
     source = Source(views, regions, settings.raster_preset, scene, sums)
-    lift = Lift(state, rows, len(views), keeper, progress)
+    lift = Lift(state, rows, len(views), keeper, progress, processes)
     while state.rounds_done + 1 < settings.rounds:
         lift.add_round(source)
         lift.end_round(source, settings.keep or settings.k)
@@ -279,13 +287,13 @@ def _learn_codes(
     settings: BuildSettings,
     n_gaussians: int,
     device: torch.device,
+    processes: Processes,
     progress: Progress,
 ) -> BuildState:
-    """Codes of every level, and empty accumulators."""
-    atoms: list[Tensor] = []
-    codes: list[SparseCodes] = []
-    reports: list[dict[str, Any]] = []
-    for level, (rows, _) in embeddings.items():
+    """Codes of every level, each learned by one of the processes, and empty accumulators."""
+    learned: dict[str, tuple[Tensor, SparseCodes, dict[str, Any]]] = {}
+    for level in processes.share(list(embeddings)):
+        rows, _ = embeddings[level]
         name = f"coding {level}"
         book = fit_codes(
             rows.to(device),
@@ -298,11 +306,13 @@ def _learn_codes(
             tolerance=settings.tolerance,
             progress=lambda _, done, total, name=name: progress(name, done, total),
         )
-        atoms.append(book.atoms)
-        codes.append(book.codes)
         # Seconds would make two equal builds write different bytes.
         report = {key: value for key, value in dataclasses.asdict(book.report).items() if key != "seconds"}
-        reports.append(report)
+        learned[level] = book.atoms.cpu(), book.codes.to("cpu"), report
+    everything = {level: found for part in processes.gather(learned) for level, found in part.items()}
+    atoms = [everything[level][0].to(device) for level in embeddings]
+    codes = [everything[level][1].to(device) for level in embeddings]
+    reports = [everything[level][2] for level in embeddings]
     shape = (n_gaussians, len(embeddings), settings.n_atoms)
     accumulators = torch.zeros(shape, device=_place_of_accumulators(device, shape))
     return BuildState(atoms, codes, reports, accumulators, {})

@@ -97,7 +97,9 @@ class Build(WritesCommon):
             load_regions,
         )
         from scoup.pipeline import build, build_settings
+        from scoup.processes import device_of_process, process_group
 
+        device = device_of_process(self.device)
         out = self.out or Path(f"{self.scene.resolve().name}.scoup")
         if out.suffix.lower() != ".scoup":
             raise InputError(f"{out}: give a name that ends in .scoup")
@@ -119,7 +121,7 @@ class Build(WritesCommon):
             seed=self.seed,
             raster_preset=default_preset(source) if self.raster_preset == "auto" else self.raster_preset,
         )
-        gaussians = load_gaussians(source).to(self.device)
+        gaussians = load_gaussians(source).to(device)
         distorted = "undistort" if self.undistort else "refuse"
         cameras = load_cameras(self.scene, self.images, self.downscale, distorted)
         regions = load_regions(self._features(), cameras)
@@ -130,7 +132,7 @@ class Build(WritesCommon):
 
         checkpoint = out.with_name(out.name + ".partial")
         started = time.perf_counter()
-        with console.progress() as progress:
+        with process_group(device) as processes, console.progress() as progress:
             field = build(
                 gaussians,
                 cameras,
@@ -142,6 +144,8 @@ class Build(WritesCommon):
                 checkpoint=checkpoint,
                 progress=progress,
             )
+        if not processes.first:
+            return
         field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)
         checkpoint.unlink(missing_ok=True)
         seconds = time.perf_counter() - started
@@ -156,9 +160,9 @@ class Build(WritesCommon):
             f"{out}: {size / 1e6:.1f} MB ({size / max(1, len(field)):.0f} bytes a Gaussian), "
             f"{coded:,} of {len(field):,} Gaussians have a code, built in {seconds:.0f} s"
         )
-        peak = _peak_gpu_memory(self.device)
+        peak = _peak_gpu_memory(device)
         if peak is not None:
-            console.say(f"peak memory on {self.device}: {peak / 1e9:.2f} GB")
+            console.say(f"peak memory on {device}: {peak / 1e9:.2f} GB")
         console.result(
             {
                 "field": out,
