@@ -47,4 +47,4 @@ def touches_inner_edge(
     place = corners + np.array([crop[0], crop[1], crop[0], crop[1]])
     near_crop = np.abs(place - np.array(crop)) <= near
     near_image = np.abs(place - np.array([0, 0, width, height])) <= near
-    return (near_crop & ~near_image).any(1)
+    return np.asarray((near_crop & ~near_image).any(1), np.bool_)

@@ -59,7 +59,8 @@ def _without_small(
     """The connected parts of at least ``least_area`` pixels; None if none is smaller."""
     from scipy import ndimage
 
-    labels, count = ndimage.label(parts, _EIGHT)
+    labels = np.zeros(parts.shape, np.int32)
+    count = int(ndimage.label(parts, _EIGHT, output=labels))  # pyright: ignore[reportArgumentType]
     sizes = np.bincount(labels.ravel(), minlength=count + 1)
     keep = sizes >= least_area
     keep[0] = False

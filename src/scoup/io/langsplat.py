@@ -145,9 +145,9 @@ def write_langsplat_view(
     planes = np.full((len(FILE_LEVELS), *first.shape), -1, np.float32)
     blocks: list[NDArray[np.float32]] = []
     start = 0
-    for plane, level in zip(planes, FILE_LEVELS, strict=True):
+    for number, level in enumerate(FILE_LEVELS):
         if level in labels:
-            plane[:] = np.where(labels[level] >= 0, labels[level] + start, -1)
+            planes[number] = np.where(labels[level] >= 0, labels[level] + start, -1)
             blocks.append(np.asarray(embeddings[level], np.float32))
             start += len(blocks[-1])
     arrays = {f"{stem.name}_f.npy": np.concatenate(blocks), f"{stem.name}_s.npy": planes}

@@ -42,7 +42,7 @@ class RegionManifest:
 
     def differences(self, other: RegionManifest) -> list[str]:
         """What differs from another manifest, as "name: mine, not theirs"."""
-        pairs = {
+        pairs: dict[str, tuple[Any, Any]] = {
             "layout": (self.layout, other.layout),
             "embedding model": (self.embedding_model, other.embedding_model),
         }
