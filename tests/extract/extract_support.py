@@ -10,7 +10,9 @@ from scipy import ndimage
 def random_masks(count: int, height: int, width: int, seed: int) -> np.ndarray:
     """[count, H, W] bool: blobs, boxes, copies with a shift, parts of others, scattered dots, full and empty ones."""
     rng = np.random.default_rng(seed)
-    smooth = [ndimage.gaussian_filter(rng.normal(size=(height, width)), rng.uniform(0.5, 4)) for _ in range(6)]
+    smooth = [
+        ndimage.gaussian_filter(rng.normal(size=(height, width)), rng.uniform(0.5, 4)) for _ in range(6)
+    ]
     masks: list[np.ndarray] = []
     for _ in range(count):
         kind = rng.integers(7)

@@ -60,7 +60,9 @@ class MadeUpLook:
             px, py = x / self.size[1] * self.small, y / self.size[0] * self.small
             distance = np.hypot(rows - py, columns - px)
             radii = np.sort(rng.uniform(0.5, self.small * 0.7, 3))
-            fields = [radius - distance + self.noise + rng.normal(size=distance.shape) * 0.3 for radius in radii]
+            fields = [
+                radius - distance + self.noise + rng.normal(size=distance.shape) * 0.3 for radius in radii
+            ]
             masks.append(np.stack(fields))
             quality.append(rng.integers(8, 21, 3) / 20)
         return torch.from_numpy(np.stack(masks)).float(), torch.from_numpy(np.stack(quality)).float()
@@ -191,6 +193,8 @@ def test_settings_and_records() -> None:
         mask_settings("best")  # pyright: ignore[reportArgumentType]
     one = SamSegmenter(MadeUp(1), faithful).record()
     assert one["seed"] == 1
-    assert one == SamSegmenter(MadeUp(1), replace(faithful, points_per_batch=9)).record()  # decides only memory
+    assert (
+        one == SamSegmenter(MadeUp(1), replace(faithful, points_per_batch=9)).record()
+    )  # decides only memory
     assert one != SamSegmenter(MadeUp(1), mask_settings("fast")).record()
     assert isinstance(automatic_masks(smooth_image(20, 20), MadeUp(1), LIVELY)["s"], Masks)

@@ -103,7 +103,9 @@ def test_rules_on_masks_of_a_photograph(data_folder) -> None:
     rng = np.random.default_rng(1)
     scores = rng.uniform(0.6, 1, len(dense))
     masks = Masks.from_dense(dense)
-    assert keep_by_masks(masks, scores).tolist() == mask_rule(torch.from_numpy(dense), torch.from_numpy(scores))
+    assert keep_by_masks(masks, scores).tolist() == mask_rule(
+        torch.from_numpy(dense), torch.from_numpy(scores)
+    )
     cleaned, (expected, _) = without_small_parts(masks, 100, 0.7), clean_up(list(dense), 100, 0.7)
     assert (cleaned.dense() == np.stack(expected)).all()
 

@@ -1,4 +1,4 @@
-"""SAM of three generations: real loading and real forward passes of tiny random models, against transformers' own steps."""
+"""SAM of three generations: real loading and forward passes of tiny random models, fed by hand for comparison."""
 
 from __future__ import annotations
 
@@ -45,7 +45,9 @@ def test_answers_are_those_of_the_model_fed_by_hand(loaded, size) -> None:
     from PIL import Image
 
     scaled = np.asarray(Image.fromarray(image).resize((wide, high), Image.Resampling.BILINEAR))
-    mean, std = (0.5, 0.5) if kind == "sam3" else (np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225]))
+    mean, std = (
+        (0.5, 0.5) if kind == "sam3" else (np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225]))
+    )
     pixels = np.zeros((side, side, 3))
     pixels[:high, :wide] = (scaled / 255 - mean) / std
     points = POINTS * torch.tensor([wide / width, high / height])
@@ -106,7 +108,14 @@ def test_normalization_comes_with_the_model(tmp_path: Path) -> None:
         str(saved(tiny_sam(), tmp_path / "other", image_mean=[0.1, 0.2, 0.3], image_std=[1, 1, 1]))
     )
     same = open_point_model(
-        str(saved(tiny_sam(), tmp_path / "same", image_mean=[0.485, 0.456, 0.406], image_std=[0.229, 0.224, 0.225]))
+        str(
+            saved(
+                tiny_sam(),
+                tmp_path / "same",
+                image_mean=[0.485, 0.456, 0.406],
+                image_std=[0.229, 0.224, 0.225],
+            )
+        )
     )
     one, two, three = (model.look(image).ask(POINTS)[0] for model in (plain, other, same))
     assert torch.equal(one, three)

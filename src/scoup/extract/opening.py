@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import torch
 
 from scoup.extract import felzenszwalb, plain_colors
 from scoup.extract.parts import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
+from scoup.io.region_manifest import read_manifest
 
 
 def open_segmenter(
@@ -51,3 +54,34 @@ def open_embedder(name: str, revision: str | None = None, device: torch.device |
     from scoup.extract.image_models import open_image_model
 
     return open_image_model(name, revision, device)
+
+
+def open_pair(
+    segmenter: str,
+    embedder: str,
+    settings: MaskSettings,
+    revisions: tuple[str | None, str | None] = (None, None),
+    device: torch.device | str = "cpu",
+    resumed: Path | None = None,
+) -> tuple[Segmenter, Embedder]:
+    """A segmenter and an embedder; where work goes on in a folder, of the commits it was begun with.
+
+    A hub model that moves on meanwhile would otherwise be another model for the rest of the views.
+
+    Args:
+        revisions: of both, where the user names them.
+        resumed: folder that may hold views already.
+    """
+    manifest = read_manifest(resumed) if resumed is not None and resumed.is_dir() else None
+    begun = manifest.settings if manifest is not None else {}
+    found: list[str | None] = []
+    for key, name, given in zip(("segmenter", "embedder"), (segmenter, embedder), revisions, strict=True):
+        same = begun.get(key) in (name, _full_name(name))
+        found.append(given or (begun.get(f"{key}_revision") or None if same else None))
+    return open_segmenter(segmenter, settings, found[0], device), open_embedder(embedder, found[1], device)
+
+
+def _full_name(name: str) -> str:
+    from scoup.extract.sam import SHORT_NAMES
+
+    return SHORT_NAMES.get(name, name)

@@ -148,7 +148,7 @@ def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
     upright = np.rot90(array, turns)
     if mirrored:
         upright = upright[:, ::-1]
-    return Pixels(np.ascontiguousarray(upright), turns, mirrored, digest)
+    return Pixels(np.array(upright, order="C"), turns, mirrored, digest)
 
 
 def _to_rgb(image: Any) -> Any:

@@ -15,6 +15,7 @@ from scoup.io.ply import (
     write_ply,
     write_ply_table,
 )
+from scoup.io.region_convert import ConvertReport, convert_regions
 from scoup.io.scenes import (
     default_preset,
     find_cameras,
@@ -27,11 +28,13 @@ from scoup.io.splat import read_splat, write_splat
 from scoup.io.transforms import read_transforms, write_transforms
 
 __all__ = [
+    "ConvertReport",
     "PlyTable",
     "as_stored",
     "atomic_file",
     "atomic_path",
     "check_output",
+    "convert_regions",
     "default_preset",
     "find_cameras",
     "find_gaussians",

@@ -40,10 +40,17 @@ class _Files:
     """The two files of one camera, and the row blocks of their levels once somebody asked."""
 
     camera: Camera
-    labels: Path
-    embeddings: Path
+    stem: Path
     blocks: dict[str, slice] = field(default_factory=dict)
     lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def labels(self) -> Path:
+        return self.stem.with_name(f"{self.stem.name}_s.npy")
+
+    @property
+    def embeddings(self) -> Path:
+        return self.stem.with_name(f"{self.stem.name}_f.npy")
 
 
 def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Regions:
@@ -77,7 +84,7 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
     if holds_compact(folder):
         return load_compact(folder, cameras)
     for camera in cameras:
-        files = _Files(camera, folder / f"{camera.stem}_s.npy", folder / f"{camera.stem}_f.npy")
+        files = _Files(camera, folder / camera.stem)
         if files.labels.is_file() and files.embeddings.is_file():
             views[camera.name] = files
     if not views:
@@ -216,25 +223,37 @@ def _used_range(path: Path, plane: np.ndarray, name: str, rows: int) -> tuple[in
     return (low if low >= 0 else int(values[values >= 0].min())), high
 
 
+def open_langsplat_view(stem: Path) -> tuple[Path, np.ndarray, np.ndarray]:
+    """The files of one view, mapped, their headers checked: path of the labels, labels [4, H, W], rows [M, D].
+
+    Args:
+        stem: folder and name without ending.
+
+    Raises:
+        MissingFileError, FileFormatError: a file is not there, or is no such file.
+    """
+    labels, embeddings = stem.with_name(f"{stem.name}_s.npy"), stem.with_name(f"{stem.name}_f.npy")
+    planes, rows = open_npy(labels, "region labels"), open_npy(embeddings, "region embeddings")
+    sides = planes.shape[1:]
+    if (
+        planes.ndim != 3
+        or len(planes) != len(FILE_LEVELS)
+        or not all(1 <= side <= MAX_IMAGE_SIDE for side in sides)
+    ):
+        problem = f"has shape {list(planes.shape)}, expected [4, height, width]"
+        raise FileFormatError(labels, problem, _REMEDY)
+    if rows.ndim != 2 or rows.dtype.kind != "f" or (len(rows) and not rows.shape[1]):
+        problem = (
+            f"has shape {list(rows.shape)} of {rows.dtype}, expected floating point [regions, dimensions]"
+        )
+        raise FileFormatError(embeddings, problem, _REMEDY)
+    return labels, planes, rows
+
+
 def _check_headers(views: list[_Files]) -> None:
     first: tuple[int, Path] | None = None
     for files in views:
-        planes, rows = (
-            open_npy(files.labels, "region labels"),
-            open_npy(files.embeddings, "region embeddings"),
-        )
-        if (
-            planes.ndim != 3
-            or len(planes) != len(FILE_LEVELS)
-            or not all(1 <= side <= MAX_IMAGE_SIDE for side in planes.shape[1:])
-        ):
-            problem = f"has shape {list(planes.shape)}, expected [4, height, width]"
-            raise FileFormatError(files.labels, problem, _REMEDY)
-        if rows.ndim != 2 or rows.dtype.kind != "f" or (len(rows) and not rows.shape[1]):
-            problem = (
-                f"has shape {list(rows.shape)} of {rows.dtype}, expected floating point [regions, dimensions]"
-            )
-            raise FileFormatError(files.embeddings, problem, _REMEDY)
+        _, planes, rows = open_langsplat_view(files.stem)
         height, width = planes.shape[1:]
         check_aspect(files.labels, width, height, files.camera)
         if first is not None and rows.shape[1] != first[0]:
@@ -254,7 +273,7 @@ def _blocks(files: _Files, planes: np.ndarray, rows: int) -> dict[str, slice]:
 
 
 def _open(files: _Files) -> tuple[np.ndarray, np.ndarray, dict[str, slice]]:
-    planes, rows = open_npy(files.labels, "region labels"), open_npy(files.embeddings, "region embeddings")
+    _, planes, rows = open_langsplat_view(files.stem)
     return planes, rows, _blocks(files, planes, len(rows))
 
 
