@@ -72,6 +72,7 @@ def _describe_folder(path: Path) -> dict[str, Any]:
     """A scene, or what there is of one: a part that is missing is left out, a damaged one is an error."""
     from scoup.errors import FileFormatError, MissingFileError
     from scoup.io import find_cameras, find_gaussians, load_gaussians, load_regions
+    from scoup.io.region_views import view_files
 
     record: dict[str, Any] = {"kind": "scene"}
     cameras = None
@@ -88,7 +89,7 @@ def _describe_folder(path: Path) -> dict[str, Any]:
             regions = load_regions(path, cameras)
             record["views_with_regions"] = len(regions)
             record["regions"] = {level: len(regions.embeddings(level)[0]) for level in regions.levels}
-    elif views := sorted(path.glob("*.regions")):
+    elif views := view_files(path, ".regions"):
         record |= _describe_compact(path, views)
     elif labels := sorted(path.glob("*_s.npy")):
         record |= _describe_features(labels)

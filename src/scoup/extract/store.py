@@ -15,7 +15,7 @@ from scoup.io.compact import ENDING, read_compact_view, write_compact_view
 from scoup.io.langsplat import write_langsplat_view
 from scoup.io.reading import read_json
 from scoup.io.region_manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
-from scoup.io.region_views import stem_of
+from scoup.io.region_views import stem_of, view_files
 
 _RECORD_ENDING = (
     "_made.json"  # LangSplat's layout: written after the two arrays, says what they were made from
@@ -117,7 +117,7 @@ def _refuse_foreign(folder: Path) -> None:
         raise InputError(f"{folder}: is a file; give the name of a folder with --out")
     if not folder.is_dir():
         return
-    foreign = sorted(path.name for end in ("_s.npy", ENDING) for path in folder.glob(f"*{end}"))
+    foreign = [path.name for end in ("_s.npy", ENDING) for path in view_files(folder, end)]
     if foreign:
         raise InputError(
             f"{folder}: holds region features that were not made by scoup extract ({foreign[0]} and "

@@ -29,6 +29,7 @@ from scoup.io.region_views import (
     check_aspect,
     refuse_without_features,
     unit_rows,
+    view_files,
     warn_of_missing,
 )
 from scoup.regions import LEVELS, RegionMap, Regions
@@ -207,7 +208,7 @@ def load_compact(folder: Path, cameras: Sequence[Camera]) -> Regions:
             raise FileFormatError(path, problem, "the features come from different models; " + REMEDY)
         views[camera.name] = (camera, view)
     if not views:
-        there = sorted(path.name for path in folder.glob(f"*{ENDING}"))
+        there = [path.name for path in view_files(folder, ENDING)]
         refuse_without_features(folder, cameras, (ENDING,), there)
     warn_of_missing(folder, len(views), len(cameras))
 

@@ -27,6 +27,7 @@ from scoup.io.region_views import (
     refuse_without_features,
     stem_of,
     unit_rows,
+    view_files,
     warn_of_missing,
 )
 from scoup.io.region_views import REMEDY as _REMEDY
@@ -88,7 +89,7 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
         if files.labels.is_file() and files.embeddings.is_file():
             views[camera.name] = files
     if not views:
-        there = sorted(path.name for path in folder.glob("*_s.npy"))
+        there = [path.name for path in view_files(folder, "_s.npy")]
         refuse_without_features(folder, cameras, ("_s.npy", "_f.npy"), there)
     warn_of_missing(folder, len(views), len(cameras))
     _check_headers(list(views.values()))

@@ -20,7 +20,7 @@ from scoup.io.compact import (
 from scoup.io.langsplat import FILE_LEVELS, level_blocks, open_langsplat_view, write_langsplat_view
 from scoup.io.reading import existing_folder
 from scoup.io.region_manifest import MANIFEST, Layout, RegionManifest, read_manifest, write_manifest
-from scoup.io.region_views import FOLDER_NAME
+from scoup.io.region_views import FOLDER_NAME, view_files
 from scoup.progress import Progress, no_progress
 
 
@@ -121,10 +121,10 @@ class _View:
 def _stems(source: Path, layout: Layout, manifest: RegionManifest | None) -> list[str]:
     """The stems of the views that count."""
     if layout == "langsplat":
-        stems = sorted(path.name.removesuffix("_s.npy") for path in source.glob("*_s.npy"))
+        stems = [path.name.removesuffix("_s.npy") for path in view_files(source, "_s.npy")]
     else:
         fingerprint = manifest.fingerprint if manifest else ""
-        views: list[CompactView] = [read_compact_view(path) for path in sorted(source.glob(f"*{ENDING}"))]
+        views: list[CompactView] = [read_compact_view(path) for path in view_files(source, ENDING)]
         stems = [v.path.name.removesuffix(ENDING) for v in views if v.manifest == fingerprint]
     if not stems:
         raise MissingFileError(
@@ -149,7 +149,7 @@ def _check_target(target: Path, manifest: RegionManifest, stems: list[str], over
             f"{target}: holds other region features ({listed}); choose another folder, or pass --overwrite"
         )
     other: Layout = "compact" if manifest.layout == "langsplat" else "langsplat"
-    foreign = sorted(target.glob(f"*{ENDING}" if other == "compact" else "*_s.npy"))
+    foreign = view_files(target, ENDING if other == "compact" else "_s.npy")
     if foreign:
         raise InputError(
             f"{target}: holds features of the layout {other} ({foreign[0].name}); choose another folder"

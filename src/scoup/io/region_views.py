@@ -25,6 +25,11 @@ def stem_of(name: str) -> str:
     return Path(name).name.split(".", 1)[0]
 
 
+def view_files(folder: Path, ending: str) -> list[Path]:
+    """The files of a folder with that ending, in order; not the hidden ones that a killed process left behind."""
+    return sorted(path for path in folder.glob(f"*{ending}") if not path.name.startswith("."))
+
+
 def check_stems(folder: Path, names: Iterable[str]) -> None:
     """Refuse two images whose region files would have one name.
 
