@@ -167,7 +167,8 @@ def _row(
 
 def _timed(run: Callable[[], Any]) -> tuple[Any, float, float]:
     """Result, the better of two times in seconds, and the peak of memory in bytes (of a run of its own)."""
-    times = []
+    times: list[float] = []
+    result: Any = None
     for _ in range(2):
         since = time.perf_counter()
         result = run()
