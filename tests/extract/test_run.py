@@ -28,12 +28,13 @@ from scoup.extract import (
     find_photographs,
     open_embedder,
     open_segmenter,
+    opening,
     paint,
     shard_of_environment,
 )
 from scoup.extract.felzenszwalb import Felzenszwalb
 from scoup.extract.plain_colors import PlainColors
-from scoup.io.region_manifest import MANIFEST
+from scoup.io.region_manifest import MANIFEST, RegionManifest, write_manifest
 from scoup.regions import LEVELS
 from support import make_camera
 
@@ -228,6 +229,28 @@ def test_progress_counts_every_photograph(tmp_path: Path) -> None:
     extract(photographs[:2], tmp_path / "o", Blocks(), PlainColors(), progress=lambda _, *at: seen.append(at))
     extract(photographs, tmp_path / "o", Blocks(), PlainColors(), progress=lambda _, *at: seen.append(at))
     assert seen == [(0, 2), (1, 2), (2, 2), (2, 4), (3, 4), (4, 4)]
+
+
+def test_the_commit_of_a_model_stays_while_work_goes_on(tmp_path: Path, monkeypatch) -> None:
+    """A hub model may move on between two runs: the second must not use another one for the rest."""
+    asked: list[tuple[str, str | None]] = []
+    monkeypatch.setattr(
+        opening, "open_segmenter", lambda name, s, revision, d: asked.append((name, revision))
+    )
+    monkeypatch.setattr(opening, "open_embedder", lambda name, revision, d: asked.append((name, revision)))
+    record = {
+        "segmenter": "facebook/sam-vit-huge", "segmenter_revision": "abc",
+        "embedder": "some/clip", "embedder_revision": "",
+    }  # fmt: skip
+    write_manifest(tmp_path, RegionManifest("compact", "some/clip", record))
+    settings = MaskSettings()
+    opening.open_pair("sam-vit-h", "some/clip", settings, resumed=tmp_path)
+    opening.open_pair("sam-vit-h", "some/clip", settings, ("mine", None), resumed=tmp_path)
+    opening.open_pair("sam-vit-b", "some/clip", settings, resumed=tmp_path)
+    opening.open_pair("sam-vit-h", "some/clip", settings, resumed=None)
+    opening.open_pair("sam-vit-h", "some/clip", settings, resumed=tmp_path / "nowhere")
+    assert [revision for _, revision in asked[::2]] == ["abc", "mine", None, None, None]
+    assert [revision for _, revision in asked[1::2]] == [None] * 5
 
 
 def test_shards_of_the_environment(monkeypatch) -> None:

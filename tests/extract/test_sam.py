@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from extract_support import smooth_image
-from tiny_models import TINY_SAMS, saved, tiny_clip, tiny_sam, tiny_sam2
+from tiny_models import TINY_SAMS, saved, tiny_clip, tiny_sam, tiny_sam2, tiny_sam2_video
 from torch.nn import functional
 
 from scoup.errors import ScoupError
@@ -73,6 +73,17 @@ def test_answers_are_those_of_the_model_fed_by_hand(loaded, size) -> None:
     )
     assert logits.std() > 0.05, "the tiny model answers all alike: the comparison would say nothing"
     assert not torch.equal(logits[0], logits[1])
+
+
+def test_video_models_are_used_as_image_models(tmp_path: Path) -> None:
+    video = tiny_sam2_video()
+    opened = open_point_model(str(saved(video, tmp_path)))
+    weights = dict(video.named_parameters())
+    own = dict(opened.model.named_parameters())
+    assert len(own) > 100
+    assert all(torch.equal(value, weights[name]) for name, value in own.items())
+    logits, _ = opened.look(smooth_image(40, 50)).ask(POINTS)
+    assert logits.shape == (3, 3, 16, 16)
 
 
 def test_trimmed_masks_show_the_image_alone(loaded) -> None:

@@ -67,6 +67,21 @@ def tiny_sam3(seed: int = 0) -> Any:
     return lively(transformers.Sam3TrackerModel(config).eval())
 
 
+def tiny_sam2_video(seed: int = 0) -> Any:
+    """As SAM 2.1 is published: a video model, whose file holds the image model too."""
+    image = tiny_sam2(seed).config
+    config = transformers.Sam2VideoConfig(
+        vision_config=image.vision_config.to_dict(),
+        prompt_encoder_config=image.prompt_encoder_config.to_dict(),
+        mask_decoder_config=image.mask_decoder_config.to_dict(),
+        image_size=64, memory_attention_hidden_size=32, memory_attention_feed_forward_hidden_size=16,
+        memory_attention_num_layers=1, memory_encoder_hidden_size=32, memory_encoder_output_channels=16,
+        mask_downsampler_embed_dim=32, memory_fuser_embed_dim=32, memory_fuser_intermediate_dim=16,
+        memory_fuser_num_layers=1,
+    )  # fmt: skip
+    return lively(transformers.Sam2VideoModel(config).eval())
+
+
 def lively(model: Any) -> Any:
     """Random weights large enough that answers depend on image and point, in the range that filters look at."""
     with torch.no_grad():
