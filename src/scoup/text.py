@@ -19,6 +19,8 @@ from scoup.text_table import EmbeddingTable, is_table, load_table, save_table
 __all__ = ["TextEncoder", "save_table"]
 
 OPEN_CLIP = "open_clip:"
+COLORS = "colors"
+"""Name of embeddings made without a model (``extract.plain_colors``): no words have a place among them."""
 _BATCH = 64
 
 Encode = Callable[[list[str]], Tensor]
@@ -62,6 +64,11 @@ class TextEncoder:
         text = str(model_or_table)
         if is_table(text):
             return cls._of_table(load_table(text))
+        if text == COLORS:
+            raise ScoupError(
+                "these regions were embedded by their colours, without a model, and answer to no words; extract them "
+                "with a CLIP model (scoup extract --embedder MODEL) and build the field again"
+            )
         if text.startswith(OPEN_CLIP):
             return cls(text, *_open_open_clip(text, device))
         return cls(text, *_open_transformers(text, revision, device))

@@ -50,6 +50,7 @@ def test_extract_then_build(here) -> None:
     field = LanguageField.load("a.scoup")
     assert field.info.embedding_model == "colors"  # as the features say, not as the verb would guess
     assert field.dim == 72
+    assert "answer to no words" in refused("query", "a.scoup", "kettle", "--out", "answers")
     run_json("build", "scene", *QUICK, "--out", "b.scoup", "--model", "my/model")
     assert LanguageField.load("b.scoup").info.embedding_model == "my/model"
 
@@ -85,10 +86,11 @@ def test_what_extract_refuses(here) -> None:
 def test_unreadable_photographs_are_warned_of(here) -> None:
     photographs()
     Path("scene/images/view_01.png").write_bytes(Path("scene/images/view_01.png").read_bytes()[:60])
+    Path("scene/images/view_02.png").write_text("not even a header")
     code, out, err = run("extract", "scene", *FREE)
     assert code == 0
-    assert "3 views made" in out
-    assert err.startswith("warning: skipped 1 of 4 photographs")
+    assert "2 views made" in out
+    assert err.startswith("warning: skipped 2 of 4 photographs")
 
 
 def test_regions_picture(here) -> None:

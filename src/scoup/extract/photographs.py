@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.errors import FileFormatError, MissingFileError, ScoupError
-from scoup.io import load_cameras
+from scoup.io import camera_photographs
 from scoup.io.image_folder import EXTENSIONS, image_size
 from scoup.io.images import MAX_PIXELS
 from scoup.io.scene_images import FACTORS
@@ -70,10 +70,8 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
     scene = Path(scene)
     if not scene.exists():
         raise MissingFileError(scene, "there is no such scene", "check the path")
-    with suppress(MissingFileError), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a camera without a photograph is told when the field is built
-        cameras = load_cameras(scene, images, distorted="undistort", missing_images="keep")
-        found = [Photograph(c.name, c.image_path) for c in cameras if c.image_path is not None]
+    with suppress(MissingFileError):  # no cameras: all photographs of a folder
+        found = [Photograph(name, path) for name, path in camera_photographs(scene, images)]
         if found:
             return found
     folders = [Path(images)] if images is not None else _image_folders(scene)

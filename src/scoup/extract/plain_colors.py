@@ -8,7 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-NAME = "colors"
+from scoup.text import COLORS
+
+NAME = COLORS
 _BINS = 4  # a side of the colour cube
 _DIRECTIONS = 8
 _SIDE = 64

@@ -17,6 +17,7 @@ from scoup.io.ply import (
 )
 from scoup.io.region_convert import ConvertReport, convert_regions
 from scoup.io.scenes import (
+    camera_photographs,
     default_preset,
     find_cameras,
     find_gaussians,
@@ -33,6 +34,7 @@ __all__ = [
     "as_stored",
     "atomic_file",
     "atomic_path",
+    "camera_photographs",
     "check_output",
     "convert_regions",
     "default_preset",
