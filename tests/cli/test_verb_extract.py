@@ -76,6 +76,7 @@ def test_what_extract_refuses(here) -> None:
     assert "colors" in refused(
         "extract", "scene", "--segmenter", "felzenszwalb", "--embedder", "./no-such-model"
     )
+    assert "no level default" in refused("extract", "scene", *FREE, "--with-default")
     run_json("extract", "scene", *FREE)
     assert "bits: 32, not 16" in refused("extract", "scene", *FREE, "--bits", "32")
     Path("file").write_text("")

@@ -12,7 +12,7 @@ import tyro
 
 from scoup.cli.build import CLIP_MODEL
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalInteger, OptionalPath, OptionalText, WritesCommon, common_last
+from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, WritesCommon, common_last
 
 if TYPE_CHECKING:
     from scoup.extract import ExtractReport, MaskSettings
@@ -54,6 +54,8 @@ class Extract(WritesCommon):
     """compact: one small file a view. langsplat: <image>_s.npy and _f.npy, as other programs read them."""
     bits: Literal[16, 32] = 16
     """Bits of a stored embedding number in the compact layout."""
+    with_default: Flag = False
+    """Also make LangSplat's level "default", which holds all masks in one list; SCOUP does not use it."""
     max_height: int = 1080
     """Higher photographs are reduced to this height first; 0 for never."""
 
@@ -83,6 +85,7 @@ class Extract(WritesCommon):
             (self.segmenter_revision, self.embedder_revision),
             device,
             None if self.overwrite else out,
+            self.with_default,
         )
         with console.progress() as progress:
             report = extract(

@@ -235,9 +235,11 @@ def test_the_commit_of_a_model_stays_while_work_goes_on(tmp_path: Path, monkeypa
     """A hub model may move on between two runs: the second must not use another one for the rest."""
     asked: list[tuple[str, str | None]] = []
     monkeypatch.setattr(
-        opening, "open_segmenter", lambda name, s, revision, d: asked.append((name, revision))
+        opening, "open_segmenter", lambda name, s, revision, *rest: asked.append((name, revision))
     )
-    monkeypatch.setattr(opening, "open_embedder", lambda name, revision, d: asked.append((name, revision)))
+    monkeypatch.setattr(
+        opening, "open_embedder", lambda name, revision, *rest: asked.append((name, revision))
+    )
     record = {
         "segmenter": "facebook/sam-vit-huge", "segmenter_revision": "abc",
         "embedder": "some/clip", "embedder_revision": "",
@@ -279,7 +281,7 @@ WORKER = """
 import sys, time
 from pathlib import Path
 sys.path[:0] = [{tests!r}, {own!r}]
-from test_run import Blocks
+from test_extract_run import Blocks
 from scoup.extract import extract, find_photographs, shard_of_environment
 from scoup.extract.plain_colors import PlainColors
 
@@ -333,7 +335,8 @@ def test_tiny_models_from_end_to_end(tmp_path: Path) -> None:
         points_per_side=3, predicted_iou=0.0, stability=0.3, stability_offset=0.02, least_score=0.0, crop_layers=0,
         least_area=4,
     )  # fmt: skip
-    segmenter = open_segmenter(str(saved(tiny_sam2(), tmp_path / "sam")), settings)
+    sam = str(saved(tiny_sam2(), tmp_path / "sam"))
+    segmenter = open_segmenter(sam, settings)
     embedder = open_embedder(str(saved(tiny_clip(), tmp_path / "clip")))
     out = tmp_path / "out"
     extract(find_photographs(folder), out, segmenter, embedder)
@@ -345,6 +348,14 @@ def test_tiny_models_from_end_to_end(tmp_path: Path) -> None:
     record = json.loads((out / MANIFEST).read_text())["settings"]
     assert record["segmenter"] == str(tmp_path / "sam")
     assert record["points_per_side"] == 3
+    full = open_segmenter(sam, settings, with_default=True)
+    extract(find_photographs(folder), tmp_path / "full", full, embedder, "langsplat")
+    planes = np.load(tmp_path / "full" / "0_s.npy")
+    assert planes[0].max() >= 0  # the level "default"
+    again = scoup.load_regions(tmp_path / "full", cameras)
+    for level in LEVELS:
+        one, other = regions.load("0.png", level), again.load("0.png", level)
+        assert torch.equal(one.labels, other.labels)
 
 
 @pytest.mark.data
