@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -220,6 +221,21 @@ def test_hidden_masks_are_dropped_where_wanted(tmp_path: Path) -> None:
         item = scoup.load_regions(tmp_path / str(drop), cameras).load("0.png", "s")
         assert len(item.embeddings) == rows
         assert item.labels.unique().tolist() == ([-1, 0, 1] if drop else [-1, 1, 2])
+
+
+def test_memory_does_not_grow_with_the_number_of_photographs(tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    for number in range(16):
+        Image.fromarray(smooth_image(200, 300, number)).save(tmp_path / "images" / f"{number:02d}.png")
+    photographs = find_photographs(tmp_path)
+    extract(photographs[:1], tmp_path / "warm", Blocks(64), PlainColors())
+    peaks = []
+    for count in (4, 16):
+        tracemalloc.start()
+        extract(photographs[:count], tmp_path / str(count), Blocks(64), PlainColors())
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 3 * 200 * 300 * 3  # less than a few images more, for twelve images more
 
 
 def test_progress_counts_every_photograph(tmp_path: Path) -> None:

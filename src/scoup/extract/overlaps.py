@@ -7,6 +7,8 @@ is sampled; the counts are those of a loop over pairs.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -96,7 +98,7 @@ def keep_by_masks(
     return np.sort(order[keep])
 
 
-def _cells(masks: Masks, seed: int):
+def _cells(masks: Masks, seed: int) -> tuple[Any, NDArray[np.int64]]:
     """The arrangement: which cell lies in which mask [N, C] (sparse 0/1), and the pixels of each cell [C]."""
     from scipy import sparse
 
