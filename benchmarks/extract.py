@@ -5,12 +5,12 @@
 
 Stages: `mask rule` (LangSplat's suppression of masks), `clean-up` (SAM's small holes and islands), `painting`,
 `crops` (to 224 x 224). Literal: one mask, or one pair of masks, at a time at full size, as the published code does it.
-Pairs are many (500,000 of 1000 masks), so the loop is timed on ``--pairs`` random ones and scaled up; with
-``--all-pairs`` it runs through, and what it keeps is compared. Clean-up of single masks is timed on all of them; the
-suppression of boxes after it is in neither side. OpenCV is used by the literal stages where it is installed, as the
-published code uses it. `matrix product` is the plain way to vectorise intersections: one row of 0 and 1 a mask.
-Times are seconds of the processor (all threads together), which other programs on the machine disturb least. Memory is the
-most that Python objects and arrays held above the start.
+Pairs are many (500,000 of 1000 masks), so the loop is timed on ``--pairs`` random ones and scaled up; with ``--all-
+pairs`` it runs through, and what it keeps is compared. Clean-up and crops are timed on ``--literal-masks`` masks
+and scaled up; the suppression of boxes after the clean-up is in neither side. OpenCV is used by the literal stages
+where it is installed, as the published code uses it. `matrix product` is the plain way to vectorise intersections:
+one row of 0 and 1 a mask. Times are seconds of the processor (all threads together), which other programs on the
+machine disturb least. Memory is the most that Python objects and arrays held above the start.
 
 ``--models`` adds seconds an image of the models themselves at their real sizes, with random weights (their speed does
 not depend on the weights): SAM ViT-B looking at one crop and answering 64 points, CLIP ViT-B/16 on 8 crops.
