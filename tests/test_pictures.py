@@ -17,8 +17,10 @@ from scoup.pictures import (
     label_colors,
     mask_overlay,
     region_overlay,
+    regions_sheet,
 )
 from scoup.pictures.lettering import PAPER, fitted, text_width
+from scoup.pictures.region_sheet import numbered
 
 SIZES = [(1, 1), (1, 300), (300, 1), (36, 48), (180, 240)]
 
@@ -55,6 +57,20 @@ def test_heat_grows_lighter_all_the_way():
     lightness = heat_colors(np.linspace(0, 1, 257)) @ [0.299, 0.587, 0.114]
     assert (np.diff(lightness) > 0).all()
     assert heat_colors(np.array([np.nan, -1.0, 2.0]))[[0, 1]].tolist() == heat_colors(np.zeros(2)).tolist()
+
+
+def test_regions_are_numbered_where_there_is_room():
+    labels = np.full((3, 60, 80), -1)
+    labels[0, :, 40:], labels[0, 5, :30] = 1, 0  # a wide region, and a line
+    labels[1] = 7
+    sheet = regions_sheet(photo(60, 80), labels, ("s", "m", "l"), "view.png", "made by hand", 500)
+    check(sheet)
+    assert sheet.shape[1] == 500
+    plain = region_overlay(labels[0], photo(60, 80))
+    drawn = (numbered(plain, labels[0]) != plain).any(-1)
+    assert drawn[:, 40:].any()
+    assert not drawn[:, :38].any()
+    assert (numbered(plain, np.full((60, 80), -1)) == plain).all()
 
 
 def test_low_relevancy_leaves_the_render_visible():

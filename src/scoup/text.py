@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -14,11 +13,14 @@ import torch
 from torch import Tensor
 
 from scoup.errors import InputError, ScoupError, ScoupWarning, UnknownNameError
+from scoup.hub import first_line, load_local_first
 from scoup.text_table import EmbeddingTable, is_table, load_table, save_table
 
 __all__ = ["TextEncoder", "save_table"]
 
 OPEN_CLIP = "open_clip:"
+COLORS = "colors"
+"""Name of embeddings made without a model (``extract.plain_colors``): no words have a place among them."""
 _BATCH = 64
 
 Encode = Callable[[list[str]], Tensor]
@@ -62,6 +64,11 @@ class TextEncoder:
         text = str(model_or_table)
         if is_table(text):
             return cls._of_table(load_table(text))
+        if text == COLORS:
+            raise ScoupError(
+                "these regions were embedded by their colours, without a model, and answer to no words; extract them "
+                "with a CLIP model (scoup extract --embedder MODEL) and build the field again"
+            )
         if text.startswith(OPEN_CLIP):
             return cls(text, *_open_open_clip(text, device))
         return cls(text, *_open_transformers(text, revision, device))
@@ -127,20 +134,12 @@ def _open_transformers(model_id: str, revision: str | None, device: torch.device
             f"text model {model_id!r} needs the package transformers: pip install 'scoup[models]', "
             "or use a table file of text embeddings"
         ) from error
-    options: dict[str, Any] = {"revision": revision} if revision else {}
     with_reason = f"text model {model_id!r} cannot be loaded"
     try:
-        with _quiet():
-            try:
-                # What is on this machine first: the hub's client waits half a minute for a network that is not there.
-                loaded = _load_transformers(transformers, model_id, {**options, "local_files_only": True})
-            except Exception:
-                if os.path.exists(model_id):
-                    raise
-                loaded = _load_transformers(transformers, model_id, options)
+        loaded = load_local_first(partial(_load_transformers, transformers, model_id), model_id, revision)
     except Exception as error:  # hub, network, JSON and safetensors each raise kinds of their own
         raise ScoupError(
-            f"{with_reason} ({_first_line(error)}); check the id, pip install 'scoup[models]', and fetch the "
+            f"{with_reason} ({first_line(error)}); check the id, pip install 'scoup[models]', and fetch the "
             "weights (safetensors) while online, or use a table file of text embeddings"
         ) from error
     config, tokenizer, model, loading = loaded
@@ -199,26 +198,6 @@ def _is_clip(config: Any) -> bool:
     return config.model_type in ("clip", "clip_text_model")
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """No reports, retries and progress bars of transformers and its hub; errors are raised, not printed."""
-    from huggingface_hub.utils import logging as hub_logging
-    from transformers.utils import logging
-
-    verbosity, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
-    hub_verbosity = hub_logging.get_verbosity()
-    logging.set_verbosity_error()  # it would list the weights of the image tower, which are not wanted here
-    logging.disable_progress_bar()
-    hub_logging.set_verbosity_error()
-    try:
-        yield
-    finally:
-        logging.set_verbosity(verbosity)
-        hub_logging.set_verbosity(hub_verbosity)
-        if bars:
-            logging.enable_progress_bar()
-
-
 def _open_open_clip(text: str, device: torch.device | str) -> tuple[int, Encode]:
     architecture, _, pretrained = text.removeprefix(OPEN_CLIP).partition("/")
     if not architecture or not pretrained:
@@ -238,7 +217,7 @@ def _open_open_clip(text: str, device: torch.device | str) -> tuple[int, Encode]
         tokenizer = open_clip.get_tokenizer(architecture)
     except Exception as error:  # as above
         raise ScoupError(
-            f"text model {text!r} cannot be loaded ({_first_line(error)}); check the id, and fetch the "
+            f"text model {text!r} cannot be loaded ({first_line(error)}); check the id, and fetch the "
             "weights while online, or use a table file of text embeddings"
         ) from error
 
@@ -258,8 +237,3 @@ def _warn_of_long(phrases: list[str], lengths: list[int], limit: int) -> None:
                 ScoupWarning,
                 stacklevel=4,
             )
-
-
-def _first_line(error: BaseException) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0][:160] if lines else type(error).__name__

@@ -140,3 +140,24 @@ def test_the_rarest_objects(script):
     objects = torch.tensor([0] * 5 + [1] * 4 + [2] * 3 + [7] * 2)
     rare = script("coding_forms").rarest_rows(objects)
     assert rare.nonzero()[:, 0].tolist() == [12, 13]
+
+
+def test_extraction_against_the_literal_rules(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    extract = script("extract")
+    out = tmp_path / "extract.json"
+    arguments = extract.Arguments(
+        masks=(8,), height=90, width=120, all_pairs=True, literal_masks=5, data=tmp_path / "none", out=out
+    )
+    record = extract.main(arguments)
+    assert json.loads(out.read_text()) == record
+    stages = {row["stage"]: row for row in record["rows"]}
+    assert set(stages) == {"mask rule", "intersections: matrix product", "clean-up", "painting", "crops"}
+    assert not any("DIFFERENT" in row["agreement"] for row in record["rows"])
+    assert (stages["mask rule"]["measured_in_full"], stages["clean-up"]["measured_in_full"]) == (True, False)
+    assert "masks from: soft noise" in capsys.readouterr().out
+    with pytest.raises(OutputExistsError):
+        extract.main(arguments)
+    sampled = extract.main(
+        extract.Arguments(masks=(8,), height=50, width=60, pairs=5, data=tmp_path / "none")
+    )
+    assert sampled["rows"][0]["agreement"] == "not compared"

@@ -13,15 +13,21 @@ import tyro
 from scoup.cli.bench import Bench
 from scoup.cli.build import Build
 from scoup.cli.console import Console, run_verb
+from scoup.cli.convert import Convert
 from scoup.cli.demo import Demo
+from scoup.cli.extract import Extract
 from scoup.cli.info import Info
 from scoup.cli.options import Common
 from scoup.cli.query import Query
+from scoup.cli.regions import ShowRegions
 from scoup.cli.render import Render
 from scoup.cli.select import Select
 
 Verb = (
     Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Extract, tyro.conf.subcommand("extract")]
+    | Annotated[ShowRegions, tyro.conf.subcommand("regions")]
+    | Annotated[Convert, tyro.conf.subcommand("convert")]
     | Annotated[Build, tyro.conf.subcommand("build")]
     | Annotated[Query, tyro.conf.subcommand("query")]
     | Annotated[Select, tyro.conf.subcommand("select")]
@@ -33,6 +39,7 @@ Verb = (
 DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, and ask it questions.
 
 Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of your own:
+  scoup extract SCENE
   scoup build SCENE --gaussians point_cloud.ply --out scene.scoup
   scoup query scene.scoup "kettle" "wooden table" --camera all
   scoup select scene.scoup "kettle" --out kettle.ply

@@ -40,7 +40,7 @@ class Build(WritesCommon):
     gaussians: OptionalPath = None
     """The trained splat: .ply, .splat, or a gsplat checkpoint. Default: the one in SCENE."""
     features: OptionalPath = None
-    """Folder of region features in LangSplat's layout. Default: SCENE/language_features."""
+    """Folder of region features. Default: SCENE/language_features."""
     out: OptionalPath = None
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
     images: OptionalPath = None
@@ -51,8 +51,9 @@ class Build(WritesCommon):
     """Work at 1/N of the full image size: faster and coarser. Default: the size of the photographs found."""
     undistort: Flag = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
-    model: str = CLIP_MODEL
-    """What made the region embeddings: a CLIP model by id, or a table of words. Queries will use it too."""
+    model: OptionalText = None
+    """What made the region embeddings: a CLIP model by id, or a table of words. Queries will use it too. Default: what
+    the features say (those of scoup extract do), else laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
     preset: Literal["default", "paper"] = "default"
     """default answers best (128 atoms, exact coding, two rounds of the vote); paper is the method as published (64
     atoms, Adam, one round). The settings below, where given, override it."""
@@ -192,7 +193,7 @@ class Build(WritesCommon):
 
     def _features(self) -> Path:
         from scoup.errors import MissingFileError
-        from scoup.io.langsplat import FOLDER_NAME
+        from scoup.io.region_views import FOLDER_NAME
 
         if self.features is not None:
             return self.features
@@ -207,8 +208,12 @@ class Build(WritesCommon):
         import os
 
         from scoup.errors import InputError
+        from scoup.io.region_manifest import read_manifest
         from scoup.text_table import is_table, load_table
 
+        if self.model is None:
+            manifest = read_manifest(self._features())
+            return manifest.embedding_model if manifest and manifest.embedding_model else CLIP_MODEL
         if not is_table(self.model):
             return self.model
         dim = load_table(self.model).vectors.shape[1]

@@ -72,6 +72,7 @@ def _describe_folder(path: Path) -> dict[str, Any]:
     """A scene, or what there is of one: a part that is missing is left out, a damaged one is an error."""
     from scoup.errors import FileFormatError, MissingFileError
     from scoup.io import find_cameras, find_gaussians, load_gaussians, load_regions
+    from scoup.io.region_views import view_files
 
     record: dict[str, Any] = {"kind": "scene"}
     cameras = None
@@ -88,6 +89,8 @@ def _describe_folder(path: Path) -> dict[str, Any]:
             regions = load_regions(path, cameras)
             record["views_with_regions"] = len(regions)
             record["regions"] = {level: len(regions.embeddings(level)[0]) for level in regions.levels}
+    elif views := view_files(path, ".regions"):
+        record |= _describe_compact(path, views)
     elif labels := sorted(path.glob("*_s.npy")):
         record |= _describe_features(labels)
     if len(record) == 1:
@@ -95,6 +98,29 @@ def _describe_folder(path: Path) -> dict[str, Any]:
             path, "holds nothing known here: no cameras, no splat, no region features", "check the path"
         )
     return record
+
+
+def _describe_compact(folder: Path, files: list[Path]) -> dict[str, Any]:
+    """Region features in the compact layout, without the cameras they belong to."""
+    from scoup.io.compact import read_compact_view
+    from scoup.io.region_manifest import read_manifest
+
+    manifest = read_manifest(folder)
+    views = [read_compact_view(path) for path in files]
+    counted = [view for view in views if manifest is None or view.manifest == manifest.fingerprint]
+    first = views[0]
+    return {
+        "kind": "region features",
+        "views": len(counted),
+        "sizes": sorted({f"{view.width} x {view.height}" for view in views}),
+        "regions": {level: sum(view.rows.get(level, 0) for view in counted) for level in first.levels},
+        "dim": first.dim,
+        "bytes_a_view": sum(path.stat().st_size for path in files) // len(files),
+        "embedding_model": manifest.embedding_model if manifest else "",
+        "settings": manifest.settings if manifest else {},
+        "first": first.name,
+        "last": views[-1].name,
+    }
 
 
 def _describe_features(labels: list[Path]) -> dict[str, Any]:

@@ -15,7 +15,9 @@ from scoup.io.ply import (
     write_ply,
     write_ply_table,
 )
+from scoup.io.region_convert import ConvertReport, convert_regions
 from scoup.io.scenes import (
+    camera_photographs,
     default_preset,
     find_cameras,
     find_gaussians,
@@ -27,11 +29,14 @@ from scoup.io.splat import read_splat, write_splat
 from scoup.io.transforms import read_transforms, write_transforms
 
 __all__ = [
+    "ConvertReport",
     "PlyTable",
     "as_stored",
     "atomic_file",
     "atomic_path",
+    "camera_photographs",
     "check_output",
+    "convert_regions",
     "default_preset",
     "find_cameras",
     "find_gaussians",

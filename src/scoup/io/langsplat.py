@@ -3,29 +3,37 @@
 from __future__ import annotations
 
 import threading
-import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.cameras import Camera, Cameras
-from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.errors import FileFormatError, InputError
 from scoup.io.atomic import atomic_file, check_output
+from scoup.io.compact import holds_compact, load_compact
 from scoup.io.npy import open_npy
 from scoup.io.reading import MAX_IMAGE_SIDE, existing_folder
-from scoup.io.undistort import photograph_pixels, sample_nearest
-from scoup.regions import LEVELS, RegionMap, Regions, resize_labels
+from scoup.io.region_views import (
+    FOLDER_NAME,
+    at_camera,
+    check_aspect,
+    check_stems,
+    refuse_without_features,
+    stem_of,
+    unit_rows,
+    view_files,
+    warn_of_missing,
+)
+from scoup.io.region_views import REMEDY as _REMEDY
+from scoup.regions import LEVELS, RegionMap, Regions
 
-FOLDER_NAME = "language_features"
 FILE_LEVELS = ("default", *LEVELS)  # order of the planes and of the row blocks
-ASPECT_TOLERANCE = 0.02  # LangSplat truncates sizes; more is another image
-
-_REMEDY = "extract the features again"
 
 
 @dataclass(frozen=True)
@@ -33,14 +41,23 @@ class _Files:
     """The two files of one camera, and the row blocks of their levels once somebody asked."""
 
     camera: Camera
-    labels: Path
-    embeddings: Path
+    stem: Path
     blocks: dict[str, slice] = field(default_factory=dict)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
+    @property
+    def labels(self) -> Path:
+        return self.stem.with_name(f"{self.stem.name}_s.npy")
+
+    @property
+    def embeddings(self) -> Path:
+        return self.stem.with_name(f"{self.stem.name}_f.npy")
+
 
 def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Regions:
-    """Open LangSplat features lazily: headers are checked now, maps and embeddings read when asked for.
+    """Open region features lazily: headers are checked now, maps and embeddings read when asked for.
+
+    Reads LangSplat's layout, and the compact one (told by its manifest; see ``io.compact``).
 
     Levels are "s", "m", "l" (the file's "default" is left out). Labels come at the camera's size (nearest
     neighbour; undistorted where the camera says so) and count rows of their own level; embeddings are float32
@@ -64,19 +81,17 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
     cameras = list(cameras)
     if not cameras:
         raise InputError(f"{folder}: cannot load regions for no cameras; give at least one camera")
-    _check_stems(folder, cameras)
+    check_stems(folder, (camera.name for camera in cameras))
+    if holds_compact(folder):
+        return load_compact(folder, cameras)
     for camera in cameras:
-        files = _Files(camera, folder / f"{camera.stem}_s.npy", folder / f"{camera.stem}_f.npy")
+        files = _Files(camera, folder / camera.stem)
         if files.labels.is_file() and files.embeddings.is_file():
             views[camera.name] = files
     if not views:
-        _refuse_without_features(folder, cameras)
-    if len(views) < len(cameras):
-        warnings.warn(
-            f"{folder}: skipped {len(cameras) - len(views)} of {len(cameras)} cameras that have no features",
-            ScoupWarning,
-            stacklevel=2,
-        )
+        there = [path.name for path in view_files(folder, "_s.npy")]
+        refuse_without_features(folder, cameras, ("_s.npy", "_f.npy"), there)
+    warn_of_missing(folder, len(views), len(cameras))
     _check_headers(list(views.values()))
     return Regions(
         LEVELS,
@@ -98,7 +113,7 @@ def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) 
     if regions.levels != LEVELS:
         raise InputError(f"the LangSplat layout holds levels {list(LEVELS)}, not {list(regions.levels)}")
     folder = Path(folder)
-    stems = {name: Path(name).name.split(".", 1)[0] for name in regions.view_names}
+    stems = {name: stem_of(name) for name in regions.view_names}
     if len(set(stems.values())) < len(stems):
         raise InputError(
             f"{folder}: two views share a file name when cut at the first dot; rename one of them"
@@ -107,17 +122,48 @@ def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) 
         check_output(folder / f"{stem}_s.npy", overwrite)
         check_output(folder / f"{stem}_f.npy", overwrite)
     for name, stem in stems.items():
-        maps = [regions.load(name, level) for level in LEVELS]
-        if len({tuple(item.labels.shape) for item in maps}) > 1:
+        maps = {level: regions.load(name, level) for level in LEVELS}
+        if len({tuple(item.labels.shape) for item in maps.values()}) > 1:
             raise InputError(f"{folder}: the levels of view {name!r} differ in size; resize them to one")
-        planes = [torch.full_like(maps[0].labels, -1)]
-        start = 0
-        for item in maps:
-            planes.append(torch.where(item.labels >= 0, item.labels + start, -1))
-            start += len(item.embeddings)
-        _save_array(torch.stack(planes).float().cpu().numpy(), folder / f"{stem}_s.npy", overwrite)
-        rows = torch.cat([item.embeddings for item in maps]).cpu().numpy()
-        _save_array(rows, folder / f"{stem}_f.npy", overwrite)
+        labels = {level: item.labels.cpu().numpy() for level, item in maps.items()}
+        rows = {level: item.embeddings.cpu().numpy() for level, item in maps.items()}
+        write_langsplat_view(folder / stem, labels, rows, overwrite)
+
+
+def write_langsplat_view(
+    stem: Path,
+    labels: Mapping[str, NDArray[np.int32]],
+    embeddings: Mapping[str, NDArray[np.floating]],
+    overwrite: bool = False,
+) -> int:
+    """Write one view as ``<stem>_s.npy`` and ``<stem>_f.npy``.
+
+    Args:
+        stem: folder and name without ending.
+        labels: level -> [H, W] row of that level's embeddings, or -1; levels that are missing stay empty.
+        embeddings: level -> [R, D], written as float32.
+
+    Returns:
+        Bytes of both files.
+
+    Raises:
+        OutputExistsError: a file is there already and ``overwrite`` is false.
+    """
+    first = next(iter(labels.values()))
+    planes = np.full((len(FILE_LEVELS), *first.shape), -1, np.float32)
+    blocks: list[NDArray[np.float32]] = []
+    start = 0
+    for number, level in enumerate(FILE_LEVELS):
+        if level in labels:
+            planes[number] = np.where(labels[level] >= 0, labels[level] + start, -1)
+            blocks.append(np.asarray(embeddings[level], np.float32))
+            start += len(blocks[-1])
+    arrays = {f"{stem.name}_f.npy": np.concatenate(blocks), f"{stem.name}_s.npy": planes}
+    for name in arrays:
+        check_output(stem.with_name(name), overwrite)
+    for name, array in arrays.items():
+        _save_array(array, stem.with_name(name), overwrite)
+    return sum(array.nbytes for array in arrays.values())
 
 
 def level_blocks(path: Path, planes: np.ndarray, rows: int) -> dict[str, slice]:
@@ -178,58 +224,39 @@ def _used_range(path: Path, plane: np.ndarray, name: str, rows: int) -> tuple[in
     return (low if low >= 0 else int(values[values >= 0].min())), high
 
 
-def _check_stems(folder: Path, cameras: list[Camera]) -> None:
-    by_stem: dict[str, str] = {}
-    for camera in cameras:
-        other = by_stem.setdefault(camera.stem, camera.name)
-        if other != camera.name:
-            raise InputError(
-                f"{folder}: images {other!r} and {camera.name!r} share the feature name {camera.stem!r}"
-                " (names are cut at the first dot); rename one of them"
-            )
+def open_langsplat_view(stem: Path) -> tuple[Path, np.ndarray, np.ndarray]:
+    """The files of one view, mapped, their headers checked: path of the labels, labels [4, H, W], rows [M, D].
 
+    Args:
+        stem: folder and name without ending.
 
-def _refuse_without_features(folder: Path, cameras: list[Camera]) -> None:
-    stems = [camera.stem for camera in cameras]
-    expected = ", ".join(f"{stem}_s.npy and _f.npy" for stem in stems[:3]) + (
-        ", ..." if len(stems) > 3 else ""
-    )
-    there = sorted(path.name for path in folder.glob("*_s.npy"))[:3]
-    listed = f"it has {', '.join(there)}" if there else "it has no *_s.npy files"
-    raise MissingFileError(
-        folder,
-        f"has features of none of the {len(cameras)} cameras: expected {expected}; {listed}",
-        "give the features of these images",
-    )
+    Raises:
+        MissingFileError, FileFormatError: a file is not there, or is no such file.
+    """
+    labels, embeddings = stem.with_name(f"{stem.name}_s.npy"), stem.with_name(f"{stem.name}_f.npy")
+    planes, rows = open_npy(labels, "region labels"), open_npy(embeddings, "region embeddings")
+    sides = planes.shape[1:]
+    if (
+        planes.ndim != 3
+        or len(planes) != len(FILE_LEVELS)
+        or not all(1 <= side <= MAX_IMAGE_SIDE for side in sides)
+    ):
+        problem = f"has shape {list(planes.shape)}, expected [4, height, width]"
+        raise FileFormatError(labels, problem, _REMEDY)
+    if rows.ndim != 2 or rows.dtype.kind != "f" or (len(rows) and not rows.shape[1]):
+        problem = (
+            f"has shape {list(rows.shape)} of {rows.dtype}, expected floating point [regions, dimensions]"
+        )
+        raise FileFormatError(embeddings, problem, _REMEDY)
+    return labels, planes, rows
 
 
 def _check_headers(views: list[_Files]) -> None:
     first: tuple[int, Path] | None = None
     for files in views:
-        planes, rows = (
-            open_npy(files.labels, "region labels"),
-            open_npy(files.embeddings, "region embeddings"),
-        )
-        if (
-            planes.ndim != 3
-            or len(planes) != len(FILE_LEVELS)
-            or not all(1 <= side <= MAX_IMAGE_SIDE for side in planes.shape[1:])
-        ):
-            problem = f"has shape {list(planes.shape)}, expected [4, height, width]"
-            raise FileFormatError(files.labels, problem, _REMEDY)
-        if rows.ndim != 2 or rows.dtype.kind != "f" or (len(rows) and not rows.shape[1]):
-            problem = (
-                f"has shape {list(rows.shape)} of {rows.dtype}, expected floating point [regions, dimensions]"
-            )
-            raise FileFormatError(files.embeddings, problem, _REMEDY)
+        _, planes, rows = open_langsplat_view(files.stem)
         height, width = planes.shape[1:]
-        ratio = (width / height) / (files.camera.width / files.camera.height)
-        if abs(ratio - 1.0) > ASPECT_TOLERANCE:
-            raise FileFormatError(
-                files.labels,
-                f"is {width} x {height}, of another shape than its image",
-                "these are features of other images; give those of this scene",
-            )
+        check_aspect(files.labels, width, height, files.camera)
         if first is not None and rows.shape[1] != first[0]:
             raise FileFormatError(
                 files.embeddings,
@@ -247,38 +274,20 @@ def _blocks(files: _Files, planes: np.ndarray, rows: int) -> dict[str, slice]:
 
 
 def _open(files: _Files) -> tuple[np.ndarray, np.ndarray, dict[str, slice]]:
-    planes, rows = open_npy(files.labels, "region labels"), open_npy(files.embeddings, "region embeddings")
+    _, planes, rows = open_langsplat_view(files.stem)
     return planes, rows, _blocks(files, planes, len(rows))
 
 
 def _load_embeddings(files: _Files, level: str) -> Tensor:
     _, rows, blocks = _open(files)
-    return _unit_rows(files.embeddings, rows[blocks[level]])
+    return unit_rows(files.embeddings, rows[blocks[level]])
 
 
 def _load_map(files: _Files, level: str) -> RegionMap:
     planes, rows, blocks = _open(files)
     plane = np.array(planes[FILE_LEVELS.index(level)], dtype=np.int32)
     labels = torch.from_numpy(np.where(plane >= 0, plane - blocks[level].start, -1).astype(np.int32))
-    camera = files.camera
-    if camera.distortion:
-        labels = sample_nearest(
-            labels, photograph_pixels(camera, labels.shape[1], labels.shape[0]), outside=-1
-        )
-    else:
-        labels = resize_labels(labels, camera.width, camera.height)
-    return RegionMap(labels, _unit_rows(files.embeddings, rows[blocks[level]]))
-
-
-def _unit_rows(path: Path, rows: np.ndarray) -> Tensor:
-    with np.errstate(invalid="ignore"):  # a signalling NaN; refused below
-        wide = np.asarray(rows, dtype=np.float64)
-    if not np.isfinite(wide).all():
-        raise FileFormatError(path, "has embeddings that are not finite (NaN or infinite)", _REMEDY)
-    norms = np.linalg.norm(wide, axis=1, keepdims=True)
-    # Rows that are unit to float32 rounding stay bit for bit; a zero row means "unknown" and stays zero.
-    unit = np.where(np.abs(norms - 1.0) < 1e-6, wide, wide / np.where(norms > 0, norms, 1.0))
-    return torch.from_numpy(unit.astype(np.float32))
+    return RegionMap(at_camera(labels, files.camera), unit_rows(files.embeddings, rows[blocks[level]]))
 
 
 def _save_array(array: np.ndarray, path: Path, overwrite: bool) -> None:

@@ -76,6 +76,16 @@ def attach_images(
         raise FileFormatError(source, str(error), "rename one of the images") from error
 
 
+def image_files(
+    cameras: Cameras, roots: tuple[Path, ...], images: str | Path | None
+) -> list[tuple[str, Path]]:
+    """Names of the cameras and their image files, where there are any; no file is opened. As ``attach_images``."""
+    folder, factor = _choose_folder(roots, images, None)
+    hint_first = images is None and (folder is None or factor == 1)
+    found = ((camera.name, _find(camera, folder, factor, hint_first)[0]) for camera in cameras)
+    return [(name, path) for name, path in found if path is not None]
+
+
 def _choose_folder(
     roots: tuple[Path, ...], images: str | Path | None, downscale: int | None
 ) -> tuple[ImageFolder | None, int]:

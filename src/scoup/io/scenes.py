@@ -15,7 +15,7 @@ from scoup.io.gsplat_checkpoint import read_gsplat_checkpoint
 from scoup.io.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
 from scoup.io.ply import read_ply, write_ply
 from scoup.io.reading import Distorted
-from scoup.io.scene_images import MissingImages, attach_images
+from scoup.io.scene_images import MissingImages, attach_images, image_files
 from scoup.io.splat import read_splat, write_splat
 from scoup.io.transforms import read_transforms
 
@@ -161,6 +161,20 @@ def load_cameras(
     source = find_cameras(path)
     cameras = _read(source, distorted)
     return attach_images(cameras, source.path, source.roots, images, downscale, missing_images)
+
+
+def camera_photographs(path: str | Path, images: str | Path | None = None) -> list[tuple[str, Path]]:
+    """Names of a scene's cameras and their photographs, where there are any; the photographs are not looked at.
+
+    Args:
+        path, images: as in ``load_cameras``.
+
+    Raises:
+        MissingFileError: there are no cameras, or ``images`` is not there.
+        FileFormatError: the cameras are damaged.
+    """
+    source = find_cameras(path)
+    return image_files(_read(source, "undistort"), source.roots, images)
 
 
 def find_cameras(path: str | Path) -> CameraSource:

@@ -5,6 +5,7 @@ uint8.
 from scoup.pictures.colors import as_picture, code_basis, code_picture, heat_colors, label_colors
 from scoup.pictures.lettering import captioned
 from scoup.pictures.overlays import heat_map, mask_overlay, region_overlay
+from scoup.pictures.region_sheet import regions_sheet
 from scoup.pictures.sheet import contact_sheet
 
 __all__ = [
@@ -18,4 +19,5 @@ __all__ = [
     "label_colors",
     "mask_overlay",
     "region_overlay",
+    "regions_sheet",
 ]

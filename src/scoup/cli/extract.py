@@ -1,0 +1,132 @@
+"""scoup extract: photographs to region maps and embeddings."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from scoup.cli.build import CLIP_MODEL
+from scoup.cli.console import Console
+from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, WritesCommon, common_last
+
+if TYPE_CHECKING:
+    from scoup.extract import ExtractReport, MaskSettings
+
+
+@common_last
+@dataclass(frozen=True, kw_only=True)
+class Extract(WritesCommon):
+    """Cut the photographs of a scene into regions at three levels, and give each region an embedding.
+
+    Interrupted, the same command goes on where it stopped; photographs that changed are done again. Under torchrun
+    every process takes its share of the photographs and, on a GPU machine, its own GPU. Models are fetched on first
+    use and kept where Hugging Face keeps them; --segmenter felzenszwalb --embedder colors needs none.
+    """
+
+    scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
+    """Folder with cameras and photographs, or of photographs alone."""
+    images: OptionalPath = None
+    """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
+    out: OptionalPath = None
+    """Folder for the regions. Default: SCENE/language_features, where scoup build looks."""
+    segmenter: str = "sam-vit-h"
+    """sam-vit-b, -l, -h; sam2.1-tiny, -small, -base-plus, -large; sam3; a folder or hub id of such a model; or
+    felzenszwalb: regions of even colour from scikit-image, no model and no objects."""
+    embedder: str = CLIP_MODEL
+    """A CLIP or SigLIP model by folder or hub id, open_clip:ARCHITECTURE/PRETRAINED; or colors: no model, and no
+    answers in words."""
+    segmenter_revision: OptionalText = None
+    """Branch, tag or commit of the segmenter. The commit found is written down, and kept when work goes on."""
+    embedder_revision: OptionalText = None
+    """Branch, tag or commit of the embedder; as above."""
+    preset: Literal["langsplat", "fast"] = "langsplat"
+    """langsplat: its rules to the letter. fast: one grid of points instead of five, early filters, 16 bits on a GPU."""
+    points_per_side: OptionalInteger = None
+    """Points along each side of a grid. Default: 32."""
+    points_per_batch: OptionalInteger = None
+    """Points asked at a time: fewer take less memory. Default: 64, or 256 with the preset fast."""
+    layout: Literal["compact", "langsplat"] = "compact"
+    """compact: one small file a view. langsplat: <image>_s.npy and _f.npy, as other programs read them."""
+    bits: Literal[16, 32] = 16
+    """Bits of a stored embedding number in the compact layout."""
+    with_default: Flag = False
+    """Also make LangSplat's level "default", which holds all masks in one list; SCOUP does not use it."""
+    max_height: int = 1080
+    """Higher photographs are reduced to this height first; 0 for never."""
+
+    def run(self, console: Console) -> None:
+        """Extract and report."""
+        from scoup.errors import InputError
+        from scoup.extract import extract, find_photographs, mask_settings, shard_of_environment
+        from scoup.extract.opening import open_pair
+        from scoup.io.region_views import FOLDER_NAME
+
+        if self.max_height < 0:
+            raise InputError(f"--max-height must not be negative, got {self.max_height}")
+        settings: MaskSettings = mask_settings(
+            self.preset, points_per_side=self.points_per_side, points_per_batch=self.points_per_batch
+        )
+        photographs = find_photographs(self.scene, self.images)
+        rank, world = shard_of_environment()
+        device = self.device
+        if device == "cuda" and world > 1:
+            device = f"cuda:{os.environ.get('LOCAL_RANK', rank)}"
+        out = self.out or (self.scene if self.scene.is_dir() else self.scene.parent) / FOLDER_NAME
+        started = time.perf_counter()
+        segmenter, embedder = open_pair(
+            self.segmenter,
+            self.embedder,
+            settings,
+            (self.segmenter_revision, self.embedder_revision),
+            device,
+            None if self.overwrite else out,
+            self.with_default,
+        )
+        with console.progress() as progress:
+            report = extract(
+                photographs,
+                out,
+                segmenter,
+                embedder,
+                layout=self.layout,
+                bits=self.bits,
+                max_height=self.max_height or None,
+                overwrite=self.overwrite,
+                device=device,
+                shard=(rank, world),
+                progress=progress,
+            )
+        seconds = time.perf_counter() - started
+        self._say(console, report, out, seconds, f" (process {rank} of {world})" if world > 1 else "")
+        console.result(
+            {
+                "out": out,
+                "photographs": len(photographs),
+                "made": len(report.made),
+                "kept": report.kept,
+                "skipped": report.skipped,
+                "regions": report.regions,
+                "bytes": report.bytes,
+                "seconds": round(seconds, 2),
+                "stages": {stage: round(value, 2) for stage, value in report.seconds.items()},
+                "embedding_model": embedder.name,
+                **({"rank": rank, "world_size": world} if world > 1 else {}),
+            }
+        )
+
+    @staticmethod
+    def _say(console: Console, report: ExtractReport, out: Path, seconds: float, share: str) -> None:
+        made = len(report.made)
+        there = f", {report.kept} were there already" if report.kept else ""
+        console.say(f"{out}: {made} views made{there}{share}, in {seconds:.0f} s")
+        if made:
+            stages = ", ".join(f"{stage} {value / made:.2f}" for stage, value in report.seconds.items())
+            console.say(
+                f"{report.regions / made:.0f} regions and {report.bytes / made / 1e3:.0f} kB a view; "
+                f"seconds a view: {stages}"
+            )

@@ -1,0 +1,75 @@
+"""scoup regions: what the regions of a photograph look like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from scoup.cli.console import Console
+from scoup.cli.options import OptionalPath, WritesCommon, common_last
+
+if TYPE_CHECKING:
+    from scoup.cameras import Camera
+    from scoup.regions import Regions
+
+
+@common_last
+@dataclass(frozen=True, kw_only=True)
+class ShowRegions(WritesCommon):
+    """Draw the regions of one view over its photograph: three levels side by side, with the numbers of the regions."""
+
+    scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
+    """Folder with cameras, photographs and region features."""
+    view: str
+    """Name of the image, with or without its extension."""
+    features: OptionalPath = None
+    """Folder of the region features. Default: SCENE/language_features."""
+    images: OptionalPath = None
+    """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
+    out: OptionalPath = None
+    """The picture to write, a .png file. Default: <name of the image>_regions.png here."""
+    width: int = 1800
+    """Of the picture, in pixels."""
+
+    def run(self, console: Console) -> None:
+        """Load, draw, write."""
+        from scoup.errors import InputError
+        from scoup.io import check_output, load_cameras, load_image, load_regions, save_png
+        from scoup.io.region_manifest import read_manifest
+        from scoup.io.region_views import FOLDER_NAME
+        from scoup.pictures import regions_sheet
+
+        if not 200 <= self.width <= 20_000:
+            raise InputError(f"--width must be 200 to 20000 pixels, got {self.width}")
+        cameras = load_cameras(self.scene, self.images, distorted="undistort", missing_images="keep")
+        camera: Camera = cameras[self.view]
+        out = self.out or Path(f"{camera.stem}_regions.png")
+        if out.suffix.lower() != ".png":
+            raise InputError(f"{out}: give a name that ends in .png")
+        check_output(out, self.overwrite)
+        folder = self.features or (self.scene if self.scene.is_dir() else self.scene.parent)
+        regions: Regions = load_regions(folder, [camera])
+        place = folder / FOLDER_NAME if (folder / FOLDER_NAME).is_dir() else folder
+        manifest = read_manifest(place)
+        made = _made_by(manifest.settings if manifest else {})
+        labels, embeddings = regions.load_view(camera.name, camera.width, camera.height)
+        sheet = regions_sheet(load_image(camera), labels, regions.levels, camera.name, made, self.width)
+        save_png(sheet, out, self.overwrite)
+        counts = {level: len(rows) for level, rows in zip(regions.levels, embeddings, strict=True)}
+        covered = {
+            level: round(float((plane >= 0).float().mean()), 4)
+            for level, plane in zip(regions.levels, labels, strict=True)
+        }
+        listed = ", ".join(
+            f"{level}: {counts[level]} regions, {covered[level]:.0%} covered" for level in counts
+        )
+        console.say(f"{out}: {camera.name} ({listed})")
+        console.result({"out": out, "view": camera.name, "regions": counts, "covered": covered})
+
+
+def _made_by(settings: dict[str, object]) -> str:
+    names = [str(settings[key]) for key in ("segmenter", "embedder") if key in settings]
+    return "made with " + " and ".join(names) if names else ""

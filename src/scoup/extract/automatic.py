@@ -1,0 +1,190 @@
+"""Automatic masks: a model asked on grids of points, its answers filtered, by the rules of SAM and LangSplat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.extract.grids import Box, crop_boxes, point_grid, touches_inner_edge
+from scoup.extract.masks import Masks
+from scoup.extract.overlaps import keep_by_boxes, keep_by_masks
+from scoup.extract.sam import Looked, PointModel
+from scoup.extract.settings import MaskSettings
+from scoup.extract.small_parts import without_small_parts
+from scoup.regions import LEVELS
+
+_CHUNK = 128 << 20  # bytes of logits at the size of the image that are in memory at once
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Masks that passed the filters of one mask at a time, in the order of the points.
+
+    Attributes:
+        masks: over a crop, later over the image.
+        channels: [N] which of the three answers each is: 0, 1, 2 for s, m, l.
+    """
+
+    masks: Masks
+    channels: NDArray[np.int64]  # [N]
+
+    def select(self, chosen: NDArray[np.integer] | NDArray[np.bool_]) -> Candidates:
+        return Candidates(self.masks.select(chosen), self.channels[chosen])
+
+
+class SamSegmenter:
+    """The segmenter of the pipeline over a model that answers points.
+
+    Args:
+        model: from ``sam.open_point_model``.
+        settings: see ``MaskSettings``.
+        with_default: also make LangSplat's level "default": all three answers in one list.
+    """
+
+    def __init__(self, model: PointModel, settings: MaskSettings, with_default: bool = False) -> None:
+        self.model = model
+        self.settings = settings
+        self.with_default = with_default
+
+    @property
+    def cut_last(self) -> bool:
+        return self.settings.cut_last
+
+    @property
+    def drop_hidden(self) -> bool:
+        return self.settings.drop_hidden
+
+    def record(self) -> dict[str, Any]:
+        extra = {"with_default": True} if self.with_default else {}
+        return {**self.model.record(), **self.settings.record(), **extra}
+
+    def segment(self, image: NDArray[np.uint8]) -> dict[str, Masks]:
+        return automatic_masks(image, self.model, self.settings, self.with_default)
+
+
+def automatic_masks(
+    image: NDArray[np.uint8], model: PointModel, settings: MaskSettings, with_default: bool = False
+) -> dict[str, Masks]:
+    """Level -> masks of an image [H, W, 3], in painting order, by the protocol of ``docs/extract.md``."""
+    size = (image.shape[0], image.shape[1])
+    boxes = crop_boxes(*size, settings.crop_layers, settings.crop_share)
+    names = (*(("default",) if with_default else ()), *LEVELS)
+    found: dict[str, list[Masks]] = {name: [] for name in names}
+    for box in boxes:
+        candidates = _candidates(image, box, model, settings)
+        for name in names:
+            masks = _channel(candidates, name)
+            keep = keep_by_boxes(masks.corners(), masks.predicted_iou, settings.box_overlap)
+            found[name].append(masks.select(keep).moved(box[0], box[1], size))
+    return {name: _finished(parts, boxes, size, settings) for name, parts in found.items()}
+
+
+def _channel(candidates: Candidates, name: str) -> Masks:
+    if name == "default":
+        return candidates.masks
+    return candidates.masks.select(candidates.channels == LEVELS.index(name))
+
+
+def _finished(parts: list[Masks], boxes: list[Box], size: tuple[int, int], settings: MaskSettings) -> Masks:
+    """The rules over all crops: duplicates between crops, small parts, and the mask rule."""
+    masks = Masks.joined(size, parts)
+    if len(boxes) > 1:
+        # Masks from smaller crops are preferred.
+        areas = [
+            np.full(len(part), (b[2] - b[0]) * (b[3] - b[1])) for part, b in zip(parts, boxes, strict=True)
+        ]
+        scores = 1.0 / np.concatenate(areas).astype(np.float32)
+        masks = masks.select(keep_by_boxes(masks.corners(), scores, settings.crop_overlap))
+    if settings.least_area > 0:
+        overlap = max(settings.box_overlap, settings.crop_overlap)
+        masks = without_small_parts(masks, settings.least_area, overlap)
+    scores = masks.stability.astype(np.float64) * masks.predicted_iou.astype(np.float64)
+    rule = (settings.mask_overlap, settings.least_score, settings.inside, settings.covered)
+    return masks.select(keep_by_masks(masks, scores, *rule))
+
+
+def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings: MaskSettings) -> Candidates:
+    """What one crop of the image gives, in pixels of the crop."""
+    x0, y0, x1, y1 = box
+    looked = model.look(np.ascontiguousarray(image[y0:y1, x0:x1]))
+    points = torch.from_numpy(point_grid(settings.points_per_side) * [x1 - x0, y1 - y0])
+    crop_size, image_size = (y1 - y0, x1 - x0), (image.shape[0], image.shape[1])
+    parts: list[Candidates] = []
+    coarse: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
+    for batch in points.split(settings.points_per_batch):
+        logits, iou = looked.ask(batch)
+        channels = torch.arange(logits.shape[1], device=iou.device).repeat(len(batch))
+        logits, iou = logits.flatten(0, 1), iou.flatten()
+        good = torch.nonzero(iou > settings.predicted_iou)[:, 0]
+        if settings.coarse_filters:
+            stable = _stability(looked.trim(logits[good]), settings)
+            kept = stable >= settings.stability
+            good = good[kept]
+            coarse.append((logits[good].half(), iou[good], stable[kept], channels[good]))
+        else:
+            parts += _enlarged(looked, logits, iou, channels, good, settings, crop_size)
+    if settings.coarse_filters:
+        parts = _from_coarse(looked, coarse, settings, crop_size)
+    joined = Masks.joined(crop_size, [part.masks for part in parts])
+    channels = np.concatenate([np.zeros(0, np.int64), *(part.channels for part in parts)])
+    inside = ~touches_inner_edge(joined.corners(), box, *image_size)
+    return Candidates(joined, channels).select(inside)
+
+
+def _enlarged(
+    looked: Looked,
+    logits: Tensor,
+    iou: Tensor,
+    channels: Tensor,
+    numbers: Tensor,
+    settings: MaskSettings,
+    size: tuple[int, int],
+    stability: Tensor | None = None,
+) -> list[Candidates]:
+    """Small masks at the size of the crop, a few at a time; stability is judged there unless it is given."""
+    result: list[Candidates] = []
+    for chunk in numbers.split(max(1, _CHUNK // (4 * size[0] * size[1]))):
+        large = looked.enlarge(logits[chunk].float())
+        if stability is None:
+            stable = _stability(large, settings)
+            kept = stable >= settings.stability
+            large, stable, chunk = large[kept], stable[kept], chunk[kept]
+        else:
+            stable = stability[chunk]
+        dense = (large > 0).cpu().numpy()
+        masks = Masks.from_dense(dense, iou[chunk].cpu().numpy(), stable.cpu().numpy())
+        result.append(Candidates(masks, channels[chunk].cpu().numpy()))
+    return result
+
+
+def _from_coarse(
+    looked: Looked,
+    batches: list[tuple[Tensor, Tensor, Tensor, Tensor]],
+    settings: MaskSettings,
+    size: tuple[int, int],
+) -> list[Candidates]:
+    """Suppress boxes among the small masks of each answer, and enlarge the rest."""
+    logits, iou, stability, channels = (torch.cat(items) for items in zip(*batches, strict=True))
+    small = [Masks.from_dense((part > 0).cpu().numpy()) for part in looked.trim(logits).split(256)]
+    if not small:
+        return []
+    corners = np.concatenate([part.corners() for part in small])
+    kept: list[NDArray[np.int64]] = []
+    for channel in range(len(LEVELS)):
+        numbers = torch.nonzero(channels == channel)[:, 0].cpu().numpy()
+        scores = iou.cpu().numpy()[numbers]
+        kept.append(numbers[keep_by_boxes(corners[numbers], scores, settings.box_overlap)])
+    chosen = torch.from_numpy(np.sort(np.concatenate(kept))).to(logits.device)
+    return _enlarged(looked, logits, iou, channels, chosen, settings, size, stability)
+
+
+def _stability(logits: Tensor, settings: MaskSettings) -> Tensor:
+    """[N] float32 area above +offset over area above -offset; not a number for a mask without any."""
+    high = (logits > settings.stability_offset).sum((-2, -1), dtype=torch.int32)
+    low = (logits > -settings.stability_offset).sum((-2, -1), dtype=torch.int32)
+    return high / low

@@ -1,0 +1,95 @@
+"""Segmenters and embedders by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from scoup.errors import InputError
+from scoup.extract import felzenszwalb, plain_colors
+from scoup.extract.parts import Embedder, Segmenter
+from scoup.extract.settings import MaskSettings
+from scoup.io.region_manifest import read_manifest
+
+
+def open_segmenter(
+    name: str,
+    settings: MaskSettings | None = None,
+    revision: str | None = None,
+    device: torch.device | str = "cpu",
+    with_default: bool = False,
+) -> Segmenter:
+    """A segmenter.
+
+    Args:
+        name: "felzenszwalb" (no model), a short name of ``sam.SHORT_NAMES`` such as "sam-vit-h", or a folder or hub
+            id of a SAM, SAM 2 or SAM 3 model that transformers knows.
+        settings: of the masks, for models.
+        revision: branch, tag or commit of a hub model.
+        with_default: also make LangSplat's level "default" (models only).
+
+    Raises:
+        ScoupError: the package or the weights that it needs are not there.
+    """
+    if name == felzenszwalb.NAME:
+        if with_default:
+            raise InputError(f"{name} has no level default: its levels are no answers to one point")
+        return felzenszwalb.Felzenszwalb()
+    from scoup.extract.automatic import SamSegmenter
+    from scoup.extract.sam import open_point_model
+
+    settings = settings or MaskSettings()
+    return SamSegmenter(open_point_model(name, revision, device, settings.half), settings, with_default)
+
+
+def open_embedder(name: str, revision: str | None = None, device: torch.device | str = "cpu") -> Embedder:
+    """An embedder.
+
+    Args:
+        name: "colors" (no model), a folder or hub id of a CLIP or SigLIP model that transformers knows, or
+            "open_clip:ARCHITECTURE/PRETRAINED".
+        revision: branch, tag or commit of a hub model.
+
+    Raises:
+        ScoupError: the package or the weights that it needs are not there.
+    """
+    if name == plain_colors.NAME:
+        return plain_colors.PlainColors()
+    from scoup.extract.image_models import open_image_model
+
+    return open_image_model(name, revision, device)
+
+
+def open_pair(
+    segmenter: str,
+    embedder: str,
+    settings: MaskSettings,
+    revisions: tuple[str | None, str | None] = (None, None),
+    device: torch.device | str = "cpu",
+    resumed: Path | None = None,
+    with_default: bool = False,
+) -> tuple[Segmenter, Embedder]:
+    """A segmenter and an embedder; where work goes on in a folder, of the commits it was begun with.
+
+    A hub model that moves on meanwhile would otherwise be another model for the rest of the views.
+
+    Args:
+        revisions: of both, where the user names them.
+        resumed: folder that may hold views already.
+        with_default: as in ``open_segmenter``.
+    """
+    manifest = read_manifest(resumed) if resumed is not None and resumed.is_dir() else None
+    begun = manifest.settings if manifest is not None else {}
+    found: list[str | None] = []
+    for key, name, given in zip(("segmenter", "embedder"), (segmenter, embedder), revisions, strict=True):
+        same = begun.get(key) in (name, _full_name(name))
+        found.append(given or (begun.get(f"{key}_revision") or None if same else None))
+    first = open_segmenter(segmenter, settings, found[0], device, with_default)
+    return first, open_embedder(embedder, found[1], device)
+
+
+def _full_name(name: str) -> str:
+    from scoup.extract.sam import SHORT_NAMES
+
+    return SHORT_NAMES.get(name, name)

@@ -1,0 +1,131 @@
+"""Which masks to drop because of others: box suppression, and the mask rule of LangSplat, at full resolution.
+
+Intersections of all pairs come from the arrangement of the masks: pixels covered by the same masks form one cell, an
+image has far fewer cells than pixels, and the table of intersections is one sparse product over the cells. Nothing
+is sampled; the counts are those of a loop over pairs.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scoup.extract.masks import Masks
+
+_COLLISION = "two cells of masks share a hash"
+
+
+def keep_by_boxes(
+    corners: NDArray[np.integer], scores: NDArray[np.floating], most_overlap: float
+) -> NDArray[np.int64]:
+    """Greedy suppression of boxes: the best stays, those that overlap it more than ``most_overlap`` go, and so on.
+
+    Args:
+        corners: [N, 4] x0, y0, x1, y1; areas are (x1 - x0) (y1 - y0), as in torchvision.ops.nms.
+        scores: [N]; ties go to the lower number.
+        most_overlap: intersection over union that is still kept.
+
+    Returns:
+        Numbers of the boxes kept, best first.
+    """
+    boxes = corners.astype(np.float32)
+    x0, y0, x1, y1 = boxes.T
+    areas = (x1 - x0) * (y1 - y0)
+    waiting = np.argsort(-scores, kind="stable")
+    kept: list[int] = []
+    while len(waiting):
+        best, waiting = int(waiting[0]), waiting[1:]
+        kept.append(best)
+        width = np.minimum(x1[best], x1[waiting]) - np.maximum(x0[best], x0[waiting])
+        height = np.minimum(y1[best], y1[waiting]) - np.maximum(y0[best], y0[waiting])
+        shared = width.clip(0) * height.clip(0)
+        with np.errstate(
+            invalid="ignore", divide="ignore"
+        ):  # two boxes without area: not a number, both stay
+            overlap = shared / (areas[best] + areas[waiting] - shared)
+        waiting = waiting[~(overlap > most_overlap)]
+    return np.array(kept, np.int64)
+
+
+def intersections(masks: Masks) -> NDArray[np.int64]:
+    """[N, N] pixels that two masks share; the diagonal holds their areas."""
+    from scipy import sparse
+
+    count = len(masks)
+    if not count:
+        return np.zeros((0, 0), np.int64)
+    areas = masks.areas()
+    for seed in range(8):
+        cells, weights = _cells(masks, seed)
+        weighted = sparse.csr_array(cells.multiply(weights[None, :]))
+        if np.array_equal(np.asarray(weighted.sum(1)).ravel(), areas):
+            return np.asarray((weighted @ cells.T).todense())
+    raise AssertionError(_COLLISION)  # eight hashes of 64 bits in a row
+
+
+def keep_by_masks(
+    masks: Masks,
+    scores: NDArray[np.floating],
+    most_overlap: float = 0.8,
+    least_score: float = 0.7,
+    inside: float = 0.85,
+    covered: float = 0.5,
+) -> NDArray[np.int64]:
+    """The mask rule of LangSplat (docs of its protocol), for all pairs at once.
+
+    A mask goes if its intersection over union with a better one exceeds ``most_overlap``; if its score is at most
+    ``least_score``; or if at least ``inside`` of it lies in another mask of which it covers less than ``covered``,
+    whichever is better. Masks that go still make others go.
+
+    Args:
+        scores: [N] stability times predicted IoU; ties go to the lower number.
+
+    Returns:
+        Numbers of the masks kept, ascending: painting order stays.
+    """
+    order = np.argsort(-scores, kind="stable")
+    shared = intersections(masks)[np.ix_(order, order)].astype(np.float32)
+    areas = np.diag(shared)
+    with np.errstate(invalid="ignore", divide="ignore"):  # empty masks: not a number, compares as false
+        union = areas[:, None] + areas[None, :] - shared
+        like_better = np.triu(shared / union > most_overlap, k=1).any(0)
+        share = shared / areas[None, :]  # [i, j]: of mask j that lies in mask i
+        covers = share.T  # [i, j]: of mask i that lies in mask j
+        is_part = ((share >= inside) & (covers < covered)).any(0)
+    keep = (scores[order] > least_score) & ~like_better & ~is_part
+    return np.sort(order[keep])
+
+
+def _cells(masks: Masks, seed: int) -> tuple[Any, NDArray[np.int64]]:
+    """The arrangement: which cell lies in which mask [N, C] (sparse 0/1), and the pixels of each cell [C]."""
+    from scipy import sparse
+
+    height, width = masks.size
+    keys = np.random.default_rng(seed).integers(1, 1 << 64, len(masks), dtype=np.uint64)
+    hashes = np.zeros((height, width), np.uint64)
+    for number in range(len(masks)):
+        part = hashes[masks.place(number)]
+        part ^= masks.crop(number) * keys[number]
+    flat = hashes.ravel()
+    # Neighbours mostly belong to one cell: only the first pixel of each run is sorted.
+    starts = np.concatenate([[0], np.flatnonzero(flat[1:] != flat[:-1]) + 1])
+    lengths = np.diff(np.append(starts, len(flat)))
+    values, first, cell = np.unique(flat[starts], return_index=True, return_inverse=True)
+    weights = np.bincount(cell.ravel(), weights=lengths, minlength=len(values)).astype(np.int64)
+    rows, columns = np.divmod(starts[first], width)
+    keep = values != 0  # not in any mask
+    weights, rows, columns = weights[keep], rows[keep], columns[keep]
+    order = np.argsort(rows, kind="stable")
+    weights, rows, columns = weights[order], rows[order], columns[order]
+    inside: list[NDArray[np.int64]] = []
+    for number in range(len(masks)):
+        x0, y0, x1, y1 = masks.boxes[number].tolist()
+        low, high = np.searchsorted(rows, (y0, y1))
+        near = low + np.flatnonzero((columns[low:high] >= x0) & (columns[low:high] < x1))
+        inside.append(near[masks.crop(number)[rows[near] - y0, columns[near] - x0]])
+    numbers = np.repeat(np.arange(len(masks)), [len(item) for item in inside])
+    members = np.concatenate(inside) if inside else np.zeros(0, np.int64)
+    ones = np.ones(len(members), np.int64)
+    return sparse.csr_array((ones, (numbers, members)), shape=(len(masks), len(weights))), weights

@@ -1,0 +1,58 @@
+"""What a segmenter and an embedder are, for the pipeline: any two that fit make an extraction."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.extract.masks import Masks
+
+
+class Segmenter(Protocol):
+    """Cuts an image into masks.
+
+    Attributes:
+        cut_last: as in ``MaskSettings``.
+        drop_hidden: as in ``MaskSettings``.
+    """
+
+    @property
+    def cut_last(self) -> bool: ...
+    @property
+    def drop_hidden(self) -> bool: ...
+
+    def record(self) -> dict[str, Any]:
+        """What decides the result, as plain values for the manifest."""
+        ...
+
+    def segment(self, image: NDArray[np.uint8]) -> dict[str, Masks]:
+        """Level -> masks of an image [H, W, 3], in painting order; levels s, m, l, and perhaps default before."""
+        ...
+
+
+class Embedder(Protocol):
+    """Turns crops into unit vectors.
+
+    Attributes:
+        name: id of the model, as text encoders are asked for.
+        dim: D.
+        side: of the crops it takes, in pixels.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def dim(self) -> int: ...
+    @property
+    def side(self) -> int: ...
+
+    def record(self) -> dict[str, Any]:
+        """What decides the result, as plain values for the manifest."""
+        ...
+
+    def embed(self, crops: Tensor) -> Tensor:
+        """[B, D] float32 unit vectors of crops [B, side, side, 3] uint8."""
+        ...

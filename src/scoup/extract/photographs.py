@@ -1,0 +1,191 @@
+"""Photographs of a scene: which there are, decoded one by one to upright RGB, a few ahead of their use."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scoup.errors import FileFormatError, MissingFileError, ScoupError
+from scoup.io import camera_photographs
+from scoup.io.image_folder import EXTENSIONS, image_size
+from scoup.io.images import MAX_PIXELS
+from scoup.io.scene_images import FACTORS
+
+_TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
+_MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # those that are mirrored left to right after the turns
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A photograph on disk, under the name that the cameras give it."""
+
+    name: str
+    path: Path
+
+
+@dataclass(frozen=True, eq=False)
+class Pixels:
+    """A decoded photograph.
+
+    Attributes:
+        image: [H, W, 3] uint8 RGB, upright.
+        turns, mirrored: how it was turned (quarter turns against the clock, then mirrored left to right) from the
+            orientation in the file, in which cameras and region maps are.
+        digest: SHA-256 of the file.
+    """
+
+    image: NDArray[np.uint8]
+    turns: int
+    mirrored: bool
+    digest: str
+
+    def as_stored(self, labels: NDArray[Any]) -> NDArray[Any]:
+        """Labels [H, W] of the upright image, in the orientation of the file."""
+        unmirrored = labels[:, ::-1] if self.mirrored else labels
+        return np.ascontiguousarray(np.rot90(unmirrored, -self.turns))
+
+
+def find_photographs(scene: str | Path, images: str | Path | None = None) -> list[Photograph]:
+    """The photographs of a scene, in order of their names.
+
+    Args:
+        scene: a folder with cameras as ``load_cameras`` reads them (their photographs are taken), or a folder
+            with ``images``, ``images_2`` and so on, or of photographs.
+        images: the folder of the photographs, where it is another.
+
+    Raises:
+        MissingFileError: there are none.
+        FileFormatError: the cameras are damaged.
+    """
+    scene = Path(scene)
+    if not scene.exists():
+        raise MissingFileError(scene, "there is no such scene", "check the path")
+    with suppress(MissingFileError):  # no cameras: all photographs of a folder
+        found = [Photograph(name, path) for name, path in camera_photographs(scene, images)]
+        if found:
+            return found
+    folders = [Path(images)] if images is not None else _image_folders(scene)
+    for folder in folders:
+        found = [
+            Photograph(path.relative_to(folder).as_posix(), path)
+            for path in sorted(folder.rglob("*"))
+            if path.suffix.lower() in EXTENSIONS and path.is_file() and not path.name.startswith(".")
+        ]
+        if found:
+            return found
+    raise MissingFileError(
+        folders[0], "holds no photographs", f"give their folder with --images ({', '.join(EXTENSIONS)})"
+    )
+
+
+def _image_folders(scene: Path) -> list[Path]:
+    names = ("images" if factor == 1 else f"images_{factor}" for factor in FACTORS)
+    return [scene / name for name in names if (scene / name).is_dir()] or [scene]
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file.
+
+    Raises:
+        FileFormatError: it cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            digest = hashlib.sha256()
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
+    return digest.hexdigest()
+
+
+def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
+    """Decode a photograph: upright by its EXIF orientation, RGB, 8 bits.
+
+    Grey and palette images become RGB, 16-bit ones lose their lower byte, transparency is dropped.
+
+    Args:
+        max_height: higher images (as stored) are reduced to it, widths truncated, as LangSplat does; None for no
+            limit.
+
+    Raises:
+        FileFormatError: it is no image, or damaged, or too large.
+    """
+    from PIL import Image
+
+    width, height = image_size(path)
+    if width * height > MAX_PIXELS:
+        raise FileFormatError(
+            path, f"has {width} x {height} pixels, too many to decode", "scale it down first"
+        )
+    digest = digest_of(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as stored:
+                orientation = int(stored.getexif().get(0x0112, 1))
+                rgb = _to_rgb(stored)
+            if max_height is not None and height > max_height:
+                size = (max(1, int(width / (height / max_height))), max_height)
+                rgb = rgb.resize(size, Image.Resampling.BILINEAR)
+            array = np.asarray(rgb)
+    except Exception as error:  # damaged images raise nearly everything inside Pillow
+        raise FileFormatError(path, f"cannot be decoded ({error})", "copy it again, or remove it") from error
+    mirrored = orientation in _MIRRORED
+    turns = _MIRRORED.get(orientation, 0) if mirrored else _TURNS.get(orientation, 0)
+    upright = np.rot90(array, turns)
+    if mirrored:
+        upright = upright[:, ::-1]
+    return Pixels(np.array(upright, order="C"), turns, mirrored, digest)
+
+
+def _to_rgb(image: Any) -> Any:
+    from PIL import Image
+
+    if image.mode.startswith("I") or image.mode == "F":
+        values = np.asarray(image).astype(np.float64)
+        if image.mode == "F" or values.max(initial=0) > 65535 or values.min(initial=0) < 0:
+            raise ValueError(f"pixels of mode {image.mode} are no photograph's")
+        return Image.fromarray((values / 256).astype(np.uint8)).convert("RGB")
+    return image.convert("RGB")
+
+
+def read_ahead(
+    photographs: Iterable[Photograph], max_height: int | None, ahead: int = 2
+) -> Iterator[tuple[Photograph, Pixels | ScoupError]]:
+    """Photographs with their pixels, in order, the next ones decoded by threads meanwhile.
+
+    One that cannot be decoded comes with its error. At most ``ahead`` + 1 images are in memory.
+    """
+    waiting = iter(photographs)
+    with ThreadPoolExecutor(max_workers=ahead) as pool:
+        queue: list[tuple[Photograph, Future[Pixels]]] = []
+
+        def fill() -> None:
+            for item in islice(waiting, ahead - len(queue)):
+                queue.append((item, pool.submit(read_photograph, item.path, max_height)))
+
+        try:
+            fill()
+            while queue:
+                item, future = queue.pop(0)
+                try:
+                    result: Pixels | ScoupError = future.result()
+                except ScoupError as error:
+                    result = error
+                del future
+                fill()
+                yield item, result
+        finally:
+            for _, future in queue:
+                future.cancel()

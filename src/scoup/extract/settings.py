@@ -1,0 +1,92 @@
+"""The numbers that decide which masks an image gets, with presets."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, get_args
+
+from scoup.errors import InputError
+
+Preset = Literal["langsplat", "fast"]
+
+
+@dataclass(frozen=True)
+class MaskSettings:
+    """How masks are made from a model that answers points; the defaults are LangSplat's.
+
+    Attributes:
+        points_per_side: of the square grid of points, in the image and in each crop.
+        points_per_batch: points asked at a time; decides memory, not the result.
+        predicted_iou: masks stay above it.
+        stability, stability_offset: masks stay from this share of area left when the threshold of their logits moves
+            from -offset to +offset.
+        box_overlap: most overlap of boxes within a crop; crop_overlap: across crops.
+        crop_layers: further layers of crops; layer n has 2^n x 2^n.
+        crop_share: overlap of neighbouring crops as a share of the image's shorter side, in the first layer.
+        least_area: smaller holes are filled and smaller islands removed, in pixels.
+        mask_overlap, least_score, inside, covered: of the mask rule, see ``overlaps.keep_by_masks``.
+        coarse_filters: judge stability and boxes on the model's small masks, and enlarge only what is left.
+        drop_hidden: leave out masks that later ones paint over entirely.
+        cut_last: crops leave out the last row and column of the box (``crops.mask_crops``).
+        half: run the model in 16 bits where the device can.
+    """
+
+    points_per_side: int = 32
+    points_per_batch: int = 64
+    predicted_iou: float = 0.7
+    stability: float = 0.85
+    stability_offset: float = 1.0
+    box_overlap: float = 0.7
+    crop_overlap: float = 0.7
+    crop_layers: int = 1
+    crop_share: float = 512 / 1500
+    least_area: int = 100
+    mask_overlap: float = 0.8
+    least_score: float = 0.7
+    inside: float = 0.85
+    covered: float = 0.5
+    coarse_filters: bool = False
+    drop_hidden: bool = False
+    cut_last: bool = True
+    half: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("points_per_side", "points_per_batch"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not 0 <= self.crop_layers <= 4:
+            raise InputError(f"crop_layers must be 0 to 4, got {self.crop_layers}")
+        if self.least_area < 0:
+            raise InputError(f"least_area must not be negative, got {self.least_area}")
+
+    def record(self) -> dict[str, Any]:
+        """What decides the result, as plain values for a manifest."""
+        values = asdict(self)
+        del values["points_per_batch"]
+        return values
+
+
+_FAST = replace(
+    MaskSettings(),
+    points_per_batch=256,
+    crop_layers=0,
+    coarse_filters=True,
+    drop_hidden=True,
+    cut_last=False,
+    half=True,
+)
+
+
+def mask_settings(preset: Preset = "langsplat", **changes: Any) -> MaskSettings:
+    """A preset with changes; those that are None count as not given.
+
+    ``langsplat`` is faithful. ``fast`` asks one grid of points instead of five, filters on the model's small masks
+    before enlarging them, and runs in 16 bits on a GPU.
+
+    Raises:
+        InputError: there is no such preset, or a value makes no sense.
+    """
+    if preset not in get_args(Preset):
+        raise InputError(f"there is no preset {preset!r}; use one of {', '.join(get_args(Preset))}")
+    start = _FAST if preset == "fast" else MaskSettings()
+    return replace(start, **{name: value for name, value in changes.items() if value is not None})

@@ -1,0 +1,156 @@
+"""scoup extract, regions and convert, as a user runs them; without models."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from cli_support import QUICK, refused, run, run_json, snapshot
+from scoup.field import LanguageField
+from scoup.io import load_cameras, load_regions
+from scoup.io.region_manifest import MANIFEST
+
+pytestmark = pytest.mark.usefixtures("here")
+
+FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
+
+
+def photographs(count: int = 4) -> None:
+    """A scene whose photographs show something."""
+    for path in Path("scene/language_features").iterdir():
+        path.unlink()
+    Path("scene/language_features").rmdir()
+    for number, path in enumerate(sorted(Path("scene/images").iterdir())):
+        if number >= count:
+            path.unlink()
+            continue
+        pixels = np.zeros((30, 40, 3), np.uint8)
+        pixels[:15, : 10 + 5 * number], pixels[15:, 20:] = (200, 30, 30), (30, 200, 60)
+        Image.fromarray(pixels).save(path)
+
+
+def test_extract_then_build(here) -> None:
+    photographs()
+    record = run_json("extract", "scene", *FREE)
+    assert (record["made"], record["kept"], record["skipped"]) == (4, 0, {})
+    assert record["embedding_model"] == "colors"
+    assert set(record["stages"]) == {"decode", "segment", "embed", "write"}
+    again = run_json("extract", "scene", *FREE)
+    assert (again["made"], again["kept"]) == (0, 4)
+    code, out, _ = run("extract", "scene", *FREE, "--overwrite")
+    assert code == 0
+    assert "4 views made, in" in out
+    assert "seconds a view: decode" in out
+    run_json("build", "scene", *QUICK, "--out", "a.scoup")
+    field = LanguageField.load("a.scoup")
+    assert field.info.embedding_model == "colors"  # as the features say, not as the verb would guess
+    assert field.dim == 72
+    assert "answer to no words" in refused("query", "a.scoup", "kettle", "--out", "answers")
+    run_json("build", "scene", *QUICK, "--out", "b.scoup", "--model", "my/model")
+    assert LanguageField.load("b.scoup").info.embedding_model == "my/model"
+
+
+def test_extract_from_photographs_alone(here) -> None:
+    photographs()
+    record = run_json("extract", "scene/images", *FREE, "--out", "deep/out", "--layout", "langsplat")
+    assert record["made"] == 4
+    assert {"view_00_s.npy", "view_00_f.npy", MANIFEST} <= {path.name for path in Path("deep/out").iterdir()}
+    code, out, _ = run("extract", "scene", *FREE, "--out", "other", "--quiet")
+    assert (code, out) == (0, "")
+    one, other = (load_regions(folder, load_cameras("scene")) for folder in ("deep/out", "other"))
+    for level in one.levels:
+        assert torch.equal(one.load("view_02.png", level).labels, other.load("view_02.png", level).labels)
+
+
+def test_what_extract_refuses(here) -> None:
+    photographs()
+    assert "there is no such scene" in refused("extract", "nowhere", *FREE)
+    assert "--max-height" in refused("extract", "scene", *FREE, "--max-height", "-1")
+    assert "points_per_side" in refused("extract", "scene", *FREE, "--points-per-side", "0")
+    assert "felzenszwalb" in refused("extract", "scene", "--segmenter", "./no-such-model")
+    assert "colors" in refused(
+        "extract", "scene", "--segmenter", "felzenszwalb", "--embedder", "./no-such-model"
+    )
+    assert "no level default" in refused("extract", "scene", *FREE, "--with-default")
+    run_json("extract", "scene", *FREE)
+    assert "bits: 32, not 16" in refused("extract", "scene", *FREE, "--bits", "32")
+    Path("file").write_text("")
+    assert "is a file" in refused("extract", "scene", *FREE, "--out", "file")
+    assert "holds no photographs" in refused("extract", "scene/sparse", *FREE)
+
+
+def test_unreadable_photographs_are_warned_of(here) -> None:
+    photographs()
+    Path("scene/images/view_01.png").write_bytes(Path("scene/images/view_01.png").read_bytes()[:60])
+    Path("scene/images/view_02.png").write_text("not even a header")
+    code, out, err = run("extract", "scene", *FREE)
+    assert code == 0
+    assert "2 views made" in out
+    assert err.startswith("warning: skipped 2 of 4 photographs")
+
+
+def test_regions_picture(here) -> None:
+    photographs()
+    run_json("extract", "scene", *FREE)
+    record = run_json("regions", "scene", "--view", "view_02", "--width", "600")
+    assert record["view"] == "view_02.png"
+    assert all(record["regions"][level] >= 1 for level in "sml")
+    with Image.open("view_02_regions.png") as picture:
+        assert picture.size[0] == 600
+        assert len(picture.convert("RGB").getcolors(1 << 20)) > 20
+    assert "already exists" in refused("regions", "scene", "--view", "view_02")
+    assert "nearest names" in refused("regions", "scene", "--view", "other", "--out", "b.png")
+    assert "ends in .png" in refused("regions", "scene", "--view", "view_02", "--out", "b.jpg")
+    assert "--width" in refused("regions", "scene", "--view", "view_02", "--out", "b.png", "--width", "5")
+    run_json(
+        "regions", "scene", "--view", "view_02", "--features", "scene/language_features", "--out", "c.png"
+    )
+    code, out, _ = run("regions", "scene", "--view", "view_00.png", "--out", "d.png")
+    assert code == 0
+    assert "100% covered" in out
+
+
+def test_convert_both_ways(here) -> None:
+    before = snapshot(Path("scene/language_features"))
+    record = run_json("convert", "scene", "compact", "--bits", "32", "--model", "my/model")
+    assert (record["layout"], record["views"]) == ("compact", 4)
+    assert record["bytes_after"] < record["bytes_before"]
+    info = run_json("info", "compact")
+    assert (info["kind"], info["views"], info["embedding_model"]) == ("region features", 4, "my/model")
+    code, out, _ = run("convert", "compact", "back")
+    assert code == 0
+    assert "4 views in the layout langsplat" in out
+    after = snapshot(Path("back"))
+    assert {name: after[name] for name in before} == before
+    assert "one folder" in refused("convert", "compact", "compact")
+    assert "already exists" in refused("convert", "scene", "compact", "--bits", "32", "--model", "my/model")
+    assert "no such folder" in refused("convert", "nowhere", "x")
+    assert run_json("info", "scene")["views_with_regions"] == 4
+
+
+def test_processes_of_torchrun_take_their_share(here, monkeypatch) -> None:
+    photographs()
+    monkeypatch.setenv("WORLD_SIZE", "3")
+    made = []
+    for rank in range(3):
+        monkeypatch.setenv("RANK", str(rank))
+        record = run_json("extract", "scene", *FREE)
+        assert (record["rank"], record["world_size"]) == (rank, 3)
+        made.append(record["made"])
+    assert made == [2, 1, 1]
+    assert len(load_regions("scene", load_cameras("scene"))) == 4
+    monkeypatch.setenv("RANK", "x")
+    assert "RANK=x" in refused("extract", "scene", *FREE)
+
+
+def test_manifest_says_how_the_regions_were_made(here) -> None:
+    photographs()
+    run_json("extract", "scene", *FREE, "--max-height", "0")
+    record = json.loads(Path("scene/language_features", MANIFEST).read_text())
+    assert record["settings"]["segmenter"] == "felzenszwalb"
+    assert record["settings"]["max_height"] is None

@@ -1,0 +1,200 @@
+"""Automatic masks against the literal generator, with tiny SAM models and with answers made up at random."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from extract_support import smooth_image
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from literal_rules import cut_off, generate, mask_rule
+from scipy import ndimage
+from tiny_models import TINY_SAMS, saved
+from torch import Tensor
+from torch.nn import functional
+
+from scoup.errors import InputError
+from scoup.extract.automatic import SamSegmenter, automatic_masks
+from scoup.extract.grids import crop_boxes, point_grid, touches_inner_edge
+from scoup.extract.masks import Masks
+from scoup.extract.sam import open_point_model
+from scoup.extract.settings import MaskSettings, mask_settings
+
+LIVELY = MaskSettings(
+    points_per_side=5, points_per_batch=7, predicted_iou=0.5, stability=0.7, stability_offset=0.1,
+    least_area=12, least_score=0.4,
+)  # fmt: skip
+
+
+class MadeUp:
+    """A point model whose answers are blobs around the points, with random quality: many overlaps, many ties."""
+
+    def __init__(self, seed: int, small: int = 24) -> None:
+        self.seed = seed
+        self.small = small
+
+    def record(self) -> dict[str, Any]:
+        return {"segmenter": "made up", "seed": self.seed}
+
+    def look(self, image: np.ndarray) -> MadeUpLook:
+        return MadeUpLook(image, self.seed, self.small)
+
+
+class MadeUpLook:
+    def __init__(self, image: np.ndarray, seed: int, small: int) -> None:
+        self.size, self.small = image.shape[:2], small
+        self.seed = seed + int(image.astype(np.int64).sum()) % 1000
+        rng = np.random.default_rng(self.seed)
+        self.noise = ndimage.gaussian_filter(rng.normal(size=(small, small)), 2) * 8
+
+    def ask(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Deterministic in the point alone: asking in other batches changes nothing."""
+        masks, quality = [], []
+        rows, columns = np.mgrid[: self.small, : self.small] + 0.5
+        for x, y in points.tolist():
+            rng = np.random.default_rng([self.seed, int(x * 16), int(y * 16)])
+            px, py = x / self.size[1] * self.small, y / self.size[0] * self.small
+            distance = np.hypot(rows - py, columns - px)
+            radii = np.sort(rng.uniform(0.5, self.small * 0.7, 3))
+            fields = [
+                radius - distance + self.noise + rng.normal(size=distance.shape) * 0.3 for radius in radii
+            ]
+            masks.append(np.stack(fields))
+            quality.append(rng.integers(8, 21, 3) / 20)
+        return torch.from_numpy(np.stack(masks)).float(), torch.from_numpy(np.stack(quality)).float()
+
+    def trim(self, logits: Tensor) -> Tensor:
+        return logits
+
+    def enlarge(self, logits: Tensor) -> Tensor:
+        return functional.interpolate(logits[:, None], self.size, mode="bilinear", align_corners=False)[:, 0]
+
+
+def answers_of(model: Any):
+    """The model as the literal generator asks it: a crop and points in, masks at the size of the crop out."""
+
+    def answer(part: np.ndarray, points: np.ndarray) -> tuple[Tensor, Tensor]:
+        looked = model.look(np.ascontiguousarray(part))
+        logits, iou = looked.ask(torch.from_numpy(points))
+        return looked.enlarge(logits.flatten(0, 1)).unflatten(0, logits.shape[:2]), iou
+
+    return answer
+
+
+def compare(image: np.ndarray, model: Any, chosen: MaskSettings) -> dict[str, int]:
+    """Every level, "default" included, must be the literal one, in order; returns how many masks each has."""
+    literal = generate(
+        image, answers_of(model), chosen.points_per_side, chosen.points_per_batch, chosen.crop_layers,
+        chosen.predicted_iou, chosen.stability, chosen.stability_offset, chosen.box_overlap,
+        chosen.crop_overlap, chosen.least_area, chosen.crop_share,
+    )  # fmt: skip
+    found = automatic_masks(image, model, chosen, with_default=True)
+    assert list(found) == ["default", "s", "m", "l"]
+    counts = {}
+    for level, items in literal.items():
+        if not items:
+            assert not len(found[level])
+            continue
+        dense = np.stack([item[0] for item in items])
+        scores = torch.tensor([item[1] * item[2] for item in items], dtype=torch.float64)
+        kept = mask_rule(torch.from_numpy(dense), scores, least_score=chosen.least_score)
+        assert (found[level].dense() == dense[kept]).all()
+        assert len(found[level]) == len(kept)
+        np.testing.assert_allclose(found[level].predicted_iou, [items[n][1] for n in kept], atol=1e-6)
+        np.testing.assert_allclose(found[level].stability, [items[n][2] for n in kept], atol=1e-6)
+        counts[level] = len(kept)
+    return counts
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 2**31), st.sampled_from([(40, 52), (61, 33), (50, 50)]), st.integers(0, 1))
+def test_made_up_answers(seed: int, size: tuple[int, int], layers: int) -> None:
+    compare(smooth_image(*size, seed), MadeUp(seed), replace(LIVELY, crop_layers=layers))
+
+
+def test_the_comparison_is_not_empty() -> None:
+    counts = compare(smooth_image(60, 80), MadeUp(0), LIVELY)
+    assert min(counts.values()) >= 2
+    assert sum(counts.values()) > 15
+
+
+@pytest.mark.parametrize("kind", list(TINY_SAMS))
+def test_tiny_models(kind: str, tmp_path) -> None:
+    model = open_point_model(str(saved(TINY_SAMS[kind](), tmp_path / kind)))
+    image = smooth_image(70, 90)
+    chosen = replace(LIVELY, points_per_side=3, stability=0.5, stability_offset=0.02, least_score=0.0)
+    counts = compare(image, model, chosen)
+    assert sum(counts.values()) >= 2
+
+
+def test_batches_and_chunks_change_nothing(monkeypatch) -> None:
+    image, model = smooth_image(60, 80), MadeUp(3)
+    one = automatic_masks(image, model, replace(LIVELY, points_per_batch=1))
+    monkeypatch.setattr("scoup.extract.automatic._CHUNK", 4 * 60 * 80 * 2)  # two masks at a time
+    other = automatic_masks(image, model, replace(LIVELY, points_per_batch=1000))
+    for level, masks in one.items():
+        assert (masks.dense() == other[level].dense()).all()
+
+
+def test_coarse_filters_nearly_agree() -> None:
+    """Judged on small masks: not the same masks, but most of them, and the labels of most pixels."""
+    image, model = smooth_image(96, 128), MadeUp(5, small=48)
+    exact = automatic_masks(image, model, replace(LIVELY, crop_layers=0))
+    coarse = automatic_masks(image, model, replace(LIVELY, crop_layers=0, coarse_filters=True))
+    for level, masks in exact.items():
+        one, other = masks.dense(), coarse[level].dense()
+        best = [max(((m & o).sum() / (m | o).sum() for o in other), default=0) for m in one]
+        assert np.mean(np.array(best) > 0.95) > 0.6
+
+
+def test_no_answer_passes() -> None:
+    found = automatic_masks(smooth_image(30, 40), MadeUp(0), replace(LIVELY, predicted_iou=2.0))
+    assert all(len(masks) == 0 and masks.size == (30, 40) for masks in found.values())
+    found = automatic_masks(
+        smooth_image(30, 40), MadeUp(0), replace(LIVELY, predicted_iou=2.0, coarse_filters=True)
+    )
+    assert all(len(masks) == 0 for masks in found.values())
+
+
+def test_grids_and_crops() -> None:
+    grid = point_grid(32)
+    assert grid.shape == (1024, 2)
+    np.testing.assert_allclose(grid[0], [1 / 64, 1 / 64])
+    np.testing.assert_allclose(grid[1], [3 / 64, 1 / 64])
+    # SAM's own numbers for 1080 x 1440: overlap 368, crops of 904 x 724.
+    assert crop_boxes(1080, 1440, 1, 512 / 1500) == [
+        (0, 0, 1440, 1080),
+        (0, 0, 904, 724),
+        (0, 356, 904, 1080),
+        (536, 0, 1440, 724),
+        (536, 356, 1440, 1080),
+    ]
+    assert len(crop_boxes(500, 400, 2, 0.3)) == 1 + 4 + 16
+    boxes = np.random.default_rng(0).integers(0, 300, (200, 4))
+    crop = (100, 0, 380, 260)
+    expected = [cut_off(box, crop, 400, 300) for box in boxes.tolist()]
+    assert touches_inner_edge(boxes, crop, 300, 400).tolist() == expected
+    assert 0 < sum(expected) < 200
+
+
+def test_settings_and_records() -> None:
+    faithful = mask_settings("langsplat")
+    assert (faithful.points_per_side, faithful.predicted_iou, faithful.stability) == (32, 0.7, 0.85)
+    assert (faithful.mask_overlap, faithful.least_score, faithful.inside) == (0.8, 0.7, 0.85)
+    assert mask_settings("fast", points_per_side=8, stability=None).points_per_side == 8
+    for changes in ({"points_per_side": 0}, {"crop_layers": 9}, {"least_area": -1}):
+        with pytest.raises(InputError):
+            mask_settings("fast", **changes)
+    with pytest.raises(InputError, match="no preset"):
+        mask_settings("best")  # pyright: ignore[reportArgumentType]
+    one = SamSegmenter(MadeUp(1), faithful).record()
+    assert one["seed"] == 1
+    assert (
+        one == SamSegmenter(MadeUp(1), replace(faithful, points_per_batch=9)).record()
+    )  # decides only memory
+    assert one != SamSegmenter(MadeUp(1), mask_settings("fast")).record()
+    assert isinstance(automatic_masks(smooth_image(20, 20), MadeUp(1), LIVELY)["s"], Masks)

@@ -1,0 +1,139 @@
+"""Packed masks, and the rules over them, against literal versions; on random masks and on real ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from extract_support import mask_stacks, random_masks
+from hypothesis import given
+from hypothesis import strategies as st
+from literal_rules import box_of, box_suppression, clean_up, mask_rule, painted
+
+from scoup.errors import InputError
+from scoup.extract.felzenszwalb import Felzenszwalb
+from scoup.extract.masks import Masks, paint
+from scoup.extract.overlaps import intersections, keep_by_boxes, keep_by_masks
+from scoup.extract.photographs import read_photograph
+from scoup.extract.small_parts import without_small_parts
+
+
+@given(mask_stacks())
+def test_packed_masks_are_the_masks(dense: np.ndarray) -> None:
+    masks = Masks.from_dense(dense)
+    assert (masks.dense() == dense).all()
+    assert masks.areas().tolist() == dense.sum((1, 2)).tolist()
+    assert masks.corners().tolist() == [box_of(mask) for mask in dense]
+    assert (paint(masks) == painted(list(dense), dense.shape[1:])).all()
+    chosen = np.arange(len(dense))[::-2]
+    assert (masks.select(chosen).dense() == dense[chosen]).all()
+    assert (masks.select(dense.any((1, 2))).dense() == dense[dense.any((1, 2))]).all()
+    height, width = dense.shape[1:]
+    moved = masks.moved(3, 2, (height + 5, width + 4)).dense()
+    assert (moved == np.pad(dense, ((0, 0), (2, 3), (3, 1)))).all()
+    again = Masks.joined(masks.size, [masks, masks.select(chosen)])
+    assert (again.dense() == np.concatenate([dense, dense[chosen]])).all()
+
+
+def test_masks_of_labels() -> None:
+    labels = np.random.default_rng(0).integers(-1, 6, (9, 7))
+    labels[labels == 3] = 4  # a number that is not used
+    masks = Masks.from_labels(labels)
+    assert (masks.dense() == np.stack([labels == value for value in range(labels.max() + 1)])).all()
+    assert len(Masks.from_labels(np.full((3, 3), -1))) == 0
+    with pytest.raises(InputError, match="cannot be joined"):
+        Masks.joined((9, 7), [masks, Masks.from_dense(np.ones((1, 2, 2), bool))])
+
+
+@given(mask_stacks())
+def test_intersections(dense: np.ndarray) -> None:
+    flat = dense.reshape(len(dense), dense.shape[1] * dense.shape[2]).astype(np.int64)
+    assert (intersections(Masks.from_dense(dense)) == flat @ flat.T).all()
+
+
+@given(st.integers(0, 2**31), st.integers(0, 60), st.sampled_from([0.0, 0.3, 0.7, 1.0]))
+def test_box_suppression(seed: int, count: int, limit: float) -> None:
+    rng = np.random.default_rng(seed)
+    start = rng.integers(0, 20, (count, 2))
+    boxes = np.concatenate([start, start + rng.integers(0, 12, (count, 2))], axis=1)  # some without area
+    scores = rng.integers(0, 5, count) / 4  # many ties
+    assert keep_by_boxes(boxes, scores, limit).tolist() == box_suppression(
+        boxes.tolist(), scores.tolist(), limit
+    )
+
+
+@given(mask_stacks(), st.integers(0, 2**31))
+def test_small_parts(dense: np.ndarray, seed: int) -> None:
+    dense = dense[dense.any((1, 2))]  # an empty mask has no stability and never gets here
+    least = int(np.random.default_rng(seed).choice([0, 1, 2, 5, 20, 100, 10_000]))
+    cleaned = without_small_parts(Masks.from_dense(dense), least, 0.7)
+    expected, kept = clean_up(list(dense), least, 0.7)
+    assert len(cleaned) == len(expected)
+    assert all((one == other).all() for one, other in zip(cleaned.dense(), expected, strict=True))
+    marked = Masks.from_dense(dense, np.arange(len(dense), dtype=np.float32))
+    assert without_small_parts(marked, least, 0.7).predicted_iou.tolist() == kept
+
+
+@given(mask_stacks(), st.integers(0, 2**31))
+def test_mask_rule(dense: np.ndarray, seed: int) -> None:
+    dense = dense[dense.any((1, 2))]  # an empty mask has no stability and never gets here
+    scores = np.random.default_rng(seed).choice([0.65, 0.7, 0.75, 0.8, 0.9, 0.95], len(dense))
+    expected = mask_rule(torch.from_numpy(dense), torch.from_numpy(scores))
+    assert keep_by_masks(Masks.from_dense(dense), scores).tolist() == expected
+
+
+def test_mask_rule_by_hand() -> None:
+    """One of each reason to go, and a mask that went still makes others go."""
+    dense = np.zeros((5, 20, 20), bool)
+    dense[0, :10, :10] = True
+    dense[1, :10, :9] = True  # IoU 0.9 with the first
+    dense[2, 12:20, 12:20] = True  # low score
+    dense[3, 13:16, 13:16] = True  # inside the third, of which it covers 0.14
+    dense[4, :, 15:] = True
+    scores = np.array([0.95, 0.9, 0.7, 0.99, 0.8])
+    assert keep_by_masks(Masks.from_dense(dense), scores).tolist() == [0, 4]
+    assert keep_by_masks(Masks.from_dense(dense), scores, covered=0.1).tolist() == [0, 3, 4]
+    assert keep_by_masks(Masks.from_dense(dense), scores, most_overlap=0.9).tolist() == [0, 1, 4]
+
+
+@pytest.mark.data
+def test_rules_on_masks_of_a_photograph(data_folder) -> None:
+    """Regions of three scales of the desk, grown and joined at random so that they overlap as SAM's do."""
+    dense = real_masks(data_folder, 60)
+    rng = np.random.default_rng(1)
+    scores = rng.uniform(0.6, 1, len(dense))
+    masks = Masks.from_dense(dense)
+    assert keep_by_masks(masks, scores).tolist() == mask_rule(
+        torch.from_numpy(dense), torch.from_numpy(scores)
+    )
+    cleaned, (expected, _) = without_small_parts(masks, 100, 0.7), clean_up(list(dense), 100, 0.7)
+    assert (cleaned.dense() == np.stack(expected)).all()
+
+
+def real_masks(data_folder, count: int) -> np.ndarray:
+    from scipy import ndimage
+
+    photograph = sorted((data_folder / "desk" / "images_2").glob("*.jpg"))[0]
+    image = read_photograph(photograph).image[::3, ::3]
+    found = Felzenszwalb().segment(np.ascontiguousarray(image))
+    all_masks = np.concatenate([masks.dense() for masks in found.values()])
+    rng = np.random.default_rng(0)
+    result = []
+    for number in rng.integers(0, len(all_masks), count):
+        mask = all_masks[number]
+        if rng.random() < 0.5:
+            mask = ndimage.binary_dilation(mask, iterations=int(rng.integers(1, 4)))
+        if rng.random() < 0.3:
+            mask = mask | all_masks[rng.integers(len(all_masks))]
+        result.append(mask & (rng.random(mask.shape) < 0.999))  # pinholes
+    return np.stack(result)
+
+
+def test_random_masks_exercise_the_rules() -> None:
+    """The oracle tests mean little if nothing is ever dropped, or everything."""
+    dense = random_masks(40, 30, 30, 0)
+    dense = dense[dense.any((1, 2))]
+    kept = keep_by_masks(Masks.from_dense(dense), np.linspace(0.6, 1, len(dense)))
+    assert 3 < len(kept) < len(dense) - 3
+    cleaned = without_small_parts(Masks.from_dense(dense), 20, 0.7)
+    assert 5 < len(cleaned) < len(dense) - 2

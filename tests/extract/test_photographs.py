@@ -1,0 +1,111 @@
+"""Photographs of every kind: orientation, depth, transparency, size; and those that cannot be read."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from extract_support import smooth_image
+from PIL import Image, ImageOps
+
+from scoup.errors import FileFormatError, MissingFileError, ScoupError
+from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
+from scoup.io import write_colmap
+from support import make_camera
+
+IMAGE = smooth_image(20, 30)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientation_is_undone_for_models_and_put_back_for_cameras(tmp_path: Path, orientation: int) -> None:
+    path = tmp_path / "a.png"
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.fromarray(IMAGE).save(path, exif=exif)
+    pixels = read_photograph(path)
+    with Image.open(path) as stored:
+        upright = np.asarray(ImageOps.exif_transpose(stored).convert("RGB"))
+    assert (pixels.image == upright).all()
+    assert (pixels.as_stored(pixels.image[..., 0].astype(np.int32)) == IMAGE[..., 0]).all()
+    assert pixels.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_depths_and_modes(tmp_path: Path) -> None:
+    grey = IMAGE[..., 0]
+    deep = (grey.astype(np.uint16) << 8) + 7
+    cases = {
+        "grey.png": (Image.fromarray(grey), grey),
+        "deep.png": (Image.fromarray(deep), grey),
+        "deep.tif": (Image.fromarray(deep), grey),
+        "wide.tif": (Image.fromarray(deep.astype(np.int32)), grey),
+        "alpha.png": (Image.fromarray(np.dstack([IMAGE, grey])), None),
+        "grey_alpha.png": (Image.fromarray(np.dstack([grey, grey]), "LA"), grey),
+        "palette.png": (Image.fromarray(IMAGE).convert("P"), None),
+        "print.tif": (Image.fromarray(IMAGE).convert("CMYK"), None),
+        "bits.png": (Image.fromarray(grey > 128), np.where(grey > 128, 255, 0)),
+        "small.webp": (Image.fromarray(IMAGE), None),
+    }
+    for name, (image, expected) in cases.items():
+        image.save(tmp_path / name)
+        pixels = read_photograph(tmp_path / name).image
+        assert pixels.shape == (20, 30, 3), name
+        assert pixels.dtype == np.uint8
+        wanted = IMAGE if expected is None else np.repeat(expected[..., None], 3, 2)
+        worst = 60 if name in ("palette.png", "small.webp") else 1
+        assert np.abs(pixels.astype(int) - wanted).max() <= worst, name
+
+
+def test_high_photographs_are_reduced_as_langsplat_does(tmp_path: Path) -> None:
+    Image.fromarray(smooth_image(100, 77)).save(tmp_path / "a.png")
+    assert read_photograph(tmp_path / "a.png", 60).image.shape == (60, 46, 3)  # 46.2, truncated
+    assert read_photograph(tmp_path / "a.png", 100).image.shape == (100, 77, 3)
+    assert read_photograph(tmp_path / "a.png", None).image.shape == (100, 77, 3)
+
+
+def test_what_is_no_photograph(tmp_path: Path) -> None:
+    Image.fromarray(np.random.default_rng(0).random((9, 9)).astype(np.float32)).save(tmp_path / "float.tif")
+    Image.fromarray(IMAGE).save(tmp_path / "whole.jpg")
+    (tmp_path / "cut.jpg").write_bytes((tmp_path / "whole.jpg").read_bytes()[:300])
+    (tmp_path / "text.png").write_text("no image")
+    for name in ("float.tif", "cut.jpg", "text.png"):
+        with pytest.raises(FileFormatError, match=name):
+            read_photograph(tmp_path / name)
+
+
+def test_reading_ahead_keeps_order_and_errors(tmp_path: Path) -> None:
+    for number in range(7):
+        Image.fromarray(np.full((4, 5, 3), number, np.uint8)).save(tmp_path / f"{number}.png")
+    (tmp_path / "3.png").write_text("damaged")
+    photographs = [Photograph(f"{number}.png", tmp_path / f"{number}.png") for number in range(7)]
+    seen = list(read_ahead(photographs, None))
+    assert [item.name for item, _ in seen] == [f"{number}.png" for number in range(7)]
+    for number, (_, result) in enumerate(seen):
+        if number == 3:
+            assert isinstance(result, ScoupError)
+        else:
+            assert not isinstance(result, ScoupError)
+            assert (result.image == number).all()
+    stopped = read_ahead(photographs, None)
+    next(stopped)
+    stopped.close()  # interrupted: the threads end
+
+
+def test_which_photographs_a_scene_has(tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    (folder / "images_2" / "left").mkdir(parents=True)
+    for name in ("b.png", "a.JPG", "left/c.png", "._a.JPG", "notes.txt"):
+        (folder / "images_2" / name).write_bytes(b"")
+        if not name.startswith(".") and name.lower().endswith(("png", "jpg")):
+            Image.fromarray(IMAGE).save(folder / "images_2" / name)
+    assert [item.name for item in find_photographs(folder)] == ["a.JPG", "b.png", "left/c.png"]
+    assert [item.name for item in find_photographs(folder / "images_2" / "left")] == ["c.png"]
+    assert [item.name for item in find_photographs(tmp_path, folder / "images_2" / "left")] == ["c.png"]
+    write_colmap([make_camera(30, 20, name="b.png")], folder / "sparse" / "0")
+    assert [item.name for item in find_photographs(folder)] == ["b.png"]  # those of the cameras
+    with pytest.raises(MissingFileError, match="no such scene"):
+        find_photographs(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(MissingFileError, match="holds no photographs"):
+        find_photographs(tmp_path / "empty")

@@ -1,0 +1,127 @@
+"""Tiny SAM, SAM 2, SAM 3, CLIP and SigLIP models with random weights, built from configs: no downloads."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+import transformers
+
+
+def tiny_sam(seed: int = 0) -> Any:
+    torch.manual_seed(seed)
+    vision = {
+        "hidden_size": 16, "output_channels": 16, "num_hidden_layers": 1, "num_attention_heads": 2,
+        "image_size": 64, "patch_size": 8, "window_size": 4, "global_attn_indexes": [0], "mlp_dim": 16,
+        "num_pos_feats": 8,
+    }  # fmt: skip
+    prompt = {"hidden_size": 16, "image_size": 64, "patch_size": 8, "mask_input_channels": 4}
+    decoder = {"hidden_size": 16, "mlp_dim": 16, "num_hidden_layers": 1, "num_attention_heads": 2,
+               "iou_head_hidden_dim": 16}  # fmt: skip
+    config = transformers.SamConfig(
+        vision_config=vision, prompt_encoder_config=prompt, mask_decoder_config=decoder
+    )
+    return lively(transformers.SamModel(config).eval())
+
+
+def tiny_sam2(seed: int = 0) -> Any:
+    torch.manual_seed(seed)
+    backbone = {
+        "model_type": "sam2_hiera_det_model", "hidden_size": 8, "image_size": [64, 64],
+        "window_positional_embedding_background_size": [2, 2], "blocks_per_stage": [1, 1, 2, 1],
+        "embed_dim_per_stage": [8, 16, 32, 64], "num_attention_heads_per_stage": [1, 1, 2, 2],
+        "window_size_per_stage": [8, 4, 4, 4], "global_attention_blocks": [3],
+    }  # fmt: skip
+    vision = {
+        "backbone_config": backbone, "backbone_channel_list": [64, 32, 16, 8], "fpn_hidden_size": 32,
+        "backbone_feature_sizes": [[16, 16], [8, 8], [4, 4]],
+    }  # fmt: skip
+    config = transformers.Sam2Config(
+        vision_config=vision,
+        prompt_encoder_config={"hidden_size": 32, "image_size": 64, "mask_input_channels": 4},
+        mask_decoder_config={"hidden_size": 32, "mlp_dim": 16, "num_hidden_layers": 1,
+                             "num_attention_heads": 2, "iou_head_hidden_dim": 16},
+    )  # fmt: skip
+    return lively(transformers.Sam2Model(config).eval())
+
+
+def tiny_sam3(seed: int = 0) -> Any:
+    torch.manual_seed(seed)
+    backbone = {
+        "model_type": "sam3_vit_model", "hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 2,
+        "num_attention_heads": 2, "image_size": 56, "patch_size": 14, "window_size": 2,
+        "global_attn_indexes": [1], "pretrain_image_size": 28,
+    }  # fmt: skip
+    vision = {
+        "model_type": "sam3_vision_model", "backbone_config": backbone, "fpn_hidden_size": 32,
+        "backbone_feature_sizes": [[16, 16], [8, 8], [4, 4]],
+    }  # fmt: skip
+    config = transformers.Sam3TrackerConfig(
+        vision_config=vision,
+        prompt_encoder_config={"hidden_size": 32, "image_size": 56, "mask_input_channels": 4},
+        mask_decoder_config={"hidden_size": 32, "mlp_dim": 16, "num_hidden_layers": 1,
+                             "num_attention_heads": 2, "iou_head_hidden_dim": 16},
+    )  # fmt: skip
+    return lively(transformers.Sam3TrackerModel(config).eval())
+
+
+def tiny_sam2_video(seed: int = 0) -> Any:
+    """As SAM 2.1 is published: a video model, whose file holds the image model too."""
+    image = tiny_sam2(seed).config
+    config = transformers.Sam2VideoConfig(
+        vision_config=image.vision_config.to_dict(),
+        prompt_encoder_config=image.prompt_encoder_config.to_dict(),
+        mask_decoder_config=image.mask_decoder_config.to_dict(),
+        image_size=64, memory_attention_hidden_size=32, memory_attention_feed_forward_hidden_size=16,
+        memory_attention_num_layers=1, memory_encoder_hidden_size=32, memory_encoder_output_channels=16,
+        mask_downsampler_embed_dim=32, memory_fuser_embed_dim=32, memory_fuser_intermediate_dim=16,
+        memory_fuser_num_layers=1,
+    )  # fmt: skip
+    return lively(transformers.Sam2VideoModel(config).eval())
+
+
+def lively(model: Any) -> Any:
+    """Random weights large enough that answers depend on image and point, in the range that filters look at."""
+    with torch.no_grad():
+        for name, parameter in model.named_parameters():
+            if parameter.dim() > 1:
+                parameter.normal_(0, 1.0 / parameter[0].numel() ** 0.5)
+            if "iou_prediction_head" in name and name.endswith("bias"):
+                parameter.fill_(0.4)
+    return model
+
+
+TINY_SAMS = {"sam": tiny_sam, "sam2": tiny_sam2, "sam3": tiny_sam3}
+
+
+def tiny_clip(seed: int = 0, side: int = 32) -> Any:
+    torch.manual_seed(seed)
+    config = transformers.CLIPConfig(
+        text_config={"hidden_size": 8, "intermediate_size": 8, "num_hidden_layers": 1,
+                     "num_attention_heads": 2, "vocab_size": 50, "projection_dim": 12},
+        vision_config={"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1,
+                       "num_attention_heads": 2, "image_size": side, "patch_size": 8, "projection_dim": 12},
+        projection_dim=12,
+    )  # fmt: skip
+    return lively(transformers.CLIPModel(config).eval())
+
+
+def tiny_siglip(seed: int = 0, side: int = 32) -> Any:
+    torch.manual_seed(seed)
+    config = transformers.SiglipConfig(
+        text_config={"hidden_size": 16, "intermediate_size": 8, "num_hidden_layers": 1,
+                     "num_attention_heads": 2, "vocab_size": 50},
+        vision_config={"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1,
+                       "num_attention_heads": 2, "image_size": side, "patch_size": 8},
+    )  # fmt: skip
+    return lively(transformers.SiglipModel(config).eval())
+
+
+def saved(model: Any, folder: Path, **preprocessor: Any) -> Path:
+    """The model as a folder that ``from_pretrained`` reads, with a preprocessor_config.json if given any."""
+    model.save_pretrained(folder)
+    if preprocessor:
+        (folder / "preprocessor_config.json").write_text(json.dumps(preprocessor))
+    return folder

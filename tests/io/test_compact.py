@@ -1,0 +1,285 @@
+"""The compact layout of region features, its manifest, damage to both, and conversion both ways."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from io_samples import some_cameras, some_regions
+from safetensors.numpy import load_file, save_file
+
+from cli_support import snapshot
+from scoup.cameras import Cameras
+from scoup.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.io import convert_regions, load_regions, save_regions
+from scoup.io.compact import (
+    read_compact_embeddings,
+    read_compact_labels,
+    read_compact_view,
+    write_compact_view,
+)
+from scoup.io.region_manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
+from scoup.regions import LEVELS
+
+MANIFEST_OF_TESTS = RegionManifest("compact", "some/model", {"segmenter": "random"})
+
+
+def write(folder: Path, cameras: Cameras, bits: int = 32):
+    """The regions of ``some_regions`` in the compact layout."""
+    regions = some_regions(cameras)
+    folder.mkdir(exist_ok=True, parents=True)
+    write_manifest(folder, MANIFEST_OF_TESTS)
+    for camera in cameras:
+        maps = {level: regions.load(camera.name, level) for level in LEVELS}
+        write_compact_view(
+            folder / f"{camera.stem}.regions",
+            camera.name,
+            {level: item.labels.numpy() for level, item in maps.items()},
+            {level: item.embeddings.numpy().astype(f"f{bits // 8}") for level, item in maps.items()},
+            MANIFEST_OF_TESTS.fingerprint,
+            "photo",
+        )
+    return regions
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+def test_round_trip(tmp_path: Path, bits: int) -> None:
+    cameras = some_cameras(3)
+    regions = write(tmp_path / "language_features", cameras, bits)
+    for place in (tmp_path, tmp_path / "language_features"):
+        again = load_regions(place, cameras)
+        assert again.view_names == cameras.names
+        for name in cameras.names:
+            for level in LEVELS:
+                one, other = regions.load(name, level), again.load(name, level)
+                assert torch.equal(one.labels, other.labels)
+                tolerance = 1e-7 if bits == 32 else 1e-3
+                torch.testing.assert_close(one.embeddings, other.embeddings, rtol=0, atol=tolerance)
+                assert torch.equal(again.load_embeddings(name, level), other.embeddings)
+                torch.testing.assert_close(other.embeddings.norm(dim=1), torch.ones(len(other.embeddings)))
+
+
+@given(
+    st.integers(1, 50),
+    st.integers(1, 50),
+    st.sampled_from([0, 1, 3, 65_535, 65_536, 70_000]),
+    st.integers(0, 99),
+)
+def test_labels_of_every_size(height: int, width: int, rows: int, seed: int) -> None:
+    labels = np.random.default_rng(seed).integers(-1, rows, (height, width)).astype(np.int32)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "a.regions"
+        size = write_compact_view(path, "a.png", {"s": labels}, {"s": np.zeros((rows, 2), np.float16)})
+        assert path.stat().st_size == size
+        view = read_compact_view(path)
+        assert (view.name, view.width, view.height, view.rows["s"]) == ("a.png", width, height, rows)
+        assert (read_compact_labels(view, "s") == labels).all()
+        assert read_compact_embeddings(view, "s").dtype == np.float16
+
+
+def test_labels_come_at_the_size_of_the_camera(tmp_path: Path) -> None:
+    cameras = some_cameras(1)
+    regions = write(tmp_path, cameras)
+    name = cameras.names[0]
+    half = Cameras([cameras[0].resized(16, 12)])
+    expected = regions.load(name, "m").resized(16, 12).labels
+    assert torch.equal(load_regions(tmp_path, half).load(name, "m").labels, expected)
+    bent = Cameras([replace(cameras[0], distortion=(0.2, 0.0, 0.0, 0.0))])
+    assert not torch.equal(
+        load_regions(tmp_path, bent).load(name, "m").labels, regions.load(name, "m").labels
+    )
+    other = Cameras([cameras[0].resized(40, 24)])
+    with pytest.raises(FileFormatError, match="of another shape than its image"):
+        load_regions(tmp_path, other)
+
+
+def test_views_that_are_missing_or_given_up(tmp_path: Path) -> None:
+    cameras = some_cameras(3)
+    write(tmp_path, cameras)
+    (tmp_path / "view_01.regions").unlink()
+    with pytest.warns(ScoupWarning, match="skipped 1 of 3 cameras that have no features"):
+        assert load_regions(tmp_path, cameras).view_names == ("view_00.png", "view_02.png")
+    write_manifest(tmp_path, replace(MANIFEST_OF_TESTS, settings={"other": 1}), overwrite=True)
+    with pytest.raises(MissingFileError, match=r"none of the 3 cameras: expected view_00\.regions"):
+        load_regions(tmp_path, cameras)
+
+
+@given(st.integers(0, 2**31), st.sampled_from(["cut", "flip", "empty", "text"]))
+def test_damage_is_an_error_and_never_a_crash(seed: int, kind: str) -> None:
+    rng = np.random.default_rng(seed)
+    cameras = some_cameras(1)
+    with TemporaryDirectory() as folder:
+        write(Path(folder), cameras)
+        path = Path(folder) / "view_00.regions"
+        data = bytearray(path.read_bytes())
+        if kind == "cut":
+            data = data[: rng.integers(len(data))]
+        elif kind == "flip":
+            data[rng.integers(len(data))] ^= int(rng.integers(1, 256))
+        else:
+            data = bytearray(b"" if kind == "empty" else b"no regions here\n" * 30)
+        path.write_bytes(data)
+        refusal = ""
+        try:
+            regions = load_regions(folder, cameras)
+            for level in LEVELS:
+                item = regions.load("view_00.png", level)
+                assert int(item.labels.max()) < len(item.embeddings)
+        except FileFormatError as error:
+            refusal = str(error)
+        assert "view_00.regions" in refusal or kind == "flip"  # a flipped bit of a number is a number
+
+
+def test_headers_are_not_trusted(tmp_path: Path) -> None:
+    """Sizes that the data cannot have are refused before memory is taken."""
+    cameras = some_cameras(1)
+    write(tmp_path, cameras)
+    path = tmp_path / "view_00.regions"
+    tensors = load_file(path)
+    header = {
+        "schema": "scoup.regions", "version": 1, "view": "view_00.png", "width": 32, "height": 24,
+        "levels": list(LEVELS), "manifest": MANIFEST_OF_TESTS.fingerprint,
+    }  # fmt: skip
+    for change, message in (
+        ({"width": 90_000, "height": 90_000}, "cannot hold 90000 x 90000 labels"),
+        ({"width": 33, "height": 25}, "labels of another size than it says"),
+        ({"width": 31, "height": 23}, "labels of another size than it says"),
+        ({"width": 0}, "claims 3 levels of 0 x 24"),
+        ({"levels": []}, "claims 0 levels"),
+        ({"levels": ["s", "m", "x"]}, "is not a file of region features or is damaged"),
+        ({"levels": ["s", "m"]}, "has levels"),
+        ({"version": 2}, "written by a newer SCOUP"),
+        ({"schema": "other"}, "is not a file of region features"),
+    ):
+        save_file(tensors, path, {"scoup": json.dumps({**header, **change})})
+        with pytest.raises(FileFormatError, match=message):
+            load_regions(tmp_path, cameras).load("view_00.png", "s")
+    fewer = {**tensors, "embeddings.s": tensors["embeddings.s"][:2]}
+    save_file(fewer, path, {"scoup": json.dumps(header)})
+    with pytest.raises(FileFormatError, match="labels up to 5 for 2 embeddings"):
+        load_regions(tmp_path, cameras).load("view_00.png", "s")
+    save_file(
+        {**tensors, "embeddings.s": tensors["embeddings.s"] * np.nan}, path, {"scoup": json.dumps(header)}
+    )
+    with pytest.raises(FileFormatError, match="not finite"):
+        load_regions(tmp_path, cameras).load("view_00.png", "s")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "not valid JSON"),
+        ("[]", "not a manifest"),
+        ('{"schema": "scoup.regions", "version": 9}', "newer SCOUP"),
+        ('{"schema": "scoup.regions", "version": 1, "layout": "other"}', "lacks its layout"),
+    ],
+)
+def test_damaged_manifests(tmp_path: Path, text: str, message: str) -> None:
+    write(tmp_path, some_cameras(1))
+    (tmp_path / MANIFEST).write_text(text)
+    with pytest.raises(FileFormatError, match=message):
+        load_regions(tmp_path, some_cameras(1))
+
+
+def test_several_processes_may_write_one_manifest(tmp_path: Path) -> None:
+    write_manifest(tmp_path, MANIFEST_OF_TESTS)
+    write_manifest(tmp_path, MANIFEST_OF_TESTS)
+    with pytest.raises(InputError, match="somebody else"):
+        write_manifest(tmp_path, replace(MANIFEST_OF_TESTS, embedding_model="another"))
+    assert read_manifest(tmp_path) == MANIFEST_OF_TESTS
+
+
+# ---- conversion
+
+
+def test_langsplat_to_compact_and_back_is_lossless(tmp_path: Path) -> None:
+    """Labels and numbers, the level "default" and levels without pixels included."""
+    rng = np.random.default_rng(0)
+    source = tmp_path / "language_features"
+    source.mkdir()
+    for stem, counts in (("a", (5, 4, 3, 2)), ("b", (0, 6, 1, 1)), ("c", (0, 3, 0, 2))):
+        planes = np.full((4, 12, 17), -1, np.float32)
+        start = 0
+        for plane, count in zip(planes, counts, strict=True):
+            if count:
+                plane[:] = np.where(
+                    rng.random(plane.shape) < 0.2, -1, start + rng.integers(0, count, plane.shape)
+                )
+                plane.flat[:count] = start + np.arange(count)
+            start += count
+        np.save(source / f"{stem}_s.npy", planes)
+        np.save(source / f"{stem}_f.npy", rng.normal(size=(start, 6)).astype(np.float32))
+    before = snapshot(source)
+    report = convert_regions(tmp_path, tmp_path / "compact", bits=32, embedding_model="some/model")
+    assert (report.layout, report.views) == ("compact", 3)
+    assert read_manifest(tmp_path / "compact") == RegionManifest(
+        "compact", "some/model", {"bits": 32, "converted_from": "langsplat"}
+    )
+    back = convert_regions(tmp_path / "compact", tmp_path / "back")
+    assert back.layout == "langsplat"
+    after = snapshot(tmp_path / "back")
+    assert {name: after[name] for name in before} == before
+    assert set(after) - set(before) == {MANIFEST}
+    convert_regions(tmp_path, tmp_path / "half")
+    for stem in "abc":
+        view = read_compact_view(tmp_path / "half" / f"{stem}.regions")
+        rows = np.concatenate([read_compact_embeddings(view, level) for level in view.levels])
+        assert (rows == np.load(source / f"{stem}_f.npy").astype(np.float16)).all()
+
+
+def test_conversion_keeps_what_is_read(tmp_path: Path) -> None:
+    cameras = some_cameras(2)
+    regions = some_regions(cameras)
+    save_regions(regions, tmp_path / "a")
+    convert_regions(tmp_path / "a", tmp_path / "b", bits=32)
+    convert_regions(tmp_path / "b", tmp_path / "c", layout="compact", bits=16)
+    for folder, tolerance in (("a", 1e-7), ("b", 1e-7), ("c", 1e-3)):
+        again = load_regions(tmp_path / folder, cameras)
+        for name in cameras.names:
+            for level in LEVELS:
+                one, other = regions.load(name, level), again.load(name, level)
+                assert torch.equal(one.labels, other.labels)
+                torch.testing.assert_close(one.embeddings, other.embeddings, rtol=0, atol=tolerance)
+
+
+def test_conversions_that_are_refused(tmp_path: Path) -> None:
+    cameras = some_cameras(2)
+    save_regions(some_regions(cameras), tmp_path / "a")
+    with pytest.raises(InputError, match="one folder"):
+        convert_regions(tmp_path / "a", tmp_path / "a")
+    with pytest.raises(InputError, match="16 or 32 bits"):
+        convert_regions(tmp_path / "a", tmp_path / "b", bits=8)
+    with pytest.raises(MissingFileError, match="no such folder"):
+        convert_regions(tmp_path / "nowhere", tmp_path / "b")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(MissingFileError, match="holds no region features"):
+        convert_regions(tmp_path / "empty", tmp_path / "b")
+    assert not (tmp_path / "b").exists()
+    convert_regions(tmp_path / "a", tmp_path / "b")
+    before = snapshot(tmp_path / "b")
+    with pytest.raises(OutputExistsError):
+        convert_regions(tmp_path / "a", tmp_path / "b")
+    with pytest.raises(InputError, match=r"holds other region features \(bits: 32, not 16\)"):
+        convert_regions(tmp_path / "a", tmp_path / "b", bits=32)
+    with pytest.raises(InputError, match="features of the layout compact"):
+        convert_regions(tmp_path / "a", tmp_path / "b", layout="langsplat", overwrite=True)
+    assert snapshot(tmp_path / "b") == before
+    convert_regions(tmp_path / "a", tmp_path / "b", bits=32, overwrite=True)
+    assert len(load_regions(tmp_path / "b", cameras)) == 2
+
+
+def test_a_damaged_source_leaves_complete_views(tmp_path: Path) -> None:
+    cameras = some_cameras(2)
+    save_regions(some_regions(cameras), tmp_path / "a")
+    os.truncate(tmp_path / "a" / "view_01_f.npy", 150)
+    with pytest.raises(FileFormatError, match=r"view_01_f\.npy"):
+        convert_regions(tmp_path / "a", tmp_path / "b")
+    assert {path.name for path in (tmp_path / "b").iterdir()} == {MANIFEST, "view_00.regions"}
