@@ -14,6 +14,7 @@ from scoup.cli.bench import Bench
 from scoup.cli.build import Build
 from scoup.cli.console import Console, run_verb
 from scoup.cli.demo import Demo
+from scoup.cli.evaluate import Eval
 from scoup.cli.info import Info
 from scoup.cli.options import Common
 from scoup.cli.query import Query
@@ -27,6 +28,7 @@ Verb = (
     | Annotated[Select, tyro.conf.subcommand("select")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
 )
 
