@@ -149,18 +149,14 @@ def _write_scene(
     save_regions(scene.regions, folder / "language_features", overwrite)
     save_table(folder / "text.npz", scene.words.texts, scene.words.vectors, overwrite, EMBEDDING_MODEL)
     labelled = {scene.building[i].name for i in np.linspace(0, size.n_views - 1, size.n_labelled).astype(int)}
-    classes: dict[str, None] = {}
     for camera in scene.building:
         image = (render_colors(scene.gaussians, camera).numpy() * 255 + 0.5).astype(np.uint8)
         save_png(image, folder / "images" / camera.name, overwrite)
         if camera.name in labelled:
-            if kind.name == "3d-ovs":
-                classes |= dict.fromkeys(_write_masks(scene, camera, folder, overwrite))
-            else:
+            if kind.name != "3d-ovs":
                 _write_label(kind, scene, camera, image, root / "label" / name, size, overwrite)
     if kind.name == "3d-ovs":
-        text = "".join(f"{label}\n" for label in classes)
-        write_text(folder / "segmentations" / "classes.txt", text, overwrite)
+        _write_segmentations(scene, sorted(labelled), folder / "segmentations", overwrite)
 
 
 def _write_label(
@@ -180,9 +176,13 @@ def _write_label(
     save_png(image, folder / camera.name, overwrite)
 
 
-def _write_masks(scene: DemoScene, camera: Camera, folder: Path, overwrite: bool) -> list[str]:
-    """Write the masks of a frame; the names of its classes."""
-    frame = scene.labelled_frame(camera.name, LEVELS_ASKED)
-    for label, mask in frame.masks.items():
-        save_png(mask, folder / "segmentations" / frame.name / f"{label}.png", overwrite)
-    return list(frame.labels)
+def _write_segmentations(scene: DemoScene, views: list[str], folder: Path, overwrite: bool) -> None:
+    """Write the masks of the labelled views. As in the real data set, classes are those in sight of all of them."""
+    frames = [scene.labelled_frame(name, LEVELS_ASKED) for name in views]
+    classes = [label for label in frames[0].labels if all(label in frame.masks for frame in frames)]
+    if not classes:
+        raise InputError(f"{folder}: the labelled views have no object in common; make more or larger views")
+    for frame in frames:
+        for label in classes:
+            save_png(frame.masks[label], folder / frame.name / f"{label}.png", overwrite)
+    write_text(folder / "classes.txt", "".join(f"{label}\n" for label in classes), overwrite)
