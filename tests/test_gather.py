@@ -80,7 +80,8 @@ def literal(rule: object, weights: np.ndarray, centres: np.ndarray) -> np.ndarra
 
 
 @pytest.mark.parametrize(
-    "rule", [CentrePixel(), VisibleCentrePixel(), VisibleCentrePixel(0.9), TopContributors(1), TopContributors(3)]
+    "rule",
+    [CentrePixel(), VisibleCentrePixel(), VisibleCentrePixel(0.9), TopContributors(1), TopContributors(3)],
 )
 def test_gathered_sums_against_loops(rule: CentrePixel | VisibleCentrePixel | TopContributors) -> None:
     gaussians, cameras, regions = small_scene(count=50, views=2)

@@ -30,12 +30,15 @@ class ChannelField:
         cosines: per level, how channels meet words (``Cosines``).
         bytes_per_gaussian: it keeps, all levels.
         shared_bytes: it keeps once a scene: codebooks, networks.
+        quick: ``quick(view, words [Q, D])`` gives cosines [S, Q, H, W] without any image of channels, where there is such
+            a way; the same up to rounding.
     """
 
     values: Sequence[Tensor]
     cosines: Sequence[Cosines]
     bytes_per_gaussian: float
     shared_bytes: float = 0.0
+    quick: Callable[[raster.View, Tensor], Tensor] | None = None
 
     def relevancy(
         self, view: raster.View, queries: Tensor, canonical: Tensor, size: tuple[int, int] | None = None
@@ -47,6 +50,9 @@ class ChannelField:
             queries, canonical: [Q, D] and [P, D], unit norm.
             size: (width, height) to bring the rendered channels to first (``resized_image``).
         """
+        if self.quick is not None and size in (None, (view.width, view.height)):
+            found = self.quick(view, torch.cat([queries, canonical]))
+            return relevancy(found[:, : len(queries)], found[:, len(queries) :])
         levels = []
         for values, cosines in zip(self.values, self.cosines, strict=True):
             image, _ = raster.render_channels(view, values)

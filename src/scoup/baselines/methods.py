@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from scoup import raster
 from scoup.baselines.autoencoder import LANGSPLAT, AutoencoderSettings, fit_autoencoder
 from scoup.baselines.channels import ChannelField, code_cosines, embedding_cosines
 from scoup.baselines.gather import CentrePixel, Gather, TopContributors, VisibleCentrePixel
@@ -141,15 +142,24 @@ def sparse_field(sums: RegionSums, embeddings: Sequence[Tensor], settings: Metho
 def voted_field(accumulators: Tensor, codebook: Tensor, keep: int | None) -> ChannelField:
     """Accumulators [N, S, L] after the vote, over a codebook [S, L, D]; half precision as on disk."""
     indices, weights = top_k(accumulators, keep)
-    n_levels, n_atoms = accumulators.shape[1:]
+    return coded_field(indices, weights.half(), codebook, all_kept=keep is None)
+
+
+def coded_field(indices: Tensor, weights: Tensor, codebook: Tensor, all_kept: bool = False) -> ChannelField:
+    """Codes as a field stores them: indices [N, S, K], weights [N, S, K] float16, codebook [S, L, D]."""
+    n_levels, n_atoms = codebook.shape[:2]
     values = [
-        SparseCodes(indices[:, level], weights[:, level].half().float(), n_atoms).to_dense()
+        SparseCodes(indices[:, level], weights[:, level].float(), n_atoms).to_dense()
         for level in range(n_levels)
     ]
     # With all atoms kept their indices need not be stored.
-    each = 2.0 * n_atoms if keep is None else (2.0 + indices.element_size()) * indices.shape[2]
+    each = 2.0 * n_atoms if all_kept else (2.0 + indices.element_size()) * indices.shape[2]
     return ChannelField(
-        values, [code_cosines(atoms) for atoms in codebook], each * n_levels, 4.0 * codebook.numel()
+        values,
+        [code_cosines(atoms) for atoms in codebook],
+        each * n_levels,
+        4.0 * codebook.numel(),
+        lambda view, words: raster.render_cosines(view, indices, weights, codebook, words),
     )
 
 
@@ -162,7 +172,9 @@ def _with(**changes: object) -> Make:
 
     def make(sums: RegionSums, embeddings: Sequence[Tensor], settings: MethodSettings) -> ChannelField:
         return sparse_field(
-            sums, embeddings, replace(settings, build=replace(settings.build, **changes))  # pyright: ignore[reportArgumentType]
+            sums,
+            embeddings,
+            replace(settings, build=replace(settings.build, **changes)),  # pyright: ignore[reportArgumentType]
         )
 
     return make

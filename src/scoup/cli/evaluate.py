@@ -9,12 +9,14 @@ import tyro
 
 from scoup.cli.console import Console
 from scoup.cli.evaluate_data_sets import LerfOvs, MipNerf360, ThreeDOvs
+from scoup.cli.evaluate_many import Baselines
 from scoup.cli.evaluate_twin import Twin
 
 What = (
     Annotated[LerfOvs, tyro.conf.subcommand("lerf-ovs", prefix_name=False)]
     | Annotated[ThreeDOvs, tyro.conf.subcommand("3d-ovs", prefix_name=False)]
     | Annotated[MipNerf360, tyro.conf.subcommand("mipnerf360", prefix_name=False)]
+    | Annotated[Baselines, tyro.conf.subcommand("baselines", prefix_name=False)]
     | Annotated[Twin, tyro.conf.subcommand("twin", prefix_name=False)]
 )
 
