@@ -142,3 +142,52 @@ class Baselines(ManyOptions):
             "follows": {method.name: [method.system, method.follows, method.departs] for method in chosen},
         }
         self.write(console, "baselines", tables, "Methods compared", record)
+
+
+@common_last
+@dataclass(frozen=True, kw_only=True)
+class Presence(ManyOptions):
+    """Calibrate "not in the scene": how well signals of an answer tell present things from absent ones, and a model for
+    `scoup query --presence` and `scoup select --presence`.
+
+    Absent words are the lines of absent.txt in each scene's folder, or else the labels of the other scenes. Every scene is
+    judged by a model calibrated on the others; the model written is calibrated on all.
+    """
+
+    seed: int = 0
+    """Of the codebook's start."""
+
+    def run(self, console: Console) -> None:
+        """Ask, judge, write."""
+        from scoup.errors import InputError
+        from scoup.evaluate.presence_study import (
+            absent_words,
+            ask_scene,
+            calibrated,
+            presence_tables,
+        )
+        from scoup.evaluate.run import encode_words, text_source
+        from scoup.io import check_output
+        from scoup.pipeline import build_settings
+        from scoup.presence import save_presence
+
+        self.check("presence")
+        path = self.folder() / "presence_model.json"
+        check_output(path, self.overwrite)
+        scenes = self.prepared(console)
+        if len(scenes) < 2:
+            raise InputError("each scene is judged by a model calibrated on others; give two scenes or more")
+        questions = []
+        with console.progress() as progress:
+            for scene in scenes:
+                others = [other.scene for other in scenes if other is not scene]
+                words = absent_words(scene.scene, others)
+                source = text_source(self.root, scene.scene, self.text, CLIP_MODEL)
+                absent = encode_words(words, source, f"which is asked of {scene.name} as absent").vectors
+                settings = build_settings(seed=self.seed)
+                questions += ask_scene(scene, absent, settings, progress=progress)
+        tables, record = presence_tables(questions)
+        model = calibrated(questions)
+        self.write(console, "presence", tables, "Presence", {**record, "model": path.name})
+        save_presence(model, path, self.overwrite)
+        console.say(f"{path}: for scoup query --presence and scoup select --presence")

@@ -18,6 +18,7 @@ from scoup.demo.folder import SPARSE_POINTS, label_file
 from scoup.demo.layouts import LAYOUTS, find_layout
 from scoup.demo.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
 from scoup.demo.splat import SH_C0
+from scoup.demo.words import DISTRACTORS
 from scoup.errors import InputError, OutputExistsError
 from scoup.evaluate.datasets import DataSet, find_data_set
 from scoup.io import check_output, save_gaussians, save_png, save_regions, write_colmap, write_text
@@ -36,6 +37,7 @@ SCENE/images/             renders of them, in place of photographs
 SCENE/sparse/0/           their cameras, as COLMAP writes them
 SCENE/language_features/  simulated regions and embeddings, in LangSplat's layout
 SCENE/text.npz            simulated text vectors of the scene: names [M], vectors [M, 512]
+SCENE/absent.txt          words of that table for things the scene does not have
 {labels}
 
 Score it:
@@ -148,6 +150,7 @@ def _write_scene(
     )
     save_regions(scene.regions, folder / "language_features", overwrite)
     save_table(folder / "text.npz", scene.words.texts, scene.words.vectors, overwrite, EMBEDDING_MODEL)
+    write_text(folder / "absent.txt", "".join(f"{word}\n" for word in DISTRACTORS), overwrite)
     labelled = {scene.building[i].name for i in np.linspace(0, size.n_views - 1, size.n_labelled).astype(int)}
     for camera in scene.building:
         image = (render_colors(scene.gaussians, camera).numpy() * 255 + 0.5).astype(np.uint8)

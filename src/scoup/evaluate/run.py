@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -56,20 +56,27 @@ def text_source(root: Path, scene: EvalScene, wanted: str | None, default: str) 
 
 
 def encode_labels(scene: EvalScene, source: str, device: str = "cpu") -> Asked:
-    """Vectors of every label of a scene.
+    """Vectors of every label of a scene, and of the canonical phrases.
 
     Raises:
         InputError: a table lacks a label or a canonical phrase.
     """
+    return encode_words(scene.labels, source, f"which {scene.name} is asked for", device)
+
+
+def encode_words(words: Sequence[str], source: str, why: str, device: str = "cpu") -> Asked:
+    """Vectors of words; ``why`` they are needed, for the error.
+
+    Raises:
+        InputError: a table lacks a word or a canonical phrase.
+    """
     with TextEncoder.open(source, device=device) as encoder:
         try:
-            vectors = encoder.encode(scene.labels)
+            vectors = encoder.encode(list(words))
             canonical = encoder.encode(list(CANONICAL_PHRASES))
         except UnknownNameError as error:
-            raise InputError(
-                f"{source}: has no vector for {error.name!r}, which {scene.name} is asked for"
-            ) from error
-    return Asked(dict(zip(scene.labels, vectors, strict=True)), canonical)
+            raise InputError(f"{source}: has no vector for {error.name!r}, {why}") from error
+    return Asked(dict(zip(words, vectors, strict=True)), canonical)
 
 
 def build_field(
