@@ -9,7 +9,7 @@ import tyro
 
 from scoup.cli.console import Console
 from scoup.cli.evaluate_data_sets import LerfOvs, MipNerf360, ThreeDOvs
-from scoup.cli.evaluate_many import Baselines, Presence
+from scoup.cli.evaluate_many import Ablations, Baselines, Consistency, Curves, Presence
 from scoup.cli.evaluate_twin import Twin
 
 What = (
@@ -17,6 +17,9 @@ What = (
     | Annotated[ThreeDOvs, tyro.conf.subcommand("3d-ovs", prefix_name=False)]
     | Annotated[MipNerf360, tyro.conf.subcommand("mipnerf360", prefix_name=False)]
     | Annotated[Baselines, tyro.conf.subcommand("baselines", prefix_name=False)]
+    | Annotated[Ablations, tyro.conf.subcommand("ablations", prefix_name=False)]
+    | Annotated[Curves, tyro.conf.subcommand("curves", prefix_name=False)]
+    | Annotated[Consistency, tyro.conf.subcommand("consistency", prefix_name=False)]
     | Annotated[Presence, tyro.conf.subcommand("presence", prefix_name=False)]
     | Annotated[Twin, tyro.conf.subcommand("twin", prefix_name=False)]
 )

@@ -174,8 +174,8 @@ class Scored(DataSetOptions):
         """Write the failure sheet of a scene."""
         from scoup.evaluate.datasets import data_set_preset, find_data_set
         from scoup.evaluate.failures import failure_sheet
-        from scoup.evaluate.run import predict
         from scoup.evaluate.predictions import file_digest
+        from scoup.evaluate.run import predict
         from scoup.evaluate.threed_ovs import LEVELS_ASKED
         from scoup.io import save_png
         from scoup.raster import render_colors

@@ -228,7 +228,7 @@ def report_record(report: Report) -> dict[str, Any]:
 
 def _plain(record: dict[str, Any]) -> dict[str, Any]:
     """JSON knows no NaN."""
-    return {key: None if value != value else value for key, value in record.items()}  # noqa: PLR0124
+    return {key: None if value != value else value for key, value in record.items()}
 
 
 def _ends(interval: Interval) -> list[float]:
