@@ -60,6 +60,8 @@ class ConsistencyResult:
         scene, level, features: which.
         cosines: [P] mean over the pairs of each point.
         pairs: how many pairs in all.
+        unmatched: mean cosine when the second of each pair is that of another pair drawn at random: features that are all
+            alike have a high cosine between matched observations too, and tell nothing.
     """
 
     scene: str
@@ -67,6 +69,7 @@ class ConsistencyResult:
     features: str
     cosines: tuple[float, ...]
     pairs: int
+    unmatched: float
 
 
 def tracked_points(folder: Path, cameras: Cameras) -> Matches | None:
@@ -161,7 +164,11 @@ def consistency(
             cosines = (a * b).sum(1).double().numpy()
             members = np.unique(point_of_pair[both], return_inverse=True)[1]
             means = np.bincount(members, cosines) / np.bincount(members)
-            results.append(ConsistencyResult(scene, level, name, tuple(means.tolist()), int(both.sum())))
+            shuffled = torch.from_numpy(np.random.default_rng(seed).permutation(len(b)))
+            unmatched = float((a * b[shuffled]).sum(1).double().mean())
+            results.append(
+                ConsistencyResult(scene, level, name, tuple(means.tolist()), int(both.sum()), unmatched)
+            )
     return results
 
 
@@ -204,14 +211,32 @@ def consistency_table(results: Sequence[ConsistencyResult], sources: dict[str, s
     rows = []
     for result in results:
         interval = bootstrap_interval(result.cosines, [str(i) for i in range(len(result.cosines))])
-        cells = (f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")
+        cells = (
+            f"{interval.mean:.3f}",
+            f"{interval.low:.3f} to {interval.high:.3f}",
+            f"{result.unmatched:.3f}",
+            f"{interval.mean - result.unmatched:.3f}",
+        )
         rows.append((result.features, result.scene, result.level, str(len(result.cosines)), *cells))
     notes = tuple(f"{scene}: matched by {source}." for scene, source in sources.items())
     return Table(
         "Multi-view consistency: cosine between matched observations",
-        ("features", "scene", "level", "points", "cosine", "95 % interval over points"),
+        (
+            "features",
+            "scene",
+            "level",
+            "points",
+            "cosine",
+            "95 % interval over points",
+            "unmatched",
+            "difference",
+        ),
         tuple(rows),
-        (*notes, "Codes and network are learned from all regions of the scene, as for a build."),
+        (
+            *notes,
+            "Unmatched: observations of different points, drawn at random. Features that are all alike are consistent too.",
+            "Codes and network are learned from all regions of the scene, as for a build.",
+        ),
     )
 
 
@@ -222,7 +247,9 @@ def consistency_plot(results: Sequence[ConsistencyResult]) -> Picture:
         interval = bootstrap_interval(result.cosines, [str(i) for i in range(len(result.cosines))])
         rows.append((result.features, *(round(v, 3) for v in (interval.mean, interval.low, interval.high))))
         headings.append(f"{result.scene}, level {result.level}")
-    return interval_plot(rows, "Multi-view consistency", "cosine between matched observations", 900, headings)
+    return interval_plot(
+        rows, "Multi-view consistency", "cosine between matched observations", 900, headings, digits=3
+    )
 
 
 def consistency_record(results: Sequence[ConsistencyResult], sources: dict[str, str]) -> dict[str, Any]:
@@ -235,6 +262,7 @@ def consistency_record(results: Sequence[ConsistencyResult], sources: dict[str, 
             "points": len(result.cosines),
             "pairs": result.pairs,
             "cosine": float(np.mean(result.cosines)),
+            "unmatched": result.unmatched,
         }
         for result in results
     ]

@@ -59,7 +59,7 @@ def line_plot(
     """
     _check(series)
     legend = 20 + max(text_width(each.name, font(_TEXT)) for each in series) + 34
-    left, top, right, bottom = 74, 46, width - legend, height - (72 if footer else 52)
+    left, top, right, bottom = 74, 66, width - legend, height - (72 if footer else 52)
     xs = [value for each in series for value in each.x]
     ys = [value for each in series for value in (*each.y, *each.low, *each.high)]
     x_ticks, y_ticks = nice_ticks(min(xs), max(xs)), nice_ticks(min(ys), max(ys))
@@ -109,6 +109,7 @@ def interval_plot(
     width: int = 900,
     headings: Sequence[str] = (),
     footer: str = "",
+    digits: int = 1,
 ) -> Picture:
     """Points with intervals, a line each, from top to bottom.
 
@@ -117,6 +118,7 @@ def interval_plot(
         title, x_label, footer: written around.
         width: in pixels; the height follows from the rows.
         headings: group of each row, or none; a heading stands above the first row of each group.
+        digits: of the means, after the point.
 
     Raises:
         InputError: there are no rows, or headings do not fit them.
@@ -157,7 +159,7 @@ def interval_plot(
         draw.text((left - 12, y), name, FAINT, font(_TEXT), anchor="rm")
         draw.line((across(least), y, across(most), y), (*color, 150), 3)
         _marker(draw, (across(mean), y), color, 0)
-        draw.text((right + 12, y), _number(round(mean, 4)), INK, font(_TEXT), anchor="lm")
+        draw.text((right + 12, y), f"{mean:.{digits}f}", INK, font(_TEXT), anchor="lm")
     _around(draw, title, x_label, "", footer, (left, top, right, bottom), height)
     return np.asarray(canvas)
 
