@@ -100,8 +100,9 @@ def test_the_autoencoder_decodes_what_was_rendered() -> None:
 def test_unknown_method_and_consensus() -> None:
     with pytest.raises(UnknownNameError, match="dense"):
         find_method("dens")
+    gaussians, cameras, regions = small_scene(count=60, views=3)
+    sums = region_sums(gaussians, cameras, regions)
+    rows = [regions.embeddings(level)[0] for level in regions.levels]
+    settings = MethodSettings(build=BuildSettings(consensus=True))
     with pytest.raises(InputError, match="consensus"):
-        gaussians, cameras, regions = small_scene(count=60, views=3)
-        sums = region_sums(gaussians, cameras, regions)
-        rows = [regions.embeddings(level)[0] for level in regions.levels]
-        METHODS["sparse"].make(sums, rows, MethodSettings(build=BuildSettings(consensus=True)))
+        METHODS["sparse"].make(sums, rows, settings)

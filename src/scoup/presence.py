@@ -1,8 +1,8 @@
 """Is it there at all? How sure an answer is, so that a query for something absent can return nothing.
 
-The protocols rescale relevancy over the view before they cut it, so that something is painted whatever is asked. Presence
-looks at what the rescaling throws away: how high the relevancy really is, and how far the answer stands out. A logistic
-model, calibrated on labelled scenes (``scoup eval presence``), turns these signals into a probability.
+The protocols rescale relevancy over the view before they cut it, so that something is painted whatever is asked.
+Presence looks at what the rescaling throws away: how high the relevancy really is, and how far the answer stands out. A
+logistic model, calibrated on labelled scenes (``scoup eval presence``), turns these signals into a probability.
 
 Own; the method's paper and the protocols have nothing of the kind, and scores by their rules never use it.
 """
@@ -130,9 +130,9 @@ def signals_of(
 ) -> Tensor:
     """[3 + E] float64 signals of one answer in one view.
 
-    They are: the largest smoothed relevancy at the level that answers ("peak"); its mean inside the mask ("inside"); how
-    far that lies above the mean outside ("contrast"); then the mean of each extra map inside the mask. An empty mask has
-    0.5, 0 and, of each extra map, the mean over the view.
+    They are: the largest smoothed relevancy at the level that answers ("peak"); its mean inside the mask ("inside");
+    how far that lies above the mean outside ("contrast"); then the mean of each extra map inside the mask. An empty
+    mask has 0.5, 0 and, of each extra map, the mean over the view.
 
     Args:
         relevancy: [S, H, W] of one query.
@@ -225,15 +225,17 @@ def load_presence(path: str | Path) -> PresenceModel:
         raise FileFormatError(path, "is no presence model of version 1", remedy)
     try:
         names = tuple(str(name) for name in content["signals"])
-        rows = [tuple(float(value) for value in content[key]) for key in ("center", "scale", "weights")]
-        rest = [float(content[key]) for key in ("bias", "threshold", "scene_threshold")]
+        center, scale, weights = (
+            tuple(float(value) for value in content[key]) for key in ("center", "scale", "weights")
+        )
+        bias, threshold, scene_threshold = (
+            float(content[key]) for key in ("bias", "threshold", "scene_threshold")
+        )
     except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(path, f"is damaged ({error})", remedy) from error
-    numbers = [value for row in rows for value in row] + rest
-    if (
-        any(len(row) != len(names) for row in rows)
-        or not np.isfinite(numbers).all()
-        or min(rows[1], default=0) <= 0
-    ):
+    numbers = [*center, *scale, *weights, bias, threshold, scene_threshold]
+    lengths = {len(names), len(center), len(scale), len(weights)}
+    if len(lengths) > 1 or not np.isfinite(numbers).all() or min(scale, default=0) <= 0:
         raise FileFormatError(path, "holds numbers that make no model", remedy)
-    return PresenceModel(names, *rows, *rest, calibrated_on=str(content.get("calibrated_on", "")))
+    told = str(content.get("calibrated_on", ""))
+    return PresenceModel(names, center, scale, weights, bias, threshold, scene_threshold, told)

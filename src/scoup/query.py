@@ -66,8 +66,8 @@ DATASET_THRESHOLDS: dict[str, dict[str, float]] = {
     "3d-ovs": {"default": 0.3, "scoup": 0.3, "langsplatv2": 0.25},
     "mipnerf360": {"default": 0.45, "scoup": 0.45, "langsplatv2": 0.4},
 }
-"""Thresholds as the papers tuned them per data set. Only the thresholds: ``scoup.evaluate`` has one file a data set with
-the rest of its rules."""
+"""Thresholds as the papers tuned them per data set. Only the thresholds: ``scoup.evaluate`` has one file a data set
+with the rest of its rules."""
 
 
 def query_preset(name: str, dataset: str = "lerf-ovs", threshold: float | None = None) -> QueryPreset:

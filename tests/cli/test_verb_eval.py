@@ -194,7 +194,7 @@ def test_presence_to_query_and_select(here: Path) -> None:
     assert load_presence(path).signals == ("peak", "inside", "contrast")
     run_json("eval", "lerf-ovs", "lerf-ovs", *QUICK, "--scenes", "table", "--sheets", "none")
     field = here / "eval_lerf-ovs" / "fields" / "table.scoup"
-    words = [word for word in ("table", "elephant", "piano", "tent", "violin")]
+    words = ("table", "elephant", "piano", "tent", "violin")
     for threshold, present in ((0.0, True), (1.1, False)):
         model = {**json.loads(path.read_text()), "threshold": threshold, "scene_threshold": threshold}
         (here / "m.json").write_text(json.dumps(model))

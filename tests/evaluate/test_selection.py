@@ -45,7 +45,7 @@ def test_silhouettes_begin_at_their_opacity() -> None:
     alpha = raster.render_channels(view, torch.ones(20, 1))[0][..., 0]
     expected = alpha > 10 / 255
     assert silhouette(scene, chosen, camera, "inria").equal(expected)
-    assert VALA_3D == type(VALA_3D)("vala-3d", 10, 0.6, 10 / 255)
+    assert (VALA_3D.neighbours, VALA_3D.threshold, VALA_3D.silhouette) == (10, 0.6, 10 / 255)
 
 
 def test_scores() -> None:

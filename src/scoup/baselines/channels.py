@@ -30,8 +30,8 @@ class ChannelField:
         cosines: per level, how channels meet words (``Cosines``).
         bytes_per_gaussian: it keeps, all levels.
         shared_bytes: it keeps once a scene: codebooks, networks.
-        quick: ``quick(view, words [Q, D])`` gives cosines [S, Q, H, W] without any image of channels, where there is such
-            a way; the same up to rounding.
+        quick: ``quick(view, words [Q, D])`` gives cosines [S, Q, H, W] without any image of channels, where there is
+            such a way; the same up to rounding.
     """
 
     values: Sequence[Tensor]

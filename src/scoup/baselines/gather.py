@@ -2,8 +2,8 @@
 
 Dense and sparse uplift count every pixel by its blending weight (``scoup.uplifting.region_sums``). The systems compared
 with count fewer: the pixel at the projected centre of a Gaussian (``CentrePixel``), the same where the Gaussian is seen
-(``VisibleCentrePixel``), or the Gaussians that paint most of a pixel (``TopContributors``). Each gives region sums of the
-same form, so that whatever comes after can be shared.
+(``VisibleCentrePixel``), or the Gaussians that paint most of a pixel (``TopContributors``). Each gives region sums of
+the same form, so that whatever comes after can be shared.
 
 The blending weights come from the rasteriser's contract: region sums of a map in which every pixel is a region of its
 own.
@@ -185,7 +185,12 @@ def _as_view_sums(
     stride = max(1, int(labels.max()) + 1)
     joint, inverse = np.unique(gaussian * (stride * len(labels)) + key, return_inverse=True)
     total = np.bincount(inverse, weight, minlength=len(joint)).astype(np.float32)
-    parts = joint // (stride * len(labels)), joint % (stride * len(labels)), total
+    places, keys = np.divmod(joint, stride * len(labels))
     return ViewSums(
-        camera.name, *(torch.from_numpy(part) for part in parts), stride, digest_of_labels(labels)
+        camera.name,
+        torch.from_numpy(places),
+        torch.from_numpy(keys),
+        torch.from_numpy(total),
+        stride,
+        digest_of_labels(labels),
     )

@@ -21,7 +21,7 @@ from scoup.baselines.product_quantisation import fit_product_quantiser
 from scoup.codes import SparseCodes
 from scoup.coding import fit_codes
 from scoup.errors import InputError, UnknownNameError
-from scoup.pipeline import BuildSettings
+from scoup.pipeline import BUILD_PRESETS, BuildSettings
 from scoup.progress import Progress, no_progress
 from scoup.rounds import accumulate
 from scoup.uplifting import RegionSums, top_k
@@ -43,10 +43,13 @@ class MethodSettings:
     """
 
     seed: int = 0
-    build: BuildSettings = BuildSettings()
+    build: BuildSettings = BUILD_PRESETS["default"]
     quantised_parts: int = 0
     autoencoder: AutoencoderSettings = LANGSPLAT
     progress: Progress = no_progress
+
+
+DEFAULTS = MethodSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +223,8 @@ _OTHERS = (
         "Occam's LGS",
         "Each Gaussian gathers the embedding at the pixel of its projected centre, one a view, weighted by its own "
         "blending weight there; 512 numbers a level.",
-        "No filtering of Gaussians beyond those that paint nothing at their centre; scores of other pixels are not used.",
+        "No filtering of Gaussians beyond those that paint nothing at their centre; scores of other "
+        "pixels are not used.",
         CentrePixel(),
         dense_field,
     ),
@@ -240,7 +244,8 @@ _OTHERS = (
         "Each pixel's embedding goes to the Gaussians that paint most of it, weighted by how much; kept as "
         "product-quantised codes.",
         "Ten Gaussians a pixel and 64 bytes a level are our choice; the quantiser learns from the scene's own regions, "
-        "not from a large image collection, by k-means in numpy instead of faiss. It is also scored in 2D here, where the "
+        "not from a large image collection, by k-means in numpy instead of faiss. It is also scored in "
+        "2D here, where the "
         "paper selects in 3D.",
         TopContributors(),
         quantised_field,
@@ -249,7 +254,8 @@ _OTHERS = (
         "autoencoder",
         "LangSplat",
         "LangSplat's autoencoder to three numbers and back, decoded for every pixel.",
-        "The three numbers are lifted as weighted means; LangSplat optimises them through the rasteriser, each level with a "
+        "The three numbers are lifted as weighted means; LangSplat optimises them through the "
+        "rasteriser, each level with a "
         "copy of the scene of its own.",
         None,
         autoencoded_field,

@@ -68,7 +68,7 @@ def run(arguments: list[str]) -> int:
         if for_machines and code:
             Console(Common(as_json=True)).fail(_in_one_line(refusal.getvalue()), code)
         return code
-    return run_verb(verb, verb, verb.run)
+    return run_verb(verb, verb.what if isinstance(verb, Eval) else verb, verb.run)
 
 
 def entry() -> None:

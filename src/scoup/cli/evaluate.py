@@ -34,18 +34,6 @@ class Eval:
 
     what: tyro.conf.OmitArgPrefixes[What]
 
-    @property
-    def device(self) -> str:
-        return self.what.device
-
-    @property
-    def quiet(self) -> bool:
-        return self.what.quiet
-
-    @property
-    def as_json(self) -> bool:
-        return self.what.as_json
-
     def run(self, console: Console) -> None:
         """Run the command named."""
         self.what.run(console)

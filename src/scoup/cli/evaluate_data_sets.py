@@ -207,8 +207,8 @@ class Scored(DataSetOptions):
 class LerfOvs(Scored):
     """Score LERF-OVS (figurines, ramen, teatime, waldo_kitchen): masks and points, with the rules of its protocol.
 
-    Builds the fields that are missing, predicts once into a cache, and writes tables by query, by scene and overall, with
-    intervals, published figures marked as such, and the worst answers as pictures.
+    Builds the fields that are missing, predicts once into a cache, and writes tables by query, by scene and overall,
+    with intervals, published figures marked as such, and the worst answers as pictures.
     """
 
     data_set_name: ClassVar[str] = "lerf-ovs"

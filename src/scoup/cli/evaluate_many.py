@@ -154,8 +154,8 @@ class Presence(ManyOptions):
     """Calibrate "not in the scene": how well signals of an answer tell present things from absent ones, and a model for
     `scoup query --presence` and `scoup select --presence`.
 
-    Absent words are the lines of absent.txt in each scene's folder, or else the labels of the other scenes. Every scene is
-    judged by a model calibrated on the others; the model written is calibrated on all.
+    Absent words are the lines of absent.txt in each scene's folder, or else the labels of the other scenes. Every
+    scene is judged by a model calibrated on the others; the model written is calibrated on all.
     """
 
     seed: int = 0
@@ -200,13 +200,14 @@ class Presence(ManyOptions):
 @common_last
 @dataclass(frozen=True, kw_only=True)
 class Ablations(ManyOptions):
-    """One thing at a time changed: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver and
-    start, levels and how they are chosen, fewer views, fewer pixels; at least three codebook seeds each. Table and plot.
+    """One thing at a time changed: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver
+    and start, levels and how they are chosen, fewer views, fewer pixels; at least three codebook seeds each. Table and
+    plot.
     """
 
     groups: Annotated[Names, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = ()
-    """Groups of rows: vote, atoms, non-zeros, entropy, "solver and start", levels, views, pixels; repeat it for several.
-    Default: all. The base is always run."""
+    """Groups of rows: vote, atoms, non-zeros, entropy, "solver and start", levels, views, pixels; repeat it for
+    several. Default: all. The base is always run."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Of the codebook; scores are means over them."""
     epochs: int = 4000
@@ -244,8 +245,8 @@ class Ablations(ManyOptions):
 @common_last
 @dataclass(frozen=True, kw_only=True)
 class Curves(ManyOptions):
-    """Accuracy against faults put in on purpose: displaced and missing masks, noisy and wrong embeddings, fewer views. A
-    table and a plot for each."""
+    """Accuracy against faults put in on purpose: displaced and missing masks, noisy and wrong embeddings, fewer
+    views. A table and a plot for each."""
 
     faults: Annotated[Names, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = ()
     """masks, missing, noise, wrong, views; repeat it for several. Default: all."""
@@ -299,8 +300,8 @@ class Curves(ManyOptions):
 @common_last
 @dataclass(frozen=True, kw_only=True)
 class Consistency(ManyOptions):
-    """Multi-view consistency: cosine between matched observations of raw embeddings, of what LangSplat's autoencoder makes
-    of them, and of decoded sparse codes.
+    """Multi-view consistency: cosine between matched observations of raw embeddings, of what LangSplat's autoencoder
+    makes of them, and of decoded sparse codes.
 
     Matched by COLMAP's tracks where sparse/0 keeps them, otherwise by Gaussians that dominate the pixel under their
     centre.

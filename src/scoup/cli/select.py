@@ -38,7 +38,8 @@ class Select(AsksText):
     """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases."""
     presence: OptionalPath = None
     """A presence model (scoup eval presence): of a text that is judged to be absent, in all views the field was built
-    from, nothing is chosen. Renders these views. Default: something is chosen always, unless the threshold is absolute."""
+    from, nothing is chosen. Renders these views. Default: something is chosen always, unless the threshold is
+    absolute."""
     neighbours: int = 0
     """Blend each half and half with the mean of so many nearest neighbours: 10 is usual, 0 is off."""
 

@@ -155,9 +155,8 @@ def _write_scene(
     for camera in scene.building:
         image = (render_colors(scene.gaussians, camera).numpy() * 255 + 0.5).astype(np.uint8)
         save_png(image, folder / "images" / camera.name, overwrite)
-        if camera.name in labelled:
-            if kind.name != "3d-ovs":
-                _write_label(kind, scene, camera, image, root / "label" / name, size, overwrite)
+        if camera.name in labelled and kind.name != "3d-ovs":
+            _write_label(kind, scene, camera, image, root / "label" / name, size, overwrite)
     if kind.name == "3d-ovs":
         _write_segmentations(scene, sorted(labelled), folder / "segmentations", overwrite)
 

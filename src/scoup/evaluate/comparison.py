@@ -9,7 +9,7 @@ from statistics import mean
 from typing import Any
 
 from scoup import raster
-from scoup.baselines.methods import Method, MethodSettings
+from scoup.baselines.methods import DEFAULTS, Method, MethodSettings
 from scoup.evaluate.cost import Cost, Meter
 from scoup.evaluate.metrics import Interval, bootstrap_interval
 from scoup.evaluate.prepared import PreparedScene, Rule
@@ -51,7 +51,7 @@ def compare(
     scenes: Sequence[PreparedScene],
     methods: Sequence[Method],
     preset: QueryPreset,
-    settings: MethodSettings = MethodSettings(),
+    settings: MethodSettings = DEFAULTS,
     selection: bool = False,
     progress: Progress = no_progress,
 ) -> list[MethodResult]:
@@ -146,8 +146,10 @@ def comparison_table(results: Sequence[MethodResult], title: str) -> Table:
     notes = (
         *CAVEATS,
         "Methods are written here from the papers' descriptions, on the same regions, rasteriser and queries; see "
-        "docs/evaluation.md for what each follows and where it departs. None of these is a figure of a system's own code.",
-        "Rasterising is shared by methods that count the same weights. Peak memory: beyond what the process held before "
+        "docs/evaluation.md for what each follows and where it departs. None of these is a figure of a "
+        "system's own code.",
+        "Rasterising is shared by methods that count the same weights. Peak memory: beyond what the "
+        "process held before "
         "the method was made.",
     )
     return Table(title, tuple(headers), tuple(rows), notes)

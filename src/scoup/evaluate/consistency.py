@@ -60,8 +60,8 @@ class ConsistencyResult:
         scene, level, features: which.
         cosines: [P] mean over the pairs of each point.
         pairs: how many pairs in all.
-        unmatched: mean cosine when the second of each pair is that of another pair drawn at random: features that are all
-            alike have a high cosine between matched observations too, and tell nothing.
+        unmatched: mean cosine when the second of each pair is that of another pair drawn at random: features that are
+            all alike have a high cosine between matched observations too, and tell nothing.
     """
 
     scene: str
@@ -73,7 +73,8 @@ class ConsistencyResult:
 
 
 def tracked_points(folder: Path, cameras: Cameras) -> Matches | None:
-    """Points of a COLMAP model in the images of their tracks, at the pixels they project to; None if it keeps no tracks."""
+    """Points of a COLMAP model in the images of their tracks, at the pixels they project to; None if it keeps no
+    tracks."""
     try:
         positions, tracks = read_tracks(folder)
     except MissingFileError:
@@ -234,7 +235,8 @@ def consistency_table(results: Sequence[ConsistencyResult], sources: dict[str, s
         tuple(rows),
         (
             *notes,
-            "Unmatched: observations of different points, drawn at random. Features that are all alike are consistent too.",
+            "Unmatched: observations of different points, drawn at random. Features that are all alike are "
+            "consistent too.",
             "Codes and network are learned from all regions of the scene, as for a build.",
         ),
     )

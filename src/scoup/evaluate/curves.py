@@ -1,5 +1,5 @@
-"""Accuracy against what goes wrong: masks that shift or are missing, embeddings that are noisy or another thing's, fewer
-views. Every method meets the same faults."""
+"""Accuracy against what goes wrong: masks that shift or are missing, embeddings that are noisy or another thing's,
+fewer views. Every method meets the same faults."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from scipy import ndimage
 
-from scoup.baselines.methods import Method, MethodSettings
+from scoup.baselines.methods import DEFAULTS, Method, MethodSettings
 from scoup.errors import UnknownNameError
 from scoup.evaluate.comparison import paired_difference, signed
 from scoup.evaluate.perturbations import LevelSums, as_region_sums, level_sums, perturbed
@@ -92,7 +92,7 @@ def run_curves(
     methods: Sequence[Method],
     faults: Sequence[Fault],
     preset: QueryPreset,
-    settings: MethodSettings = MethodSettings(),
+    settings: MethodSettings = DEFAULTS,
     draw: int = 0,
     progress: Progress = no_progress,
 ) -> list[CurvePoint]:
@@ -168,8 +168,8 @@ def _faulty(
 def displaced_masks(regions: Regions, pixels: float, seed: int = 0) -> Regions:
     """The regions with all borders moved smoothly, by so many pixels of an image 480 wide (standard deviation).
 
-    Embeddings stay: it is the masks that bleed over edges. Each level of each view is moved in its own way, the same for
-    the same seed.
+    Embeddings stay: it is the masks that bleed over edges. Each level of each view is moved in its own way, the same
+    for the same seed.
     """
 
     def load(view: str, level: str) -> RegionMap:

@@ -1,7 +1,7 @@
 """The protocol of Mip-NeRF 360 with the GAGS annotations: masks from relevancy maps (docs/protocols.md).
 
-Labels are files as in LERF-OVS. Maps are made at the size of the labels (``scoup.baselines.channels.resized_image``); the level whose mask
-has the highest mean relevancy answers. There is no localisation.
+Labels are files as in LERF-OVS. Maps are made at the size of the labels (``scoup.baselines.channels.resized_image``);
+the level whose mask has the highest mean relevancy answers. There is no localisation.
 """
 
 from __future__ import annotations

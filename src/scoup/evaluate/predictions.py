@@ -1,8 +1,8 @@
 """Relevancy maps of labelled frames, predicted once and kept: rules and tables can then be tried as often as one likes.
 
-A map is found again by everything it depends on (field, camera, words, size), never by its place alone. Maps are kept as
-float32, so that scores from the cache are those without it, ties included: about 9 MB a label and frame at the size of
-LERF-OVS. Delete the folder to be rid of it.
+A map is found again by everything it depends on (field, camera, words, size), never by its place alone. Maps are kept
+as float32, so that scores from the cache are those without it, ties included: about 9 MB a label and frame at the
+size of LERF-OVS. Delete the folder to be rid of it.
 """
 
 from __future__ import annotations

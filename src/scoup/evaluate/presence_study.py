@@ -2,7 +2,8 @@
 other scenes does (docs/evaluation.md).
 
 Three kinds of questions are asked of every labelled view: for what is labelled in it (present), for what is labelled in
-other views of the scene but not in this one (out of view), and for words of things that the scene does not have (absent).
+other views of the scene but not in this one (out of view), and for words of things that the scene does not have
+(absent).
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from scoup.rounds import accumulate
 from scoup.uplifting import top_k
 
 WITH_VOTES = (*SIGNALS, "entropy", "vote entropy", "vote weight")
-"""All signals measured: the mean inside the mask of the entropy of the stored codes, of that of the whole votes and of the
-logarithm of their weight; the last two need the accumulators, which fields seldom keep."""
+"""All signals measured: the mean inside the mask of the entropy of the stored codes, of that of the whole votes and
+of the logarithm of their weight; the last two need the accumulators, which fields seldom keep."""
 PRESENT, OUT_OF_VIEW, ABSENT = "present", "out of view", "absent"
 _WORDS = "absent.txt"
 
@@ -56,7 +57,8 @@ class Question:
 
 
 def absent_words(scene: EvalScene, others: Sequence[EvalScene]) -> list[str]:
-    """Words of things that a scene does not have: the lines of its ``absent.txt``, or what other scenes are labelled with.
+    """Words of things that a scene does not have: the lines of its ``absent.txt``, or what other scenes are labelled
+    with.
 
     Raises:
         InputError: there are none.
@@ -171,8 +173,8 @@ def presence_score(questions: Sequence[Question], said: np.ndarray) -> PresenceS
 
 
 def calibrated(questions: Sequence[Question], names: Sequence[str] = SIGNALS) -> PresenceModel:
-    """A model fitted to all questions, with the threshold for whole scenes: the one that tells best, both classes alike,
-    by the largest probability over views."""
+    """A model fitted to all questions, with the threshold for whole scenes: the one that tells best, both classes
+    alike, by the largest probability over views."""
     chosen = [WITH_VOTES.index(name) for name in names]
     rows = torch.tensor([question.signals for question in questions]).double()[:, chosen]
     present = torch.tensor([question.kind == PRESENT for question in questions])

@@ -1,4 +1,5 @@
-"""One scene of a data set from files to scores: build what is missing, predict into the cache, score by the protocol."""
+"""One scene of a data set from files to scores: build what is missing, predict into the cache, score by the
+protocol."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """The 3D-selection protocol: Gaussians are chosen by their own relevancy, and the silhouette of those chosen meets the
 2D label (docs/protocols.md, after VALA-3D).
 
-Never to be mixed with the 2D protocols: the same field scores very differently (LangSplat has 51.4 there and 9.66 here).
+Never to be mixed with the 2D protocols: the same field scores very differently (LangSplat has 51.4 there and 9.66
+here).
 """
 
 from __future__ import annotations
