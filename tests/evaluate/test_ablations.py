@@ -8,7 +8,8 @@ import torch
 
 from scoup.baselines.methods import METHODS
 from scoup.errors import UnknownNameError
-from scoup.evaluate.ablations import ABLATIONS, BASE, _start, _without, find_ablations
+from scoup.evaluate.ablation_recipes import ABLATIONS, BASE, find_ablations
+from scoup.evaluate.ablations import _start, _without
 from scoup.evaluate.curves import FAULTS, displaced_masks, find_fault
 from scoup.evaluate.prepared import every_nth_pixel, of_views
 from scoup.evaluate.published import ABLATIONS as PUBLISHED

@@ -9,7 +9,8 @@ import tyro
 
 from scoup.cli.console import Console
 from scoup.cli.evaluate_data_sets import LerfOvs, MipNerf360, ThreeDOvs
-from scoup.cli.evaluate_many import Ablations, Baselines, Consistency, Curves, Presence
+from scoup.cli.evaluate_many import Baselines, Presence
+from scoup.cli.evaluate_studies import Ablations, Consistency, Curves
 from scoup.cli.evaluate_twin import Twin
 
 What = (

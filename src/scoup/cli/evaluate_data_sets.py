@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
@@ -13,9 +13,12 @@ from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, WritesCommon, common_last
 
 if TYPE_CHECKING:
-    from scoup.evaluate.datasets import EvalScene
+    from torch import Tensor
+
+    from scoup.evaluate.datasets import EvalScene, Places
+    from scoup.evaluate.predictions import PredictionCache
     from scoup.evaluate.run import Asked
-    from scoup.evaluate.scores import SceneScore
+    from scoup.evaluate.scores import PairScore, SceneScore
     from scoup.field import LanguageField
     from scoup.pipeline import BuildSettings
 
@@ -45,7 +48,7 @@ class DataSetOptions(WritesCommon):
 
     data_set_name: ClassVar[str] = "lerf-ovs"
 
-    def places(self) -> Any:
+    def places(self) -> Places:
         """Where the parts of scenes lie."""
         from scoup.evaluate.datasets import Places
 
@@ -169,9 +172,11 @@ class Scored(DataSetOptions):
         path: Path,
         asked: Asked,
         score: SceneScore,
-        cache: Any,
+        cache: PredictionCache,
     ) -> None:
-        """Write the failure sheet of a scene."""
+        """Write the failure sheet of a scene; its maps are in the cache."""
+        from dataclasses import replace
+
         from scoup.evaluate.datasets import data_set_preset, find_data_set
         from scoup.evaluate.failures import failure_sheet
         from scoup.evaluate.predictions import file_digest
@@ -185,14 +190,12 @@ class Scored(DataSetOptions):
         truths = {frame.name: frame for frame, _ in scene.frames}
         digest = file_digest(path)
 
-        def maps(pair: Any) -> Any:
+        def maps(pair: PairScore) -> Tensor:
             only = [(frame, camera) for frame, camera in scene.frames if frame.name == pair.frame]
-            from dataclasses import replace
-
             ((frame, found),) = predict(data_set, replace(scene, frames=only), field, digest, asked, cache)
             return found[:, frame.labels.index(pair.label)]
 
-        def color(name: str, width: int, height: int) -> Any:
+        def color(name: str, width: int, height: int) -> Tensor:
             return render_colors(field.gaussians, cameras[name].resized(width, height)).cpu()
 
         rows = range(len(field.levels))

@@ -9,6 +9,7 @@ from statistics import mean
 from typing import Any
 
 from scoup import raster
+from scoup.baselines.channels import ChannelField
 from scoup.baselines.methods import DEFAULTS, Method, MethodSettings
 from scoup.evaluate.cost import Cost, Meter
 from scoup.evaluate.metrics import Interval, bootstrap_interval
@@ -92,7 +93,7 @@ def compare(
     return results
 
 
-def _ask_seconds(scene: PreparedScene, made: Any) -> float:
+def _ask_seconds(scene: PreparedScene, made: ChannelField) -> float:
     seconds = []
     for frame, camera in scene.scene.frames:
         view = raster.look(scene.gaussians, camera, scene.raster_preset)
@@ -104,7 +105,7 @@ def _ask_seconds(scene: PreparedScene, made: Any) -> float:
     return mean(seconds)
 
 
-def _selected(scene: PreparedScene, made: Any) -> SceneScore:
+def _selected(scene: PreparedScene, made: ChannelField) -> SceneScore:
     coded = made.coded()
     around = Neighbourhood.of(scene.gaussians.means, coded.any(0), VALA_3D.neighbours or 0)
     chosen = {}

@@ -59,7 +59,8 @@ def failure_sheet(
         found = segment(asked, preset)
         point = localize(asked, preset).pixel if pair.hit is not None else None
         box = truth.boxes.get(pair.label)
-        corners = None if box is None else (*box[0, :2].tolist(), *(box[0, 2:] + 1).tolist())
+        # Of several boxes none: one alone would mislead.
+        corners = None if box is None or len(box) > 1 else (*box[0, :2].tolist(), *(box[0, 2:] + 1).tolist())
         tiles += [
             mask_overlay(
                 truth.masks[pair.label],

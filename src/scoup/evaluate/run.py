@@ -4,7 +4,7 @@ protocol."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
@@ -96,7 +96,7 @@ def build_field(
     """
     gaussians = load_gaussians(scene.splat).to(device)
     # Which constants the rasteriser uses follows from the splat.
-    settings = BuildSettings(**{**asdict(settings), "raster_preset": default_preset(scene.splat)})
+    settings = replace(settings, raster_preset=default_preset(scene.splat))
     if path.is_file() and not rebuild:
         field = LanguageField.load(path, gaussians).to(device)
         if field.info.provenance.get("settings") != asdict(settings):
