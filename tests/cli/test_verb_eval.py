@@ -13,6 +13,8 @@ from cli_support import refused, run, run_json
 from scoup.evaluate.lerf_ovs import read_labels
 from scoup.presence import load_presence
 
+pytestmark = pytest.mark.slow
+
 TINY = ("--n-gaussians", 4000, "--width", 96, "--height", 72, "--views", 6, "--labelled", 2)
 QUICK = ("--n-atoms", 16)
 
