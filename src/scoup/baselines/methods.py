@@ -214,7 +214,7 @@ _OTHERS = (
         "dense",
         "LUDVIG",
         "Features of pixels averaged over views by blending weights, 512 numbers a level.",
-        "No graph diffusion; features are embeddings of regions, at three levels, not maps of DINOv2 or CLIP.",
+        "No graph diffusion; features are embeddings of regions, at three levels, not maps of pixels.",
         None,
         dense_field,
     ),
@@ -233,8 +233,8 @@ _OTHERS = (
         "VALA",
         "Centre pixels gated by visibility: a Gaussian counts in a view only if it is among those that make up half of "
         "the pixel's painted weight; 512 numbers a level.",
-        "The gate's share of one half is our choice. The weighted mean stands in for the paper's geometric median in "
-        "cosine space.",
+        "The gate's share of one half is our choice. Views are put together by a weighted mean; what the paper does "
+        "beyond the gate is not here.",
         VisibleCentrePixel(),
         dense_field,
     ),
@@ -245,8 +245,7 @@ _OTHERS = (
         "product-quantised codes.",
         "Ten Gaussians a pixel and 64 bytes a level are our choice; the quantiser learns from the scene's own regions, "
         "not from a large image collection, by k-means in numpy instead of faiss. It is also scored in "
-        "2D here, where the "
-        "paper selects in 3D.",
+        "2D here, where the paper selects in 3D.",
         TopContributors(),
         quantised_field,
     ),
@@ -255,8 +254,7 @@ _OTHERS = (
         "LangSplat",
         "LangSplat's autoencoder to three numbers and back, decoded for every pixel.",
         "The three numbers are lifted as weighted means; LangSplat optimises them through the "
-        "rasteriser, each level with a "
-        "copy of the scene of its own.",
+        "rasteriser, each level by itself.",
         None,
         autoencoded_field,
     ),

@@ -150,8 +150,7 @@ def comparison_table(results: Sequence[MethodResult], title: str) -> Table:
         "docs/evaluation.md for what each follows and where it departs. None of these is a figure of a "
         "system's own code.",
         "Rasterising is shared by methods that count the same weights. Peak memory: beyond what the "
-        "process held before "
-        "the method was made.",
+        "process held before the method was made.",
     )
     return Table(title, tuple(headers), tuple(rows), notes)
 
