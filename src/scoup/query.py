@@ -66,8 +66,8 @@ DATASET_THRESHOLDS: dict[str, dict[str, float]] = {
     "3d-ovs": {"default": 0.3, "scoup": 0.3, "langsplatv2": 0.25},
     "mipnerf360": {"default": 0.45, "scoup": 0.45, "langsplatv2": 0.4},
 }
-"""Thresholds as the papers tuned them per data set. Only the thresholds: how 3D-OVS and Mip-NeRF360 choose the level is
-another rule, not implemented here."""
+"""Thresholds as the papers tuned them per data set. Only the thresholds: ``scoup.evaluate`` has one file a data set
+with the rest of its rules."""
 
 
 def query_preset(name: str, dataset: str = "lerf-ovs", threshold: float | None = None) -> QueryPreset:
@@ -298,7 +298,7 @@ def select(
     coded = (field.code_weights > 0).any(-1).T  # [S, N]
     around = Neighbourhood.of(field.gaussians.means, coded.any(0), neighbours) if neighbours else None
     chosen = [
-        _select_one(
+        select_by_relevancy(
             field.gaussian_relevancy(query[None], canonical)[:, 0], coded, around, threshold, rescaled
         )
         for query in (queries if queries.dim() == 2 else queries[None])
@@ -308,13 +308,24 @@ def select(
     return torch.stack(chosen) if chosen else coded.new_zeros(0, coded.shape[1])
 
 
-def _select_one(
+def select_by_relevancy(
     relevancy: Tensor,  # [S, N]
     coded: Tensor,  # [S, N]
-    around: Neighbourhood | None,
-    threshold: float,
-    rescaled: bool,
+    around: Neighbourhood | None = None,
+    threshold: float = 0.6,
+    rescaled: bool = True,
 ) -> Tensor:
+    """``select`` for one query whose relevancy is at hand, whatever it comes from.
+
+    Args:
+        relevancy: [S, N] of every Gaussian at every level.
+        coded: [S, N] boolean, those that may be selected.
+        around: neighbours to blend with.
+        threshold, rescaled: see ``select``.
+
+    Returns:
+        [N] boolean.
+    """
     values = relevancy if around is None else around.blend(relevancy, coded)
     masked = torch.where(coded, values, -torch.inf)
     peaks = masked.amax(1) if masked.shape[1] else masked.new_full((len(masked),), -torch.inf)

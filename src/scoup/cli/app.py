@@ -15,6 +15,7 @@ from scoup.cli.build import Build
 from scoup.cli.console import Console, run_verb
 from scoup.cli.convert import Convert
 from scoup.cli.demo import Demo
+from scoup.cli.evaluate import Eval
 from scoup.cli.extract import Extract
 from scoup.cli.info import Info
 from scoup.cli.options import Common
@@ -33,6 +34,7 @@ Verb = (
     | Annotated[Select, tyro.conf.subcommand("select")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
 )
 
@@ -73,7 +75,7 @@ def run(arguments: list[str]) -> int:
         if for_machines and code:
             Console(Common(as_json=True)).fail(_in_one_line(refusal.getvalue()), code)
         return code
-    return run_verb(verb, verb, verb.run)
+    return run_verb(verb, verb.what if isinstance(verb, Eval) else verb, verb.run)
 
 
 def entry() -> None:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from scoup.cameras import Camera
+    from scoup.presence import PresenceModel
     from scoup.query import QueryPreset
 
 RECORD = "query.json"
@@ -42,6 +43,9 @@ class Query(AsksText, AsksViews):
     the level whose mask is the most relevant on average."""
     threshold: OptionalNumber = None
     """A pixel is in the mask above this, 0 to 1, once relevancy is rescaled over the view. Default: the rule's."""
+    presence: OptionalPath = None
+    """A presence model (scoup eval presence): a text that is judged to be absent from a view gets an empty mask and no
+    point there. Default: something is found always."""
     pictures: Literal["all", "none"] = "all"
     """none: write query.json only."""
 
@@ -51,11 +55,13 @@ class Query(AsksText, AsksViews):
 
         from scoup.errors import InputError
         from scoup.io import write_text
+        from scoup.presence import load_presence
         from scoup.query import query_preset
 
         if not self.texts:
             raise InputError('name at least one text to look for, for example "kettle"')
         preset = query_preset(self.rule, threshold=self.threshold)
+        model = None if self.presence is None else load_presence(self.presence)
         out = self.out or Path(f"{self.field.stem}_queries")
         check_folder(out)
         check_outputs(out, [RECORD], self.overwrite)
@@ -85,7 +91,11 @@ class Query(AsksText, AsksViews):
 
                     rgb = render_colors(field.gaussians, camera, view).cpu()
                 for text, name, maps in zip(self.texts, names, relevancy.unbind(1), strict=True):
-                    record = {"camera": camera.name, "text": text, **_answer(maps, field.levels, preset)}
+                    record = {
+                        "camera": camera.name,
+                        "text": text,
+                        **_answer(maps, field.levels, preset, model),
+                    }
                     mask = record.pop("mask")
                     if rgb is not None:
                         level = field.levels.index(record["level"])
@@ -98,6 +108,10 @@ class Query(AsksText, AsksViews):
             self.tell_blind(blind, len(cameras))
             write_text(hidden / RECORD, json.dumps({"field": str(self.field), "answers": records}, indent=2))
         for record in records:
+            if not record.get("present", True):
+                chance = record["presence"]
+                console.say(f"{record['camera']}  {record['text']}: not in this view (presence {chance:.2f})")
+                continue
             box = "no pixel" if record["box"] is None else f"box {record['box']}"
             console.say(
                 f"{record['camera']}  {record['text']}: score {record['score']:.2f} at level {record['level']}, "
@@ -127,12 +141,15 @@ def _draw(
     return files
 
 
-def _answer(maps: Tensor, levels: tuple[str, ...], preset: QueryPreset) -> dict[str, Any]:
+def _answer(
+    maps: Tensor, levels: tuple[str, ...], preset: QueryPreset, model: PresenceModel | None = None
+) -> dict[str, Any]:
     """What one text gets in one view: relevancy maps [S, H, W] to a record, and the mask."""
+    from scoup.presence import view_presence
     from scoup.query import localize, segment
 
     place, shape = localize(maps, preset), segment(maps, preset)
-    return {
+    record = {
         "level": levels[shape.level],
         "score": round(shape.score, 4),
         "pixel": list(place.pixel),
@@ -142,3 +159,10 @@ def _answer(maps: Tensor, levels: tuple[str, ...], preset: QueryPreset) -> dict[
         "box": None if shape.box is None else list(shape.box),
         "mask": shape.mask.cpu(),
     }
+    if model is None:
+        return record
+    chance = view_presence(maps, model, preset)
+    record |= {"presence": round(chance, 4), "present": chance >= model.threshold}
+    if not record["present"]:
+        record |= {"pixel": None, "coverage": 0.0, "box": None, "mask": shape.mask.cpu() & False}
+    return record

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from scoup.cli.asking import AsksText
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, Texts, common_last
+from scoup.cli.options import Flag, OptionalPath, Texts, common_last
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -36,6 +36,10 @@ class Select(AsksText):
     """A Gaussian is chosen above this, 0 to 1, once relevancy is rescaled over the scene."""
     absolute: Flag = False
     """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases."""
+    presence: OptionalPath = None
+    """A presence model (scoup eval presence): of a text that is judged to be absent, in all views the field was built
+    from, nothing is chosen. Renders these views. Default: something is chosen always, unless the threshold is
+    absolute."""
     neighbours: int = 0
     """Blend each half and half with the mean of so many nearest neighbours: 10 is usual, 0 is off."""
 
@@ -69,6 +73,8 @@ class Select(AsksText):
                 )
         queries, canonical = self.encode(field, self.texts)
         found = select(field, queries, canonical, self.threshold, self.neighbours or None, not self.absolute)
+        if self.presence is not None:
+            found = found & self._present(field, queries, canonical)[:, None]
         chosen = found.any(0)
         counts = {text: int(row.sum()) for text, row in zip(self.texts, found, strict=True)}
 
@@ -92,6 +98,20 @@ class Select(AsksText):
             console.say(f"{text}: {count:,} of {len(field):,} Gaussians")
         console.say(f"{self.out}: {len(table):,} Gaussians written")
         console.result({"out": self.out, "written": len(table), "chosen": counts, "gaussians": len(field)})
+
+    def _present(self, field: LanguageField, queries: Tensor, canonical: Tensor) -> Tensor:
+        """[Q] boolean, by the presence model."""
+        from scoup.errors import InputError
+        from scoup.presence import load_presence, scene_presence
+
+        assert self.presence is not None
+        model = load_presence(self.presence)
+        if field.cameras is None:
+            raise InputError(
+                f"{self.field}: holds no cameras, and --presence judges in views; build it again"
+            )
+        chances = scene_presence(field, field.cameras, queries, canonical, model)
+        return (chances >= model.scene_threshold).to(queries.device)
 
     def _table(self, field: LanguageField) -> tuple[PlyTable, Tensor]:
         """Rows to write from, and which of them [M] are the field's Gaussians, in order."""

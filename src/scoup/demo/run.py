@@ -167,7 +167,7 @@ def rows_by_name(result: DemoResult) -> list[NameRow]:
             name,
             len(pairs[METHOD]),
             {variant: mean(pair.iou for pair in of_variant) for variant, of_variant in pairs.items()},
-            {variant: mean(pair.hit for pair in of_variant) for variant, of_variant in pairs.items()},
+            {variant: mean(bool(pair.hit) for pair in of_variant) for variant, of_variant in pairs.items()},
             dict(Counter(result.field.levels[pair.level] for pair in pairs[METHOD])),
         )
         for name, pairs in by_name.items()

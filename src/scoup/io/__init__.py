@@ -1,7 +1,7 @@
 """Readers and writers: one file a format, all giving and taking the dataclasses of floor 0."""
 
 from scoup.io.atomic import atomic_file, atomic_path, check_output, write_text
-from scoup.io.colmap import read_colmap, read_points, write_colmap
+from scoup.io.colmap import read_colmap, read_points, read_tracks, write_colmap
 from scoup.io.gsplat_checkpoint import read_gsplat_checkpoint
 from scoup.io.images import load_image, save_png
 from scoup.io.inria import read_cfg_args, read_inria_cameras, write_inria_cameras
@@ -53,6 +53,7 @@ __all__ = [
     "read_ply_table",
     "read_points",
     "read_splat",
+    "read_tracks",
     "read_transforms",
     "save_gaussians",
     "save_png",

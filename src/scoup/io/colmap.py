@@ -75,6 +75,26 @@ def read_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
     raise MissingFileError(folder, "holds no points3D.bin or points3D.txt", "give the folder sparse/0")
 
 
+def read_tracks(folder: str | Path) -> tuple[np.ndarray, list[list[str]]]:
+    """The sparse points of a COLMAP model and where they were seen.
+
+    Returns:
+        [P, 3] float64 positions, and for each point the names of the images in its track (none in models that keep no
+        tracks).
+
+    Raises:
+        MissingFileError: points3D or images, both .bin or both .txt, are not there.
+        FileFormatError: a file is damaged.
+    """
+    folder = existing_folder(folder, "a COLMAP model folder")
+    for end, parser in ((".bin", colmap_binary), (".txt", colmap_text)):
+        points, images = folder / f"points3D{end}", folder / f"images{end}"
+        if points.is_file() and images.is_file():
+            return parser.read_tracks(points, images)
+    problem = "holds no points3D and images (both .bin or both .txt)"
+    raise MissingFileError(folder, problem, "give the folder sparse/0")
+
+
 def write_colmap(
     cameras: Cameras,
     folder: str | Path,

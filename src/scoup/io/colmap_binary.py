@@ -118,6 +118,36 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return positions, colors
 
 
+def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
+    """points3D.bin and images.bin: [P, 3] float64 positions, and the images each point was seen in, by name.
+
+    Raises:
+        MissingFileError, FileFormatError: a file is missing or damaged, or they do not belong together.
+    """
+    cursor = _Cursor(images)
+    names: dict[int, str] = {}
+    for _ in range(cursor.count(_SHOT.size + 9, "images")):
+        identifier = cursor.take(_SHOT)[0]
+        names[identifier] = cursor.name()
+        cursor.skip(_SEEN_BYTES * cursor.count(_SEEN_BYTES, "keypoints"))
+    cursor = _Cursor(points)
+    count = cursor.count(_POINT.size, "points")
+    positions, tracks = np.empty((count, 3)), []
+    for row in range(count):
+        values = cursor.take(_POINT)
+        positions[row] = values[1:4]
+        size = _TRACK_BYTES * values[8]
+        cursor.require(size)
+        seen = np.frombuffer(cursor.data, "<u4", 2 * values[8], cursor.position)[::2].tolist()
+        cursor.skip(size)
+        if not all(identifier in names for identifier in seen):
+            raise FileFormatError(
+                points, f"point {values[0]} was seen in an image that is not there", _REMEDY
+            )
+        tracks.append(list(dict.fromkeys(names[identifier] for identifier in seen)))
+    return positions, tracks
+
+
 def write_model(
     folder: Path,
     lenses: dict[int, Lens],

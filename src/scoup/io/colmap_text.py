@@ -81,6 +81,37 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return np.array(positions).reshape(-1, 3), np.array(colors, dtype=np.uint8).reshape(-1, 3)
 
 
+def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
+    """points3D.txt and images.txt: [P, 3] float64 positions, and the images each point was seen in, by name.
+
+    Raises:
+        MissingFileError, FileFormatError: a file is missing or damaged, or they do not belong together.
+    """
+    names: dict[int, str] = {}
+    lines = _lines(images)
+    for place, line in lines:
+        if line:
+            try:
+                words = line.split(maxsplit=9)
+                names[int(words[0])] = words[9]
+            except (ValueError, IndexError) as error:
+                raise _damaged(images, place) from error
+            next(lines, None)
+    positions: list[list[float]] = []
+    tracks: list[list[str]] = []
+    for place, line in _lines(points):
+        if line:
+            words = line.split()
+            try:
+                positions.append([float(word) for word in words[1:4]])
+                tracks.append(list(dict.fromkeys(names[int(word)] for word in words[8::2])))
+            except (ValueError, KeyError) as error:
+                raise _damaged(points, place) from error
+            if len(positions[-1]) != 3:
+                raise _damaged(points, place)
+    return np.array(positions).reshape(-1, 3), tracks
+
+
 def write_model(
     folder: Path,
     lenses: dict[int, Lens],

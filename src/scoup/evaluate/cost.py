@@ -1,0 +1,61 @@
+"""What a piece of work costs: seconds, and the most memory the process held beyond what it had before."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+_STATM = Path("/proc/self/statm")
+_EVERY = 0.005  # seconds
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of a piece of work.
+
+    Attributes:
+        seconds: wall-clock time.
+        peak_bytes: resident memory beyond that at the start, at its highest, sampled; None where the system does not
+            tell. Memory that the process had freed and kept is not seen again.
+    """
+
+    seconds: float
+    peak_bytes: int | None
+
+
+class Meter:
+    """``with Meter() as meter: ...``; then ``meter.cost``."""
+
+    def __enter__(self) -> Meter:
+        self._stop = threading.Event()
+        self._before = self._peak = resident_bytes()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+        self._started = time.perf_counter()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        seconds = time.perf_counter() - self._started
+        self._stop.set()
+        self._thread.join()
+        peak = None
+        if self._before is not None and self._peak is not None:
+            peak = max(0, max(self._peak, resident_bytes() or 0) - self._before)
+        self.cost = Cost(seconds, peak)
+
+    def _watch(self) -> None:
+        while not self._stop.wait(_EVERY):
+            now = resident_bytes()
+            if now is not None and self._peak is not None:
+                self._peak = max(self._peak, now)
+
+
+def resident_bytes() -> int | None:
+    """Memory of this process that is in RAM; None where the system does not tell."""
+    try:
+        return int(_STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        return None

@@ -1,0 +1,197 @@
+"""The data sets of the protocols: which scenes lie below a folder, and all that is needed to build and score one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from scoup.cameras import Camera, Cameras
+from scoup.errors import InputError, MissingFileError, UnknownNameError
+from scoup.evaluate import lerf_ovs, mipnerf360, threed_ovs
+from scoup.evaluate.lerf_labels import LabelledFrame, match_frames, read_labels
+from scoup.io import find_gaussians, load_cameras
+from scoup.io.langsplat import FOLDER_NAME
+from scoup.query import QueryPreset, query_preset
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """What the protocols differ in, apart from the rules themselves.
+
+    Attributes:
+        name: as on the command line.
+        protocol: as tables name it.
+        scenes: of the published data set.
+        systems: whose presets are known for it.
+        localizes: whether points are asked for too.
+        at_label_size: whether features are brought to the size of the label (else labels to that of the render).
+    """
+
+    name: str
+    protocol: str
+    scenes: tuple[str, ...]
+    systems: tuple[str, ...]
+    localizes: bool = False
+    at_label_size: bool = False
+
+
+DATA_SETS: dict[str, DataSet] = {
+    "lerf-ovs": DataSet(
+        "lerf-ovs",
+        lerf_ovs.PROTOCOL,
+        ("ramen", "teatime", "waldo_kitchen", "figurines"),
+        ("scoup", "langsplatv2", "langsplat"),
+        localizes=True,
+    ),
+    "3d-ovs": DataSet(
+        "3d-ovs",
+        threed_ovs.PROTOCOL,
+        ("bed", "bench", "room", "sofa", "lawn"),
+        ("scoup", "langsplatv2"),
+    ),
+    "mipnerf360": DataSet(
+        "mipnerf360",
+        mipnerf360.PROTOCOL,
+        ("room", "counter", "garden", "bonsai"),
+        ("scoup", "langsplatv2"),
+        at_label_size=True,
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class EvalScene:
+    """A scene of a data set, ready to be built and scored; the splat and the features are not read yet.
+
+    Attributes:
+        name: of its folder.
+        folder: the scene.
+        splat: file or folder of the trained Gaussians.
+        features: folder of the region features.
+        cameras: all of them.
+        frames: labelled frames with their cameras.
+    """
+
+    name: str
+    folder: Path
+    splat: Path
+    features: Path
+    cameras: Cameras
+    frames: list[tuple[LabelledFrame, Camera]]
+
+    @property
+    def labels(self) -> list[str]:
+        """Everything asked for in any frame, in alphabetic order."""
+        return sorted({label for frame, _ in self.frames for label in frame.labels})
+
+    @property
+    def n_pairs(self) -> int:
+        return sum(len(frame.labels) for frame, _ in self.frames)
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the parts of a scene lie, if not where they usually do; ``{scene}`` stands for its name.
+
+    Attributes:
+        gaussians: the trained splat. Default: the one in the scene's folder.
+        features: region features. Default: ``language_features`` in the scene's folder.
+        images: photographs. Default: as ``load_cameras`` finds them.
+    """
+
+    gaussians: str | None = None
+    features: str | None = None
+    images: str | None = None
+
+
+def find_data_set(name: str) -> DataSet:
+    """A data set by name.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    if name not in DATA_SETS:
+        raise UnknownNameError("data set", name, DATA_SETS)
+    return DATA_SETS[name]
+
+
+def data_set_preset(data_set: DataSet, system: str) -> QueryPreset:
+    """The constants of a system for a data set, with the data set's own rule for the level.
+
+    Raises:
+        UnknownNameError: the system names none for it.
+    """
+    makers: dict[str, Callable[[str], QueryPreset]] = {
+        "lerf-ovs": query_preset,
+        "3d-ovs": threed_ovs.preset,
+        "mipnerf360": mipnerf360.preset,
+    }
+    if system not in data_set.systems:
+        raise UnknownNameError(f"system with a rule for {data_set.name}", system, data_set.systems)
+    return makers[data_set.name](system)
+
+
+def find_scenes(data_set: DataSet, root: Path, wanted: Sequence[str] = ()) -> list[str]:
+    """Names of the scenes below ``root`` that have labels: those wanted, or all, the published ones first.
+
+    Raises:
+        MissingFileError: there is no such folder, or no labelled scene in it.
+        UnknownNameError: a scene wanted is not there.
+    """
+    if not root.is_dir():
+        raise MissingFileError(root, f"there is no such folder (a {data_set.name} data set was expected)")
+    names = sorted(
+        path.name for path in root.iterdir() if path.is_dir() and _labels(data_set, root, path.name).is_dir()
+    )
+    if not names:
+        expected = _labels(data_set, root, "SCENE").relative_to(root)
+        raise MissingFileError(
+            root, f"holds no labelled scene: no folder SCENE with {expected}", "check the path"
+        )
+    for name in wanted:
+        if name not in names:
+            raise UnknownNameError("labelled scene", name, names, str(root))
+    known = [name for name in data_set.scenes if name in names]
+    return list(dict.fromkeys(wanted or [*known, *names]))
+
+
+def open_scene(
+    data_set: DataSet, root: Path, name: str, places: Places = Places(), undistort: bool = False
+) -> EvalScene:
+    """Read cameras and labels of a scene, and find its splat and features.
+
+    Raises:
+        MissingFileError: something is not there.
+        InputError: labels and cameras are of different scenes, or no label is in sight.
+    """
+    folder = root / name
+    splat = _placed(places.gaussians, name) or folder
+    try:
+        splat = find_gaussians(splat)
+    except MissingFileError as error:
+        remedy = 'name the trained splats with --gaussians, for example "splats/{scene}/point_cloud.ply"'
+        raise MissingFileError(error.path, error.problem, remedy) from error
+    features = _placed(places.features, name) or folder / FOLDER_NAME
+    if not features.is_dir():
+        problem = "there is no such folder (the region features were expected here)"
+        raise MissingFileError(
+            features, problem, 'say where they are with --features, for example "f/{scene}"'
+        )
+    cameras = load_cameras(folder, _placed(places.images, name), None, "undistort" if undistort else "refuse")
+    labels = _labels(data_set, root, name)
+    if data_set.name == "3d-ovs":
+        frames = threed_ovs.united(threed_ovs.read_segmentations(folder), name)
+    else:
+        frames = [frame for frame in read_labels(labels) if frame.labels]
+    if not frames:
+        raise InputError(f"{labels}: there are no labels to score")
+    return EvalScene(name, folder, splat, features, cameras, match_frames(frames, cameras))
+
+
+def _labels(data_set: DataSet, root: Path, name: str) -> Path:
+    return root / name / "segmentations" if data_set.name == "3d-ovs" else root / "label" / name
+
+
+def _placed(pattern: str | None, scene: str) -> Path | None:
+    return None if pattern is None else Path(pattern.replace("{scene}", scene))

@@ -1,0 +1,107 @@
+"""Relevancy maps of labelled frames, predicted once and kept: rules and tables can then be tried as often as one likes.
+
+A map is found again by everything it depends on (field, camera, words, size), never by its place alone. Maps are kept
+as float32, so that scores from the cache are those without it, ties included: about 9 MB a label and frame at the
+size of LERF-OVS. Delete the folder to be rid of it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import Tensor
+
+from scoup.cameras import Camera
+from scoup.io import atomic_file
+
+VERSION = 1
+_DIGITS = 16
+
+
+class PredictionCache:
+    """A folder of relevancy maps.
+
+    Attributes:
+        folder: of the maps; None keeps nothing.
+        found, made: maps read, and maps predicted.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+        self.found = 0
+        self.made = 0
+
+    def get(self, name: str, key: str, predict: Callable[[], Tensor]) -> Tensor:
+        """A map from the cache, or from ``predict``, which is then kept.
+
+        Args:
+            name: of the file, for people.
+            key: from ``prediction_key``.
+            predict: gives the map.
+        """
+        if self.folder is None:
+            self.made += 1
+            return predict()
+        path = self.folder / f"{name}_{key[:_DIGITS]}.safetensors"
+        if path.is_file():
+            try:
+                content = load_file(path)
+            except (SafetensorError, OSError, ValueError):
+                content = {}  # a damaged file is made again
+            if "relevancy" in content:
+                self.found += 1
+                return content["relevancy"]
+        relevancy = predict().float().cpu().contiguous()
+        self.made += 1
+        with atomic_file(path, overwrite=True) as stream:
+            stream.write(save({"relevancy": relevancy}, {"key": key, "name": name}))
+        return relevancy
+
+
+def prediction_key(
+    source: str,
+    camera: Camera,
+    labels: Sequence[str],
+    vectors: Tensor,
+    canonical: Tensor,
+    size: tuple[int, int],
+) -> str:
+    """SHA-256 of all that a map depends on.
+
+    Args:
+        source: digest of the field (``file_digest``), or whatever else tells methods apart.
+        camera: the view.
+        labels: in the order of the maps.
+        vectors, canonical: [Q, D] and [P, D] of the words.
+        size: (width, height) of the maps.
+    """
+    described = {
+        "version": VERSION,
+        "source": source,
+        "camera": [camera.viewmat.tolist(), camera.K.tolist(), camera.width, camera.height],
+        "labels": list(labels),
+        "words": [tensor_digest(vectors), tensor_digest(canonical)],
+        "size": list(size),
+    }
+    return hashlib.sha256(json.dumps(described).encode()).hexdigest()
+
+
+def tensor_digest(tensor: Tensor) -> str:
+    """SHA-256 of the values of a tensor, as float32."""
+    values = tensor.detach().cpu().to(torch.float32).contiguous()
+    return hashlib.sha256(str(list(values.shape)).encode() + values.numpy().tobytes()).hexdigest()
+
+
+def file_digest(path: str | Path) -> str:
+    """SHA-256 of a file."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as stream:
+        while block := stream.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

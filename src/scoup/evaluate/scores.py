@@ -1,0 +1,102 @@
+"""What every protocol gives: a score for each (frame, label) pair, and their means by scene and over scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from scoup.errors import InputError
+
+
+@dataclass(frozen=True)
+class PairScore:
+    """One label in one frame.
+
+    Attributes:
+        frame, label: which.
+        iou: of the mask at the level the mask was taken from, 0..1.
+        hit: whether a pixel of maximal averaged relevancy lies in a box of the label; None in protocols without
+            localisation.
+        level: position of the level of the mask; -1 where none has a say.
+        localization_level: position of the level of the point; -1 in protocols without localisation.
+        score: the largest smoothed relevancy.
+        pixel: (x, y) of the point; None in protocols without localisation.
+    """
+
+    frame: str
+    label: str
+    iou: float
+    hit: bool | None
+    level: int
+    localization_level: int
+    score: float
+    pixel: tuple[int, int] | None
+
+
+@dataclass(frozen=True)
+class SceneScore:
+    """All pairs of a scene, with ``miou`` and ``accuracy`` as plain means over them, 0..1.
+
+    Attributes:
+        scene: its name.
+        preset: name of the query preset.
+        pairs: one for each unique label of each frame.
+        protocol: whose rules were followed; scores of different protocols cannot be set side by side.
+    """
+
+    scene: str
+    preset: str
+    pairs: tuple[PairScore, ...]
+    protocol: str = "lerf-ovs 2D"
+
+    @property
+    def miou(self) -> float:
+        return sum(pair.iou for pair in self.pairs) / len(self.pairs)
+
+    @property
+    def localizes(self) -> bool:
+        """Whether the protocol asks for points too."""
+        return all(pair.hit is not None for pair in self.pairs)
+
+    @property
+    def accuracy(self) -> float:
+        """Share of pairs with a hit; a label counts once a frame, however many boxes it has.
+
+        Raises:
+            InputError: the protocol has no localisation.
+        """
+        if not self.localizes:
+            raise InputError(f"the protocol {self.protocol!r} has no localisation")
+        return sum(bool(pair.hit) for pair in self.pairs) / len(self.pairs)
+
+
+def overall(scenes: Iterable[SceneScore]) -> tuple[float, float | None]:
+    """(mIoU, accuracy) over scenes: the plain mean of their scores, each scene counting alike.
+
+    The accuracy is None in protocols without localisation.
+
+    Raises:
+        InputError: there are no scenes, or they follow different protocols.
+    """
+    scenes = list(scenes)
+    if not scenes:
+        raise InputError("there are no scenes to average")
+    protocols = sorted({scene.protocol for scene in scenes})
+    if len(protocols) > 1:
+        raise InputError(f"scores of different protocols cannot be averaged: {', '.join(protocols)}")
+    miou = sum(scene.miou for scene in scenes) / len(scenes)
+    if not all(scene.localizes for scene in scenes):
+        return miou, None
+    return miou, sum(scene.accuracy for scene in scenes) / len(scenes)
+
+
+def scene_score(scene: str, preset: str, pairs: Iterable[PairScore], protocol: str) -> SceneScore:
+    """All pairs of a scene.
+
+    Raises:
+        InputError: there is not a single one.
+    """
+    pairs = tuple(pairs)
+    if not pairs:
+        raise InputError(f"scene {scene!r}: there are no labels to score")
+    return SceneScore(scene, preset, pairs, protocol)

@@ -1,0 +1,240 @@
+"""scoup eval on small twins, as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from cli_support import refused, run, run_json
+from scoup.evaluate.lerf_ovs import read_labels
+from scoup.presence import load_presence
+
+pytestmark = pytest.mark.slow
+
+TINY = ("--n-gaussians", 4000, "--width", 96, "--height", 72, "--views", 6, "--labelled", 2)
+QUICK = ("--n-atoms", 16)
+
+
+@pytest.fixture(scope="session")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a twin of each data set; nobody writes into it."""
+    folder = tmp_path_factory.mktemp("eval")
+    for name in ("lerf-ovs", "3d-ovs", "mipnerf360"):
+        code, _, err = run(
+            "eval", "twin", name, folder / name, "--scenes", "table", "--scenes", "shelves", *TINY
+        )
+        assert code == 0, err
+    return folder
+
+
+@pytest.fixture
+def here(written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "here"
+    shutil.copytree(written, folder)
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360"])
+def test_tables_and_sheets(here: Path, name: str) -> None:
+    result = run_json("eval", name, name, *QUICK, "--selection")
+    out = here / f"eval_{name}"
+    record = json.loads((out / f"{name}_scoup.json").read_text())
+    assert result["reports"][f"{name}_scoup"] == record
+    assert record["protocol"] == f"{name} 2D"
+    assert set(record["scenes"]) == {"table", "shelves"}
+    assert 0 < record["overall"]["miou"] < 1
+    low, high = record["overall"]["miou_interval"]
+    assert low < record["overall"]["miou"] < high
+    assert (record["overall"]["accuracy"] is not None) == (name == "lerf-ovs")
+    mean = sum(scene["miou"] for scene in record["scenes"].values()) / 2
+    assert record["overall"]["miou"] == pytest.approx(mean)
+    assert record["published_percent"] == []
+    selected = json.loads((out / f"{name}_3d-selection.json").read_text())
+    assert selected["protocol"] == "3D selection"
+    for suffix in ("md", "tex"):
+        text = (out / f"{name}_scoup.{suffix}").read_text()
+        assert "measured" in text
+        assert "3D selection" not in text
+    for scene in ("table", "shelves"):
+        with Image.open(out / "failures" / f"{scene}_scoup.png") as sheet:
+            assert sheet.size[0] == 1200
+    if name == "lerf-ovs":
+        pairs = sum(
+            len(frame.labels)
+            for s in ("table", "shelves")
+            for frame in read_labels(here / name / "label" / s)
+        )
+        assert record["overall"]["pairs"] == pairs
+
+
+def test_predicted_once_scored_by_other_rules(here: Path) -> None:
+    run_json("eval", "lerf-ovs", "lerf-ovs", *QUICK, "--scenes", "table", "--sheets", "none")
+    maps = {
+        path: path.stat().st_mtime_ns for path in (here / "eval_lerf-ovs" / "cache").rglob("*.safetensors")
+    }
+    field = here / "eval_lerf-ovs" / "fields" / "table.scoup"
+    built = field.stat().st_mtime_ns
+    assert len(maps) == 2
+    run_json(
+        "eval",
+        "lerf-ovs",
+        "lerf-ovs",
+        *QUICK,
+        "--scenes",
+        "table",
+        "--sheets",
+        "none",
+        "--rules",
+        "langsplat",
+    )
+    assert {path: path.stat().st_mtime_ns for path in maps} == maps
+    assert field.stat().st_mtime_ns == built
+    both = [
+        json.loads((here / "eval_lerf-ovs" / f"lerf-ovs_{rules}.json").read_text())["overall"]["miou"]
+        for rules in ("scoup", "langsplat")
+    ]
+    assert both[0] != both[1]
+    # The same again gives the same, and is refused unless asked for.
+    message = refused("eval", "lerf-ovs", "lerf-ovs", *QUICK, "--scenes", "table", folder=here)
+    assert "--overwrite" in message
+    again = run_json(
+        "eval", "lerf-ovs", "lerf-ovs", *QUICK, "--scenes", "table", "--sheets", "none", "--overwrite"
+    )
+    assert again["reports"]["lerf-ovs_scoup"]["overall"]["miou"] == both[0]
+    message = refused("eval", "lerf-ovs", "lerf-ovs", "--n-atoms", 8, "--scenes", "table", "--overwrite")
+    assert "--rebuild" in message
+    run_json(
+        "eval", "lerf-ovs", "lerf-ovs", "--n-atoms", 8, "--scenes", "table", "--overwrite", "--rebuild",
+        "--sheets", "none",
+    )  # fmt: skip
+    assert len(list((here / "eval_lerf-ovs" / "cache").rglob("*.safetensors"))) == 4
+
+
+def test_published_rows_stand_beside_scenes_of_the_published_names(here: Path) -> None:
+    root = here / "named"
+    shutil.copytree(here / "lerf-ovs" / "table", root / "ramen")
+    shutil.copytree(here / "lerf-ovs" / "label" / "table", root / "label" / "ramen")
+    record = run_json("eval", "lerf-ovs", root, *QUICK, "--sheets", "none")["reports"]["lerf-ovs_scoup"]
+    assert record["published_percent"][0]["miou"] == 64.4
+    text = (here / "eval_lerf-ovs" / "lerf-ovs_scoup.md").read_text()
+    assert "| SCOUP (paper) | published | 64.4 |" in text
+
+
+def test_refusals(here: Path) -> None:
+    assert "langsplat" in refused("eval", "3d-ovs", "3d-ovs", "--rules", "langsplat")
+    assert "no such folder" in refused("eval", "lerf-ovs", "absent")
+    assert "tabel" in refused("eval", "lerf-ovs", "lerf-ovs", "--scenes", "tabel")
+    (here / "lerf-ovs" / "table" / "text.npz").unlink()
+    (here / "words.json").write_text('{"object": [1.0, 0.0]}')
+    message = refused("eval", "lerf-ovs", "lerf-ovs", "--scenes", "table", "--text", "words.json")
+    assert "has no vector for" in message
+    assert "unknown" not in refused("eval", "baselines", "lerf-ovs", "--methods", "dens")
+
+
+def test_baselines(here: Path) -> None:
+    names = ("sparse", "dense", "centre-pixel", "top-contributors")
+    chosen = [part for name in names for part in ("--methods", name)]
+    record = run_json("eval", "baselines", "lerf-ovs", "--scenes", "table", *chosen, "--selection")
+    assert list(record["methods"]) == list(names)
+    for name, row in record["methods"].items():
+        assert 0 < row["miou"] < 1
+        assert row["ask_seconds"] > 0
+        assert row["selection_miou"] is not None
+        assert len(record["follows"][name]) == 3
+    assert record["methods"]["dense"]["bytes_per_gaussian"] == 3 * 512 * 4
+    text = (here / "eval_lerf-ovs" / "baselines.md").read_text()
+    assert "sparse - dense" in text
+    assert "3D selection" in text
+
+
+def test_ablations(here: Path) -> None:
+    record = run_json(
+        "eval", "ablations", "lerf-ovs", "--scenes", "table", "--groups", "vote", "--groups", "entropy",
+        "--groups", "pixels", "--groups", "views", "--groups", "levels", "--seeds", 0, 1,
+    )  # fmt: skip
+    rows = record["rows"]
+    assert "L=32" not in rows
+    assert rows["dense uplift"]["seeds"] == [0]
+    assert rows["no top-K"]["seeds"] == [0, 1]
+    assert rows["level by peak"]["miou"] == rows["base: L=64, K=4, top-K"]["miou"]
+    assert rows["every 8th pixel"]["miou"] != rows["every 2nd pixel"]["miou"]
+    assert rows["1/8 of the views"]["miou"] < rows["base: L=64, K=4, top-K"]["miou"]
+    assert (here / "eval_lerf-ovs" / "ablations.png").is_file()
+
+
+def test_curves(here: Path) -> None:
+    record = run_json(
+        "eval", "curves", "lerf-ovs", "--scenes", "table", "--faults", "masks", "--faults", "noise",
+        "--methods", "sparse-64", "--methods", "dense",
+    )  # fmt: skip
+    found = {(p["fault"], p["strength"], p["method"]): p["miou"] for p in record["points"]}
+    assert len(found) == 2 * 4 * 2
+    for method in ("sparse-64", "dense"):
+        assert found["masks", 0, method] == found["noise", 0, method]
+        assert found["noise", 90, method] < found["noise", 0, method]
+    assert (here / "eval_lerf-ovs" / "curve_masks.png").is_file()
+
+
+def test_consistency(here: Path) -> None:
+    record = run_json("eval", "consistency", "lerf-ovs", "--scenes", "table", "--epochs", 2)
+    assert record["matched_by"] == {"table": "Gaussians"}
+    assert {row["features"] for row in record["results"]} == {"raw", "autoencoder", "sparse codes"}
+    for row in record["results"]:
+        assert row["unmatched"] <= row["cosine"] + 0.02
+        assert row["points"] > 10
+
+
+def test_presence_to_query_and_select(here: Path) -> None:
+    record = run_json("eval", "presence", "lerf-ovs")
+    assert record["rules"]["the protocols' rule (paints always)"]["absent_refused"] == 0
+    path = here / "eval_lerf-ovs" / "presence_model.json"
+    assert load_presence(path).signals == ("peak", "inside", "contrast")
+    run_json("eval", "lerf-ovs", "lerf-ovs", *QUICK, "--scenes", "table", "--sheets", "none")
+    field = here / "eval_lerf-ovs" / "fields" / "table.scoup"
+    words = ("table", "elephant", "piano", "tent", "violin")
+    for threshold, present in ((0.0, True), (1.1, False)):
+        model = {**json.loads(path.read_text()), "threshold": threshold, "scene_threshold": threshold}
+        (here / "m.json").write_text(json.dumps(model))
+        answers = run_json("query", field, *words, "--presence", "m.json", "--overwrite", "--out", "q")[
+            "answers"
+        ]
+        for answer in answers:
+            assert answer["present"] == present
+            assert 0 <= answer["presence"] <= 1
+            if not present:
+                assert (answer["box"], answer["pixel"], answer["coverage"]) == (None, None, 0)
+        code, _, err = run("select", field, "table", "--presence", "m.json", "--out", "s.ply", "--overwrite")
+        assert (code, "nothing to write" in err) == ((0, False) if present else (2, True))
+    plain = run_json("query", field, "elephant", "--overwrite", "--out", "q")["answers"]
+    assert "present" not in plain[0]
+    assert "needs" not in refused("query", field, "table", "--presence", "absent.json", "--out", "r")
+    assert "two scenes or more" in refused("eval", "presence", "lerf-ovs", "--scenes", "table", "--overwrite")
+
+
+def test_twins_are_refused_over_others(here: Path) -> None:
+    message = refused(
+        "eval", "twin", "lerf-ovs", "lerf-ovs", "--scenes", "table", *TINY, folder=here / "lerf-ovs"
+    )
+    assert "--overwrite" in message
+
+
+def test_help() -> None:
+    code, out, _ = run("eval", "--help")
+    assert code == 0
+    for name in (
+        "lerf-ovs",
+        "3d-ovs",
+        "mipnerf360",
+        "baselines",
+        "ablations",
+        "curves",
+        "consistency",
+        "presence",
+        "twin",
+    ):
+        assert name in out

@@ -1,0 +1,116 @@
+"""Every rule of the three 2D protocols against the literal version, on random and on awkward maps."""
+
+from __future__ import annotations
+
+import literal
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scoup.evaluate import lerf_ovs, mipnerf360, threed_ovs
+from scoup.evaluate.lerf_labels import LabelledFrame
+from scoup.query import PRESETS, box_mean, query_preset
+
+HEIGHT, WIDTH = 13, 17
+
+
+@st.composite
+def maps(draw: st.DrawFn) -> np.ndarray:
+    """[3, H, W] float32 relevancy: smooth, blocky (many ties of the maximum), constant, or with one bright pixel."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**31)))
+    kind = draw(st.sampled_from(["noise", "blocks", "constant", "spike", "equal levels"]))
+    values = rng.random((3, HEIGHT, WIDTH))
+    if kind == "blocks":
+        values = np.round(values[:, ::4, ::4]).repeat(4, 1).repeat(4, 2)[:, :HEIGHT, :WIDTH] * 0.5
+    elif kind == "constant":
+        values[:] = 0.5
+    elif kind == "spike":
+        values = np.full_like(values, 0.4)
+        values[rng.integers(3), rng.integers(HEIGHT), rng.integers(WIDTH)] = 0.9
+    elif kind == "equal levels":
+        values[1:] = values[:1]
+    return values.astype(np.float32)
+
+
+@st.composite
+def truths(draw: st.DrawFn) -> LabelledFrame:
+    """One label "cup": some boxes, touching borders or lying outside; sometimes no pixel at all."""
+    mask = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
+    boxes = []
+    for _ in range(draw(st.integers(1, 3))):
+        x, y = draw(st.integers(0, WIDTH - 1)), draw(st.integers(0, HEIGHT - 1))
+        w, h = draw(st.integers(0, 8)), draw(st.integers(0, 8))
+        boxes.append([x, y, x + w, y + h])
+        mask[y : y + h + 1, x : x + w + 1] = True
+    if draw(st.booleans()) and draw(st.booleans()):
+        mask[:] = False
+    return LabelledFrame("f", WIDTH, HEIGHT, {"cup": mask}, {"cup": torch.tensor(boxes, dtype=torch.float32)})
+
+
+@pytest.mark.parametrize("kernel", [1, 2, 7, 29, 30])
+@pytest.mark.parametrize("border", ["inside", "reflect"])
+def test_box_means_at_every_border(kernel: int, border: str) -> None:
+    values = np.random.default_rng(0).random((HEIGHT, WIDTH))
+    found = box_mean(torch.from_numpy(values), kernel, border)  # pyright: ignore[reportArgumentType]
+    np.testing.assert_allclose(found.numpy(), literal.box(values, kernel, border), atol=1e-12)
+
+
+@settings(max_examples=25)
+@given(maps(), truths(), st.sampled_from(["scoup", "langsplatv2", "langsplat"]))
+def test_lerf_ovs(levels: np.ndarray, frame: LabelledFrame, system: str) -> None:
+    preset = query_preset(system, "lerf-ovs")
+    (pair,) = lerf_ovs.score_frame(frame, torch.from_numpy(levels)[:, None], preset)
+    truth, boxes = frame.masks["cup"].numpy(), frame.boxes["cup"].tolist()
+    rules = preset.kernel, preset.border, preset.threshold, preset.smoothing
+    iou, level, hit = literal.lerf_ovs(levels, truth, boxes, *rules)
+    assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, hit)
+
+
+@settings(max_examples=25)
+@given(maps(), truths(), st.sampled_from([("scoup", 0.3, 7), ("langsplatv2", 0.25, 29)]))
+def test_threed_ovs(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
+    system, threshold, kernel = rules
+    (pair,) = threed_ovs.score_frame(frame, torch.from_numpy(levels)[:, None], threed_ovs.preset(system))
+    iou, level = literal.mask_mean_level(levels[1:], frame.masks["cup"].numpy(), kernel, threshold)
+    assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level + 1, None)
+
+
+@settings(max_examples=25)
+@given(maps(), truths(), st.sampled_from([("scoup", 0.45, 7), ("langsplatv2", 0.4, 29)]))
+def test_mipnerf360(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
+    system, threshold, kernel = rules
+    (pair,) = mipnerf360.score_frame(frame, torch.from_numpy(levels)[:, None], mipnerf360.preset(system))
+    iou, level = literal.mask_mean_level(levels, frame.masks["cup"].numpy(), kernel, threshold)
+    assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, None)
+
+
+@pytest.mark.parametrize("size", [(WIDTH * 2, HEIGHT * 3), (7, 5), (WIDTH + 1, HEIGHT - 1)])
+def test_truth_is_resized_by_nearest_neighbour(size: tuple[int, int]) -> None:
+    width, height = size
+    mask = torch.from_numpy(np.random.default_rng(1).random((HEIGHT, WIDTH)) > 0.5)
+    frame = LabelledFrame("f", WIDTH, HEIGHT, {"cup": mask}, {"cup": torch.zeros(1, 4)})
+    truth = literal.nearest(mask.numpy(), width, height)
+    assert frame.resized(width, height).masks["cup"].numpy().tolist() == truth.tolist()
+    levels = np.random.default_rng(2).random((3, height, width)).astype(np.float32)
+    (pair,) = threed_ovs.score_frame(frame, torch.from_numpy(levels)[:, None])
+    assert pair.iou == pytest.approx(literal.mask_mean_level(levels[1:], truth, 7, 0.3)[0])
+
+
+def test_presets_are_those_of_the_protocols() -> None:
+    """Box, threshold, mask smoothing and level rule, as docs/protocols.md states them."""
+    rows = {
+        ("lerf-ovs", "scoup"): (7, "inside", 0.6, 7, "peak"),
+        ("lerf-ovs", "langsplatv2"): (29, "inside", 0.4, 7, "peak"),
+        ("lerf-ovs", "langsplat"): (30, "reflect", 0.4, 1, "peak"),
+    }
+    for (data_set, system), expected in rows.items():
+        preset = query_preset(system, data_set)
+        assert (
+            preset.kernel, preset.border, preset.threshold, preset.smoothing, preset.level_choice
+        ) == expected  # fmt: skip
+    assert threed_ovs.preset().level_choice == mipnerf360.preset().level_choice == "mask"
+    assert (threed_ovs.preset("langsplatv2").kernel, threed_ovs.preset("langsplatv2").threshold) == (29, 0.25)
+    assert (mipnerf360.preset().threshold, mipnerf360.preset("langsplatv2").threshold) == (0.45, 0.4)
+    assert PRESETS["scoup"].level_choice == "peak"

@@ -1,0 +1,102 @@
+"""Mip-NeRF 360: features at the size of the label, the level by the mean inside its mask."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from scoup import raster
+from scoup.baselines.channels import (
+    ChannelField,
+    code_cosines,
+    embedding_cosines,
+    field_relevancy,
+    resized_image,
+)
+from scoup.errors import InputError
+from scoup.evaluate import mipnerf360
+from scoup.evaluate.lerf_labels import LabelledFrame
+from scoup.pipeline import build
+from scoup.relevancy import relevancy
+from support import small_scene, unit
+
+
+def frame_of(width: int, height: int) -> LabelledFrame:
+    mask = torch.zeros(height, width, dtype=torch.bool)
+    mask[3:9, 4:12] = True
+    return LabelledFrame("a", width, height, {"cup": mask}, {"cup": torch.zeros(1, 4)})
+
+
+def test_maps_of_another_size_are_refused() -> None:
+    with pytest.raises(InputError, match="never the label"):
+        mipnerf360.score_frame(frame_of(20, 14), torch.rand(3, 1, 28, 40))
+
+
+def test_three_levels_compete() -> None:
+    frame = frame_of(20, 14)
+    maps = torch.zeros(3, 1, 14, 20)
+    maps[0, 0, 3:9, 4:12] = 0.9
+    maps[1, 0, :, 15:] = 0.5
+    scene = mipnerf360.score_scene("room", [(frame, maps)])
+    assert scene.protocol == "mipnerf360 2D"
+    assert scene.pairs[0].level == 0
+    assert scene.miou == 0.5  # a thing of 6 x 8 pixels loses its rim and corners to the boxes of 7 x 7
+    with pytest.raises(InputError):
+        mipnerf360.score_scene("room", [])
+
+
+def test_resizing_is_bilinear_by_pixel_centres() -> None:
+    image = torch.rand(5, 6, 2, generator=torch.Generator().manual_seed(0))
+    assert resized_image(image, 6, 5) is image
+    found = resized_image(image, 9, 4)
+    for y in range(4):
+        for x in range(9):
+            v, u = max((y + 0.5) * 5 / 4 - 0.5, 0), max((x + 0.5) * 6 / 9 - 0.5, 0)
+            v0, u0 = int(v), int(u)
+            v1, u1 = min(v0 + 1, 4), min(u0 + 1, 5)
+            a, b = v - v0, u - u0
+            expected = (1 - a) * ((1 - b) * image[v0, u0] + b * image[v0, u1])
+            expected += a * ((1 - b) * image[v1, u0] + b * image[v1, u1])
+            assert torch.allclose(found[y, x], expected, atol=1e-6)
+
+
+def test_features_are_resized_before_they_are_compared() -> None:
+    """Of a language field: coefficients are resized, which is the same as resizing features."""
+    gaussians, cameras, regions = small_scene(count=80, views=2)
+    field = build(gaussians, cameras, regions, n_atoms=8)
+    queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
+    found = field_relevancy(field, cameras[0], queries, canonical, size=(25, 19))
+    assert found.shape == (3, 2, 19, 25)
+    codes = field.render_codes(cameras[0])
+    for level in range(3):
+        features = unit(resized_image(codes[level] @ field.codebook[level], 25, 19))
+        cosines = (features @ torch.cat([queries, canonical]).T).permute(2, 0, 1)
+        expected = relevancy(cosines[None, :2], cosines[None, 2:])[0]
+        assert torch.allclose(found[level], expected, atol=1e-5)
+    same = field_relevancy(field, cameras[0], queries, canonical, size=(40, 30))
+    assert same.equal(field.relevancy(cameras[0], queries, canonical))
+
+
+def test_channel_fields_answer_as_language_fields_do() -> None:
+    """The same codes as channels: the same relevancy, rendered and of the Gaussians themselves."""
+    gaussians, cameras, regions = small_scene(count=80, views=2)
+    field = build(gaussians, cameras, regions, n_atoms=8)
+    dense = [
+        torch.zeros(80, 8).scatter_add_(1, field.code_indices[:, s].long(), field.code_weights[:, s].float())
+        for s in range(3)
+    ]
+    channels = ChannelField(dense, [code_cosines(atoms) for atoms in field.codebook], 36.0)
+    queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
+    view = raster.look(gaussians, cameras[0])
+    expected = field.relevancy(cameras[0], queries, canonical)
+    assert torch.allclose(channels.relevancy(view, queries, canonical), expected, atol=1e-5)
+    own = field.gaussian_relevancy(queries, canonical)
+    assert torch.allclose(channels.gaussian_relevancy(queries, canonical), own, atol=1e-5)
+    assert channels.coded().equal((field.code_weights > 0).any(-1).T)
+    features = [values @ atoms for values, atoms in zip(dense, field.codebook, strict=True)]
+    decoded = ChannelField(features, [embedding_cosines] * 3, 6144.0)
+    assert torch.allclose(decoded.relevancy(view, queries, canonical), expected, atol=1e-4)
+    at_size = decoded.relevancy(view, queries, canonical, (25, 19))
+    assert torch.allclose(
+        at_size, field_relevancy(field, cameras[0], queries, canonical, size=(25, 19)), atol=1e-4
+    )

@@ -1,0 +1,109 @@
+"""Tables: means, intervals, published rows beside ours only where they belong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from scoup.errors import OutputExistsError
+from scoup.evaluate.published import PUBLISHED
+from scoup.evaluate.scores import PairScore, SceneScore
+from scoup.evaluate.tables import (
+    Report,
+    Table,
+    accuracy_interval,
+    miou_interval,
+    overall_table,
+    query_records,
+    query_table,
+    report_record,
+    scene_table,
+)
+from scoup.evaluate.writing import write_report
+
+
+def scene(name: str, ious: dict[str, list[float]], protocol: str = "lerf-ovs 2D") -> SceneScore:
+    localizes = protocol == "lerf-ovs 2D"
+    pairs = [
+        PairScore(f"f{n}", label, value, value > 0.5 if localizes else None, n % 3, 0, 0.7, (1, 2))
+        for label, values in ious.items()
+        for n, value in enumerate(values)
+    ]
+    return SceneScore(name, "scoup", tuple(pairs), protocol)
+
+
+def report(*names: str, protocol: str = "lerf-ovs 2D") -> Report:
+    scenes = [scene(name, {"cup": [0.2, 0.4], "pot": [0.9]}, protocol) for name in names]
+    return Report(protocol, "scoup", tuple(scenes), ("ramen", "teatime", "waldo_kitchen", "figurines"))
+
+
+def test_every_scene_counts_alike() -> None:
+    scenes = [scene("ramen", {"cup": [1.0]}), scene("teatime", {"cup": [0.0] * 9})]
+    assert miou_interval(scenes).mean == pytest.approx(0.5)
+    found = accuracy_interval(scenes)
+    assert found is not None
+    assert found.mean == pytest.approx(0.5)
+    assert accuracy_interval([scene("room", {"cup": [1.0]}, "3d-ovs 2D")]) is None
+
+
+def test_published_rows_stand_beside_published_scenes_only() -> None:
+    table = overall_table(report("ramen", "teatime"))
+    assert [row[1] for row in table.rows] == ["measured"] + ["published"] * len(PUBLISHED["lerf-ovs 2D"])
+    assert table.rows[1][:3] == ("SCOUP (paper)", "published", "64.4")
+    assert any("none was measured here" in note for note in table.notes)
+    assert "57.6 / 74.7" in scene_table(report("ramen")).rows[0]
+    table = overall_table(report("ramen", "table"))
+    assert len(table.rows) == 1
+    assert any("left out" in note for note in table.notes)
+    assert report_record(report("table"))["published_percent"] == []
+
+
+def test_published_figures_are_those_of_the_documents() -> None:
+    """Means over scenes agree with the papers' overall figures, as far as they are rounded."""
+    for protocol, rows in PUBLISHED.items():
+        for row in rows:
+            if row.by_scene:
+                mious = [miou for miou, _ in row.by_scene.values()]
+                assert sum(mious) / len(mious) == pytest.approx(row.miou, abs=0.06), protocol
+                hits = [hit for _, hit in row.by_scene.values() if hit is not None]
+                assert not hits or sum(hits) / len(hits) == pytest.approx(row.accuracy, abs=0.06)
+
+
+def test_queries_worst_first() -> None:
+    records = query_records(scene("ramen", {"pot": [0.9], "cup": [0.2, 0.4]}))
+    assert [record["query"] for record in records] == ["cup", "pot"]
+    assert records[0]["miou"] == pytest.approx(0.3)
+    assert records[0]["accuracy"] == 0
+    assert records[0]["levels"] == [(0, 1), (1, 1)]
+    table = query_table(report("ramen"), ("s", "m", "l"))
+    assert table.rows[0] == ("cup", "ramen", "2", "30.0", "0.0", "s1 m1")
+
+
+def test_markdown_and_latex() -> None:
+    table = Table("A & B", ("name", "50 %"), (("a|b", "x_y"),), ("note",))
+    assert table.markdown() == "## A & B\n\n| name | 50 % |\n|---|---:|\n| a\\|b | x_y |\n\n* note\n"
+    latex = table.latex()
+    assert r"\caption{A \& B}" in latex
+    assert r"name & 50 \% \\" in latex
+    assert r"x\_y" in latex
+    assert r"\begin{tabular}{lr}" in latex
+
+
+def test_protocols_without_localisation_have_no_such_columns() -> None:
+    table = overall_table(report("room", protocol="3d-ovs 2D"))
+    assert table.headers == ("system", "source", "mIoU", "95 % interval")
+    record = report_record(report("room", protocol="3d-ovs 2D"))
+    assert record["overall"]["accuracy"] is None
+
+
+def test_files(tmp_path: Path) -> None:
+    record = write_report(report("ramen"), tmp_path / "out", "r", ("s", "m", "l"))
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["r.json", "r.md", "r.tex"]
+    read = json.loads((tmp_path / "out" / "r.json").read_text())
+    assert read == json.loads(json.dumps(record))
+    assert read["overall"]["miou"] == pytest.approx(0.5)
+    assert len(read["scenes"]["ramen"]["pairs"]) == 3
+    with pytest.raises(OutputExistsError):
+        write_report(report("ramen"), tmp_path / "out", "r")
