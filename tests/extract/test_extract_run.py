@@ -31,11 +31,11 @@ from scoup.extract import (
     open_segmenter,
     opening,
     paint,
-    shard_of_environment,
 )
 from scoup.extract.felzenszwalb import Felzenszwalb
 from scoup.extract.plain_colors import PlainColors
 from scoup.io.region_manifest import MANIFEST, RegionManifest, write_manifest
+from scoup.processes import Processes
 from scoup.regions import LEVELS
 from support import make_camera
 
@@ -235,7 +235,7 @@ def test_memory_does_not_grow_with_the_number_of_photographs(tmp_path: Path) -> 
         extract(photographs[:count], tmp_path / str(count), Blocks(64), PlainColors())
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[1] < peaks[0] + 3 * 200 * 300 * 3  # less than a few images more, for twelve images more
+    assert peaks[1] < peaks[0] + 6 * 200 * 300 * 3  # those read ahead, but not twelve images more
 
 
 def test_progress_counts_every_photograph(tmp_path: Path) -> None:
@@ -271,24 +271,14 @@ def test_the_commit_of_a_model_stays_while_work_goes_on(tmp_path: Path, monkeypa
     assert [revision for _, revision in asked[1::2]] == [None] * 5
 
 
-def test_shards_of_the_environment(monkeypatch) -> None:
-    for name in ("RANK", "WORLD_SIZE"):
-        monkeypatch.delenv(name, raising=False)
-    assert shard_of_environment() == (0, 1)
-    monkeypatch.setenv("RANK", "2")
-    monkeypatch.setenv("WORLD_SIZE", "3")
-    assert shard_of_environment() == (2, 3)
-    monkeypatch.setenv("RANK", "3")
-    with pytest.raises(InputError, match="RANK=3"):
-        shard_of_environment()
-
-
 def test_shards_make_together_what_one_makes_alone(tmp_path: Path) -> None:
     folder, _ = scene(tmp_path, 5)
     photographs = find_photographs(folder)
     extract(photographs, tmp_path / "one", Blocks(), PlainColors())
     for rank in (2, 0, 1):
-        report = extract(photographs, tmp_path / "three", Blocks(), PlainColors(), shard=(rank, 3))
+        report = extract(
+            photographs, tmp_path / "three", Blocks(), PlainColors(), processes=Processes(rank, 3)
+        )
         assert report.made == [item.name for item in photographs[rank::3]]
     assert snapshot(tmp_path / "one") == snapshot(tmp_path / "three")
 
@@ -298,7 +288,8 @@ import sys, time
 from pathlib import Path
 sys.path[:0] = [{tests!r}, {own!r}]
 from test_extract_run import Blocks
-from scoup.extract import extract, find_photographs, shard_of_environment
+from scoup.extract import extract, find_photographs
+from scoup.processes import of_environment
 from scoup.extract.plain_colors import PlainColors
 
 class Slow(Blocks):
@@ -307,7 +298,7 @@ class Slow(Blocks):
         return super().segment(image)
 
 print("ready", flush=True)
-extract(find_photographs({scene!r}), Path({out!r}), Slow(), PlainColors(), shard=shard_of_environment())
+extract(find_photographs({scene!r}), Path({out!r}), Slow(), PlainColors(), processes=of_environment())
 """
 
 

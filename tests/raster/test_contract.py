@@ -117,6 +117,9 @@ def test_codes_and_cosines_equal_decoded_features(backend, scene, k, seed):
         expected = (unit @ queries.T.double()).permute(2, 0, 1).float()
         solid = features.norm(dim=-1) > 1e-4
         assert torch.allclose(cosines[level][:, solid], expected[:, solid], atol=1e-4)
+        decoded = raster.render_features(view, indices, weights, codebook)[level]
+        assert torch.allclose(decoded[solid], unit[solid].float(), atol=1e-4)
+        assert not decoded[features.abs().sum(-1) == 0].any()
         assert (cosines[level][:, features.abs().sum(-1) == 0] == 0).all()
 
 

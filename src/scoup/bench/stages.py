@@ -196,7 +196,7 @@ def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[li
     """Backends that work on this machine, and why the others do not.
 
     Args:
-        wanted: names; all there are if empty.
+        wanted: names; all that serve the device if empty.
         device: of the tensors they are to work on.
 
     Returns:
@@ -207,7 +207,8 @@ def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[li
     """
     found: list[str] = []
     reasons: dict[str, str] = {}
-    for name in dict.fromkeys(wanted or raster.BACKENDS):
+    all_here = [name for name in raster.BACKENDS if raster.serves(name, torch.device(device))]
+    for name in dict.fromkeys(wanted or all_here):
         try:
             if name in raster.BACKENDS:
                 importlib.import_module(raster.BACKENDS[name])

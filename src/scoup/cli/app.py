@@ -47,6 +47,7 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup select scene.scoup "kettle" --out kettle.ply
   scoup render scene.scoup --what codes --camera all
   scoup info scene.scoup
+  scoup eval lerf-ovs ROOT
 
 `scoup VERB --help` explains a verb. Exit codes: 0 done, 1 a fault of the program, 2 bad input, 130 interrupted."""
 

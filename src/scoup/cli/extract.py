@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,9 +61,10 @@ class Extract(WritesCommon):
     def run(self, console: Console) -> None:
         """Extract and report."""
         from scoup.errors import InputError
-        from scoup.extract import extract, find_photographs, mask_settings, shard_of_environment
+        from scoup.extract import extract, find_photographs, mask_settings
         from scoup.extract.opening import open_pair
         from scoup.io.region_views import FOLDER_NAME
+        from scoup.processes import device_of_process, of_environment
 
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
@@ -72,10 +72,9 @@ class Extract(WritesCommon):
             self.preset, points_per_side=self.points_per_side, points_per_batch=self.points_per_batch
         )
         photographs = find_photographs(self.scene, self.images)
-        rank, world = shard_of_environment()
-        device = self.device
-        if device == "cuda" and world > 1:
-            device = f"cuda:{os.environ.get('LOCAL_RANK', rank)}"
+        processes = of_environment()
+        rank, world = processes.rank, processes.world
+        device = device_of_process(self.device)
         out = self.out or (self.scene if self.scene.is_dir() else self.scene.parent) / FOLDER_NAME
         started = time.perf_counter()
         segmenter, embedder = open_pair(
@@ -98,7 +97,7 @@ class Extract(WritesCommon):
                 max_height=self.max_height or None,
                 overwrite=self.overwrite,
                 device=device,
-                shard=(rank, world),
+                processes=processes,
                 progress=progress,
             )
         seconds = time.perf_counter() - started

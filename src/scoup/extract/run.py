@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 import warnings
 from collections.abc import Sequence
@@ -22,8 +21,10 @@ from scoup.extract.photographs import Photograph, digest_of, read_ahead
 from scoup.extract.store import RegionStore, ViewRegions
 from scoup.io.region_manifest import Layout, RegionManifest
 from scoup.io.region_views import check_stems
+from scoup.processes import Processes
 from scoup.progress import Progress, no_progress
 
+ALONE = Processes()
 MAX_HEIGHT = 1080  # LangSplat's
 
 
@@ -54,18 +55,6 @@ class ExtractReport:
         return now
 
 
-def shard_of_environment() -> tuple[int, int]:
-    """(rank, world size) as torchrun tells them; (0, 1) without it.
-
-    Raises:
-        InputError: the variables make no sense.
-    """
-    rank, world = os.environ.get("RANK", "0"), os.environ.get("WORLD_SIZE", "1")
-    if not (rank.isdigit() and world.isdigit() and int(rank) < int(world)):
-        raise InputError(f"RANK={rank} and WORLD_SIZE={world} are no rank and number of processes")
-    return int(rank), int(world)
-
-
 def extract(
     photographs: Sequence[Photograph],
     folder: str | Path,
@@ -76,7 +65,7 @@ def extract(
     max_height: int | None = MAX_HEIGHT,
     overwrite: bool = False,
     device: torch.device | str = "cpu",
-    shard: tuple[int, int] = (0, 1),
+    processes: Processes = ALONE,
     progress: Progress = no_progress,
 ) -> ExtractReport:
     """Make region maps and embeddings of photographs. Interrupted, the same call goes on where it stopped.
@@ -89,8 +78,8 @@ def extract(
         max_height: higher photographs are reduced to it; None for no limit.
         overwrite: make views anew that are there already.
         device: where crops are cut (models have their own).
-        shard: (rank, world): of several processes at work on one folder, each takes every world-th photograph. They
-            need not know of each other; if one dies, its current view is lost.
+        processes: of several at work on one folder, each takes every world-th photograph. They need not be in touch; if
+            one dies, its current view is lost.
 
     Raises:
         InputError: the folder was made with other settings, or two photographs share a stem.
@@ -107,7 +96,7 @@ def extract(
     if layout == "compact":
         settings["bits"] = bits
     store = RegionStore(folder, RegionManifest(layout, embedder.name, settings), overwrite, bits)
-    mine = list(photographs)[shard[0] :: shard[1]]
+    mine = processes.share(photographs)
     report = ExtractReport()
     waiting = mine if overwrite else [item for item in mine if not _is_made(store, item)]
     report.kept = done = len(mine) - len(waiting)

@@ -52,10 +52,18 @@ BACKENDS = {
     "triton": "scoup.raster.gpu",
 }
 
+_ONLY_ON = {"native": "cpu", "triton": "cuda"}  # what torch calls AMD's devices, too
+
+
+def serves(name: str, device: torch.device) -> bool:
+    """Whether a backend is for tensors on this device; whether it works there is another matter."""
+    interpreted = name == "triton" and os.environ.get("TRITON_INTERPRET") == "1"
+    return interpreted or _ONLY_ON.get(name, device.type) == device.type
+
 
 def default_backend(device: torch.device) -> str:
     """The fastest backend that serves tensors on this device; warns once where what makes it fast is missing."""
-    if device.type == "cuda":  # what torch calls AMD's devices, too
+    if device.type == "cuda":
         if importlib.util.find_spec("triton") is not None:
             return "triton"
         _warn_once_of_triton()
@@ -346,16 +354,13 @@ def _backend(name: str | None, device: torch.device) -> tuple[str, ModuleType]:
     name = name or default_backend(device)
     if name not in BACKENDS:
         raise UnknownNameError("raster backend", name, BACKENDS)
-    if name == "native":
-        if native_core() is None:
-            raise InputError(f"the backend 'native' cannot be used: {missing_reason()}")
-        if device.type != "cpu":
-            raise InputError(f"the backend 'native' serves tensors on a CPU, these are on {device}")
-    if name == "triton":
-        if importlib.util.find_spec("triton") is None:
-            raise InputError("the backend 'triton' cannot be used: triton is not installed")
-        if device.type != "cuda" and os.environ.get("TRITON_INTERPRET") != "1":
-            raise InputError(f"the backend 'triton' serves tensors on a GPU, these are on {device}")
+    if name == "native" and native_core() is None:
+        raise InputError(f"the backend 'native' cannot be used: {missing_reason()}")
+    if name == "triton" and importlib.util.find_spec("triton") is None:
+        raise InputError("the backend 'triton' cannot be used: triton is not installed")
+    if not serves(name, device):
+        place = "a GPU" if name == "triton" else "a CPU"
+        raise InputError(f"the backend {name!r} serves tensors on {place}, these are on {device}")
     return name, importlib.import_module(BACKENDS[name])
 
 
