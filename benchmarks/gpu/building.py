@@ -1,8 +1,8 @@
 """The whole build of a LERF-sized scene, beside the paper's procedure on the same device.
 
 The paper's procedure: Adam over logits and codebook for 4000 epochs, level by level, then the per-pixel scatter, level
-by level and view by view, then the K largest. Its solver is run in its plain form (autograd over D numbers a region) and
-in ours (the same steps by Gram matrices), which is the stricter comparison.
+by level and view by view, then the K largest. Its solver is run in its plain form (autograd over D numbers a region)
+and in ours (the same steps by Gram matrices), which is the stricter comparison.
 """
 
 from __future__ import annotations
@@ -56,10 +56,11 @@ def building(context: Context) -> None:
     context.result["stages_s"] = {}
     for preset in ("paper", "default"):
         name = ours_name(preset)
-        few = Cameras(list(cameras)[: min(2, sizes.build_views)])
+        few = Cameras(list(cameras)[:1])
         stages: dict[str, float] = {}
         try:
-            build(context, preset, gaussians, few, regions, {})
+            if sizes.warm_up:
+                build(context, preset, gaussians, few, regions, {})
         except Exception as error:
             add(context, measure_once(Work(name, partial(fail, error)), context.clock))
             continue
@@ -151,7 +152,7 @@ def paper(context: Context, gaussians: Gaussians, cameras: Cameras, regions: Reg
         lifting = Work(
             SCATTER, partial(fail, Unavailable("there are no codes: the paper's solver did not run"))
         )
-    elif not context.time_is_up():
+    elif sizes.warm_up and not context.time_is_up():
         scatter_all(gaussians, Cameras(list(cameras)[:1]), regions, codes, [r for _, r in levels], sizes.k)
     times[SCATTER] = add(context, measure_once(lifting, context.clock))
     totals(context, times)

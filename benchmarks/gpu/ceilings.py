@@ -43,7 +43,7 @@ def chain_kernel(
     place = values + tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     number = tl.load(place)
     for _ in range(rounds):
-        for _ in tl.static_range(UNROLLED):
+        for _step in tl.static_range(UNROLLED):
             if POWER:
                 number = tl.exp2(-number)
             else:

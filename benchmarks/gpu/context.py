@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -51,13 +52,21 @@ class Context:
         return time.time() > self.deadline
 
     def begin(self) -> None:
-        """Forget the last stage."""
+        """Forget the last stage and what it kept on the device."""
         self.result = {"rows": []}
+        gc.collect()
+        self.clock.recover()
 
     def rows(self, works: list[Work], repeats: int | None = None) -> list[Row]:
         """Measure, keep and hand over."""
-        rows = measure(works, self.clock, repeats or self.sizes.repeats, self.time_is_up)
-        self.result["rows"] += rows
+        rows = measure(
+            works,
+            self.clock,
+            repeats or self.sizes.repeats,
+            self.time_is_up,
+            self.sizes.warm_up,
+            into=self.result["rows"],
+        )
         self.save(self.result)
         return rows
 
@@ -119,7 +128,7 @@ class Context:
             codebook=clip_like(levels * n_atoms, sizes.dim).view(levels, n_atoms, sizes.dim),
             queries=clip_like(5, sizes.dim, 1),  # one query and four canonical phrases
             values=raster.view_colors(gaussians, camera),
-            accumulators=torch.zeros(n_gaussians if accumulators else 0, levels, n_atoms),
+            accumulators=torch.zeros(n_gaussians if accumulators else 0, levels, n_atoms, device=self.device),
         )
         return replace(work.to(self.device), weights=work.weights.to(self.device).half())
 
@@ -145,6 +154,5 @@ def codes_nearby(means: Tensor, n_levels: int, n_atoms: int, k: int) -> tuple[Te
         atoms = atoms.to(means.device, index_dtype(n_atoms))
         for rows in torch.arange(len(means), device=means.device).split(1 << 18):
             indices[rows, level] = atoms[torch.cdist(means[rows], centres).argmin(1)]
-    weights = torch.rand(len(means), n_levels, k, generator=generator) + 1e-3
-    weights = (weights / weights.sum(2, keepdim=True)).sort(2, descending=True).values
-    return indices, weights.to(means.device)
+    weights = torch.rand(len(means), n_levels, k, generator=generator).to(means.device) + 1e-3
+    return indices, (weights / weights.sum(2, keepdim=True)).sort(2, descending=True).values

@@ -2,10 +2,10 @@
 
 Bytes are those that must come from or go to memory at least once: each array that is read counts once, however many
 programs read it, because what they share is meant to come from the caches. Operations are those that are carried out,
-for lanes that paint nothing, too: what part of them paints is a column of its own. An instruction of float32 is one turn
-of a lane, so a multiply-add counts 1; a division counts 3 (a reciprocal and corrections), and so does a square root;
-those of float64 count 10, which take a loop of corrections. A power of two runs on units of its own. On the tensor cores
-a multiply-add counts 2, as everyone counts there.
+for lanes that paint nothing, too: what part of them paints is a column of its own. An instruction of float32 is one
+turn of a lane, so a multiply-add counts 1; a division counts 3 (a reciprocal and corrections), and so does a square
+root; those of float64 count 10, which take a loop of corrections. A power of two runs on units of its own. On the
+tensor cores a multiply-add counts 2, as everyone counts there.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from scoup.raster.gpu_view import TILE, GpuView
 PIXELS = TILE * TILE
 VOTES = "add_few_kernel and add_many_kernel"
 BLEND = 19
-"""float32 instructions of a lane in ``blending.blend``: 3 multiply-adds to the ellipse's axes and 2 to the exponent; cap,
-comparison and selection of alpha; 1 - alpha; 1 product of the running one and 1 with the transmittance; comparison with
-the bound; 3 of the division, product and selection of the weight; selection and minimum of what is left."""
+"""float32 instructions of a lane in ``blending.blend``: 3 multiply-adds to the ellipse's axes and 2 to the exponent;
+cap, comparison and selection of alpha; 1 - alpha; 1 product of the running one and 1 with the transmittance; comparison
+with the bound; 3 of the division, product and selection of the weight; selection and minimum of what is left."""
 SPLIT = 4
 """``blending.halves``: two conversions, a difference and a product for a number."""
 DOTS = {"fp16x3": 3, "tf32x3": 3, "tf32": 1, "ieee": 0}  # tensor-core products that make one
@@ -115,8 +115,8 @@ def sieve(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Cou
 
 def project(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
     """In: row 8, geometry 44 bytes. Out: depth 8, ellipse 56, rectangle and count 16, record 16 bytes. Some 190
-    multiply-adds (9 to the frame, 93 of the rotation and its two rows, 30 of covariance and determinant, the rest bounds
-    and spans) and 15 divisions, roots and logarithms at 10.
+    multiply-adds (9 to the frame, 93 of the rotation and its two rows, 30 of covariance and determinant, the rest
+    bounds and spans) and 15 divisions, roots and logarithms at 10.
     """
     return Count(bytes=148.0 * facts.visible, float64=340.0 * facts.visible)
 

@@ -21,7 +21,7 @@ def run_parity(timeout_s: float | None = None, only: str = "") -> dict[str, Any]
         timeout_s: after which it is stopped; what it had found by then is kept.
         only: an expression of pytest's ``-k``.
     """
-    command = [sys.executable, "-m", "pytest", *SUITE, "-q", "-p", "no:cacheprovider", "-rs", "--tb=short"]
+    command = [sys.executable, "-m", "pytest", *SUITE, "-p", "no:cacheprovider", "-rfEs", "--tb=short"]
     command += ["-k", only] if only else []
     # The suite interprets kernels in processes of its own, and on a GPU it must not.
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}

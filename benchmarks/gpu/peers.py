@@ -84,9 +84,7 @@ class Gsplat:
         }
 
 
-def dense_uplift(
-    peer: Gsplat, work: Workload, embeddings: list[Tensor], out: Tensor, channels_at_once: int = 32
-) -> None:
+def dense_uplift(peer: Gsplat, work: Workload, embeddings: list[Tensor], out: Tensor, channels: int) -> None:
     """Add a view's embeddings to Gaussians by the peer's backward: the gradient of sum over p of F(p) . I(p) with
     respect to the values rendered is sum over p of e_i(p) F(p), which is dense uplift.
 
@@ -95,13 +93,17 @@ def dense_uplift(
         work: scene, view and labels [S, H, W], each pixel with a region.
         embeddings: per level, [R, D] of the view's regions.
         out: [S, N, D], added to.
+        channels: in a call. gsplat draws 32 at a time anyway; fewer calls project and sort less often, more calls need
+            less memory, and their gradients are not put together from parts.
     """
     for level, rows in enumerate(embeddings):
-        values = torch.zeros(out.shape[1:], device=out.device, requires_grad=True)
-        features = rows[work.labels[level].long()]  # [H, W, D]
-        image = peer.render(work.gaussians, work.camera, values, channels_at_once=channels_at_once)
-        (gradient,) = torch.autograd.grad(image, values, features)
-        out[level] += gradient
+        labels = work.labels[level].long()
+        for first in range(0, rows.shape[1], channels):
+            own = rows[:, first : first + channels]
+            values = torch.zeros(out.shape[1], own.shape[1], device=out.device, requires_grad=True)
+            image = peer.render(work.gaussians, work.camera, values)
+            (gradient,) = torch.autograd.grad(image, values, own[labels])
+            out[level, :, first : first + channels] += gradient
 
 
 def decoded_cosines(coefficients: Tensor, codebook: Tensor, queries: Tensor) -> Tensor:

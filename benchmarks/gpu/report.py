@@ -78,7 +78,8 @@ def stage(name: str, result: dict[str, Any]) -> str:
     if result.get("slopes"):
         parts.append(slope_table(result["slopes"]))
     for kind in ("pictures", "agreement"):
-        parts += [f"{what}: {value if isinstance(value, str) else f'{value:.2g}'}" for what, value in result.get(kind, {}).items()]  # fmt: skip
+        for what, value in result.get(kind, {}).items():
+            parts.append(f"{what}: {value if isinstance(value, str) else f'{value:.2g}'}")
     for what, seconds in result.get("stages_s", {}).items():
         parts.append(
             f"{what}, seconds: " + ", ".join(f"{part} {value:.3g}" for part, value in seconds.items())
@@ -136,7 +137,7 @@ def roofline_table(rows: Sequence[Row]) -> str:
             + [
                 f"{count[kind] / 1e9:.3g}" if kind in count else NONE
                 for kind in ("float32", "float64", "powers", "tensor")
-            ]  # fmt: skip
+            ]
         )
     return markdown(headers, body, left=2)
 

@@ -71,7 +71,8 @@ def rounds_of(context: Context, run: Callable[[], object]) -> dict[str, list[Lau
     """By kernel, its launches in each of several runs; those that compile are not counted."""
     found: dict[str, list[Launches]] = {}
     count = min(ROUNDS, context.sizes.repeats)
-    run()
+    if context.sizes.warm_up:
+        run()
     for _ in range(count):
         with timed_kernels(context.clock) as launched:
             run()
@@ -132,7 +133,12 @@ def add_sorting(context: Context, facts: Facts, work: Workload, launched: dict[s
     """What is left of ``look`` beside its kernels; host and device take turns there, so part of it is waiting."""
     from benchmarks.gpu.timing import Work, measure
 
-    whole = measure([Work("look", partial(look, work.gaussians, work.camera))], context.clock, ROUNDS)[0]
+    whole = measure(
+        [Work("look", partial(look, work.gaussians, work.camera))],
+        context.clock,
+        min(ROUNDS, context.sizes.repeats),
+        warm_up=context.sizes.warm_up,
+    )[0]
     if "median_s" not in whole:
         return
     kernels = sum(median(sum(r.seconds) for r in rounds) for rounds in launched.values())

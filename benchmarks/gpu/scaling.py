@@ -45,7 +45,13 @@ def point(context: Context, grows: str, amount: float, change: dict[str, Any]) -
         context.result["rows"].append({"name": "all", **here, "reason": reason(error)})
         context.clock.recover()
         return
-    rows = measure(works_of(context, work), context.clock, context.sizes.repeats, context.time_is_up)
+    rows = measure(
+        works_of(context, work),
+        context.clock,
+        context.sizes.repeats,
+        context.time_is_up,
+        context.sizes.warm_up,
+    )
     add_ratios(rows, {PEER: [PEER]})
     context.result["rows"] += [{**row, **here} for row in rows]
     slopes(context)

@@ -28,6 +28,7 @@ class Sizes:
         zooms: sizes of the view relative to ``width`` x ``height``, for the growth with the number of pixels.
         levels: numbers of levels, for the growth with these.
         repeats: interleaved repetitions; medians count.
+        warm_up: run everything a few times before it is timed.
         ceiling_bytes, ceiling_edge, ceiling_rounds: of the array copied, the matrices multiplied, and the multiply-adds
             in a row of each number.
     """
@@ -49,6 +50,7 @@ class Sizes:
     zooms: tuple[float, ...] = (0.5, 1.0, 2.0)
     levels: tuple[int, ...] = (1, 2, 3, 6)
     repeats: int = 15
+    warm_up: bool = True
     ceiling_bytes: int = 1 << 30
     ceiling_edge: int = 8192
     ceiling_rounds: int = 4096
@@ -65,23 +67,24 @@ QUICK = Sizes(
     ceiling_rounds=1024,
 )
 SMOKE = Sizes(
-    n_gaussians=48,
-    width=24,
-    height=17,
-    large=(30, 20),
+    n_gaussians=20,
+    width=15,
+    height=11,
+    large=(16, 13),
     n_atoms=(16, 32),
     k=2,
     dim=16,
-    regions=(4, 3, 2),
+    regions=(3, 2, 1),
     channels=(4, 16),
-    build_views=2,
-    build_regions=(3, 3, 3),
+    build_views=1,
+    build_regions=(2, 2, 2),
     epochs=6,
     epochs_run=3,
-    counts=(16, 48),
+    counts=(8, 20),
     zooms=(0.5, 1.0),
     levels=(1, 2),
     repeats=1,
+    warm_up=False,
     ceiling_bytes=1 << 12,
     ceiling_edge=32,
     ceiling_rounds=16,

@@ -6,12 +6,12 @@ import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 from typing import Any
 
 import torch
 
-WARM_UPS = 2  # the first compiles kernels
 LEAST_SECONDS = 0.02  # of a repetition: what is shorter is run several times in a row
 MOST_RUNS = 50
 
@@ -101,64 +101,83 @@ class Clock:
 
 
 def measure(
-    works: Iterable[Work], clock: Clock, repeats: int, time_is_up: Callable[[], bool] = lambda: False
+    works: Iterable[Work],
+    clock: Clock,
+    repeats: int,
+    time_is_up: Callable[[], bool] = lambda: False,
+    warm_up: bool = True,
+    into: list[Row] | None = None,
 ) -> list[Row]:
     """A row for each work: seconds, memory, or the reason why there are none.
 
     Rounds go through the works forwards and backwards in turn, so that a change of the device's clock meets all of
-    them. Each has run twice before, untimed; the second run tells the memory.
+    them. Each has run three times before, untimed: the first run compiles kernels, the second tells the memory, the
+    third how often it must run in a row.
 
     Args:
         works: what to measure; names are unique.
         clock: of the device.
         repeats: rounds.
         time_is_up: no further round is begun once it says so.
+        warm_up: false where times mean nothing.
+        into: a list that gets the rows, too, even if the device is lost on the way.
     """
     works = list(works)
-    rows: dict[str, Row] = {}
+    rows: list[Row] = [] if into is None else into
+    own: dict[str, Row] = {}
     seconds: dict[str, list[float]] = {}
     runs: dict[str, int] = {}
     for work in works:
-        row: Row = {"name": work.name}
-        if work.note:
-            row["note"] = work.note
-        rows[work.name] = row
-        if time_is_up():
-            row["reason"] = "no time was left"
-            continue
+        own[work.name] = {"name": work.name, **({"note": work.note} if work.note else {})}
+    rows += own.values()
+
+    def attempt(work: Work, run: Callable[[], None]) -> None:
         try:
-            first = clock.seconds(work.run)
-            for _ in range(WARM_UPS - 1):
-                row.update(clock.memory(work.run))
-            estimate = clock.seconds(work.run)
+            run()
         except Exception as error:
-            _give_up(row, error, clock)
-            continue
-        row["first_run_s"] = first
+            seconds.pop(work.name, None)
+            _give_up(own[work.name], error, clock)
+
+    def begin(work: Work) -> None:
+        runs[work.name] = _warm_up(work, own[work.name], clock) if warm_up else 1
         seconds[work.name] = []
-        runs[work.name] = max(1, min(MOST_RUNS, math.ceil(LEAST_SECONDS / max(estimate, 1e-9))))
-        if not clock.on_gpu:  # the interpreter's times mean nothing
-            runs[work.name] = 1
-    for number in range(repeats):
-        if number and time_is_up():
-            break
-        for work in works if number % 2 else reversed(works):
-            if work.name not in seconds:
-                continue
-            try:
-                seconds[work.name].append(clock.seconds(work.run, runs[work.name]))
-            except Exception as error:
-                del seconds[work.name]
-                _give_up(rows[work.name], error, clock)
-    for name, values in seconds.items():
-        rows[name].update(
-            median_s=median(values),
-            min_s=min(values),
-            max_s=max(values),
-            repeats=len(values),
-            runs_a_repeat=runs[name],
-        )
-    return list(rows.values())
+
+    try:
+        for work in works:
+            if time_is_up():
+                own[work.name]["reason"] = "no time was left"
+            else:
+                attempt(work, partial(begin, work))
+        for number in range(repeats):
+            if number and time_is_up():
+                break
+            for work in works if number % 2 else reversed(works):
+                if work.name in seconds:
+                    attempt(
+                        work,
+                        lambda work=work: seconds[work.name].append(clock.seconds(work.run, runs[work.name])),
+                    )
+    finally:  # what is known stays where the device is lost
+        for name, values in seconds.items():
+            if values:
+                own[name].update(
+                    median_s=median(values),
+                    min_s=min(values),
+                    max_s=max(values),
+                    repeats=len(values),
+                    runs_a_repeat=runs[name],
+                )
+            else:
+                own[name].setdefault("reason", "it was not timed before the device was lost")
+    return list(own.values())
+
+
+def _warm_up(work: Work, row: Row, clock: Clock) -> int:
+    """Run it three times, note what they tell in its row, and say how often it is to run in a row."""
+    row["first_run_s"] = clock.seconds(work.run)
+    row.update(clock.memory(work.run))
+    estimate = clock.seconds(work.run)
+    return max(1, min(MOST_RUNS, math.ceil(LEAST_SECONDS / max(estimate, 1e-9))))
 
 
 def measure_once(work: Work, clock: Clock) -> Row:

@@ -78,13 +78,13 @@ def walk_kernel(
     PARTS: tl.constexpr = TILE * TILE // PIXELS
     program = tl.program_id(0)
     tile = program // PARTS
-    x, y, _, inside = pixel_block(tile, program % PARTS, across, width, height, TILE, PIXELS)
+    x, y, _pixel, inside = pixel_block(tile, program % PARTS, across, width, height, TILE, PIXELS)
     transmittance = tl.where(inside, 1.0, 0.0)
     paints = tl.zeros([PIXELS], tl.int32)
     walked = 0
     start, end = tl.load(starts + tile), tl.load(starts + tile + 1)
     while start < end:
-        _, u, v, ku, skew, kv, peak = load_chunk(pair_ids, corners, records, start, end, CHUNK)
+        _gaussian, u, v, ku, skew, kv, peak = load_chunk(pair_ids, corners, records, start, end, CHUNK)
         weights, transmittance = blend(
             x, y, u, v, ku, skew, kv, peak, transmittance, alpha_max, stop, STOP_INCLUSIVE
         )
