@@ -121,14 +121,14 @@ def paper(context: Context, gaussians: Gaussians, cameras: Cameras, regions: Reg
     solved: list[Tensor] = []
     epochs = sizes.epochs_run
 
-    def plain(epochs: int, keep: bool) -> None:
+    def plain(epochs: int) -> None:
         solved.clear()
         for of_level in rows:
             atoms = spherical_kmeans(of_level, n_atoms, 0)
             _, weights = plain_adam(of_level, atoms, sizes.k, epochs, LEARNING_RATE)
             solved.append(weights)
 
-    def gram(epochs: int, keep: bool) -> None:
+    def gram(epochs: int) -> None:
         for of_level in rows:
             fit_codes(of_level, n_atoms, sizes.k, solver="adam", epochs=epochs)
 
@@ -137,8 +137,8 @@ def paper(context: Context, gaussians: Gaussians, cameras: Cameras, regions: Reg
         if context.time_is_up():
             times[name] = add(context, {"name": name, "reason": "no time was left"})
             continue
-        start = measure_once(Work(f"{name}: its start", partial(solve, min(2, epochs), True)), context.clock)
-        row = add(context, measure_once(Work(name, partial(solve, epochs, True)), context.clock))
+        start = measure_once(Work(f"{name}: its start", partial(solve, min(2, epochs))), context.clock)
+        row = add(context, measure_once(Work(name, partial(solve, epochs)), context.clock))
         if epochs < sizes.epochs and "median_s" in row and "median_s" in start:
             extrapolate(row, start["median_s"], epochs, sizes.epochs)
             context.save(context.result)

@@ -22,6 +22,7 @@ from scoup.bench import write_json
 from scoup.io import write_text
 
 GRACE = 20.0  # seconds beyond the deadline before what hangs is stopped
+UNFINISHED = "not finished when this was written"
 SHARE_OF_PARITY = 0.5  # most of the time that is left
 
 
@@ -112,7 +113,7 @@ def run_stages(
             running = left[0]
             results[running] = {"rows": []}
         if running is not None:
-            results[running].setdefault("reason", why)
+            results[running]["reason"] = why
             write()
         left = [name for name in left if name not in results]
 
@@ -135,11 +136,13 @@ def listen(
         if kind == "begin":
             say(f"{name}: {STAGES[name][1]}")
             running = name
-            results[name] = {"rows": []}
+            results[name] = {"rows": [], "reason": UNFINISHED}
             continue
         results[name] = message[2]
         if kind == "end":
             running, ended = None, ended + 1
+        else:
+            results[name].setdefault("reason", UNFINISHED)
         write()
 
 

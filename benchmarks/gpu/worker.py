@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import traceback
 import warnings
 from collections.abc import Sequence
@@ -50,6 +51,7 @@ def work_through(
         ceilings: measured before, where an earlier process did.
         to: where to send.
     """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started this one decides
     if interpreted:
         os.environ["TRITON_INTERPRET"] = "1"  # before triton is imported
     import torch
@@ -68,8 +70,12 @@ def work_through(
 
     context = Context(device, sizes, deadline, save, ceilings=dict(ceilings))
     for name in names:
+        try:
+            context.begin()
+        except DeviceLost:  # by what the last stage left running: the next is not to blame
+            to.close()
+            os._exit(LOST)
         to.send(("begin", name))
-        context.begin()
         if context.time_is_up():
             to.send(("end", name, {"rows": [], "reason": "no time was left"}))
             continue

@@ -189,7 +189,8 @@ def test_a_stage_that_hangs_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
         sender.send(message)
     sender.send(("save", "uplift", {"rows": [{"name": "known"}]}))
     assert conduct.listen(receiver, results, time.time() + 0.1, lambda: None) == ("uplift", 1)
-    assert results["uplift"] == {"rows": [{"name": "known"}]}
+    assert results["uplift"] == {"rows": [{"name": "known"}], "reason": conduct.UNFINISHED}
+    assert results["ceilings"] == {"rows": []}
 
 
 def test_parity_reports_what_pytest_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
