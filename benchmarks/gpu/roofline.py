@@ -96,7 +96,12 @@ def kernel_row(
         row["reason"] = "nobody has counted what it does: add a formula to benchmarks/gpu/counting.py"
         return row
     launched = rounds[0]
-    counts = [formula(facts, *launch) for launch in zip(launched.grids, launched.constants, strict=True)]
+    try:
+        counts = [formula(facts, *launch) for launch in zip(launched.grids, launched.constants, strict=True)]
+    except Exception as error:
+        row["reason"] = f"its formula does not fit how it is launched: {reason(error)}"
+        context.clock.recover()
+        return row
     total = counts[0] if name in OF_THE_VIEW else sum_of(counts)
     return add_bound(row, total, context.ceilings)
 
