@@ -28,7 +28,7 @@ from scoup.uplifting import (
 )
 
 ALONE = Processes()
-VIEWS_AHEAD = 2  # read while another is worked on
+READERS = 4  # threads that read and hash views, each one ahead
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ def load_labels(
 ) -> Iterator[tuple[Camera, Tensor, str]]:
     """(camera, labels [S, H, W] on the device, their digest) view by view.
 
-    For a GPU the next view is read and hashed by another thread while this one is worked on, and copied from pinned
+    For a GPU the next views are read and hashed by other threads while this one is worked on, and copied from pinned
     memory; on a CPU it would only take the processor from it.
     """
 
@@ -75,11 +75,11 @@ def load_labels(
     if device.type == "cpu":
         yield from map(load, cameras)
         return
-    with ThreadPoolExecutor(1) as reader:
+    with ThreadPoolExecutor(READERS) as readers:
         ahead: deque[Future] = deque()
         for camera in cameras:
-            ahead.append(reader.submit(load, camera))
-            if len(ahead) > VIEWS_AHEAD:
+            ahead.append(readers.submit(load, camera))
+            if len(ahead) > READERS:
                 taken, labels, digest = ahead.popleft().result()
                 yield taken, labels.to(device, non_blocking=True), digest
         for future in ahead:

@@ -1,0 +1,158 @@
+"""What every stage is given: the device, sizes, one scene, the peer, and a way to hand over what it has."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from benchmarks.gpu.peers import Gsplat
+from benchmarks.gpu.sizes import Sizes
+from benchmarks.gpu.timing import Clock, Row, Unavailable, Work, measure, reason
+from scoup import raster
+from scoup.bench import Workload, make_room, room_cameras
+from scoup.bench.room import CELLS, clip_like, voronoi_labels
+from scoup.cameras import Camera
+from scoup.codes import SparseCodes, index_dtype
+from scoup.gaussians import Gaussians
+
+PRESET = "gsplat"  # of both rasterisers, so that they draw the same picture
+
+
+@dataclass(eq=False)
+class Context:
+    """Attributes:
+    device: "cuda", or "cpu" with interpreted kernels.
+    sizes: of everything.
+    deadline: seconds since the epoch after which nothing new is begun.
+    save: takes what the stage has so far.
+    result: of the stage that runs: "rows" and whatever else it tells.
+    ceilings: what the device can do, once the stage of that name has run.
+    """
+
+    device: torch.device
+    sizes: Sizes
+    deadline: float
+    save: Callable[[dict[str, Any]], None]
+    result: dict[str, Any] = field(default_factory=dict)
+    ceilings: dict[str, float] = field(default_factory=dict)
+    _rooms: dict[int, Gaussians] = field(default_factory=dict)
+    _gsplat: Gsplat | str | None = None
+
+    @property
+    def clock(self) -> Clock:
+        return Clock(self.device)
+
+    def time_is_up(self) -> bool:
+        return time.time() > self.deadline
+
+    def begin(self) -> None:
+        """Forget the last stage and what it kept on the device."""
+        self.result = {"rows": []}
+        gc.collect()
+        self.clock.recover()
+
+    def rows(self, works: list[Work], repeats: int | None = None) -> list[Row]:
+        """Measure, keep and hand over."""
+        rows = measure(
+            works,
+            self.clock,
+            repeats or self.sizes.repeats,
+            self.time_is_up,
+            self.sizes.warm_up,
+            into=self.result["rows"],
+        )
+        self.save(self.result)
+        return rows
+
+    def gsplat(self) -> Gsplat:
+        """The peer.
+
+        Raises:
+            Unavailable: it cannot be used here.
+        """
+        if self._gsplat is None:
+            try:
+                self._gsplat = Gsplat.found(self.device)
+            except Exception as error:  # its compiler may fail in any way
+                self._gsplat = reason(error)
+        if isinstance(self._gsplat, str):
+            raise Unavailable(self._gsplat)
+        return self._gsplat
+
+    def room(self, n_gaussians: int) -> Gaussians:
+        """The room of that size, on the device. One is kept."""
+        if n_gaussians not in self._rooms:
+            self._rooms.clear()
+            self._rooms[n_gaussians] = make_room(n_gaussians).to(self.device)
+        return self._rooms[n_gaussians]
+
+    def forget_rooms(self) -> None:
+        """Leave the device's memory to what comes."""
+        self._rooms.clear()
+        self.clock.recover()
+
+    def work(
+        self,
+        n_atoms: int,
+        n_gaussians: int | None = None,
+        size: tuple[int, int] | None = None,
+        levels: int = 3,
+        accumulators: bool = False,
+    ) -> Workload:
+        """The first view of a room with everything the rasteriser takes, on the device: codes in float16, as a field
+        has them; a query and the canonical phrases.
+        """
+        sizes = self.sizes
+        n_gaussians = n_gaussians or sizes.n_gaussians
+        width, height = size or (sizes.width, sizes.height)
+        gaussians = self.room(n_gaussians)
+        camera = room_cameras(1, width, height)[0]
+        counts = [sizes.regions[level % len(sizes.regions)] for level in range(levels)]
+        generator = torch.Generator().manual_seed(0)
+        codes = [SparseCodes.from_dense(torch.rand(n, n_atoms, generator=generator), sizes.k) for n in counts]
+        indices, weights = codes_nearby(gaussians.means, levels, n_atoms, sizes.k)
+        work = Workload(
+            "room",
+            gaussians,
+            camera,
+            voronoi_labels(counts, width, height),
+            codes,
+            indices,
+            weights,
+            codebook=clip_like(levels * n_atoms, sizes.dim).view(levels, n_atoms, sizes.dim),
+            queries=clip_like(5, sizes.dim, 1),  # one query and four canonical phrases
+            values=raster.view_colors(gaussians, camera),
+            accumulators=torch.zeros(n_gaussians if accumulators else 0, levels, n_atoms, device=self.device),
+        )
+        return replace(work.to(self.device), weights=work.weights.to(self.device).half())
+
+
+def look(gaussians: Gaussians, camera: Camera) -> raster.View:
+    """What all stages look with."""
+    return raster.look(gaussians, camera, PRESET, "triton")
+
+
+def codes_nearby(means: Tensor, n_levels: int, n_atoms: int, k: int) -> tuple[Tensor, Tensor]:
+    """``bench.room.codes_in_space`` where the Gaussians are: neighbours share their atoms, and weights differ.
+
+    Returns:
+        indices [N, S, K] unsigned and weights [N, S, K] float32, each code summing to 1.
+    """
+    generator = torch.Generator().manual_seed(0)
+    low, high = means.amin(0), means.amax(0)
+    indices = torch.empty(len(means), n_levels, k, dtype=index_dtype(n_atoms), device=means.device)
+    for level in range(n_levels):
+        count = CELLS[min(level, len(CELLS) - 1)]
+        centres = low + torch.rand(count, 3, generator=generator).to(means.device) * (high - low)
+        atoms = torch.rand(count, n_atoms, generator=generator).argsort(1)[:, :k]
+        atoms = atoms.to(means.device, index_dtype(n_atoms))
+        for rows in torch.arange(len(means), device=means.device).split(1 << 18):
+            indices[rows, level] = atoms[torch.cdist(means[rows], centres).argmin(1)]
+    weights = torch.rand(len(means), n_levels, k, generator=generator).to(means.device) + 1e-3
+    return indices, (weights / weights.sum(2, keepdim=True)).sort(2, descending=True).values

@@ -1,0 +1,74 @@
+"""What was expected of the backend before it was ever run on a GPU, beside what came of it.
+
+On an H200, 1M Gaussians, 988 x 731, three levels, inputs in memory; on other devices the ratios still mean something.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from benchmarks.gpu import building, rendering, uplift
+
+Row = dict[str, Any]
+
+
+def expectations(record: dict[str, Any]) -> list[list[str]]:
+    """Lines of expectation, measured, "yes" or "no"; of those that can be judged."""
+    if record["settings"]["interpreted"]:
+        return []
+    first = record["settings"]["n_atoms"][0]
+    views = rows_of(record, "rendering")
+    lifts = rows_of(record, "uplift")
+    builds = rows_of(record, "building")
+    ask = views.get(rendering.relevancy_name(first), {})
+    lift = lifts.get(uplift.ours_name(first), {})
+    build = builds.get(building.ours_name("paper"), {})
+    lines = [
+        most("relevancy of a query: at most 1.5 x gsplat's RGB render", ratio(ask, rendering.RGB), 1.5, "x"),
+        least("relevancy of a query: 1000 frames a second", inverse(ask.get("median_s")), 1000, "/s"),
+        least(
+            "relevancy: 10 x the rate of decoding to D channels",
+            inverse(ratio(ask, rendering.DECODED)),
+            10,
+            "x",
+        ),
+        most("uplift of a view: at most 2 x gsplat's RGB render", ratio(lift, rendering.RGB), 2, "x"),
+        least("uplift of a view: 50 x dense uplift", inverse(ratio(lift, uplift.DENSE)), 50, "x"),
+        least(
+            "build: 20 x the paper's procedure (plain solver)", inverse(ratio(build, building.PAPER)), 20, "x"
+        ),
+    ]
+    whole = record["settings"]["build_views"] >= 200
+    if whole:
+        for preset in ("paper", "default"):
+            row = builds.get(building.ours_name(preset), {})
+            lines.append(most(f"{building.ours_name(preset)}: under 3 s", row.get("median_s"), 3, "s"))
+            peak = row.get("peak_bytes")
+            lines.append(most(f"{building.ours_name(preset)}: under 3 GB", peak and peak / 1e9, 3, "GB"))
+    for found in record["stages"].get("precision", {}).get("differences", []):
+        if found["name"] == "fp16x3":
+            lines.append(
+                most("default precision: order of atoms changes at 1e-3 of pixels at most",
+                     found.get("pixels_of_another_order"), 1e-3, "")
+            )  # fmt: skip
+    return [line for line in lines if line is not None]
+
+
+def rows_of(record: dict[str, Any], stage: str) -> dict[str, Row]:
+    return {row["name"]: row for row in record["stages"].get(stage, {}).get("rows", [])}
+
+
+def ratio(row: Row, over: str) -> float | None:
+    return row.get("over", {}).get(over)
+
+
+def inverse(value: float | None) -> float | None:
+    return 1 / value if value else None
+
+
+def most(what: str, value: float | None, bound: float, unit: str) -> list[str] | None:
+    return None if value is None else [what, f"{value:.3g} {unit}".strip(), "yes" if value <= bound else "no"]
+
+
+def least(what: str, value: float | None, bound: float, unit: str) -> list[str] | None:
+    return None if value is None else [what, f"{value:.3g} {unit}".strip(), "yes" if value >= bound else "no"]

@@ -1,0 +1,118 @@
+"""What the precision of the matrix products costs and changes, against plain float32 ("ieee")."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from benchmarks.gpu.context import PRESET, Context
+from benchmarks.gpu.timing import Work, reason
+from scoup import raster
+from scoup.bench import Workload
+
+EXACT = "ieee"
+PRECISIONS = ("ieee", "fp16x3", "tf32x3", "tf32")
+REFERENCE = "reference backend (torch)"
+
+
+def precision(context: Context) -> None:
+    """Times of each precision side by side, and in what their answers differ.
+
+    The reference backend is the same in plain float32 with sums in another order: what differs between it and "ieee"
+    is no matter of precision. It takes long, and looks at a smaller view.
+    """
+    from scoup.raster import gpu
+
+    sizes = context.sizes
+    n_atoms = sizes.n_atoms[0]
+    work = context.work(n_atoms, accumulators=True)
+    constants = raster.raster_preset(PRESET)
+    context.result["about"] = (
+        f"{sizes.n_gaussians:,} Gaussians, a view of {sizes.width} x {sizes.height}, three levels, L = {n_atoms}; the "
+        "view is at hand"
+    )
+    works: list[Work] = []
+    for name in PRECISIONS:
+        view = gpu.look(work.gaussians, work.camera, constants, name)
+        for what, run in runs_of(work, view).items():
+            works.append(Work(f"{what}, {name}", run))
+    context.rows(works)
+    context.result["differences"] = found = []
+    exact = answers(work, gpu.look(work.gaussians, work.camera, constants, EXACT))
+    for name in PRECISIONS[1:]:
+        try:
+            theirs = answers(work, gpu.look(work.gaussians, work.camera, constants, name))
+            found.append({"name": name, **differences(theirs, exact, sizes.k)})
+        except Exception as error:
+            found.append({"name": name, "reason": reason(error)})
+            context.clock.recover()
+        context.save(context.result)
+    del exact
+    if context.time_is_up():
+        found.append({"name": REFERENCE, "reason": "no time was left"})
+        return
+    small = context.work(
+        n_atoms, size=(max(8, sizes.width // 4), max(8, sizes.height // 4)), accumulators=True
+    )
+    try:
+        theirs = answers(small, raster.look(small.gaussians, small.camera, constants, "reference"))
+        exact = answers(small, gpu.look(small.gaussians, small.camera, constants, EXACT))
+        found.append({"name": REFERENCE, **differences(theirs, exact, sizes.k)})
+    except Exception as error:
+        found.append({"name": REFERENCE, "reason": reason(error)})
+        context.clock.recover()
+    context.save(context.result)
+
+
+def runs_of(work: Workload, view: raster.View) -> dict[str, Any]:
+    n_atoms = work.codebook.shape[1]
+    return {
+        "coefficient maps": partial(raster.render_codes, view, work.indices, work.weights, n_atoms),
+        "cosines": partial(
+            raster.render_cosines, view, work.indices, work.weights, work.codebook, work.queries
+        ),
+        "uplift": partial(raster.uplift_view, view, work.labels, work.codes, work.accumulators),
+    }
+
+
+def answers(work: Workload, view: raster.View) -> dict[str, Tensor]:
+    """Coefficient maps [S, H, W, L], cosines [S, Q, H, W] and one view's accumulators [N, S, L]."""
+    n_atoms = work.codebook.shape[1]
+    sums = torch.zeros_like(work.accumulators)
+    raster.uplift_view(view, work.labels, work.codes, sums)
+    return {
+        "coefficients": raster.render_codes(view, work.indices, work.weights, n_atoms),
+        "cosines": raster.render_cosines(view, work.indices, work.weights, work.codebook, work.queries),
+        "accumulators": sums,
+    }
+
+
+def differences(theirs: dict[str, Tensor], exact: dict[str, Tensor], k: int) -> dict[str, float]:
+    """Greatest differences; share of pixels, at any level, and of Gaussians painted whose k largest atoms are not the
+    same in the same order.
+    """
+    off = {name: float((theirs[name] - exact[name]).abs().max()) for name in exact}
+    scale = float(exact["accumulators"].max().clamp(min=1e-30))
+    pixels = torch.stack(
+        [changed(a, b, k) for a, b in zip(theirs["coefficients"], exact["coefficients"], strict=True)]
+    )
+    painted = (exact["accumulators"] > 0).any(2)
+    votes = changed(theirs["accumulators"], exact["accumulators"], k)[painted]
+    return {
+        "coefficients_max": off["coefficients"],
+        "cosines_max": off["cosines"],
+        "accumulators_max_relative": off["accumulators"] / scale,
+        "pixels_of_another_order": float(pixels.any(0).float().mean()),
+        "votes_of_another_order": float(votes.float().mean()) if len(votes) else 0.0,
+    }
+
+
+def changed(one: Tensor, other: Tensor, k: int) -> Tensor:
+    """[...] of [..., L]: whether the k largest entries that are not zero are others, or in another order."""
+    k = min(k, one.shape[-1])
+    tops = [part.sort(dim=-1, descending=True, stable=True) for part in (one, other)]
+    atoms = [torch.where(top.values > 0, top.indices, -1)[..., :k] for top in tops]
+    return (atoms[0] != atoms[1]).any(-1)

@@ -1,0 +1,80 @@
+"""How times grow with Gaussians, pixels and levels."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from benchmarks.gpu.context import Context, look
+from benchmarks.gpu.rendering import ask
+from benchmarks.gpu.timing import Work, add_ratios, measure, reason
+from benchmarks.gpu.uplift import ours, peer_rgb
+from scoup.bench import Workload, fit_slope
+
+ASK, UPLIFT, LOOK, PEER = "ours: relevancy of a query", "ours: uplift", "ours: look", "gsplat: RGB"
+
+
+def scaling(context: Context) -> None:
+    """Rows for every size, and the slope of each thing over each quantity: 1 where time is proportional to it."""
+    sizes = context.sizes
+    n_atoms = sizes.n_atoms[0]
+    context.result["about"] = (
+        f"otherwise {sizes.n_gaussians:,} Gaussians, a view of {sizes.width} x {sizes.height}, three levels; "
+        f"L = {n_atoms}"
+    )
+    points: list[tuple[str, float, dict[str, Any]]] = []
+    for zoom in sizes.zooms:
+        size = max(1, round(sizes.width * zoom)), max(1, round(sizes.height * zoom))
+        points.append(("pixels", size[0] * size[1], {"size": size}))
+    points += [("levels", levels, {"levels": levels}) for levels in sizes.levels]
+    points += [("Gaussians", count, {"n_gaussians": count}) for count in sizes.counts]
+    for grows, amount, change in points:
+        point(context, grows, amount, change)
+    slopes(context)
+
+
+def point(context: Context, grows: str, amount: float, change: dict[str, Any]) -> None:
+    """Rows of one size."""
+    here = {"grows": grows, "amount": amount}
+    if context.time_is_up():
+        context.result["rows"].append({"name": "all", **here, "reason": "no time was left"})
+        return
+    try:
+        work = context.work(context.sizes.n_atoms[0], accumulators=True, **change)
+    except Exception as error:
+        context.result["rows"].append({"name": "all", **here, "reason": reason(error)})
+        context.clock.recover()
+        return
+    rows = measure(
+        works_of(context, work),
+        context.clock,
+        context.sizes.repeats,
+        context.time_is_up,
+        context.sizes.warm_up,
+    )
+    add_ratios(rows, {PEER: [PEER]})
+    context.result["rows"] += [{**row, **here} for row in rows]
+    slopes(context)
+    context.save(context.result)
+
+
+def works_of(context: Context, work: Workload) -> list[Work]:
+    return [
+        Work(LOOK, partial(look, work.gaussians, work.camera)),
+        Work(ASK, partial(ask, work)),
+        Work(UPLIFT, partial(ours, work)),
+        Work(PEER, partial(peer_rgb, context, work)),
+    ]
+
+
+def slopes(context: Context) -> None:
+    """Of everything that has been measured at two sizes or more."""
+    found: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for row in context.result["rows"]:
+        if "median_s" in row:
+            found.setdefault((row["grows"], row["name"]), []).append((row["amount"], row["median_s"]))
+    context.result["slopes"] = [
+        {"grows": grows, "name": name, **fit_slope(*zip(*points, strict=True)).record()}
+        for (grows, name), points in found.items()
+        if len({amount for amount, _ in points}) > 1
+    ]

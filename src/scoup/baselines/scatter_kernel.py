@@ -1,0 +1,109 @@
+"""The uplift as the paper describes it: every pixel adds its code to every Gaussian that paints it.
+
+One atomic addition for each pixel, Gaussian and entry of the pixel's code, in no fixed order: what ``raster.Uplift``
+saves by summing over regions first. To be compared with, and for nothing else. Imports triton: import this module only
+where tensors are on a GPU.
+"""
+
+# Triton's annotations are for its own compiler: to it a tensor may be indexed with None, and is no tuple. A launch
+# takes plain numbers as constants, and options beside the kernel's arguments.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false
+# pyright: reportIndexIssue=false, reportOperatorIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from scoup.codes import SparseCodes
+from scoup.errors import InputError
+from scoup.raster.gpu_regions import CodeTables
+from scoup.raster.gpu_view import TILE, GpuView
+from scoup.raster.kernels.blending import blend, load_chunk, pixel_block
+
+_CHUNK = 16
+
+
+def scatter_view(view: GpuView, labels: Tensor, codes: Sequence[SparseCodes], out: Tensor) -> None:
+    """Add a view's codes to accumulators pixel by pixel; what ``raster.uplift_view`` gives, but for the order in which
+    numbers are added up.
+
+    Args:
+        view: from ``raster.look`` on a GPU.
+        labels: [S, H, W] integer regions, -1 for none.
+        codes: one SparseCodes a level, row r for region r.
+        out: [N, S, L] float32, contiguous, on the view's device; added to in place.
+
+    Raises:
+        InputError: shapes disagree.
+    """
+    expected = (view.n_gaussians, len(codes), codes[0].n_atoms)
+    if tuple(out.shape) != expected or not out.is_contiguous() or out.dtype != torch.float32:
+        raise InputError(
+            f"accumulators must be contiguous float32 {list(expected)}, not {out.dtype} {list(out.shape)}"
+        )
+    if tuple(labels.shape) != (len(codes), view.height, view.width):
+        raise InputError(
+            f"labels {list(labels.shape)} do not fit {len(codes)} levels of {view.height} x {view.width} pixels"
+        )
+    tables = CodeTables.of(codes, None, view.device)
+    labels = labels.to(view.device).contiguous()
+    with torch.cuda.device_of(out):
+        scatter_kernel[(view.n_tiles,)](
+            view.pair_ids, view.corners, view.records, view.starts, labels, tables.firsts, tables.atoms,
+            tables.weights, out, view.width, view.height, view.across, len(codes), codes[0].n_atoms,
+            view.preset.alpha_max, view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive, TILE=TILE,
+            CHUNK=_CHUNK, K=tables.atoms.shape[1], num_warps=8,
+        )  # fmt: skip
+
+
+@triton.jit(do_not_specialize=["width", "height", "across", "n_levels", "n_atoms"])
+def scatter_kernel(
+    pair_ids,  # [P] int32
+    corners,  # [P, 2] float32
+    records,  # [N, 4] float32
+    starts,  # [tiles + 1] int64
+    labels,  # [S, H, W] integers
+    first_rows,  # [S] int64: where the regions of a level begin in the tables
+    atoms,  # [R, K] int32
+    weights,  # [R, K] float32
+    out,  # [N, S, L] float32: added to
+    width,
+    height,
+    across,
+    n_levels,
+    n_atoms,
+    alpha_max,
+    stop,
+    STOP_INCLUSIVE: tl.constexpr,
+    TILE: tl.constexpr,
+    CHUNK: tl.constexpr,
+    K: tl.constexpr,
+):
+    """One program a tile."""
+    tile = tl.program_id(0)
+    x, y, pixel, inside = pixel_block(tile, 0, across, width, height, TILE, TILE * TILE)
+    plane = height.to(tl.int64) * width
+    transmittance = tl.where(inside, 1.0, 0.0)
+    start, end = tl.load(starts + tile), tl.load(starts + tile + 1)
+    while start < end:
+        gaussian, u, v, ku, skew, kv, peak = load_chunk(pair_ids, corners, records, start, end, CHUNK)
+        blending, transmittance = blend(
+            x, y, u, v, ku, skew, kv, peak, transmittance, alpha_max, stop, STOP_INCLUSIVE
+        )
+        for level in range(n_levels):
+            region = tl.load(labels + level * plane + pixel, mask=inside, other=-1)
+            has_region = region >= 0
+            row = (tl.load(first_rows + level) + region) * K
+            own = out + (gaussian.to(tl.int64) * n_levels + level) * n_atoms
+            for slot in range(K):
+                atom = tl.load(atoms + row + slot, mask=has_region, other=0)
+                weight = tl.load(weights + row + slot, mask=has_region, other=0.0)
+                share = blending * weight[:, None]
+                tl.atomic_add(own[None, :] + atom[:, None], share, mask=share > 0, sem="relaxed")
+        going_on = tl.max(transmittance, axis=0) > 0
+        start = tl.where(going_on, start + CHUNK, end)
