@@ -126,6 +126,11 @@ WAYS: dict[str, Way] = {
 
 COMPARISONS: dict[str, tuple[str, str]] = {
     "exact - paper": ("exact", "paper"),
+    "exact, K = 2 - paper": ("exact-k2", "paper"),
+    "exact, K = 2 - K = 4": ("exact-k2", "exact"),
+    "exact, K = 8 - K = 4": ("exact-k8", "exact"),
+    "exact, 32 - 64 atoms": ("exact-32", "exact"),
+    "exact, 256 - 64 atoms": ("exact-256", "exact"),
     "top-K - no top-K, paper": ("paper", "paper-no-top-k"),
     "top-K - no top-K, exact": ("exact", "exact-no-top-k"),
     "mask - peak, dense": ("dense-mask", "dense"),
