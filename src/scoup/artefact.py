@@ -16,9 +16,10 @@ import torch
 from torch import Tensor
 
 from scoup.cameras import Camera, Cameras
-from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupError
+from scoup.errors import FileFormatError, InputError, MissingFileError
 from scoup.gaussians import Gaussians
 from scoup.io.atomic import atomic_path, check_output
+from scoup.io.reading import safetensors_damage_named
 
 SCHEMA = "scoup.language_field"
 VERSION = 1
@@ -178,37 +179,22 @@ def read_tensors(path: Path, schema: str, what: str) -> tuple[dict[str, Tensor],
     Raises:
         FileFormatError: it is something else, damaged, or of a newer version.
     """
-    from safetensors import SafetensorError, safe_open
+    from safetensors import safe_open
 
     if path.is_dir():
         raise MissingFileError(path, f"is a folder, not {what}", "give the file itself")
     if not path.is_file():
         raise MissingFileError(path, f"there is no such file ({what} was expected)", "check the path")
-    try:
-        with safe_open(path, framework="pt") as stream:
-            header = json.loads((stream.metadata() or {}).get(METADATA_KEY, "{}"))
-            if not isinstance(header, dict) or header.get("schema") != schema:
-                raise FileFormatError(path, f"is a safetensors file, but not {what}", "check the path")
-            version = int(header["version"])
-            if version > VERSION:
-                raise FileFormatError(
-                    path, f"was written by a newer SCOUP (format {version})", "pip install -U scoup"
-                )
-            return {name: stream.get_tensor(name) for name in stream.keys()}, header  # noqa: SIM118
-    except ScoupError:
-        raise
-    except (
-        SafetensorError,
-        ValueError,
-        KeyError,
-        TypeError,
-        OSError,
-        RuntimeError,
-        OverflowError,
-        RecursionError,
-    ) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise FileFormatError(path, f"is not {what} or is damaged ({reason})", _REBUILD) from error
+    with safetensors_damage_named(path, what, _REBUILD), safe_open(path, framework="pt") as stream:
+        header = json.loads((stream.metadata() or {}).get(METADATA_KEY, "{}"))
+        if not isinstance(header, dict) or header.get("schema") != schema:
+            raise FileFormatError(path, f"is a safetensors file, but not {what}", "check the path")
+        version = int(header["version"])
+        if version > VERSION:
+            raise FileFormatError(
+                path, f"was written by a newer SCOUP (format {version})", "pip install -U scoup"
+            )
+        return {name: stream.get_tensor(name) for name in stream.keys()}, header  # noqa: SIM118
 
 
 def _read_accumulators(path: Path, belongs_to: str, shape: tuple[int, ...]) -> Tensor | None:

@@ -19,9 +19,9 @@ import torch
 from numpy.typing import NDArray
 
 from scoup.cameras import Camera
-from scoup.errors import FileFormatError, ScoupError
+from scoup.errors import FileFormatError
 from scoup.io.atomic import atomic_file
-from scoup.io.reading import MAX_IMAGE_SIDE, existing_file
+from scoup.io.reading import MAX_IMAGE_SIDE, existing_file, safetensors_damage_named
 from scoup.io.region_manifest import SCHEMA, VERSION, read_manifest
 from scoup.io.region_views import (
     REMEDY,
@@ -239,24 +239,9 @@ def _packed(labels: NDArray[np.int32], rows: int) -> bytes:
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """A safetensors file of arrays; every way in which it can be damaged becomes a FileFormatError."""
-    from safetensors import SafetensorError, safe_open
+    from safetensors import safe_open
 
-    existing_file(path, "a file of region features")
-    try:
-        with safe_open(path, framework="numpy") as stream:
-            yield stream
-    except ScoupError:
-        raise
-    except (
-        SafetensorError,
-        ValueError,
-        KeyError,
-        TypeError,
-        OSError,
-        RuntimeError,
-        OverflowError,
-        RecursionError,
-    ) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        problem = f"is not a file of region features or is damaged ({reason})"
-        raise FileFormatError(path, problem, REMEDY) from error
+    what = "a file of region features"
+    existing_file(path, what)
+    with safetensors_damage_named(path, what, REMEDY), safe_open(path, framework="numpy") as stream:
+        yield stream

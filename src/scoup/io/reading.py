@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +14,7 @@ import numpy as np
 import torch
 
 from scoup.cameras import Camera, Cameras
-from scoup.errors import FileFormatError, InputError, MissingFileError
+from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupError
 
 Distorted = Literal["refuse", "undistort"]
 
@@ -214,3 +216,26 @@ def _short(value: Any) -> str:
         return f"a {type(value).__name__} of {len(value)}"
     text = "missing" if value is None else ascii(value)
     return text if len(text) <= 40 else text[:37] + "..."
+
+
+@contextmanager
+def safetensors_damage_named(path: Path, what: str, remedy: str) -> Iterator[None]:
+    """Every way in which the reading of a damaged safetensors file can fail becomes a FileFormatError."""
+    from safetensors import SafetensorError
+
+    try:
+        yield
+    except ScoupError:
+        raise
+    except (
+        SafetensorError,
+        ValueError,
+        KeyError,
+        TypeError,
+        OSError,
+        RuntimeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise FileFormatError(path, f"is not {what} or is damaged ({reason})", remedy) from error
