@@ -206,8 +206,9 @@ def test_memory_outlives_whoever_asked_for_it():
 
 LONG = textwrap.dedent(
     """
-    import os, sys, threading, time
+    import os, signal, sys, threading, time
     import numpy as np
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background ignores it
     sys.path[:0] = [os.environ["TESTS"]]
     from test_native_safety import core, image_of, look
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
@@ -130,15 +129,13 @@ def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
         )
     digest = digest_of(path)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(path) as stored:
-                orientation = int(stored.getexif().get(0x0112, 1))
-                rgb = _to_rgb(stored)
-            if max_height is not None and height > max_height:
-                size = (max(1, int(width / (height / max_height))), max_height)
-                rgb = rgb.resize(size, Image.Resampling.BILINEAR)
-            array = np.asarray(rgb)
+        with Image.open(path) as stored:
+            orientation = int(stored.getexif().get(0x0112, 1))
+            rgb = _to_rgb(stored)
+        if max_height is not None and height > max_height:
+            size = (max(1, int(width / (height / max_height))), max_height)
+            rgb = rgb.resize(size, Image.Resampling.BILINEAR)
+        array = np.asarray(rgb)
     except Exception as error:  # damaged images raise nearly everything inside Pillow
         raise FileFormatError(path, f"cannot be decoded ({error})", "copy it again, or remove it") from error
     mirrored = orientation in _MIRRORED
