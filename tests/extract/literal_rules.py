@@ -108,7 +108,13 @@ def painted(dense: Sequence[np.ndarray], size: tuple[int, int]) -> np.ndarray:
 
 
 def crop_of(image: np.ndarray, mask: np.ndarray, side: int, cut_last: bool = True) -> np.ndarray:
-    """[side, side, 3] uint8: the rest black, cut to the box, squared, resized pixel by pixel as cv2.resize does."""
+    """[side, side, 3] uint8: ``exact_crop_of``, rounded."""
+    exact = exact_crop_of(image, mask, side, cut_last)
+    return np.floor(exact + 0.5).clip(max=255).astype(np.uint8)
+
+
+def exact_crop_of(image: np.ndarray, mask: np.ndarray, side: int, cut_last: bool = True) -> np.ndarray:
+    """[side, side, 3] float64: the rest black, cut to the box, squared, resized pixel by pixel as cv2.resize does."""
     black = image.copy()
     black[~mask] = 0
     x0, y0, x1, y1 = box_of(mask)
@@ -121,7 +127,7 @@ def crop_of(image: np.ndarray, mask: np.ndarray, side: int, cut_last: bool = Tru
     square[top : top + height, left : left + width] = cut
     values = torch.from_numpy(square).permute(2, 0, 1)[None].double()
     large = torch.nn.functional.interpolate(values, (side, side), mode="bilinear", align_corners=False)
-    return (large[0].permute(1, 2, 0) + 0.5).floor().clamp(max=255).to(torch.uint8).numpy()
+    return large[0].permute(1, 2, 0).numpy()
 
 
 def generate(

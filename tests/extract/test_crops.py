@@ -13,7 +13,7 @@ import torch
 from extract_support import mask_stacks, random_masks, smooth_image
 from hypothesis import given
 from hypothesis import strategies as st
-from literal_rules import crop_of
+from literal_rules import crop_of, exact_crop_of
 from tiny_models import saved, tiny_clip, tiny_sam, tiny_siglip
 
 from scoup.errors import InputError, ScoupError
@@ -43,10 +43,8 @@ def test_crops_are_those_of_the_recipe(dense: np.ndarray, side: int, cut_last: b
     image = np.random.default_rng(0).integers(0, 256, (*dense.shape[1:], 3)).astype(np.uint8)
     crops = all_crops(image, dense, side, cut_last)
     for crop, mask in zip(crops, dense, strict=True):
-        expected = crop_of(image, mask, side, cut_last)
         # Sums in another order may round the other way, where they lie halfway between two numbers.
-        assert np.abs(crop.astype(int) - expected).max() <= 1
-        assert (crop == expected).mean() > 0.9
+        assert np.abs(crop - exact_crop_of(image, mask, side, cut_last)).max() <= 0.5 + 1e-3
 
 
 @pytest.mark.parametrize("build", [tiny_clip, tiny_siglip])
