@@ -59,8 +59,7 @@ class ConsensusSettings:
             study), which blurs small things into large ones.
         least: share of a region below which another counts as not co-visible.
         most: entries of a row of M that are kept, the largest; bounds the memory. It should exceed the number of
-            views, each of which may show the same thing: in scenes of 24 views, 32 entries give embeddings with a
-            mean cosine of 0.9996 to those without a bound, 256 entries 0.99999 (seen once; no script is kept).
+            views, each of which may show the same thing.
     """
 
     rounds: int = 3
