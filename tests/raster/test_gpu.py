@@ -126,16 +126,16 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
         blocks = gpu.code_blocks(levels, n_atoms)
         sizes = {"PIXELS": blocks.pixels, "LEVELS": blocks.levels, "K": 4, "ATOMS": blocks.atoms}
         types, constants = {**LISTS, **SIZE, **BOUNDS, **CODES}, {**blended, **sizes}
-        found[f"codes {levels} x {n_atoms}"] = rendering.codes_kernel, types, constants, blocks.warps
+        found[f"codes {levels} x {n_atoms}"] = rendering.codes_kernel, types, constants, gpu.WARPS
         asked = {**constants, "COLUMNS": 16, "PIXELS_LAST": True, "TABLE_PRECISION": "fp16x3"}
         found[f"cosines {levels} x {n_atoms}"] = (
-            rendering.products_kernel, {**types, **TABLES}, asked, blocks.warps,
+            rendering.products_kernel, {**types, **TABLES}, asked, gpu.WARPS,
         )  # fmt: skip
     blocks = gpu.code_blocks(1, 64)
     sizes = {"PIXELS": blocks.pixels, "LEVELS": 1, "K": 4, "ATOMS": 64, "COLUMNS": 32, "PIXELS_LAST": False}
     constants = {**blended, **sizes, "TABLE_PRECISION": "fp16x3"}
     types = {**LISTS, **SIZE, **BOUNDS, **CODES, **TABLES}
-    found["features"] = rendering.products_kernel, types, constants, blocks.warps
+    found["features"] = rendering.products_kernel, types, constants, gpu.WARPS
     types = {**LISTS, **SIZE, **BOUNDS, "columns": I16, "n_columns": I32, "bases": I64, "sums": F32}
     constants = {**blended, "CHUNK": 32, "COLUMNS": 16}
     found["region sums"] = regions.region_sums_kernel, {**types, "first_tile": "i32"}, constants, 8

@@ -11,6 +11,7 @@ an index beyond the codebook paints nothing.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -27,7 +28,8 @@ from scoup.raster.kernels.rendering import channels_kernel, codes_kernel, produc
 PREPARES = False  # rows in another order have not been seen to pay here
 MOST_ATOMS = 256  # coefficients of a pixel that stay on the chip
 _CHUNK = 16  # Gaussians at a time; tensor cores want no fewer
-_COEFFICIENTS = 96 * 256  # of a program: 96 registers of 256 threads
+WARPS = 8  # of a program that renders
+_COEFFICIENTS = 96 * 32 * WARPS  # of a program: 96 registers of each thread
 
 
 def region_weights(view: GpuView, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -87,7 +89,7 @@ def render_channels(view: GpuView, values: Tensor) -> tuple[Tensor, Tensor]:
         grid = (view.n_tiles * (TILE * TILE // pixels), max(1, triton.cdiv(channels, block)))
         channels_kernel[grid](
             *_lists(view), values, image, alpha, *_size(view), channels, *_bounds(view),
-            **_constants(view, values), PIXELS=pixels, CHANNELS=block, num_warps=8,
+            **_constants(view, values), PIXELS=pixels, CHANNELS=block, num_warps=WARPS,
         )  # fmt: skip
     return image, alpha
 
@@ -95,9 +97,10 @@ def render_channels(view: GpuView, values: Tensor) -> tuple[Tensor, Tensor]:
 def render_codes(view: GpuView, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
     levels, k = indices.shape[1:]
-    out = torch.zeros(levels, view.height, view.width, n_atoms, device=view.device)
-    if out.numel() == 0 or k == 0:
-        return out
+    shape = (levels, view.height, view.width, n_atoms)
+    if k == 0 or math.prod(shape) == 0:
+        return torch.zeros(shape, device=view.device)
+    out = torch.empty(shape, device=view.device)  # every number is written
     table = (indices.to(view.device).contiguous(), weights.to(view.device).contiguous())
     blocks = code_blocks(levels, min(n_atoms, MOST_ATOMS))
     with torch.cuda.device_of(out):
@@ -106,7 +109,7 @@ def render_codes(view: GpuView, indices: Tensor, weights: Tensor, n_atoms: int) 
             codes_kernel[grid](
                 *_lists(view), *table, out, *_size(view), levels, n_atoms, first, *_bounds(view),
                 **_constants(view, weights), PIXELS=blocks.pixels, LEVELS=min(blocks.levels, levels - first), K=k,
-                ATOMS=blocks.atoms, num_warps=blocks.warps,
+                ATOMS=blocks.atoms, num_warps=WARPS,
             )  # fmt: skip
     return out
 
@@ -118,16 +121,16 @@ def render_cosines(
     levels, count = len(codebook), len(queries)
     codebook, queries = codebook.to(view.device), queries.to(view.device)
     scores = full_products(codebook, queries)
-    out = torch.zeros(levels, count, view.height, view.width, device=view.device)
-    return _render_products(view, indices, weights, codebook, scores, out, pixels_last=True)
+    shape = (levels, count, view.height, view.width)
+    return _render_products(view, indices, weights, codebook, scores, shape, pixels_last=True)
 
 
 def render_features(view: GpuView, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
     """See ``raster.render_features``."""
     levels, _, dim = codebook.shape
     codebook = codebook.to(view.device)
-    out = torch.zeros(levels, view.height, view.width, dim, device=view.device)
-    return _render_products(view, indices, weights, codebook, codebook, out, pixels_last=False)
+    shape = (levels, view.height, view.width, dim)
+    return _render_products(view, indices, weights, codebook, codebook, shape, pixels_last=False)
 
 
 def _render_products(
@@ -136,14 +139,15 @@ def _render_products(
     weights: Tensor,  # [N, S, K]
     codebook: Tensor,  # [S, L, D]
     table: Tensor,  # [S, L, C]
-    out: Tensor,
+    shape: tuple[int, ...],  # of the result
     pixels_last: bool,
 ) -> Tensor:
-    """Coefficients times ``table`` over the norm of the decoded feature, into zeros."""
+    """Coefficients times ``table`` over the norm of the decoded feature."""
     n_atoms, columns = table.shape[1:]
     levels, k = indices.shape[1:]
-    if out.numel() == 0 or k == 0 or n_atoms == 0:
-        return out
+    if k == 0 or n_atoms == 0 or math.prod(shape) == 0:
+        return torch.zeros(shape, device=view.device)
+    out = torch.empty(shape, device=view.device)  # every number is written
     grams = full_products(codebook, codebook)
     if n_atoms > MOST_ATOMS:
         return _products_by_level(view, indices, weights, grams, table, out, pixels_last)
@@ -163,7 +167,7 @@ def _render_products(
                 **_constants(view, weights), PIXELS=blocks.pixels, LEVELS=min(blocks.levels, levels - first), K=k,
                 ATOMS=blocks.atoms, COLUMNS=16 if pixels_last else 32, PIXELS_LAST=pixels_last,
                 TABLE_PRECISION="fp16x3" if view.precision == "tf32x3" else view.precision,
-                num_warps=blocks.warps,
+                num_warps=WARPS,
             )  # fmt: skip
     return out
 
@@ -192,12 +196,11 @@ def _products_by_level(
 
 @dataclass(frozen=True)
 class CodeBlocks:
-    """What one program renders: so many pixels of a tile, levels, and atoms, on so many warps."""
+    """What one program renders: so many pixels of a tile, levels, and atoms."""
 
     pixels: int
     levels: int
     atoms: int
-    warps: int
 
 
 def code_blocks(levels: int, n_atoms: int) -> CodeBlocks:
@@ -208,7 +211,7 @@ def code_blocks(levels: int, n_atoms: int) -> CodeBlocks:
     pixels = 128 if atoms <= 64 else 64 if atoms == 128 else 32
     most = 1 if atoms > 128 else min(4, _COEFFICIENTS // (pixels * atoms))
     passes = triton.cdiv(levels, most)
-    return CodeBlocks(pixels, triton.cdiv(levels, passes), atoms, 8)
+    return CodeBlocks(pixels, triton.cdiv(levels, passes), atoms)
 
 
 def _lists(view: GpuView) -> tuple[Tensor, ...]:
