@@ -7,7 +7,27 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from scoup.errors import InputError
+
 Loaded = TypeVar("Loaded")
+
+OPEN_CLIP = "open_clip:"
+"""Before the names of models of open_clip."""
+
+
+def open_clip_names(text: str) -> tuple[str, str]:
+    """Architecture and pretrained tag of ``open_clip:ARCHITECTURE/PRETRAINED``.
+
+    Raises:
+        InputError: one of them is missing.
+    """
+    architecture, _, pretrained = text.removeprefix(OPEN_CLIP).partition("/")
+    if not architecture or not pretrained:
+        raise InputError(
+            f"{text!r}: write {OPEN_CLIP}ARCHITECTURE/PRETRAINED, "
+            f"such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k"
+        )
+    return architecture, pretrained
 
 
 def load_local_first(

@@ -13,12 +13,11 @@ import torch
 from torch import Tensor
 
 from scoup.errors import InputError, ScoupError, ScoupWarning, UnknownNameError
-from scoup.hub import first_line, load_local_first
+from scoup.hub import OPEN_CLIP, first_line, load_local_first, open_clip_names
 from scoup.text_table import EmbeddingTable, is_table, load_table, save_table
 
 __all__ = ["TextEncoder", "save_table"]
 
-OPEN_CLIP = "open_clip:"
 COLORS = "colors"
 """Name of embeddings made without a model (``extract.plain_colors``): no words have a place among them."""
 _BATCH = 64
@@ -199,12 +198,7 @@ def _is_clip(config: Any) -> bool:
 
 
 def _open_open_clip(text: str, device: torch.device | str) -> tuple[int, Encode]:
-    architecture, _, pretrained = text.removeprefix(OPEN_CLIP).partition("/")
-    if not architecture or not pretrained:
-        raise InputError(
-            f"{text!r}: write {OPEN_CLIP}ARCHITECTURE/PRETRAINED, "
-            f"such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k"
-        )
+    architecture, pretrained = open_clip_names(text)
     try:
         import open_clip  # pyright: ignore[reportMissingImports]
     except ImportError as error:

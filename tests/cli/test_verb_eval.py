@@ -20,7 +20,7 @@ QUICK = ("--n-atoms", 16)
 
 
 @pytest.fixture(scope="session")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a twin of each data set; nobody writes into it."""
     folder = tmp_path_factory.mktemp("eval")
     for name in ("lerf-ovs", "3d-ovs", "mipnerf360"):
@@ -28,14 +28,6 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "eval", "twin", name, folder / name, "--scenes", "table", "--scenes", "shelves", *TINY
         )
         assert code == 0, err
-    return folder
-
-
-@pytest.fixture
-def here(written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    folder = tmp_path / "here"
-    shutil.copytree(written, folder)
-    monkeypatch.chdir(folder)
     return folder
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import threading
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -109,3 +111,20 @@ def test_which_photographs_a_scene_has(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(MissingFileError, match="holds no photographs"):
         find_photographs(tmp_path / "empty")
+
+
+def test_threads_that_decode_leave_the_filters_of_warnings_alone(tmp_path: Path, monkeypatch) -> None:
+    """Filters belong to the process: two threads that set and restore them may leave all warnings ignored."""
+    for number in range(5):
+        Image.new("RGB", (8, 6)).save(tmp_path / f"{number}.png")
+    entered = []
+
+    class Recorded(warnings.catch_warnings):
+        def __enter__(self):
+            entered.append(threading.current_thread())
+            return super().__enter__()
+
+    photographs = [Photograph(path.name, path) for path in sorted(tmp_path.iterdir())]
+    monkeypatch.setattr(warnings, "catch_warnings", Recorded)
+    assert len(list(read_ahead(photographs, None))) == 5
+    assert set(entered) == {threading.main_thread()}

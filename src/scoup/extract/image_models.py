@@ -9,10 +9,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from scoup.errors import InputError, ScoupError
+from scoup.errors import ScoupError
 from scoup.extract.sam import image_normalization
-from scoup.hub import first_line, load_local_first
-from scoup.text import OPEN_CLIP
+from scoup.hub import OPEN_CLIP, first_line, load_local_first, open_clip_names
 
 _CLIP = ((0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711))
 _HALF = ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
@@ -135,12 +134,7 @@ def _load(transformers: Any, model_id: str, options: dict[str, Any]) -> tuple[An
 
 
 def _open_open_clip(text: str, device: torch.device | str, dtype: torch.dtype) -> ImageModel:
-    architecture, _, pretrained = text.removeprefix(OPEN_CLIP).partition("/")
-    if not architecture or not pretrained:
-        raise InputError(
-            f"{text!r}: write {OPEN_CLIP}ARCHITECTURE/PRETRAINED, "
-            f"such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k"
-        )
+    architecture, pretrained = open_clip_names(text)
     try:
         import open_clip  # pyright: ignore[reportMissingImports]
     except ImportError as error:

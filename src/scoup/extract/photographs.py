@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from scoup.errors import FileFormatError, MissingFileError, ScoupError
 from scoup.io import camera_photographs
-from scoup.io.image_folder import EXTENSIONS, image_size
+from scoup.io.image_folder import EXTENSIONS, size_in_header
 from scoup.io.images import MAX_PIXELS
 from scoup.io.scene_images import FACTORS
 
@@ -122,7 +123,7 @@ def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
     """
     from PIL import Image
 
-    width, height = image_size(path)
+    width, height = size_in_header(path)
     if width * height > MAX_PIXELS:
         raise FileFormatError(
             path, f"has {width} x {height} pixels, too many to decode", "scale it down first"
@@ -165,7 +166,9 @@ def read_ahead(
     One that cannot be decoded comes with its error. At most ``ahead`` + 1 images are in memory.
     """
     waiting = iter(photographs)
-    with ThreadPoolExecutor(max_workers=ahead) as pool:
+    with warnings.catch_warnings(), ThreadPoolExecutor(max_workers=ahead) as pool:
+        # Not in the threads: filters belong to the process, and they would put back each other's.
+        warnings.filterwarnings("ignore", module=r"PIL\.")
         queue: list[tuple[Photograph, Future[Pixels]]] = []
 
         def fill() -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,7 +24,6 @@ from scoup.io.region_views import check_stems
 from scoup.processes import Processes
 from scoup.progress import Progress, no_progress
 
-Item = TypeVar("Item")
 ALONE = Processes()
 MAX_HEIGHT = 1080  # LangSplat's
 
@@ -103,7 +102,7 @@ def extract(
     report.kept = done = len(mine) - len(waiting)
     progress("regions", done, len(mine))
     moment = time.perf_counter()
-    for item, pixels in _quietly(read_ahead(waiting, max_height)):
+    for item, pixels in read_ahead(waiting, max_height):
         moment = report.took("decode", moment)
         if isinstance(pixels, ScoupError):
             report.skipped[item.name] = str(pixels)
@@ -122,15 +121,6 @@ def extract(
         progress("regions", done, len(mine))
     _tell_skipped(report, len(mine))
     return report
-
-
-def _quietly(photographs: Iterator[Item]) -> Iterator[Item]:
-    """The same without Pillow's remarks on odd files. Said here, once: filters belong to the process, and threads that
-    decode at the same time would put back each other's.
-    """
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", module=r"PIL\.")
-        yield from photographs
 
 
 def _is_made(store: RegionStore, item: Photograph) -> bool:

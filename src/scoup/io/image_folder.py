@@ -67,14 +67,21 @@ def image_size(path: str | Path) -> tuple[int, int]:
         MissingFileError: there is no such file.
         FileFormatError: it is no image, or absurdly large.
     """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow warns about every large photograph
+        return size_in_header(path)
+
+
+def size_in_header(path: str | Path) -> tuple[int, int]:
+    """``image_size`` with Pillow's warnings. For threads: filters of warnings belong to the process, and threads would
+    put back each other's.
+    """
     from PIL import Image
 
     path = existing_file(path, "an image")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns about every large photograph
-            with Image.open(path) as image:
-                width, height = image.size
+        with Image.open(path) as image:
+            width, height = image.size
     except Exception as error:  # damaged images raise nearly everything inside Pillow
         raise FileFormatError(
             path, "is not an image that can be read", "copy it again, or remove it"
