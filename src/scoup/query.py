@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -291,21 +292,49 @@ def select(
     Raises:
         InputError: shapes do not fit, or ``neighbours`` is below 1.
     """
+    found = list(
+        select_with_level(
+            field,
+            queries if queries.dim() == 2 else queries[None],
+            canonical,
+            threshold,
+            neighbours,
+            rescaled,
+        )
+    )
+    if queries.dim() == 1:
+        return found[0][0]
+    masks = [chosen for chosen, _, _ in found]
+    return (
+        torch.stack(masks) if masks else torch.zeros(0, len(field), dtype=torch.bool, device=queries.device)
+    )
+
+
+def select_with_level(
+    field: LanguageField,
+    queries: Tensor,  # [Q, D]
+    canonical: Tensor,  # [P, D]
+    threshold: float = 0.6,
+    neighbours: int | None = None,
+    rescaled: bool = True,
+) -> Iterator[tuple[Tensor, Tensor, int]]:
+    """``select`` query by query, with what it was decided by.
+
+    Returns:
+        For each query the Gaussians selected [N] boolean, their relevancy [N] at the level taken, smoothed if asked
+        for, and that level's position.
+    """
     from scoup.neighbours import Neighbourhood
 
     if neighbours is not None and neighbours < 1:
         raise InputError(f"neighbours must be at least 1, got {neighbours}")
     coded = (field.code_weights > 0).any(-1).T  # [S, N]
     around = Neighbourhood.of(field.gaussians.means, coded.any(0), neighbours) if neighbours else None
-    chosen = [
-        select_by_relevancy(
-            field.gaussian_relevancy(query[None], canonical)[:, 0], coded, around, threshold, rescaled
-        )
-        for query in (queries if queries.dim() == 2 else queries[None])
-    ]
-    if queries.dim() == 1:
-        return chosen[0]
-    return torch.stack(chosen) if chosen else coded.new_zeros(0, coded.shape[1])
+    for query in queries:
+        relevancy = field.gaussian_relevancy(query[None], canonical)[:, 0]
+        values = relevancy if around is None else around.blend(relevancy, coded)
+        chosen, level = _select_level(values, coded, threshold, rescaled)
+        yield chosen, values[level], level
 
 
 def select_by_relevancy(
@@ -327,6 +356,11 @@ def select_by_relevancy(
         [N] boolean.
     """
     values = relevancy if around is None else around.blend(relevancy, coded)
+    return _select_level(values, coded, threshold, rescaled)[0]
+
+
+def _select_level(values: Tensor, coded: Tensor, threshold: float, rescaled: bool) -> tuple[Tensor, int]:
+    """Of relevancy [S, N]: the Gaussians [N] selected at the level of the largest, and its position."""
     masked = torch.where(coded, values, -torch.inf)
     peaks = masked.amax(1) if masked.shape[1] else masked.new_full((len(masked),), -torch.inf)
     level = int(peaks.argmax())
@@ -335,4 +369,4 @@ def select_by_relevancy(
     if members.any():
         candidates = values[level, members]
         chosen[members] = (rescale(candidates) if rescaled else candidates) > threshold
-    return chosen
+    return chosen, level

@@ -13,7 +13,9 @@ import torch
 from torch import Tensor
 
 from scoup.errors import InputError, ScoupError, ScoupWarning, UnknownNameError
+from scoup.everyday import EVERYDAY_WORDS
 from scoup.hub import OPEN_CLIP, first_line, load_local_first, open_clip_names
+from scoup.relevancy import CANONICAL_PHRASES
 from scoup.text_table import EmbeddingTable, is_table, load_table, save_table
 
 __all__ = ["TextEncoder", "save_table"]
@@ -34,11 +36,15 @@ class TextEncoder:
         name: id of the embedding model, "" if a table does not name it. A field answers only to vectors of
             the model its regions were encoded with.
         dim: D, the size of a vector.
+        table_names: what a table holds, None for a model, which takes any phrase.
     """
 
-    def __init__(self, name: str, dim: int, encode: Encode) -> None:
+    def __init__(
+        self, name: str, dim: int, encode: Encode, table_names: tuple[str, ...] | None = None
+    ) -> None:
         self.name = name
         self.dim = dim
+        self.table_names = table_names
         self._encode: Encode | None = encode
 
     @classmethod
@@ -87,7 +93,7 @@ class TextEncoder:
                 rows.append(row)
             return vectors[rows]
 
-        return cls(table.model, vectors.shape[1], encode)
+        return cls(table.model, vectors.shape[1], encode, table.names)
 
     def encode(self, phrases: Sequence[str]) -> Tensor:
         """[Q, D] float32 unit vectors of the phrases, on the CPU.
@@ -111,6 +117,22 @@ class TextEncoder:
         ]
         vectors = torch.cat(batches).float().cpu()
         return torch.nn.functional.normalize(vectors, dim=1)
+
+    def canonical(self) -> Tensor:
+        """[4, D] float32 unit vectors of the canonical phrases (``scoup.relevancy.CANONICAL_PHRASES``).
+
+        Raises:
+            UnknownNameError: a table lacks one.
+        """
+        return self.encode(CANONICAL_PHRASES)
+
+    def everyday(self) -> Tensor:
+        """[B, D] float32 unit vectors of everyday words (``scoup.everyday``): of a model those of a fixed list, of a
+        table all its names but the canonical phrases."""
+        if self.table_names is None:
+            return self.encode(EVERYDAY_WORDS)
+        phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
+        return self.encode([name for name in self.table_names if name.strip().casefold() not in phrases])
 
     def close(self) -> None:
         """Let go of the model or table."""
@@ -157,9 +179,9 @@ def _open_transformers(model_id: str, revision: str | None, device: torch.device
 
     def encode(phrases: list[str]) -> Tensor:
         _warn_of_long(phrases, [len(ids) for ids in tokenizer(phrases)["input_ids"]], limit)
-        tokens = tokenizer(
-            phrases, padding="max_length", truncation=True, max_length=limit, return_tensors="pt"
-        )
+        # CLIP looks back only and takes the end's vector, so that what pads the phrases need not be computed.
+        padding = "longest" if is_clip else "max_length"
+        tokens = tokenizer(phrases, padding=padding, truncation=True, max_length=limit, return_tensors="pt")
         tokens = {name: tensor.to(device) for name, tensor in tokens.items()}
         with torch.inference_mode():
             if is_clip:

@@ -124,6 +124,38 @@ class AsksViews(AsksField):
             warnings.warn(message, ScoupWarning, stacklevel=2)
 
 
+@dataclass(frozen=True, eq=False)
+class TextVectors:
+    """What a field is asked with.
+
+    Attributes:
+        source: the table or model they are from.
+        queries: [Q, D].
+        canonical: [P, D] of the canonical phrases.
+        everyday: [B, D] of everyday words.
+    """
+
+    source: str
+    queries: Tensor
+    canonical: Tensor
+    everyday: Tensor
+
+    def standing_words(self) -> Tensor | None:
+        """Everyday words to judge presence by; None, with a warning, where a table has too few."""
+        from scoup.errors import ScoupWarning
+        from scoup.everyday import LEAST_WORDS
+
+        if len(self.everyday) >= LEAST_WORDS:
+            return self.everyday
+        warnings.warn(
+            f"{self.source}: has {len(self.everyday)} words; {LEAST_WORDS} are needed to tell whether a thing is "
+            "there at all, so something is found always. Add any words to the table, or pass --always",
+            ScoupWarning,
+            stacklevel=2,
+        )
+        return None
+
+
 @dataclass(frozen=True, kw_only=True)
 class AsksText(AsksField):
     """Options of verbs that take words."""
@@ -131,8 +163,8 @@ class AsksText(AsksField):
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
     """Turns words into vectors: a table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
-    def encode(self, field: LanguageField, phrases: Iterable[str]) -> tuple[Tensor, Tensor]:
-        """Vectors of the phrases [Q, D] and of the canonical phrases [P, D].
+    def encode(self, field: LanguageField, phrases: Iterable[str]) -> TextVectors:
+        """Vectors of the phrases, of the canonical phrases, and of everyday words.
 
         Raises:
             UnknownNameError: a word is not in the table; the nearest names are listed.
@@ -155,12 +187,13 @@ class AsksText(AsksField):
                 )
             queries = encoder.encode(list(phrases))
             try:
-                return queries, encoder.encode(list(CANONICAL_PHRASES))
+                canonical = encoder.canonical()
             except UnknownNameError as error:
                 raise InputError(
                     f"{source}: lacks {error.name!r}; relevancy compares every text with the phrases "
                     f"{', '.join(CANONICAL_PHRASES)}, so encode them into the table too"
                 ) from error
+            return TextVectors(source, queries, canonical, encoder.everyday())
 
     def _named_by(self, field: LanguageField) -> str:
         """The model the field names; a table is sought beside the field, as its geometry is."""

@@ -151,11 +151,12 @@ class Baselines(ManyOptions):
 @common_last
 @dataclass(frozen=True, kw_only=True)
 class Presence(ManyOptions):
-    """Calibrate "not in the scene": how well signals of an answer tell present things from absent ones, and a model for
-    `scoup query --presence` and `scoup select --presence`.
+    """How well it can be told that something is not there: precision and recall of presence in views and scenes, by how
+    far a query stands above everyday words, and by other signals.
 
-    Absent words are the lines of absent.txt in each scene's folder, or else the labels of the other scenes. Every
-    scene is judged by a model calibrated on the others; the model written is calibrated on all.
+    Absent words are the lines of absent.txt in each scene's folder, or else the labels of the other scenes. Bounds are
+    judged on scenes that they were not chosen on. The bounds that tell best on all scenes are told, for
+    `scoup query --presence` and `scoup select --presence`.
     """
 
     seed: int = 0
@@ -164,34 +165,25 @@ class Presence(ManyOptions):
     def run(self, console: Console) -> None:
         """Ask, judge, write."""
         from scoup.errors import InputError
-        from scoup.evaluate.presence_study import (
-            absent_words,
-            ask_scene,
-            calibrated,
-            presence_tables,
-        )
+        from scoup.evaluate.presence_study import absent_words, ask_scene, presence_tables
         from scoup.evaluate.run import encode_words, text_source
-        from scoup.io import check_output
         from scoup.pipeline import build_settings
-        from scoup.presence import save_presence
 
         self.check("presence")
-        path = self.folder() / "presence_model.json"
-        check_output(path, self.overwrite)
         scenes = self.prepared(console)
         if len(scenes) < 2:
-            raise InputError("each scene is judged by a model calibrated on others; give two scenes or more")
+            raise InputError("each scene is judged by a bound chosen on others; give two scenes or more")
+        asked = []
+        for scene in scenes:
+            words = absent_words(scene.scene, [other.scene for other in scenes if other is not scene])
+            source = text_source(self.root, scene.scene, self.text, CLIP_MODEL)
+            asked.append(encode_words(words, source, f"which is asked of {scene.name} as absent"))
+        settings = build_settings(seed=self.seed)
         questions = []
         with console.progress() as progress:
-            for scene in scenes:
-                others = [other.scene for other in scenes if other is not scene]
-                words = absent_words(scene.scene, others)
-                source = text_source(self.root, scene.scene, self.text, CLIP_MODEL)
-                absent = encode_words(words, source, f"which is asked of {scene.name} as absent").vectors
-                settings = build_settings(seed=self.seed)
-                questions += ask_scene(scene, absent, settings, progress=progress)
+            for scene, absent in zip(scenes, asked, strict=True):
+                questions += ask_scene(scene, absent.vectors, absent.everyday, settings, progress=progress)
         tables, record = presence_tables(questions)
-        model = calibrated(questions)
-        self.write(console, "presence", tables, "Presence", {**record, "model": path.name})
-        save_presence(model, path, self.overwrite)
-        console.say(f"{path}: for scoup query --presence and scoup select --presence")
+        self.write(console, "presence", tables, "Presence", record)
+        for verb, bound in record["bounds"].items():
+            console.say(f"tells best on these scenes: scoup {verb} --presence {bound:.2f}")

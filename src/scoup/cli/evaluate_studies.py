@@ -17,13 +17,13 @@ from scoup.cli.options import common_last
 @dataclass(frozen=True, kw_only=True)
 class Ablations(ManyOptions):
     """One thing at a time changed: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver
-    and start, levels and how they are chosen, fewer views, fewer pixels; at least three codebook seeds each. Table and
-    plot.
+    and start, levels and how they are chosen, everyday words, fewer views, fewer pixels; at least three codebook seeds
+    each. Table and plot.
     """
 
     groups: Annotated[Names, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = ()
-    """Groups of rows: vote, atoms, non-zeros, entropy, "solver and start", levels, views, pixels; repeat it for
-    several. Default: all. The base is always run."""
+    """Groups of rows: vote, atoms, non-zeros, entropy, "solver and start", levels, phrases, views, pixels; repeat
+    it for several. Default: all. The base is always run."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Of the codebook; scores are means over them."""
     epochs: int = 4000

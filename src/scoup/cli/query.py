@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -9,14 +10,13 @@ from typing import TYPE_CHECKING, Any, Literal
 from scoup.cli.asking import AsksText, AsksViews, sees_nothing
 from scoup.cli.console import Console
 from scoup.cli.names import unique_slugs
-from scoup.cli.options import OptionalNumber, OptionalPath, Texts, common_last
+from scoup.cli.options import Flag, OptionalNumber, OptionalPath, Texts, common_last
 from scoup.cli.staging import check_folder, check_outputs, staged
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from scoup.cameras import Camera
-    from scoup.presence import PresenceModel
     from scoup.query import QueryPreset
 
 RECORD = "query.json"
@@ -43,9 +43,12 @@ class Query(AsksText, AsksViews):
     the level whose mask is the most relevant on average."""
     threshold: OptionalNumber = None
     """A pixel is in the mask above this, 0 to 1, once relevancy is rescaled over the view. Default: the rule's."""
-    presence: OptionalPath = None
-    """A presence model (scoup eval presence): a text that is judged to be absent from a view gets an empty mask and no
-    point there. Default: something is found always."""
+    presence: OptionalNumber = None
+    """A text is in a view if what was found lies this many standard deviations nearer to it than to everyday words;
+    otherwise it gets an empty mask and no point there. Default: 2 with the rule default; the systems' rules find
+    something always."""
+    always: Flag = False
+    """Find something in every view, whatever is asked."""
     pictures: Literal["all", "none"] = "all"
     """none: write query.json only."""
 
@@ -54,20 +57,26 @@ class Query(AsksText, AsksViews):
         import json
 
         from scoup.errors import InputError
+        from scoup.everyday import with_everyday
         from scoup.io import write_text
-        from scoup.presence import load_presence
+        from scoup.presence import PRESENT_FROM, view_standing
         from scoup.query import query_preset
 
         if not self.texts:
             raise InputError('name at least one text to look for, for example "kettle"')
         preset = query_preset(self.rule, threshold=self.threshold)
-        model = None if self.presence is None else load_presence(self.presence)
+        judged = not self.always and (self.presence is not None or self.rule == "default")
+        bound = PRESENT_FROM if self.presence is None else self.presence
         out = self.out or Path(f"{self.field.stem}_queries")
         check_folder(out)
         check_outputs(out, [RECORD], self.overwrite)
         field = self.open_field()
         cameras = self.open_cameras(field)
-        queries, canonical = self.encode(field, self.texts)
+        vectors = self.encode(field, self.texts)
+        queries, canonical = vectors.queries, vectors.canonical
+        if self.rule == "default":
+            canonical = with_everyday(canonical, vectors.everyday)
+        words = vectors.standing_words() if judged else None
 
         names = unique_slugs(self.texts)
         folders = unique_slugs(camera.stem for camera in cameras)
@@ -90,12 +99,13 @@ class Query(AsksText, AsksViews):
                     from scoup.raster import render_colors
 
                     rgb = render_colors(field.gaussians, camera, view).cpu()
-                for text, name, maps in zip(self.texts, names, relevancy.unbind(1), strict=True):
-                    record = {
-                        "camera": camera.name,
-                        "text": text,
-                        **_answer(maps, field.levels, preset, model),
-                    }
+                standings: list[float | None] = [None] * len(self.texts)
+                if words is not None:
+                    standings = view_standing(field, view, relevancy, queries, words, preset).tolist()
+                asked = zip(self.texts, names, relevancy.unbind(1), standings, strict=True)
+                for text, name, maps, standing in asked:
+                    answer = _answer(maps, field.levels, preset, standing, bound)
+                    record = {"camera": camera.name, "text": text, **answer}
                     mask = record.pop("mask")
                     if rgb is not None:
                         level = field.levels.index(record["level"])
@@ -109,8 +119,10 @@ class Query(AsksText, AsksViews):
             write_text(hidden / RECORD, json.dumps({"field": str(self.field), "answers": records}, indent=2))
         for record in records:
             if not record.get("present", True):
-                chance = record["presence"]
-                console.say(f"{record['camera']}  {record['text']}: not in this view (presence {chance:.2f})")
+                told = "nothing found" if record["standing"] is None else f"standing {record['standing']:.1f}"
+                console.say(
+                    f"{record['camera']}  {record['text']}: not in this view ({told}, {bound:g} asked)"
+                )
                 continue
             box = "no pixel" if record["box"] is None else f"box {record['box']}"
             console.say(
@@ -142,10 +154,10 @@ def _draw(
 
 
 def _answer(
-    maps: Tensor, levels: tuple[str, ...], preset: QueryPreset, model: PresenceModel | None = None
+    maps: Tensor, levels: tuple[str, ...], preset: QueryPreset, standing: float | None, bound: float
 ) -> dict[str, Any]:
-    """What one text gets in one view: relevancy maps [S, H, W] to a record, and the mask."""
-    from scoup.presence import view_presence
+    """What one text gets in one view: relevancy maps [S, H, W] to a record, and the mask. ``standing`` is None where
+    presence is not judged."""
     from scoup.query import localize, segment
 
     place, shape = localize(maps, preset), segment(maps, preset)
@@ -159,10 +171,10 @@ def _answer(
         "box": None if shape.box is None else list(shape.box),
         "mask": shape.mask.cpu(),
     }
-    if model is None:
+    if standing is None:
         return record
-    chance = view_presence(maps, model, preset)
-    record |= {"presence": round(chance, 4), "present": chance >= model.threshold}
+    told = round(standing, 3) if math.isfinite(standing) else None  # JSON knows no infinity
+    record |= {"standing": told, "present": standing >= bound}
     if not record["present"]:
         record |= {"pixel": None, "coverage": 0.0, "box": None, "mask": shape.mask.cpu() & False}
     return record

@@ -90,6 +90,7 @@ class Render(AsksText, AsksViews):
 
     def _drawing(self, field: LanguageField) -> Draw:
         """The function that draws one view as [H, W, 3] uint8."""
+        from scoup.everyday import with_everyday
         from scoup.pictures import as_picture, heat_map
         from scoup.query import segment
         from scoup.raster import render_colors
@@ -99,10 +100,11 @@ class Render(AsksText, AsksViews):
         if self.query is None:
             return lambda camera, view: as_picture(render_colors(field.gaussians, camera, view))
         vectors = self.encode(field, [self.query])
+        canonical = with_everyday(vectors.canonical, vectors.everyday)
         text = self.query
 
         def draw(camera: Camera, view: View) -> np.ndarray:
-            maps = field.relevancy(camera, *vectors, view)[:, 0].cpu()
+            maps = field.relevancy(camera, vectors.queries, canonical, view)[:, 0].cpu()
             answer = segment(maps)
             rgb = render_colors(field.gaussians, camera, view).cpu()
             return heat_map(maps[answer.level], rgb, text, field.levels[answer.level], answer.score)

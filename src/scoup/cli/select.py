@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from scoup.cli.asking import AsksText
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, Texts, common_last
+from scoup.cli.options import Flag, Texts, common_last
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -36,10 +37,11 @@ class Select(AsksText):
     """A Gaussian is chosen above this, 0 to 1, once relevancy is rescaled over the scene."""
     absolute: Flag = False
     """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases."""
-    presence: OptionalPath = None
-    """A presence model (scoup eval presence): of a text that is judged to be absent, in all views the field was built
-    from, nothing is chosen. Renders these views. Default: something is chosen always, unless the threshold is
-    absolute."""
+    presence: float = 2.0
+    """A text is in the scene if what was found lies this many standard deviations nearer to it than to everyday words;
+    otherwise nothing is chosen for it."""
+    always: Flag = False
+    """Choose something whatever is asked, unless the threshold is absolute."""
     neighbours: int = 0
     """Blend each half and half with the mean of so many nearest neighbours: 10 is usual, 0 is off."""
 
@@ -48,8 +50,10 @@ class Select(AsksText):
         import torch
 
         from scoup.errors import InputError
+        from scoup.everyday import with_everyday
         from scoup.io import check_output, write_ply_table
-        from scoup.query import select
+        from scoup.presence import scene_standing
+        from scoup.query import select_with_level
 
         if not self.texts:
             raise InputError('name at least one text to look for, for example "kettle"')
@@ -71,10 +75,19 @@ class Select(AsksText):
                 raise InputError(
                     f"{self.out}: is the splat the field was built on; give another name with --out"
                 )
-        queries, canonical = self.encode(field, self.texts)
-        found = select(field, queries, canonical, self.threshold, self.neighbours or None, not self.absolute)
-        if self.presence is not None:
-            found = found & self._present(field, queries, canonical)[:, None]
+        vectors = self.encode(field, self.texts)
+        canonical = with_everyday(vectors.canonical, vectors.everyday)
+        selections = list(
+            select_with_level(
+                field, vectors.queries, canonical, self.threshold, self.neighbours or None, not self.absolute
+            )
+        )
+        found = torch.stack([chosen for chosen, _, _ in selections])
+        words = None if self.always else vectors.standing_words()
+        if words is not None:
+            standings = scene_standing(field, selections, vectors.queries, words)
+            found = found & (standings >= self.presence).to(found.device)[:, None]
+            self._tell_absent(console, standings)
         chosen = found.any(0)
         counts = {text: int(row.sum()) for text, row in zip(self.texts, found, strict=True)}
 
@@ -88,7 +101,11 @@ class Select(AsksText):
             wanted = torch.zeros(len(kept), dtype=torch.bool)
             wanted[kept] = chosen if self.write == "chosen" else ~chosen
             if not wanted.any():
-                advice = "try a lower --threshold" if self.write == "chosen" else "try a higher --threshold"
+                advice = (
+                    "try a lower --threshold or --presence, or --always"
+                    if self.write == "chosen"
+                    else "try a higher --threshold"
+                )
                 raise InputError(
                     f"{self.out}: nothing to write, {int(chosen.sum())} of {len(chosen)} Gaussians answer; {advice}"
                 )
@@ -99,19 +116,11 @@ class Select(AsksText):
         console.say(f"{self.out}: {len(table):,} Gaussians written")
         console.result({"out": self.out, "written": len(table), "chosen": counts, "gaussians": len(field)})
 
-    def _present(self, field: LanguageField, queries: Tensor, canonical: Tensor) -> Tensor:
-        """[Q] boolean, by the presence model."""
-        from scoup.errors import InputError
-        from scoup.presence import load_presence, scene_presence
-
-        assert self.presence is not None
-        model = load_presence(self.presence)
-        if field.cameras is None:
-            raise InputError(
-                f"{self.field}: holds no cameras, and --presence judges in views; build it again"
-            )
-        chances = scene_presence(field, field.cameras, queries, canonical, model)
-        return (chances >= model.scene_threshold).to(queries.device)
+    def _tell_absent(self, console: Console, standings: Tensor) -> None:
+        for text, standing in zip(self.texts, standings.tolist(), strict=True):
+            if standing < self.presence:
+                told = f"standing {standing:.1f}" if math.isfinite(standing) else "nothing found"
+                console.say(f"{text}: not in this scene ({told}, {self.presence:g} asked)")
 
     def _table(self, field: LanguageField) -> tuple[PlyTable, Tensor]:
         """Rows to write from, and which of them [M] are the field's Gaussians, in order."""

@@ -54,14 +54,15 @@ class Ablation:
     Attributes:
         name, group: for people.
         recipe: see there.
-        rule: how the level is chosen: as the protocol does; by "peak", by "mask"; or only one level is asked.
+        rule: how the level is chosen: as the protocol does; by "peak", by "mask"; or only one level is asked; or, with
+            "everyday", asked beside everyday words and chosen as the protocol does.
         published: name of the paper's row that asks the same, if any.
     """
 
     name: str
     group: str
     recipe: Recipe
-    rule: Literal["protocol", "peak", "mask", "s", "m", "l"] = "protocol"
+    rule: Literal["protocol", "peak", "mask", "s", "m", "l", "everyday"] = "protocol"
     published: str = ""
 
 
@@ -103,6 +104,7 @@ ABLATIONS: tuple[Ablation, ...] = (
     Ablation("only level l", "levels", BASE, "l"),
     Ablation("level by peak", "levels", BASE, "peak"),
     Ablation("level by mask", "levels", BASE, "mask"),
+    Ablation("beside everyday words", "phrases", BASE, "everyday"),
     Ablation("1/8 of the views", "views", replace(BASE, views=0.125)),
     Ablation("1/4 of the views", "views", replace(BASE, views=0.25)),
     Ablation("1/2 of the views", "views", replace(BASE, views=0.5)),

@@ -208,6 +208,8 @@ def _without(accumulators: Tensor, half: str) -> Tensor:
 def _rule(ablation: Ablation, preset: QueryPreset) -> Rule:
     if ablation.rule == "protocol":
         return Rule(preset)
+    if ablation.rule == "everyday":
+        return Rule(preset, everyday=True)
     if ablation.rule in ("peak", "mask"):
         return Rule(replace(preset, level_choice=ablation.rule))
     return Rule(preset, (ablation.rule,))

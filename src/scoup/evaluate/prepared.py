@@ -17,6 +17,7 @@ from scoup.evaluate.datasets import DataSet, EvalScene
 from scoup.evaluate.lerf_labels import LabelledFrame
 from scoup.evaluate.run import Asked, map_size, score
 from scoup.evaluate.scores import SceneScore
+from scoup.everyday import with_everyday
 from scoup.gaussians import Gaussians
 from scoup.io import default_preset, load_gaussians, load_regions
 from scoup.progress import Progress, no_progress
@@ -32,10 +33,12 @@ class Rule:
     Attributes:
         preset: constants and choice of the level.
         levels: names of those asked; None asks all that the protocol asks.
+        everyday: ask beside everyday words (``scoup.everyday``), which no protocol does.
     """
 
     preset: QueryPreset
     levels: tuple[str, ...] | None = None
+    everyday: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,21 +94,26 @@ class PreparedScene:
             self.seconds[gather] = time.perf_counter() - started
         return self.sums[gather]
 
-    def maps(self, made: ChannelField) -> Iterator[tuple[LabelledFrame, Tensor]]:
-        """Each labelled frame with its relevancy [S, Q, H, W]."""
+    def maps(
+        self, made: ChannelField, canonical: Sequence[Tensor]
+    ) -> Iterator[tuple[LabelledFrame, list[Tensor]]]:
+        """Each labelled frame with its relevancy [S, Q, H, W] beside each set of canonical vectors [P, D]."""
         for frame, camera in self.scene.frames:
             view = raster.look(self.gaussians, camera, self.raster_preset)
             size = map_size(self.data_set, frame, camera)
             queries = self.asked.of(frame.labels)
-            yield frame, made.relevancy(view, queries, self.asked.canonical, size)
+            yield frame, [made.relevancy(view, queries, each, size) for each in canonical]
 
     def scores(self, made: ChannelField, rules: Mapping[str, Rule]) -> dict[str, SceneScore]:
-        """Scores by the name of the rule; maps are made once a frame."""
+        """Scores by the name of the rule; maps are made once a frame, and once more beside everyday words."""
         pairs: dict[str, list] = {name: [] for name in rules}
         protocol = ""
-        for frame, maps in self.maps(made):
+        kinds = sorted({rule.everyday for rule in rules.values()})
+        plain = self.asked.canonical
+        beside = [with_everyday(plain, self.asked.everyday) if everyday else plain for everyday in kinds]
+        for frame, maps in self.maps(made, beside):
             for name, rule in rules.items():
-                part = self._score(frame, maps, rule)
+                part = self._score(frame, maps[kinds.index(rule.everyday)], rule)
                 pairs[name].extend(part.pairs)
                 protocol = part.protocol
         return {

@@ -24,7 +24,6 @@ from scoup.pipeline import BuildSettings, build
 from scoup.progress import Progress, no_progress
 from scoup.query import QueryPreset, select
 from scoup.regions import LEVELS
-from scoup.relevancy import CANONICAL_PHRASES
 from scoup.text import TextEncoder
 
 
@@ -35,10 +34,12 @@ class Asked:
     Attributes:
         vectors: label -> [D] unit vector.
         canonical: [P, D].
+        everyday: [B, D] of everyday words.
     """
 
     vectors: dict[str, Tensor]
     canonical: Tensor
+    everyday: Tensor
 
     def of(self, labels: tuple[str, ...] | list[str]) -> Tensor:
         """[Q, D]."""
@@ -74,10 +75,10 @@ def encode_words(words: Sequence[str], source: str, why: str, device: str = "cpu
     with TextEncoder.open(source, device=device) as encoder:
         try:
             vectors = encoder.encode(list(words))
-            canonical = encoder.encode(list(CANONICAL_PHRASES))
+            canonical, everyday = encoder.canonical(), encoder.everyday()
         except UnknownNameError as error:
             raise InputError(f"{source}: has no vector for {error.name!r}, {why}") from error
-    return Asked(dict(zip(words, vectors, strict=True)), canonical)
+    return Asked(dict(zip(words, vectors, strict=True)), canonical, everyday)
 
 
 def build_field(
