@@ -2,3 +2,10 @@
 
 python -m benchmarks.gpu --help
 """
+
+import importlib.util
+import sys
+from pathlib import Path
+
+if importlib.util.find_spec("scoup") is None:  # a checkout in which nothing is installed
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "src"))
