@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import multiprocessing
 import sys
 import time
@@ -25,6 +26,7 @@ from scoup.io import write_text
 RESERVE = 15.0  # seconds before the end after which nothing is begun
 QUIET = {"full": 300.0, "quick": 120.0, "smoke": 600.0}  # seconds without a word after which a process hangs
 STARTS = 6  # processes that one stage may use up
+BESIDE_THE_PEER = ("rendering", "uplift", "large", "scaling")
 UNFINISHED = "not finished when this was written"
 SHARE_OF_PARITY = 0.5  # most of the time that is left
 SHARE_OF_PEER = (
@@ -76,11 +78,17 @@ def conduct(
 
     def write() -> None:
         record["seconds"] = time.time() - started
-        write_json(out, record, overwrite=True)
-        write_text(out.with_suffix(".md"), report(record), overwrite=True)
+        write_json(out, for_json(record), overwrite=True)
+        try:
+            page = report(record)
+        except Exception as error:  # figures of hours are not to be lost for a table
+            page = f"This page could not be made ({error!r}); {out.name} holds everything.\n"
+        write_text(out.with_suffix(".md"), page, overwrite=True)
 
     write()
-    building = PeerBuilding() if peer and not interpreted else None
+    timed = [name for name in stages if name not in UNTIMED]
+    wanted = not timed or any(name in BESIDE_THE_PEER for name in timed)
+    building = PeerBuilding() if peer and wanted and not interpreted else None
     conductor = Conductor(record, sizes, interpreted, deadline, QUIET[mode], write)
     try:
         if building is not None:
@@ -98,11 +106,12 @@ def conduct(
             parity_known(run_parity(left, only, parity_known))
         if building is not None:
             say("waiting until gsplat is compiled")
-            latest = started + (LONGEST_PEER if budget_s is None else SHARE_OF_PEER * budget_s)
+            share = SHARE_OF_PEER if timed else 1.0
+            latest = started + (LONGEST_PEER if budget_s is None else share * (budget_s - RESERVE))
             record["peer"] = building.finish(latest)
             write()
         conductor.no_peer = record["peer"]["reason"]
-        conductor.run([name for name in stages if name not in UNTIMED])
+        conductor.run(timed)
         record["finished"] = True
     except KeyboardInterrupt:
         record["reason"] = "interrupted"
@@ -231,6 +240,15 @@ class Conductor:
             else:
                 results[name].setdefault("reason", UNFINISHED)
             self.write()
+
+
+def for_json(value: Any) -> Any:
+    """The same with numbers that are not finite, which JSON does not know, as text."""
+    if isinstance(value, dict):
+        return {key: for_json(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [for_json(item) for item in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def merged(result: dict[str, Any], earlier: dict[str, Any] | None) -> dict[str, Any]:

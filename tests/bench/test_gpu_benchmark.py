@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import json
+import math
 import multiprocessing
 import os
 import re
@@ -254,6 +255,22 @@ def test_a_stage_that_hangs_is_left() -> None:
     assert heard.silent
     assert results["uplift"] == {"rows": [{"name": "known"}], "reason": conduct.UNFINISHED}
     assert results["ceilings"] == {"rows": []}
+
+
+def test_what_is_known_is_written_whatever_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def odd(self: conduct.Conductor, stages: object) -> None:
+        self.record["stages"]["uplift"] = {
+            "rows": [{"no": "name"}],
+            "agreement": {"a": math.nan, "b": math.inf},
+        }
+
+    monkeypatch.setattr(conduct.Conductor, "run", odd)
+    out = tmp_path / "gpu.json"
+    conduct.conduct(out, SMOKE, ("uplift",), "smoke", interpreted=True, parity=False)
+    record = json.loads(out.read_text())
+    assert record["finished"]
+    assert record["stages"]["uplift"]["agreement"] == {"a": "nan", "b": "inf"}
+    assert "could not be made" in out.with_suffix(".md").read_text()
 
 
 def test_what_an_earlier_process_knew_stays() -> None:
