@@ -86,15 +86,15 @@ def peer_works(context: Context, work: Workload, everything: bool) -> list[Work]
 
     def render(channels: int, packed: bool, at_once: int) -> object:
         peer = context.gsplat()
-        values = work.values if channels == 3 else values_of[channels]
+        values = work.values if channels == 3 else made(channels)
         with torch.no_grad():
             return peer.render(work.gaussians, work.camera, values, packed, at_once)
 
-    values_of: dict[int, torch.Tensor] = {}
+    @cache
+    def made(channels: int) -> torch.Tensor:  # not before they are needed: they are large
+        return torch.rand(len(work.gaussians), channels, device=context.device)
+
     wanted = context.sizes.channels if everything else context.sizes.channels[-1:]
-    if context.device.type == "cuda":
-        for channels in wanted:
-            values_of[channels] = torch.rand(len(work.gaussians), channels, device=context.device)
     works = [Work(RGB, partial(render, 3, False, 32)), Work(f"{RGB}, packed", partial(render, 3, True, 32))]
     for channels in wanted:
         for at_once in (32, 128):
