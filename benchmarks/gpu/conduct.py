@@ -97,7 +97,10 @@ def conduct(
         conductor.run([name for name in stages if name in UNTIMED])
         if parity:
             say("parity suite")
-            left = None if budget_s is None else max(1.0, SHARE_OF_PARITY * (deadline - time.time()))
+            left = None
+            if budget_s is not None:
+                share = SHARE_OF_PARITY if timed else 1.0
+                left = max(1.0, share * (deadline - RESERVE - time.time()))
 
             def parity_known(found: dict[str, Any]) -> None:
                 record["parity"] = found
@@ -210,7 +213,7 @@ class Conductor:
         try:
             self.listen(receiver, heard, earlier)
         finally:
-            why = stop(process, heard.silent and time.time() < self.deadline)
+            why = stop(process, heard.silent, time.time() >= self.deadline)
         return heard, why
 
     def listen(self, receiver: Connection, heard: Heard, earlier: dict[str, dict[str, Any]]) -> None:
@@ -275,14 +278,14 @@ def reason_of(result: dict[str, Any], name: str) -> str | None:
     )
 
 
-def stop(process: SpawnProcess, hung: bool) -> str:
+def stop(process: SpawnProcess, silent: bool, late: bool) -> str:
     """See that the process has ended; why it did."""
-    process.join(0.5 if hung else 5.0)
+    process.join(0.5 if silent else 5.0)
     if not process.is_alive():
         return f"its process ended with {process.exitcode}"
     process.kill()  # one that waits for a device listens to nothing less
     process.join(10.0)
-    return "it hung and was stopped" if hung else "stopped: no time was left"
+    return "stopped: no time was left" if late else "it hung and was stopped"
 
 
 def say(line: str) -> None:

@@ -84,9 +84,6 @@ def main() -> None:
     from scoup.bench import make_room, room_cameras
 
     os.environ.setdefault("MAX_JOBS", str(max(1, (os.cpu_count() or 1) - 2)))
-    if torch.cuda.is_available():
-        major, minor = torch.cuda.get_device_capability()
-        os.environ.setdefault("TORCH_CUDA_ARCH_LIST", f"{major}.{minor}")
     device = torch.device("cuda")
     peer = Gsplat.found(device)
     gaussians = make_room(100).to(device)
