@@ -17,7 +17,7 @@ from torch import Tensor
 import scoup
 from benchmarks.gpu.context import PRESET, Context, look
 from benchmarks.gpu.peers import plain_adam
-from benchmarks.gpu.timing import Row, Unavailable, Work, measure_once
+from benchmarks.gpu.timing import Row, Unavailable, Work
 from scoup.bench import StageClock, room_cameras, room_regions
 from scoup.cameras import Cameras
 from scoup.codes import SparseCodes
@@ -29,6 +29,7 @@ from scoup.pipeline import build_settings
 from scoup.regions import Regions
 from scoup.uplifting import top_k
 
+WARM_UP_VIEWS = 4
 PLAIN = "the paper's solver, plain (autograd)"
 GRAM = "the paper's solver, by Gram matrices"
 SCATTER = "per-pixel scatter of all views, level after level, and vote"
@@ -56,27 +57,17 @@ def building(context: Context) -> None:
     context.result["stages_s"] = {}
     for preset in ("paper", "default"):
         name = ours_name(preset)
-        few = Cameras(list(cameras)[:1])
+        few = Cameras(list(cameras)[:WARM_UP_VIEWS])
         stages: dict[str, float] = {}
-        try:
-            if sizes.warm_up:
-                build(context, preset, gaussians, few, regions, {})
-        except Exception as error:
-            add(context, measure_once(Work(name, partial(fail, error)), context.clock))
-            continue
-        add(
-            context,
-            measure_once(
-                Work(name, partial(build, context, preset, gaussians, cameras, regions, stages)),
-                context.clock,
-            ),
-        )
+        if sizes.warm_up:
+            row = context.once(Work(name, partial(build, context, preset, gaussians, few, regions, {})))
+            if "reason" in row:
+                add(context, row)
+                continue
+        row = context.once(Work(name, partial(build, context, preset, gaussians, cameras, regions, stages)))
         context.result["stages_s"][name] = stages
+        add(context, row)
     paper(context, gaussians, cameras, regions)
-
-
-def fail(error: Exception) -> None:
-    raise error
 
 
 def add(context: Context, row: Row) -> Row:
@@ -98,7 +89,7 @@ def build(
     n_atoms = sizes.n_atoms[0] if preset == "paper" else sizes.n_atoms[-1]
     settings = build_settings(preset, n_atoms=n_atoms, k=sizes.k, solver="exact")
     settings = dataclasses.replace(settings, raster_preset=PRESET)
-    clock = StageClock()
+    clock = StageClock(context.heartbeat)
     scoup.build(
         gaussians,
         cameras,
@@ -124,37 +115,36 @@ def paper(context: Context, gaussians: Gaussians, cameras: Cameras, regions: Reg
     def plain(epochs: int) -> None:
         solved.clear()
         for of_level in rows:
+            context.heartbeat(PLAIN)
             atoms = spherical_kmeans(of_level, n_atoms, 0)
             _, weights = plain_adam(of_level, atoms, sizes.k, epochs, LEARNING_RATE)
             solved.append(weights)
 
     def gram(epochs: int) -> None:
         for of_level in rows:
-            fit_codes(of_level, n_atoms, sizes.k, solver="adam", epochs=epochs)
+            fit_codes(of_level, n_atoms, sizes.k, solver="adam", epochs=epochs, progress=context.heartbeat)
 
     times: dict[str, Row] = {}
     for name, solve in ((PLAIN, plain), (GRAM, gram)):
-        if context.time_is_up():
-            times[name] = add(context, {"name": name, "reason": "no time was left"})
-            continue
-        start = measure_once(Work(f"{name}: its start", partial(solve, min(2, epochs))), context.clock)
-        row = add(context, measure_once(Work(name, partial(solve, epochs)), context.clock))
+        start = context.once(Work(name, partial(solve, min(2, epochs))))
+        if sizes.warm_up:  # that one has loaded torch's kernels
+            start = context.once(Work(name, partial(solve, min(2, epochs))))
+        row = add(context, context.once(Work(name, partial(solve, epochs))))
         if epochs < sizes.epochs and "median_s" in row and "median_s" in start:
             extrapolate(row, start["median_s"], epochs, sizes.epochs)
             context.save(context.result)
         times[name] = row
 
     codes = [SparseCodes.from_dense(weights, sizes.k) for weights in solved]
-    lifting = Work(
-        SCATTER, partial(scatter_all, gaussians, cameras, regions, codes, [r for _, r in levels], sizes.k)
-    )
-    if len(codes) != len(rows):
-        lifting = Work(
-            SCATTER, partial(fail, Unavailable("there are no codes: the paper's solver did not run"))
-        )
-    elif sizes.warm_up and not context.time_is_up():
-        scatter_all(gaussians, Cameras(list(cameras)[:1]), regions, codes, [r for _, r in levels], sizes.k)
-    times[SCATTER] = add(context, measure_once(lifting, context.clock))
+
+    def scatter(seen: Cameras) -> None:
+        if len(codes) != len(rows):
+            raise Unavailable("there are no codes: the paper's solver did not run")
+        scatter_all(context, gaussians, seen, regions, codes, [places for _, places in levels])
+
+    if sizes.warm_up:
+        context.once(Work(SCATTER, partial(scatter, Cameras(list(cameras)[:1]))))
+    times[SCATTER] = add(context, context.once(Work(SCATTER, partial(scatter, cameras))))
     totals(context, times)
 
 
@@ -168,12 +158,12 @@ def extrapolate(row: Row, start_s: float, run: int, wanted: int) -> None:
 
 
 def scatter_all(
+    context: Context,
     gaussians: Gaussians,
     cameras: Cameras,
     regions: Regions,
     codes: list[SparseCodes],
     places: list[dict[str, slice]],
-    k: int,
 ) -> list[tuple[Tensor, Tensor]]:
     """The paper's uplift: per level, its accumulators [N, 1, L], every view looked at anew, then the k largest."""
     from scoup.baselines.scatter_kernel import scatter_view
@@ -182,11 +172,12 @@ def scatter_all(
     for level, name in enumerate(regions.levels):
         out = torch.zeros(len(gaussians), 1, codes[level].n_atoms, device=gaussians.device)
         for camera in cameras:
+            context.heartbeat(SCATTER)
             labels = regions.load(camera.name, name).labels.to(gaussians.device)
             view = look(gaussians, camera)
             own = codes[level].rows(places[level][camera.name])
             scatter_view(view, labels[None], [own], out)  # pyright: ignore[reportArgumentType]
-        found.append(top_k(out, k))
+        found.append(top_k(out, context.sizes.k))
     return found
 
 

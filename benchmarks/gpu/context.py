@@ -13,7 +13,7 @@ from torch import Tensor
 
 from benchmarks.gpu.peers import Gsplat
 from benchmarks.gpu.sizes import Sizes
-from benchmarks.gpu.timing import Clock, Row, Unavailable, Work, measure, reason
+from benchmarks.gpu.timing import Clock, Row, Unavailable, Work, add_ratios, measure, measure_once, reason
 from scoup import raster
 from scoup.bench import Workload, make_room, room_cameras
 from scoup.bench.room import CELLS, clip_like, voronoi_labels
@@ -31,6 +31,9 @@ class Context:
     sizes: of everything.
     deadline: seconds since the epoch after which nothing new is begun.
     save: takes what the stage has so far.
+    tell: told what is about to run, so that what breaks the device or hangs is known by its name.
+    left_out: reasons not to run something, by name: it broke the device or hung in an earlier process.
+    no_peer: why gsplat is not used, "" where it may be.
     result: of the stage that runs: "rows" and whatever else it tells.
     ceilings: what the device can do, once the stage of that name has run.
     """
@@ -39,10 +42,14 @@ class Context:
     sizes: Sizes
     deadline: float
     save: Callable[[dict[str, Any]], None]
+    tell: Callable[[str], None] = lambda what: None
+    left_out: dict[str, str] = field(default_factory=dict)
+    no_peer: str = ""
     result: dict[str, Any] = field(default_factory=dict)
     ceilings: dict[str, float] = field(default_factory=dict)
     _rooms: dict[int, Gaussians] = field(default_factory=dict)
     _gsplat: Gsplat | str | None = None
+    _last_heartbeat: float = 0.0
 
     @property
     def clock(self) -> Clock:
@@ -57,18 +64,52 @@ class Context:
         gc.collect()
         self.clock.recover()
 
-    def rows(self, works: list[Work], repeats: int | None = None) -> list[Row]:
-        """Measure, keep and hand over."""
-        rows = measure(
+    def about_to(self, what: str) -> str | None:
+        """Say what runs next; the reason where it must not."""
+        self.tell(what)
+        return self.left_out.get(what)
+
+    def heartbeat(self, what: str, done: int = 0, total: int = 0) -> None:
+        """Inside of something long: tell that it goes on; stop it where no time is left. A ``Progress``.
+
+        Raises:
+            Unavailable: the time is up.
+        """
+        now = time.time()
+        if now > self.deadline:
+            raise Unavailable(
+                f"no time was left, at {done} of {total} of: {what}" if total else "no time was left"
+            )
+        if now > self._last_heartbeat + 1.0:
+            self._last_heartbeat = now
+            self.tell("")
+
+    def rows(self, works: list[Work], over: dict[str, list[str]] | None = None) -> list[Row]:
+        """Measure and keep; hand over whenever more is known, with ratios as for ``add_ratios``."""
+        kept: list[Row] = self.result["rows"]
+        before = len(kept)
+
+        def known() -> None:
+            add_ratios(kept[before:], over or {})
+            self.save(self.result)
+
+        return measure(
             works,
             self.clock,
-            repeats or self.sizes.repeats,
+            self.sizes.repeats,
             self.time_is_up,
             self.sizes.warm_up,
-            into=self.result["rows"],
+            into=kept,
+            about_to=self.about_to,
+            known=known,
         )
-        self.save(self.result)
-        return rows
+
+    def once(self, work: Work) -> Row:
+        """``measure_once``, unless it is left out or no time is left."""
+        left_out = self.about_to(work.name)
+        if left_out is not None or self.time_is_up():
+            return {"name": work.name, "reason": left_out or "no time was left"}
+        return measure_once(work, self.clock)
 
     def gsplat(self) -> Gsplat:
         """The peer.
@@ -76,6 +117,8 @@ class Context:
         Raises:
             Unavailable: it cannot be used here.
         """
+        if self._gsplat is None and self.no_peer:
+            self._gsplat = self.no_peer
         if self._gsplat is None:
             try:
                 self._gsplat = Gsplat.found(self.device)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import os
 from types import ModuleType
 from typing import Any
 
@@ -38,6 +39,9 @@ class Gsplat:
             raise Unavailable("gsplat is not installed (pip install gsplat; it needs nvcc)")
         if device.type != "cuda":
             raise Unavailable("gsplat needs a CUDA device")
+        # The same in all processes: with other flags each would compile it anew.
+        major, minor = torch.cuda.get_device_capability(device)
+        os.environ.setdefault("TORCH_CUDA_ARCH_LIST", f"{major}.{minor}")
         peer = cls(importlib.import_module("gsplat"))
         gaussians = make_room(100).to(device)
         try:

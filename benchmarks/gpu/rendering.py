@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 from typing import Any
 
 import torch
 
 from benchmarks.gpu.context import Context, look
 from benchmarks.gpu.peers import decoded_cosines
-from benchmarks.gpu.timing import Work, add_ratios, reason
+from benchmarks.gpu.timing import Work, reason
 from scoup import raster
 from scoup.bench import Workload
 from scoup.relevancy import relevancy
@@ -54,7 +55,7 @@ def rendering(context: Context, size: tuple[int, int], everything: bool) -> None
             works.append(
                 Work(
                     f"{relevancy_name(n_atoms)}, view at hand",
-                    partial(ask, work, look(work.gaussians, work.camera)),
+                    at_hand(work, ask),
                 )
             )
         works.append(Work(f"ours: coefficient maps, L = {n_atoms}", partial(coefficients, work)))
@@ -66,17 +67,17 @@ def rendering(context: Context, size: tuple[int, int], everything: bool) -> None
         Work(DECODED, partial(decoded, work), note=f"with our coefficient maps, L = {sizes.n_atoms[0]}")
     )
     works += peer_works(context, work, everything)
-    rows = context.rows(works)
     channels = sizes.channels[-1]
-    add_ratios(
-        rows,
-        {
+    context.rows(
+        works,
+        over={
             RGB: [RGB, f"{RGB}, packed"],
             DECODED: [DECODED],
             f"gsplat: {channels} channels": [peer_name(channels, n) for n in (32, 128)],
         },
     )
-    context.result["pictures"] = compare_pictures(context, work)
+    if context.about_to("pictures") is None and not context.time_is_up():
+        context.result["pictures"] = compare_pictures(context, work)
     context.save(context.result)
 
 
@@ -85,20 +86,26 @@ def peer_works(context: Context, work: Workload, everything: bool) -> list[Work]
 
     def render(channels: int, packed: bool, at_once: int) -> object:
         peer = context.gsplat()
-        values = work.values if channels == 3 else values_of[channels]
+        values = work.values if channels == 3 else made(channels)
         with torch.no_grad():
             return peer.render(work.gaussians, work.camera, values, packed, at_once)
 
-    values_of: dict[int, torch.Tensor] = {}
+    @cache
+    def made(channels: int) -> torch.Tensor:  # not before they are needed: they are large
+        return torch.rand(len(work.gaussians), channels, device=context.device)
+
     wanted = context.sizes.channels if everything else context.sizes.channels[-1:]
-    if context.device.type == "cuda":
-        for channels in wanted:
-            values_of[channels] = torch.rand(len(work.gaussians), channels, device=context.device)
     works = [Work(RGB, partial(render, 3, False, 32)), Work(f"{RGB}, packed", partial(render, 3, True, 32))]
     for channels in wanted:
         for at_once in (32, 128):
             works.append(Work(peer_name(channels, at_once), partial(render, channels, False, at_once)))
     return works
+
+
+def at_hand(work: Workload, run: Callable[[Workload, raster.View], object]) -> Callable[[], object]:
+    """``run`` with one view of the work, looked at when it is first run: that may fail, too."""
+    view = cache(partial(look, work.gaussians, work.camera))
+    return lambda: run(work, view())
 
 
 def ask(work: Workload, view: raster.View | None = None) -> torch.Tensor:

@@ -17,6 +17,8 @@ Row = dict[str, Any]
 def report(record: dict[str, Any]) -> str:
     """Markdown of a record of ``conduct``, whatever part of it there is."""
     parts = [f"# GPU benchmark: {title(record)}", heading(record), parity(record["parity"])]
+    if record["peer"]["reason"]:
+        parts.append(f"gsplat: {record['peer']['reason']}")
     expected = expectations(record)
     if expected:
         parts.append(
@@ -37,7 +39,9 @@ def heading(record: dict[str, Any]) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items() if version)
     device = machine["device"]
     lines = [
-        "Written by `python -m benchmarks.gpu`; times are medians of interleaved runs, ratios are within this run.",
+        "Written by `python -m benchmarks.gpu`; times are medians of interleaved runs, ratios are within this run. "
+        "Nothing empties the caches between runs. Memory is what torch's allocator gave out at most; inputs of other "
+        'rows count in "memory", not in what is above them.',
         "",
         f"* mode {record['mode']}, begun {record['started']}, {record['seconds']:.0f} s"
         + ("" if record["finished"] else f"; **not finished** ({record.get('reason', 'still running')})"),
@@ -58,8 +62,19 @@ def heading(record: dict[str, Any]) -> str:
 def parity(found: dict[str, Any]) -> str:
     counts = ", ".join(f"{number} {name}" for name, number in found.get("counts", {}).items())
     state = "passed" if found.get("passed") else found.get("reason", "failed")
-    failed = "".join(f"\n* {name}" for name in found.get("failed", ()))
+    texts = found.get("texts", {})
+    failed = "".join(
+        f"\n* {name}" + (f": `{last_line(texts[name])}`" if texts.get(name) else "")
+        for name in found.get("failed", ())
+    )
     return f"## Parity with the reference\n\n{state}" + (f": {counts}" if counts else "") + failed
+
+
+def last_line(text: str) -> str:
+    """Of an error with its traceback, what it says."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    said = [line for line in lines if line.startswith("E ")]
+    return (said or lines)[0 if said else -1].replace("`", "'")[:200]
 
 
 def stage(name: str, result: dict[str, Any]) -> str:
@@ -70,7 +85,12 @@ def stage(name: str, result: dict[str, Any]) -> str:
     if "reason" in result:
         parts.append(f"**Not complete**: {result['reason']}")
     rows = result["rows"]
-    tables = {"ceilings": ceiling_table, "roofline": roofline_table, "scaling": scaling_table}
+    tables = {
+        "agreement": agreement_table,
+        "ceilings": ceiling_table,
+        "roofline": roofline_table,
+        "scaling": scaling_table,
+    }
     if rows:
         parts.append(tables.get(name, timed_table)(rows))
     if result.get("differences"):
@@ -103,12 +123,25 @@ def timed_table(rows: Sequence[Row]) -> str:
             body.append([row["name"], *[NONE] * (len(headers) - 1)])
             continue
         spread = f"{milliseconds(row['min_s'])} to {milliseconds(row['max_s'])}" if "min_s" in row else NONE
+        once = " (untimed runs only)" if row.get("repeats") == 0 else ""
         body.append(
-            [row["name"], milliseconds(row["median_s"]), spread, f"{1 / row['median_s']:.3g}"]
+            [row["name"] + once, milliseconds(row["median_s"]), spread, f"{1 / row['median_s']:.3g}"]
             + [megabytes(row.get(key)) for key in ("peak_bytes", "working_bytes")]
             + [f"{row['over'][name]:.3g}" if name in row.get("over", {}) else NONE for name in compared]
         )
     return markdown(headers, body)
+
+
+def agreement_table(rows: Sequence[Row]) -> str:
+    """What disagrees first."""
+    body = [
+        [row["name"], "yes" if row["agrees"] else "**no**"]
+        + [f"{row['difference']:.2g}", f"{row['beyond']:.2g}"]
+        if "agrees" in row
+        else [row["name"], "not known", NONE, NONE]
+        for row in sorted(rows, key=lambda row: row.get("agrees", False))
+    ]
+    return markdown(["what", "agrees", "greatest difference", "share of numbers that differ"], body, left=2)
 
 
 def ceiling_table(rows: Sequence[Row]) -> str:

@@ -45,8 +45,9 @@ def roofline(context: Context) -> None:
     }
     seen: set[str] = set()
     for purpose, run in passes.items():
-        if context.time_is_up():
-            context.result["rows"].append({"name": purpose, "reason": "no time was left"})
+        left_out = context.about_to(purpose)
+        if left_out is not None or context.time_is_up():
+            context.result["rows"].append({"name": purpose, "reason": left_out or "no time was left"})
             continue
         try:
             launched = rounds_of(context, run)

@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.gpu.context import Context, look
 from benchmarks.gpu.rendering import ask
-from benchmarks.gpu.timing import Work, add_ratios, measure, reason
+from benchmarks.gpu.timing import Row, Work, add_ratios, measure, reason
 from benchmarks.gpu.uplift import ours, peer_rgb
 from scoup.bench import Workload, fit_slope
 
@@ -36,8 +36,9 @@ def scaling(context: Context) -> None:
 def point(context: Context, grows: str, amount: float, change: dict[str, Any]) -> None:
     """Rows of one size."""
     here = {"grows": grows, "amount": amount}
-    if context.time_is_up():
-        context.result["rows"].append({"name": "all", **here, "reason": "no time was left"})
+    left_out = context.about_to(f"data, {amount} {grows}")
+    if left_out is not None or context.time_is_up():
+        context.result["rows"].append({"name": "all", **here, "reason": left_out or "no time was left"})
         return
     try:
         work = context.work(context.sizes.n_atoms[0], accumulators=True, **change)
@@ -45,17 +46,26 @@ def point(context: Context, grows: str, amount: float, change: dict[str, Any]) -
         context.result["rows"].append({"name": "all", **here, "reason": reason(error)})
         context.clock.recover()
         return
-    rows = measure(
+    known = context.result["rows"]
+    rows: list[Row] = []
+
+    def keep() -> None:
+        add_ratios(rows, {PEER: [PEER]})
+        context.result["rows"] = known + [{**row, **here} for row in rows]
+        slopes(context)
+        context.save(context.result)
+
+    measure(
         works_of(context, work),
         context.clock,
         context.sizes.repeats,
         context.time_is_up,
         context.sizes.warm_up,
+        into=rows,
+        about_to=lambda name: context.about_to(f"{name}, {amount} {grows}"),
+        known=keep,
     )
-    add_ratios(rows, {PEER: [PEER]})
-    context.result["rows"] += [{**row, **here} for row in rows]
-    slopes(context)
-    context.save(context.result)
+    keep()
 
 
 def works_of(context: Context, work: Workload) -> list[Work]:

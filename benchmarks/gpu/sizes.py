@@ -29,6 +29,7 @@ class Sizes:
         levels: numbers of levels, for the growth with these.
         repeats: interleaved repetitions; medians count.
         warm_up: run everything a few times before it is timed.
+        check_gaussians, check_size: N, width and height of what is compared with the reference first.
         ceiling_bytes, ceiling_edge, ceiling_rounds: of the array copied, the matrices multiplied, and the multiply-adds
             in a row of each number.
     """
@@ -51,6 +52,8 @@ class Sizes:
     levels: tuple[int, ...] = (1, 2, 3, 6)
     repeats: int = 15
     warm_up: bool = True
+    check_gaussians: int = 3000
+    check_size: tuple[int, int] = (150, 110)
     ceiling_bytes: int = 1 << 30
     ceiling_edge: int = 8192
     ceiling_rounds: int = 4096
@@ -58,7 +61,6 @@ class Sizes:
 
 FULL = Sizes()
 QUICK = Sizes(
-    build_views=40,
     epochs_run=200,
     counts=(300_000, 1_000_000, 3_000_000),
     repeats=5,
@@ -85,6 +87,8 @@ SMOKE = Sizes(
     levels=(1, 2),
     repeats=1,
     warm_up=False,
+    check_gaussians=20,
+    check_size=(15, 11),
     ceiling_bytes=1 << 12,
     ceiling_edge=32,
     ceiling_rounds=16,

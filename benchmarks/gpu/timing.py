@@ -14,6 +14,7 @@ import torch
 
 LEAST_SECONDS = 0.02  # of a repetition: what is shorter is run several times in a row
 MOST_RUNS = 50
+TIMES = ("median_s", "min_s", "max_s", "repeats", "runs_a_repeat", "over")
 
 Row = dict[str, Any]
 
@@ -107,25 +108,31 @@ def measure(
     time_is_up: Callable[[], bool] = lambda: False,
     warm_up: bool = True,
     into: list[Row] | None = None,
+    about_to: Callable[[str], str | None] = lambda name: None,
+    known: Callable[[], None] = lambda: None,
 ) -> list[Row]:
     """A row for each work: seconds, memory, or the reason why there are none.
 
     Rounds go through the works forwards and backwards in turn, so that a change of the device's clock meets all of
     them. Each has run three times before, untimed: the first run compiles kernels, the second tells the memory, the
-    third how often it must run in a row.
+    third how often it must run in a row. Until the rounds begin, and where they never do, that third run is what the
+    row tells, with ``repeats`` 0. Nothing empties the device's caches between runs.
 
     Args:
         works: what to measure; names are unique.
         clock: of the device.
         repeats: rounds.
-        time_is_up: no further round is begun once it says so.
+        time_is_up: nothing more is begun once it says so.
         warm_up: false where times mean nothing.
         into: a list that gets the rows, too, even if the device is lost on the way.
+        about_to: told the name of a work before it runs; may give a reason to leave it out.
+        known: called whenever the rows tell more than before.
     """
     works = list(works)
     rows: list[Row] = [] if into is None else into
     own: dict[str, Row] = {}
     seconds: dict[str, list[float]] = {}
+    estimates: dict[str, float] = {}
     runs: dict[str, int] = {}
     for work in works:
         own[work.name] = {"name": work.name, **({"note": work.note} if work.note else {})}
@@ -139,45 +146,57 @@ def measure(
             _give_up(own[work.name], error, clock)
 
     def begin(work: Work) -> None:
-        runs[work.name] = _warm_up(work, own[work.name], clock) if warm_up else 1
+        runs[work.name] = 1
+        if warm_up:
+            estimates[work.name] = _warm_up(work, own[work.name], clock)
+            wanted = math.ceil(LEAST_SECONDS / max(estimates[work.name], 1e-9))
+            runs[work.name] = max(1, min(MOST_RUNS, wanted))
         seconds[work.name] = []
+
+    def tell() -> None:
+        for name, values in seconds.items():
+            found = values or [estimates[name]] if values or name in estimates else []
+            if found:
+                own[name].update(
+                    median_s=median(found),
+                    min_s=min(found),
+                    max_s=max(found),
+                    repeats=len(values),
+                    runs_a_repeat=runs[name] if values else 1,
+                )
+        known()
 
     try:
         for work in works:
-            if time_is_up():
-                own[work.name]["reason"] = "no time was left"
-            else:
-                attempt(work, partial(begin, work))
+            left_out = about_to(work.name)
+            if left_out is not None or time_is_up():
+                own[work.name]["reason"] = left_out or "no time was left"
+                continue
+            attempt(work, partial(begin, work))
+            tell()
         for number in range(repeats):
-            if number and time_is_up():
-                break
             for work in works if number % 2 else reversed(works):
-                if work.name in seconds:
-                    attempt(
-                        work,
-                        lambda work=work: seconds[work.name].append(clock.seconds(work.run, runs[work.name])),
-                    )
-    finally:  # what is known stays where the device is lost
-        for name, values in seconds.items():
-            if values:
-                own[name].update(
-                    median_s=median(values),
-                    min_s=min(values),
-                    max_s=max(values),
-                    repeats=len(values),
-                    runs_a_repeat=runs[name],
+                if work.name not in seconds or (time_is_up() and (number or warm_up)):
+                    continue
+                about_to(work.name)
+                attempt(
+                    work,
+                    lambda work=work: seconds[work.name].append(clock.seconds(work.run, runs[work.name])),
                 )
-            else:
-                own[name].setdefault("reason", "it was not timed before the device was lost")
+            tell()
+    finally:  # what is known stays where the device is lost
+        tell()
+        for row in own.values():
+            if "median_s" not in row:
+                row.setdefault("reason", "it was not timed before the device was lost")
     return list(own.values())
 
 
-def _warm_up(work: Work, row: Row, clock: Clock) -> int:
-    """Run it three times, note what they tell in its row, and say how often it is to run in a row."""
+def _warm_up(work: Work, row: Row, clock: Clock) -> float:
+    """Run it three times, note what they tell in its row, and give the seconds of the last."""
     row["first_run_s"] = clock.seconds(work.run)
     row.update(clock.memory(work.run))
-    estimate = clock.seconds(work.run)
-    return max(1, min(MOST_RUNS, math.ceil(LEAST_SECONDS / max(estimate, 1e-9))))
+    return clock.seconds(work.run)
 
 
 def measure_once(work: Work, clock: Clock) -> Row:
@@ -199,6 +218,10 @@ def measure_once(work: Work, clock: Clock) -> Row:
 
 def _give_up(row: Row, error: Exception, clock: Clock) -> None:
     row["reason"] = reason(error)
+    for key in TIMES:
+        row.pop(key, None)
+    # Only its text is kept: the error itself would hold on to all tensors of the frames that it came through.
+    error.__traceback__ = None
     clock.recover()
 
 

@@ -18,16 +18,18 @@ from typing import Any
 from benchmarks.gpu.sizes import Sizes
 
 STAGES: dict[str, tuple[str, str]] = {
-    "ceilings": ("ceilings:ceilings", "What the device can do"),
+    "agreement": ("agreement:agreement", "Agreement with the reference on a small view"),
     "rendering": ("rendering:main_view", "Rendering a view"),
     "uplift": ("uplift:uplift", "Uplift of a view"),
-    "precision": ("precision:precision", "Precision of the products"),
-    "roofline": ("roofline:roofline", "Kernels against the ceilings"),
     "building": ("building:building", "The whole build"),
+    "precision": ("precision:precision", "Precision of the products"),
+    "ceilings": ("ceilings:ceilings", "What the device can do"),
+    "roofline": ("roofline:roofline", "Kernels against the ceilings"),
     "large": ("rendering:large_view", "Rendering a large view"),
     "scaling": ("scaling:scaling", "Growth"),
 }
 """By name: module and function, and the heading of its table; in the order they run, what matters most first."""
+UNTIMED = ("agreement",)  # may run while something else keeps the processors busy
 LOST = 3  # exit code: the device is lost
 
 
@@ -38,10 +40,14 @@ def work_through(
     deadline: float,
     ceilings: dict[str, float],
     to: Connection,
+    left_out: dict[str, dict[str, str]] | None = None,
+    no_peer: str = "",
 ) -> None:
     """Run stages; the entry of the process.
 
-    Sends ("begin", name), then ("save", name, result) as often as there is more, then ("end", name, result).
+    Sends ("begin", name), then ("doing", name, what) before everything that may break the device or hang,
+    ("save", name, result) as often as there is more, and ("end", name, result). A process that has lost the device ends
+    without the last.
 
     Args:
         names: of the stages.
@@ -50,6 +56,8 @@ def work_through(
         deadline: seconds since the epoch.
         ceilings: measured before, where an earlier process did.
         to: where to send.
+        left_out: by stage, what must not run, and why.
+        no_peer: why gsplat is not used.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started this one decides
     if interpreted:
@@ -68,8 +76,12 @@ def work_through(
     def save(result: dict[str, Any]) -> None:
         to.send(("save", name, result))
 
-    context = Context(device, sizes, deadline, save, ceilings=dict(ceilings))
+    def tell(what: str) -> None:
+        to.send(("doing", name, what))
+
+    context = Context(device, sizes, deadline, save, tell, no_peer=no_peer, ceilings=dict(ceilings))
     for name in names:
+        context.left_out = (left_out or {}).get(name, {})
         try:
             context.begin()
         except DeviceLost:  # by what the last stage left running: the next is not to blame
@@ -89,12 +101,12 @@ def work_through(
                 "reason": reason(error),
                 "traceback": traceback.format_exc()[-3000:],
             }
-            to.send(("end", name, failed))
             try:
                 lost = isinstance(error, DeviceLost)
                 context.clock.recover()
             except DeviceLost:
                 lost = True
+            to.send(("save" if lost else "end", name, failed))
             if lost:
                 to.close()
                 os._exit(LOST)  # an orderly end would wait for the device

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import inspect
 import json
+import math
 import multiprocessing
 import os
+import re
 import subprocess
 import sys
 import time
@@ -17,8 +20,19 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from benchmarks.gpu import building, conduct, expectations, parity, rendering, timing, uplift
-from benchmarks.gpu.__main__ import SMOKE_PARITY, Arguments, main
+from benchmarks.gpu import (
+    agreement,
+    building,
+    conduct,
+    expectations,
+    parity,
+    peer_building,
+    rendering,
+    timing,
+    uplift,
+)
+from benchmarks.gpu.__main__ import QUICK_PARITY, SMOKE_PARITY, Arguments, main, parse
+from benchmarks.gpu.fewer_channels import KEPT, fewer_channels
 from benchmarks.gpu.peers import Gsplat, dense_uplift, plain_adam
 from benchmarks.gpu.report import report
 from benchmarks.gpu.roofline import add_bound
@@ -51,7 +65,8 @@ def test_every_stage_runs(needs_triton: None, tmp_path: Path) -> None:
         assert "reason" not in result, (name, result)
         assert result["rows"], name
         for row in result["rows"]:
-            assert "median_s" in row or row["reason"] == "gsplat needs a CUDA device", (name, row)
+            known = "median_s" in row or row.get("agrees")
+            assert known or row["reason"] == "gsplat needs a CUDA device", (name, row)
     stages = record["stages"]
     assert stages["rendering"]["pictures"]["relevancy, ours against decoded, greatest difference"] < 1e-5
     assert all(value < 1e-5 for value in stages["uplift"]["agreement"].values())
@@ -132,6 +147,25 @@ def test_what_fails_is_a_row_with_a_reason() -> None:
     assert late[0]["reason"] == "no time was left"
 
 
+def test_rows_tell_what_is_known_from_the_first_runs_on() -> None:
+    told: list[list[timing.Row]] = []
+    rows: list[timing.Row] = []
+    asked: list[str] = []
+
+    def about_to(name: str) -> str | None:
+        asked.append(name)
+        return "it hung before" if name == "b" else None
+
+    works = [Work(name, lambda: None) for name in "abc"]
+    measure(
+        works, CPU, 2, into=rows, about_to=about_to, known=lambda: told.append([dict(row) for row in rows])
+    )
+    assert [row.get("repeats") for row in told[0]] == [0, None, None]
+    assert [row.get("repeats") for row in told[-1]] == [2, None, 2]
+    assert told[-1][1] == {"name": "b", "reason": "it hung before"}
+    assert asked == ["a", "b", "c", "c", "a", "a", "c"]
+
+
 def test_ratios_are_to_the_fastest_of_the_other() -> None:
     rows = [{"name": name, "median_s": value} for name, value in (("a", 6.0), ("b", 3.0), ("c", 2.0))]
     add_ratios(rows, {"peer": ["b", "c"]})
@@ -158,38 +192,157 @@ def test_rows_known_before_the_device_was_lost_stay(monkeypatch: pytest.MonkeyPa
     assert kept[1]["repeats"] >= 1
 
 
-def dying(names, sizes, interpreted, deadline, ceilings, to) -> None:
-    """Stands for a worker: the second stage kills it."""
+def conductor(stages: dict, deadline: float = float("inf"), quiet_s: float = 60.0) -> conduct.Conductor:
+    return conduct.Conductor({"stages": stages}, SMOKE, True, deadline, quiet_s, lambda: None)
+
+
+def ailing(names, sizes, interpreted, deadline, ceilings, to, left_out, no_peer) -> None:
+    """Stands for a worker: of the second stage, "bad" kills it and "slow" hangs, unless left out."""
     for name in names:
         to.send(("begin", name))
-        to.send(("save", name, {"rows": [{"name": name}]}))
-        if name == "rendering":
-            to.close()
-            os._exit(7)
-        to.send(("end", name, {"rows": [{"name": name}, {"name": "more"}]}))
+        rows = []
+        for what in ("good", "bad", "slow", "last"):
+            to.send(("doing", name, what))
+            if what in left_out[name]:
+                rows.append({"name": what, "reason": left_out[name][what]})
+            elif name == "rendering" and what == "bad":
+                to.close()
+                os._exit(7)
+            elif name == "rendering" and what == "slow":
+                to.send(("doing", name, ""))
+                time.sleep(600)
+            else:
+                rows.append({"name": what, "median_s": 1.0})
+            to.send(("save", name, {"rows": rows}))
+        to.send(("end", name, {"rows": rows}))
 
 
-def test_a_stage_that_kills_its_process_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(conduct, "work_through", dying)
-    record = {"stages": {}}
-    names = ("ceilings", "rendering", "uplift")
-    conduct.run_stages(record, SMOKE, names, True, float("inf"), lambda: None)
-    stages = record["stages"]
-    assert list(stages) == list(names)
-    assert stages["rendering"] == {"rows": [{"name": "rendering"}], "reason": "its process ended with 7"}
-    assert len(stages["ceilings"]["rows"]) == len(stages["uplift"]["rows"]) == 2
+def test_what_kills_a_process_or_hangs_costs_its_own_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(conduct, "work_through", ailing)
+    stages: dict[str, dict] = {}
+    conductor(stages, quiet_s=15.0).run(("ceilings", "rendering", "uplift"))
+    assert list(stages) == ["ceilings", "rendering", "uplift"]
+    for name in ("ceilings", "uplift"):
+        assert [row["median_s"] for row in stages[name]["rows"]] == [1.0] * 4
+    assert stages["rendering"] == {
+        "rows": [
+            {"name": "good", "median_s": 1.0},
+            {"name": "bad", "reason": "its process ended with 7"},
+            {"name": "slow", "reason": "it hung and was stopped"},
+            {"name": "last", "median_s": 1.0},
+        ]
+    }
 
 
-def test_a_stage_that_hangs_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(conduct, "GRACE", 0.1)
+def test_nothing_is_begun_when_the_time_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(conduct, "work_through", None)  # would raise
+    stages: dict[str, dict] = {"uplift": {"rows": [{"name": "known"}]}}
+    conductor(stages, time.time() + conduct.RESERVE - 1).run(("uplift", "building"))
+    assert stages["uplift"] == {"rows": [{"name": "known"}]}
+    assert stages["building"] == {"rows": [], "reason": "no time was left"}
+
+
+def test_a_stage_that_hangs_is_left() -> None:
     receiver, sender = multiprocessing.Pipe(duplex=False)
-    results: dict[str, dict[str, object]] = {}
     for message in (("begin", "ceilings"), ("end", "ceilings", {"rows": []}), ("begin", "uplift")):
         sender.send(message)
+    sender.send(("doing", "uplift", "what hangs"))
     sender.send(("save", "uplift", {"rows": [{"name": "known"}]}))
-    assert conduct.listen(receiver, results, time.time() + 0.1, lambda: None) == ("uplift", 1)
+    results: dict[str, dict[str, object]] = {}
+    heard = conduct.Heard()
+    conductor(results, quiet_s=0.1).listen(receiver, heard, {})
+    assert (heard.running, heard.ended, heard.doing) == ("uplift", ["ceilings"], "what hangs")
+    assert heard.silent
     assert results["uplift"] == {"rows": [{"name": "known"}], "reason": conduct.UNFINISHED}
     assert results["ceilings"] == {"rows": []}
+
+
+def test_what_is_known_is_written_whatever_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def odd(self: conduct.Conductor, stages: object) -> None:
+        self.record["stages"]["uplift"] = {
+            "rows": [{"no": "name"}],
+            "agreement": {"a": math.nan, "b": math.inf},
+        }
+
+    monkeypatch.setattr(conduct.Conductor, "run", odd)
+    out = tmp_path / "gpu.json"
+    conduct.conduct(out, SMOKE, ("uplift",), "smoke", interpreted=True, parity=False)
+    record = json.loads(out.read_text())
+    assert record["finished"]
+    assert record["stages"]["uplift"]["agreement"] == {"a": "nan", "b": "inf"}
+    assert "could not be made" in out.with_suffix(".md").read_text()
+
+
+def test_what_an_earlier_process_knew_stays() -> None:
+    earlier = {
+        "rows": [{"name": "a", "median_s": 1.0}, {"name": "b", "median_s": 2.0}, {"name": "c"}],
+        "facts": 1,
+        "reason": "died",
+    }
+    found = conduct.merged(
+        {"rows": [{"name": "a", "median_s": 3.0}, {"name": "c", "reason": "hung"}]}, earlier
+    )
+    assert found == {
+        "rows": [
+            {"name": "a", "median_s": 3.0},
+            {"name": "c", "reason": "hung"},
+            {"name": "b", "median_s": 2.0},
+        ],
+        "facts": 1,
+    }
+
+
+def test_what_keeps_on_is_told_and_stops_in_time() -> None:
+    from benchmarks.gpu.context import Context
+
+    told: list[str] = []
+    context = Context(torch.device("cpu"), SMOKE, time.time() + 60, lambda result: None, told.append)
+    context.heartbeat("uplift", 1, 9)
+    context.heartbeat("uplift", 2, 9)
+    assert told == [""]
+    context.deadline = 0.0
+    with pytest.raises(Unavailable, match="no time was left, at 3 of 9 of: uplift"):
+        context.heartbeat("uplift", 3, 9)
+    assert context.once(Work("build", lambda: None)) == {"name": "build", "reason": "no time was left"}
+
+
+def test_other_numbers_do_not_agree() -> None:
+    expected = torch.tensor([10.0, 0.0, -5.0] * 400)
+    found = expected.clone()
+    found[:2] += 1.0  # two numbers of 1200 may be decisions that turned
+    assert agreement.difference(found, expected)["agrees"]
+    assert agreement.difference(found, expected)["difference"] == pytest.approx(0.1)
+    for wrong in (expected * 1.01, torch.full_like(expected, torch.nan), torch.zeros_like(expected)):
+        assert not agreement.difference(wrong, expected)["agrees"]
+
+
+def test_the_peer_is_compiled_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+    def found(program: str, seconds: float) -> dict:
+        building = peer_building.PeerBuilding((sys.executable, "-c", program))
+        building.start()
+        return building.finish(time.time() + seconds)
+
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())
+    assert found("pass", 60)["reason"] == ""
+    failed = found("print('nvcc: x.cu(3): error: no such thing'); raise SystemExit(1)", 60)
+    assert failed["reason"].startswith("gsplat does not work here: nvcc: x.cu(3): error: no such thing")
+    assert "was not compiled within" in found("import time; time.sleep(600)", 1.0)["reason"]
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert found("pass", 60) == {"reason": peer_building.MISSING}
+
+
+def test_the_peer_is_compiled_for_few_channels(tmp_path: Path) -> None:
+    source = tmp_path / "gsplat" / "cuda" / "csrc"
+    source.mkdir(parents=True)
+    asked = "".join(f"        __LAUNCH_KERNEL__({n})\n" for n in (1, 3, 32, 513))
+    (source / "a.cpp").write_text(f"#define __LAUNCH_KERNEL__(N) \\\n case N:\n{asked}rest\n")
+    (source / "b.cu").write_text("__INS__(2)\n__INS__(128)\n#undef __INS__\n")
+    assert fewer_channels(tmp_path) == 3
+    assert (source / "b.cu").read_text() == "__INS__(128)\n#undef __INS__\n"
+    left = (source / "a.cpp").read_text()
+    assert re.findall(r"\((\w+)\)", left) == ["N", "3", "32"]
+    used = {3, *(width for n in FULL.channels for at in (32, 128) for width in (min(n, at), n % at or at))}
+    assert used <= set(KEPT)
 
 
 def test_parity_reports_what_pytest_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -198,17 +351,41 @@ def test_parity_reports_what_pytest_says(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert found["counts"]["passed"] == 1
     suite = tmp_path / "test_some.py"
     suite.write_text(
-        "import time\n\ndef test_a(): pass\n\ndef test_b(): assert 0\n\ndef test_slow(): time.sleep(99)\n"
+        "import os, time\n\ndef test_a(): pass\n\ndef test_b(): assert 0, 'this one'\n\n"
+        "def test_dies(): os._exit(9)\n\ndef test_slow(): time.sleep(99)\n\ndef test_z(): pass\n"
     )
     monkeypatch.setattr(parity, "SUITE", (str(suite),))
     monkeypatch.setattr(parity, "ROOT", tmp_path)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)  # one process
     found = parity.run_parity(only="test_a or test_b")
     assert not found["passed"]
-    assert found["counts"] == {"failed": 1, "passed": 1, "deselected": 1}
+    assert found["reason"] == "1 failed"
+    assert found["counts"] == {"failed": 1, "passed": 1}
     assert [name.split("::")[-1] for name in found["failed"]] == ["test_b"]
-    found = parity.run_parity(8.0, only="test_slow")
+    assert "this one" in next(iter(found["texts"].values()))
+    monkeypatch.setattr(parity, "TEST_SECONDS", 3.0)
+    found = parity.run_parity()
+    assert found["counts"] == {"failed": 3, "passed": 2}
+    assert [name.split("::")[-1] for name in found["failed"]] == ["test_b", "test_dies", "test_slow"]
+    monkeypatch.setattr(parity, "TEST_SECONDS", 60.0)
+    found = parity.run_parity(8.0, only="test_a or test_slow")
     assert found["reason"] == "stopped after 8 s"
-    assert found["counts"] == {}
+    assert found["counts"] == {"passed": 1, "begun": 1}
+    assert not found["passed"]
+    monkeypatch.setattr(parity, "NEEDED", ("pytest", "no_such_package"))
+    assert "no_such_package must be installed" in parity.run_parity()["reason"]
+
+
+def test_the_quick_parity_is_what_runs_on_a_gpu() -> None:
+    command = [sys.executable, "-m", "pytest", *parity.SUITE, "-p", "no:cacheprovider", "--collect-only"]
+    done = subprocess.run(
+        [*command, "-k", QUICK_PARITY], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    found = [line for line in done.stdout.splitlines() if "::" in line]
+    assert all("seed1" not in name and "seed2" not in name for name in found)
+    for name in ("channels", "region_sums", "votes", "codes", "a_build", "precisions", "with_the_reference"):
+        assert any(f"{name}_on_a_gpu" in line for line in found), name
+    assert not any("compile" in line or "ugly" in line for line in found)
 
 
 def test_the_peer_takes_our_arguments() -> None:
@@ -282,9 +459,34 @@ def test_expectations_are_judged_by_the_rows() -> None:
     lines = expectations.expectations({"settings": settings, "stages": stages})
     assert [(line[1], line[2]) for line in lines] == [
         ("1.2 x", "yes"), ("500 /s", "no"), ("5 x", "no"), ("3 x", "no"), ("100 x", "yes"), ("25 x", "yes"),
-        ("2.5 s", "yes"), ("4 GB", "no"), ("0.0001", "yes"),
+        ("2.5 s", "yes"), ("4 GB", "no"), ("-", "not measured"), ("-", "not measured"), ("0.0001", "yes"),
     ]  # fmt: skip
-    assert expectations.expectations({"settings": settings, "stages": {}}) == []
+    nothing = expectations.expectations({"settings": settings, "stages": {}})
+    assert [line[0] for line in nothing] == [line[0] for line in lines]
+    assert {(line[1], line[2]) for line in nothing} == {("-", "not measured")}
+
+
+def test_the_command_line() -> None:
+    assert parse([]) == Arguments()
+    found = parse(
+        ["--quick", "--budget-seconds", "500", "--no-parity", "--no-peer"]
+        + ["--out", "a.json", "--stages", "uplift", "large"]
+    )
+    assert found == Arguments(True, False, 500.0, ("uplift", "large"), False, False, Path("a.json"), False)
+    assert parse(["--stages", "--parity"]).stages == ()
+
+
+def test_nothing_must_be_installed(tmp_path: Path) -> None:
+    program = (
+        "import sys; sys.meta_path = [f for f in sys.meta_path if 'Editable' not in type(f).__name__ and "
+        "'scoup' not in type(f).__module__]; sys.modules['tyro'] = None; import benchmarks.gpu.__main__, scoup; "
+        "print(scoup.__file__)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert Path(done.stdout.strip()) == ROOT / "src" / "scoup" / "__init__.py"
 
 
 def test_what_cannot_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

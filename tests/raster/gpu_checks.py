@@ -177,7 +177,8 @@ def check_build(device: str) -> None:
     from scoup.pipeline import build, build_settings
     from scoup.raster import gpu_regions
 
-    gpu_regions._LANES = 1024
+    if device == "cpu":
+        gpu_regions._LANES = 1024
     gaussians, cameras, regions = small_scene(count=60, views=2, width=24, height=17, regions=4, dim=8)
     settings = build_settings("default", n_atoms=6, k=2)
     fields = [

@@ -189,20 +189,45 @@ def test_tensors_on_a_cpu_are_refused() -> None:
         raster.look(random_gaussians(3, 0), make_camera(), backend="triton")
 
 
+# What is asked of the same scenes is asked in tests of its own: one that fails hides no other.
+scenes_on_a_gpu = pytest.mark.parametrize("kind", KINDS_OF_SCENES)
+seeds_on_a_gpu = pytest.mark.parametrize("seed", [0, 1, 2], ids="seed{}".format)
+
+
 @on_a_gpu
-@pytest.mark.parametrize("kind", KINDS_OF_SCENES)
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_on_a_gpu(kind: str, seed: int) -> None:
+@scenes_on_a_gpu
+@seeds_on_a_gpu
+def test_channels_on_a_gpu(kind: str, seed: int) -> None:
     for preset in ("inria", "gsplat"):
         for channels in (0, 1, 3, 64, 130):
             gpu_checks.check_channels(kind, seed, preset, channels, "cuda")
+
+
+@on_a_gpu
+@scenes_on_a_gpu
+@seeds_on_a_gpu
+def test_region_sums_on_a_gpu(kind: str, seed: int) -> None:
     for levels, n_regions in ((1, 3), (3, 40), (8, 5), (2, 10**6)):
         gpu_checks.check_regions(kind, seed, levels, n_regions, "cuda")
+
+
+@on_a_gpu
+@scenes_on_a_gpu
+@seeds_on_a_gpu
+def test_votes_on_a_gpu(kind: str, seed: int) -> None:
     for n_atoms, k, rounds, few_tiles in ((64, 4, 1, 48), (128, 4, 2, 48), (300, 16, 2, 0), (7, 9, 2, 1000)):
         gpu_checks.check_votes(kind, seed, n_atoms, k, rounds, few_tiles, "cuda")
-    for levels, n_atoms, k in ((1, 1, 1), (3, 64, 4), (3, 128, 4), (8, 20, 2), (2, 256, 16), (1, 1024, 4)):
-        for halves in (True, False):
-            gpu_checks.check_codes(kind, seed, levels, n_atoms, k, halves, "cuda")
+
+
+@on_a_gpu
+@scenes_on_a_gpu
+@seeds_on_a_gpu
+@pytest.mark.parametrize("halves", [True, False], ids=["float16", "float32"])
+@pytest.mark.parametrize(
+    ("levels", "n_atoms", "k"), [(1, 1, 1), (3, 64, 4), (3, 128, 4), (8, 20, 2), (2, 256, 16), (1, 1024, 4)]
+)
+def test_codes_on_a_gpu(kind: str, seed: int, levels: int, n_atoms: int, k: int, halves: bool) -> None:
+    gpu_checks.check_codes(kind, seed, levels, n_atoms, k, halves, "cuda")
 
 
 @on_a_gpu
