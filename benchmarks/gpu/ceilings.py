@@ -18,6 +18,7 @@ from torch import Tensor
 
 from benchmarks.gpu.context import Context
 from benchmarks.gpu.timing import Work
+from scoup.raster.gpu_view import FUSED
 
 COPY = "copied bytes (read and written)"
 FLOAT32, FLOAT64, POWERS = "float32 instructions", "float64 instructions", "powers of two (float32)"
@@ -96,8 +97,8 @@ def chain(numbers: Tensor, rounds: int, power: bool) -> None:
     """Launch ``chain_kernel``; 0.5 x + 0.25 stays near 0.5, and so does 2^-x near 0.64."""
     grid = (len(numbers) // _BLOCK,)
     chain_kernel[grid](
-        numbers, 0.5, 0.25, rounds, POWER=power, UNROLLED=_UNROLLED, BLOCK=_BLOCK, num_warps=_WARPS
-    )
+        numbers, 0.5, 0.25, rounds, POWER=power, UNROLLED=_UNROLLED, BLOCK=_BLOCK, num_warps=_WARPS, **FUSED
+    )  # fmt: skip
 
 
 def square_matrices(edge: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:

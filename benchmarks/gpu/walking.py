@@ -12,7 +12,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from scoup.raster.gpu_view import TILE, GpuView
+from scoup.raster.gpu_view import FUSED, TILE, GpuView
 from scoup.raster.kernels.blending import blend, load_chunk, pixel_block
 
 
@@ -52,7 +52,7 @@ def walk(view: GpuView, pixels: int, chunk: int) -> Walk:
         walk_kernel[(view.n_tiles * parts,)](
             view.pair_ids, view.corners, view.records, view.starts, chunks, painting, view.width, view.height,
             view.across, view.preset.alpha_max, view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive,
-            TILE=TILE, PIXELS=pixels, CHUNK=chunk,
+            TILE=TILE, PIXELS=pixels, CHUNK=chunk, **FUSED,
         )  # fmt: skip
     return Walk(pixels, chunk, chunks, int(painting.sum()))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
@@ -130,10 +132,30 @@ def full_products(rows: Tensor, others: Tensor) -> Tensor:
     """
     if rows.device.type != "cuda":
         return rows @ others.transpose(-1, -2)
+    with full_float32():
+        return rows @ others.transpose(-1, -2)
+
+
+@contextmanager
+def full_float32() -> Iterator[None]:
+    """Products of float32 on a GPU keep all bits meanwhile, however the user lets torch make them."""
+    matmul = torch.backends.cuda.matmul
+    if hasattr(matmul, "fp32_precision"):
+        # Since torch 2.9, whose older names raise an error once the user has set this one.
+        before = matmul.fp32_precision
+        if before != "tf32":
+            yield
+            return
+        matmul.fp32_precision = "ieee"
+        try:
+            yield
+        finally:
+            matmul.fp32_precision = before
+        return
     before = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("highest")
     try:
-        return rows @ others.transpose(-1, -2)
+        yield
     finally:
         torch.set_float32_matmul_precision(before)
 

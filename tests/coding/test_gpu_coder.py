@@ -104,7 +104,9 @@ def test_copies_of_an_atom_are_used_once(interpreted: Coder) -> None:
     assert not bool((coded.support == 7).any())
 
 
-@pytest.mark.parametrize(("n_atoms", "k", "warm"), [(64, 4, False), (256, 4, True), (1024, 16, False)])
+@pytest.mark.parametrize(
+    ("n_atoms", "k", "warm"), [(1, 1, False), (64, 4, False), (256, 4, True), (1024, 16, False)]
+)
 @pytest.mark.parametrize("capability", [80, 90])
 def test_compiles_without_spilling(
     needs_triton: None, tmp_path: Path, capability: int, n_atoms: int, k: int, warm: bool

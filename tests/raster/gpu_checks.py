@@ -6,6 +6,7 @@ Every check makes its scene from a kind or a seed, so that it can be run in anot
 
 from __future__ import annotations
 
+import math
 import os
 
 import torch
@@ -90,6 +91,35 @@ def check_regions(kind: str, seed: int, levels: int, n_regions: int, device: str
     again = raster.region_weights(view, labels.to(device))
     assert all(torch.equal(one, other) for one, other in zip(found, again, strict=True))
     assert_same_triplets(tuple(part.cpu() for part in found), raster.region_weights(reference, labels))
+
+
+def check_nothing_painted(device: str) -> None:
+    """Regions of pixels that nobody paints, in tiles that Gaussians do reach."""
+    gaussians, camera = scene_of("mixed", 3, device == "cpu")
+    view, reference = views_of(gaussians.select(torch.arange(4, 10)), camera, "inria", device)
+    _, alpha = raster.render_channels(reference, torch.zeros(6, 1))
+    assert bool((alpha > 0).any())
+    labels = torch.where(alpha == 0, 0, -1)[None]
+    assert bool((labels == 0).any())
+    found = raster.region_weights(view, labels.to(device))
+    assert [(len(part), part.dtype) for part in found] == [
+        (0, torch.int64), (0, torch.int64), (0, torch.float32),
+    ]  # fmt: skip
+
+
+def check_split(device: str) -> None:
+    """The weight of a Gaussian that is all but hidden keeps its digits, too."""
+    from raster.split_kernel import split_kernel
+
+    count = 4096
+    values = torch.linspace(math.log(1e-4 / 255), 0, count, dtype=torch.float64).exp().float()
+    values[0] = 0
+    parts = [torch.empty(count, device=device) for _ in range(2)]
+    with torch.cuda.device_of(parts[0]):
+        split_kernel[(1,)](values.to(device), *parts, COUNT=count)
+    high, low = (part.double().cpu() for part in parts)
+    error = (high + low - values.double()).abs()
+    assert bool((error <= 2.0**-22 * values.double()).all())
 
 
 def check_votes(kind: str, seed: int, n_atoms: int, k: int, rounds: int, few_tiles: int, device: str) -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,6 +19,9 @@ from compiling import DOUBLE, F32, HALF, I8, I16, I32, I64, U8, compile_kernel
 from interpreting import interpreter
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
+from scoup import raster
+from scoup.errors import InputError, ScoupWarning
+from support import make_camera, random_gaussians
 
 MOST_SPILLED = 256  # bytes a thread, all of it behind the loop over Gaussians
 MOST_SHARED = 99 << 10  # bytes a block may have on the smallest of the GPUs served
@@ -52,6 +56,14 @@ def test_channels_agree_with_the_reference(interpreted, number, kind):
 )
 def test_region_sums_agree_with_the_reference(interpreted, kind, levels, n_regions):
     interpreted(gpu_checks.check_regions, kind, 3, levels, n_regions)
+
+
+def test_regions_that_nobody_paints(interpreted):
+    interpreted(gpu_checks.check_nothing_painted)
+
+
+def test_products_keep_the_digits_of_small_weights(interpreted):
+    interpreted(gpu_checks.check_split)
 
 
 @pytest.mark.parametrize(
@@ -131,11 +143,13 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
         found[f"cosines {levels} x {n_atoms}"] = (
             rendering.products_kernel, {**types, **TABLES}, asked, gpu.WARPS,
         )  # fmt: skip
-    blocks = gpu.code_blocks(1, 64)
-    sizes = {"PIXELS": blocks.pixels, "LEVELS": 1, "K": 4, "ATOMS": 64, "COLUMNS": 32, "PIXELS_LAST": False}
-    constants = {**blended, **sizes, "TABLE_PRECISION": "fp16x3"}
-    types = {**LISTS, **SIZE, **BOUNDS, **CODES, **TABLES}
-    found["features"] = rendering.products_kernel, types, constants, gpu.WARPS
+    for n_atoms in (64, 256):
+        blocks = gpu.code_blocks(1, n_atoms)
+        sizes = {"PIXELS": blocks.pixels, "LEVELS": 1, "K": 4, "ATOMS": n_atoms, "PIXELS_LAST": False}
+        columns = gpu.product_columns(blocks, pixels_last=False)
+        constants = {**blended, **sizes, "COLUMNS": columns, "TABLE_PRECISION": "fp16x3"}
+        types = {**LISTS, **SIZE, **BOUNDS, **CODES, **TABLES}
+        found[f"features 1 x {n_atoms}"] = rendering.products_kernel, types, constants, gpu.WARPS
     types = {**LISTS, **SIZE, **BOUNDS, "columns": I16, "n_columns": I32, "bases": I64, "sums": F32}
     constants = {**blended, "CHUNK": 32, "COLUMNS": 16}
     found["region sums"] = regions.region_sums_kernel, {**types, "first_tile": "i32"}, constants, 8
@@ -181,12 +195,65 @@ def test_triton_is_not_imported_for_tensors_on_a_cpu() -> None:
 
 
 def test_tensors_on_a_cpu_are_refused() -> None:
-    from scoup import raster
-    from scoup.errors import InputError
-    from support import make_camera, random_gaussians
-
     with pytest.raises(InputError, match="serves tensors on a GPU"):
         raster.look(random_gaussians(3, 0), make_camera(), backend="triton")
+
+
+def test_products_on_gpus_of_amd(needs_triton: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    from scoup.raster.gpu_view import GpuView
+
+    def products(precision: Any, wide: bool) -> str:
+        return GpuView.products(SimpleNamespace(precision=precision), wide)  # type: ignore[arg-type]
+
+    cases = [("fp16x3", False), ("fp16x3", True), ("tf32x3", False), ("tf32", True), ("ieee", True)]
+    assert [products(*case) for case in cases] == ["fp16x3", "tf32x3", "tf32x3", "tf32", "ieee"]
+    monkeypatch.setattr(torch.version, "hip", "6.4")
+    assert [products(*case) for case in cases] == ["fp16x3", "ieee", "ieee", "ieee", "ieee"]
+
+
+def test_kernels_with_float32_compile_for_amd(needs_triton: None) -> None:
+    import triton
+    from triton.backends.compiler import GPUTarget
+    from triton.compiler import ASTSource
+
+    from scoup.raster.gpu_view import FUSED
+
+    for name, precision in (("16 channels", "ieee"), ("region sums", "fp16x3"), ("codes 3 x 64", "ieee")):
+        kernel, types, constants, warps = launches()[name]
+        signature = {argument: types.get(argument, "constexpr") for argument in kernel.arg_names}
+        source = ASTSource(kernel, signature, {**constants, "PRECISION": precision})
+        compiled = triton.compile(
+            source, target=GPUTarget("hip", "gfx942", 64), options={"num_warps": warps, **FUSED}
+        )
+        assert compiled.metadata.shared <= 64 << 10, name
+
+
+def test_what_cannot_run_the_kernels_is_told(needs_triton: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    import triton
+
+    device = torch.device("cuda:1")
+    monkeypatch.setattr(torch.version, "hip", None)
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda _: (8, 6))
+    assert raster.default_backend(device) == "triton"
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda _: (7, 5))
+    raster._warn_once_of_triton.cache_clear()
+    with pytest.warns(ScoupWarning, match=r"slow reference path: cuda:1 has compute capability 7\.5"):
+        assert raster.default_backend(device) == "reference"
+    monkeypatch.setattr(triton, "__version__", "3.10.0+git1")
+    monkeypatch.setattr(torch.version, "hip", "6.4")
+    assert raster.default_backend(device) == "triton"
+    monkeypatch.setattr(triton, "__version__", "3.2.0")
+    with pytest.warns(ScoupWarning, match=r"triton 3\.2\.0 is too old"):
+        assert raster.default_backend(device) == "reference"
+    monkeypatch.setenv("TRITON_INTERPRET", "1")
+    with pytest.raises(InputError, match=r"'triton' cannot be used: triton 3\.2\.0 is too old"):
+        raster.look(random_gaussians(3, 0), make_camera(), backend="triton")
+
+
+@on_a_gpu
+def test_small_things_on_a_gpu() -> None:
+    gpu_checks.check_nothing_painted("cuda")
+    gpu_checks.check_split("cuda")
 
 
 # What is asked of the same scenes is asked in tests of its own: one that fails hides no other.

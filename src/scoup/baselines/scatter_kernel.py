@@ -22,7 +22,7 @@ from torch import Tensor
 from scoup.codes import SparseCodes
 from scoup.errors import InputError
 from scoup.raster.gpu_regions import CodeTables
-from scoup.raster.gpu_view import TILE, GpuView
+from scoup.raster.gpu_view import FUSED, TILE, GpuView
 from scoup.raster.kernels.blending import blend, load_chunk, pixel_block
 
 _CHUNK = 16
@@ -57,7 +57,7 @@ def scatter_view(view: GpuView, labels: Tensor, codes: Sequence[SparseCodes], ou
             view.pair_ids, view.corners, view.records, view.starts, labels, tables.firsts, tables.atoms,
             tables.weights, out, view.width, view.height, view.across, len(codes), codes[0].n_atoms,
             view.preset.alpha_max, view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive, TILE=TILE,
-            CHUNK=_CHUNK, K=tables.atoms.shape[1], num_warps=8,
+            CHUNK=_CHUNK, K=tables.atoms.shape[1], num_warps=8, **FUSED,
         )  # fmt: skip
 
 

@@ -44,7 +44,8 @@ def can_code(n_atoms: int, k: int) -> bool:
 
 def launch_sizes(n_atoms: int, k: int) -> Launch:
     """How programs are cut. One warp wherever that is enough: then no sum crosses warps."""
-    padded_k, padded_atoms = triton.next_power_of_2(k), triton.next_power_of_2(n_atoms)
+    # Triton 3.6 fails to compile the kernel for tensors of one atom.
+    padded_k, padded_atoms = triton.next_power_of_2(k), max(2, triton.next_power_of_2(n_atoms))
     numbers = padded_k * padded_atoms  # of one row
     of_a_warp = 32 * _NUMBERS_A_THREAD
     warps = min(_MOST_WARPS, max(1, numbers // of_a_warp))

@@ -17,7 +17,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib
-import importlib.util
 import os
 import warnings
 from dataclasses import dataclass
@@ -40,6 +39,7 @@ from scoup.raster.presets import RasterPreset as RasterPreset
 from scoup.raster.presets import raster_preset
 from scoup.raster.reference import ReferenceView
 from scoup.raster.spherical_harmonics import view_colors as view_colors
+from scoup.raster.triton_at_hand import why_not
 
 if TYPE_CHECKING:
     from scoup.raster.gpu_view import GpuView
@@ -64,9 +64,10 @@ def serves(name: str, device: torch.device) -> bool:
 def default_backend(device: torch.device) -> str:
     """The fastest backend that serves tensors on this device; warns once where what makes it fast is missing."""
     if device.type == "cuda":
-        if importlib.util.find_spec("triton") is not None:
+        reason = why_not(device)
+        if reason is None:
             return "triton"
-        _warn_once_of_triton()
+        _warn_once_of_triton(reason)
         return "reference"
     if device.type != "cpu":
         return "reference"
@@ -77,9 +78,9 @@ def default_backend(device: torch.device) -> str:
 
 
 @functools.cache
-def _warn_once_of_triton() -> None:
+def _warn_once_of_triton(reason: str) -> None:
     warnings.warn(
-        "triton is not installed: rasterising on the GPU takes the slow reference path (pip install triton)",
+        f"rasterising on the GPU takes the slow reference path: {reason}",
         ScoupWarning,
         stacklevel=3,
     )
@@ -356,11 +357,12 @@ def _backend(name: str | None, device: torch.device) -> tuple[str, ModuleType]:
         raise UnknownNameError("raster backend", name, BACKENDS)
     if name == "native" and native_core() is None:
         raise InputError(f"the backend 'native' cannot be used: {missing_reason()}")
-    if name == "triton" and importlib.util.find_spec("triton") is None:
-        raise InputError("the backend 'triton' cannot be used: triton is not installed")
     if not serves(name, device):
         place = "a GPU" if name == "triton" else "a CPU"
         raise InputError(f"the backend {name!r} serves tensors on {place}, these are on {device}")
+    reason = why_not(device) if name == "triton" else None
+    if reason is not None:
+        raise InputError(f"the backend 'triton' cannot be used: {reason}")
     return name, importlib.import_module(BACKENDS[name])
 
 

@@ -21,7 +21,7 @@ from torch import Tensor
 from scoup.agreement import Agreement
 from scoup.codes import SparseCodes, add_codes, cosines_from_products, full_products
 from scoup.raster.gpu_regions import add_votes, triplets
-from scoup.raster.gpu_view import TILE, GpuView
+from scoup.raster.gpu_view import FUSED, TILE, GpuView
 from scoup.raster.gpu_view import look as look
 from scoup.raster.kernels.rendering import channels_kernel, codes_kernel, products_kernel
 
@@ -160,13 +160,14 @@ def _render_products(
         (table / scale.sqrt()).contiguous(),
     )
     blocks = code_blocks(levels, n_atoms)
+    at_once = product_columns(blocks, pixels_last)
     with torch.cuda.device_of(out):
         for first in range(0, levels, blocks.levels):
             products_kernel[(view.n_tiles * (TILE * TILE // blocks.pixels),)](
                 *_lists(view), *tables, out, *_size(view), levels, n_atoms, columns, first, *_bounds(view),
                 **_constants(view, weights), PIXELS=blocks.pixels, LEVELS=min(blocks.levels, levels - first), K=k,
-                ATOMS=blocks.atoms, COLUMNS=16 if pixels_last else 32, PIXELS_LAST=pixels_last,
-                TABLE_PRECISION="fp16x3" if view.precision == "tf32x3" else view.precision,
+                ATOMS=blocks.atoms, COLUMNS=at_once, PIXELS_LAST=pixels_last,
+                TABLE_PRECISION="fp16x3" if view.precision == "tf32x3" else view.products(),
                 num_warps=WARPS,
             )  # fmt: skip
     return out
@@ -214,6 +215,11 @@ def code_blocks(levels: int, n_atoms: int) -> CodeBlocks:
     return CodeBlocks(pixels, triton.cdiv(levels, passes), atoms)
 
 
+def product_columns(blocks: CodeBlocks, pixels_last: bool) -> int:
+    """Columns that coefficients are multiplied with at a time; twice as many of 256 rows are more than 99 KB."""
+    return 16 if pixels_last or blocks.atoms > 128 else 32
+
+
 def _lists(view: GpuView) -> tuple[Tensor, ...]:
     return view.pair_ids, view.corners, view.records, view.starts
 
@@ -227,12 +233,12 @@ def _bounds(view: GpuView) -> tuple[float, float]:
 
 
 def _constants(view: GpuView, values: Tensor) -> dict[str, object]:
-    """What is compiled in; ``values`` are what is blended."""
-    # Numbers of float32 may be beyond what float16 can hold.
-    wide = values.dtype != torch.float16 and view.precision == "fp16x3"
+    """What is compiled in, and how; ``values`` are what is blended."""
     return {
+        **FUSED,
         "STOP_INCLUSIVE": view.preset.stop_inclusive,
         "TILE": TILE,
         "CHUNK": _CHUNK,
-        "PRECISION": "tf32x3" if wide else view.precision,
+        # Numbers of float32 may be beyond what float16 can hold.
+        "PRECISION": view.products(wide=values.dtype != torch.float16),
     }

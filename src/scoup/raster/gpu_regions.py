@@ -14,7 +14,7 @@ from torch import Tensor
 
 from scoup.agreement import Agreement
 from scoup.codes import SparseCodes
-from scoup.raster.gpu_view import TILE, GpuView
+from scoup.raster.gpu_view import FUSED, TILE, GpuView
 from scoup.raster.kernels.regions import alike_kernel, region_sums_kernel
 from scoup.raster.kernels.votes import add_few_kernel, add_many_kernel
 
@@ -63,8 +63,8 @@ def columns_of(view: GpuView, labels: Tensor) -> Columns:
     first_alike = torch.empty(view.n_tiles, pixels, dtype=torch.int32, device=device)
     labels = labels.contiguous()
     alike_kernel[(view.n_tiles,)](
-        labels, first_alike, view.width, view.height, view.across, levels, TILE=TILE, OTHERS=_OTHERS
-    )
+        labels, first_alike, view.width, view.height, view.across, levels, TILE=TILE, OTHERS=_OTHERS, **FUSED
+    )  # fmt: skip
     is_first = first_alike == torch.arange(pixels, dtype=torch.int32, device=device)
     numbers = torch.cumsum(is_first, 1) - 1
     has_region = first_alike < pixels
@@ -106,7 +106,7 @@ def _sums_of(view: GpuView, columns: Columns, first: int, sizes: list[int]) -> T
         view.pair_ids, view.corners, view.records, view.starts, columns.of_pixel, columns.counts, bases, values,
         view.width, view.height, view.across, first, view.preset.alpha_max, view.preset.stop,
         STOP_INCLUSIVE=view.preset.stop_inclusive, TILE=TILE, CHUNK=_CHUNK, COLUMNS=_COLUMNS,
-        PRECISION=view.precision, num_warps=8,
+        PRECISION=view.products(), num_warps=8, **FUSED,
     )  # fmt: skip
     return TileSums(values, bases)
 
@@ -129,7 +129,7 @@ def triplets(view: GpuView, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             gaussians.append(gaussian[chosen])
             keys.append(region[chosen].long() + level * stride)
             weights.append(sums.values[at[chosen]])
-    if not gaussians:
+    if not any(len(part) for part in gaussians):  # torch reduces no empty lengths
         empty = torch.zeros(0, dtype=torch.int64, device=view.device)
         return empty, empty, torch.zeros(0, device=view.device)
     n_keys = max(1, len(labels) * stride)
@@ -219,7 +219,7 @@ def add_votes(
             visible.ids, visible.firsts, visible.tiles, visible.places, view.starts, columns.counts, sums.bases,
             sums.values, columns.firsts, columns.regions, tables.firsts, tables.atoms, tables.weights, *earlier, out,
         )  # fmt: skip
-        sizes = {"K": tables.atoms.shape[1], "EARLIER_K": earlier_k}
+        sizes = {"K": tables.atoms.shape[1], "EARLIER_K": earlier_k, **FUSED}
         if len(few):
             add_few_kernel[(triton.cdiv(len(few), _LANES), levels)](
                 few, *shared, len(few), levels, view.n_tiles, n_atoms, **sizes, BLOCK=_LANES, num_warps=1

@@ -29,6 +29,8 @@ from scoup.raster.projection import ray_limits, tile_counts
 
 Precision = Literal["fp16x3", "ieee", "tf32x3", "tf32"]
 
+# Products may be added unrounded: which Triton lets them by default depends on its version.
+FUSED = {"enable_fp_fusion": True}
 TILE = 16  # edge of a tile in pixels
 MOST_PAIRS = 2**31 - 1
 _BLOCK = 128
@@ -78,6 +80,14 @@ class GpuView:
     def n_tiles(self) -> int:
         return len(self.starts) - 1
 
+    def products(self, wide: bool = False) -> Precision:
+        """How this GPU multiplies; ``wide`` where numbers may be beyond what float16 can hold.
+
+        AMD's matrix units know no products of split tf32: they multiply float32 as it is.
+        """
+        chosen = "tf32x3" if wide and self.precision == "fp16x3" else self.precision
+        return "ieee" if torch.version.hip and chosen != "fp16x3" else chosen
+
 
 @dataclass(frozen=True, eq=False)
 class Visible:
@@ -116,7 +126,7 @@ def look(
         keep = torch.zeros(count, dtype=torch.int8, device=device)
         if count:
             grid = (triton.cdiv(count, _BLOCK),)
-            sieve_kernel[grid](means, scales, opacities, table, keep, count, BLOCK=_BLOCK)
+            sieve_kernel[grid](means, scales, opacities, table, keep, count, BLOCK=_BLOCK, **FUSED)
         ids = torch.nonzero(keep).squeeze(1)
         return _bin(gaussians, camera, preset, precision, scene, ids, table)
 
@@ -142,7 +152,7 @@ def _bin(
         grid = (triton.cdiv(n_visible, _BLOCK),)
         project_kernel[grid](
             ids, *scene, table, depths, geometry, rects, counts, records, n_visible, across, down,
-            TILE=TILE, BLOCK=_BLOCK,
+            TILE=TILE, BLOCK=_BLOCK, **FUSED,
         )  # fmt: skip
     # Equal depths stay in the order of the rows.
     order = torch.sort(depths, stable=True).indices
@@ -164,7 +174,7 @@ def _bin(
         grid = (triton.cdiv(n_pairs, _BLOCK),)
         expand_kernel[grid](
             ranks, order, firsts, ids, rects, geometry, table, tiles, pair_ids, corners, n_pairs, across, down,
-            TILE=TILE, BLOCK=_BLOCK,
+            TILE=TILE, BLOCK=_BLOCK, **FUSED,
         )  # fmt: skip
     del ranks, geometry, rects
     # The candidates are in depth order, so a stable sort by tile alone keeps each tile's.

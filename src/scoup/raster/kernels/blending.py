@@ -18,6 +18,9 @@ from scoup.raster import presets
 
 ALPHA_MIN = tl.constexpr(presets.ALPHA_MIN)
 LOW_SCALE = tl.constexpr(2048.0)
+# float16 holds no numbers between multiples of 2^-24, and the weight of a Gaussian that is all but hidden is 4e-7.
+# Times this, every weight keeps its digits, and the largest is far from overflowing.
+WEIGHT_SCALE = tl.constexpr(4096.0)
 
 
 @triton.jit
@@ -86,8 +89,8 @@ def blend(
 
 @triton.jit
 def product(one, other, sums, PRECISION: tl.constexpr):
-    """``sums`` [M, N] + one [M, K] @ other [K, N]. For "fp16x3" no entry may be beyond some thousands; what is lost is
-    about 2^-22 of the largest.
+    """``sums`` [M, N] + one [M, K] @ other [K, N]. For "fp16x3" no entry may be beyond some thousands; what is lost of
+    each is about 2^-22 of it, or 2^-36 where that is more, see ``WEIGHT_SCALE``.
     """
     if PRECISION == "fp16x3":
         high, low = halves(one)

@@ -12,7 +12,13 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-from scoup.raster.kernels.blending import blend, load_chunk, pixel_block, product_with_ones
+from scoup.raster.kernels.blending import (
+    WEIGHT_SCALE,
+    blend,
+    load_chunk,
+    pixel_block,
+    product_with_ones,
+)
 
 
 @triton.jit(do_not_specialize=["width", "height", "across", "n_levels"])
@@ -98,9 +104,10 @@ def region_sums_kernel(
             column = block + tl.arange(0, COLUMNS)
             found = tl.zeros([CHUNK, COLUMNS], tl.float32)
             one_hot = column_of[:, None] == column[None, :]
-            found = product_with_ones(tl.trans(weights), one_hot, found, PRECISION)
+            found = product_with_ones(tl.trans(weights * WEIGHT_SCALE), one_hot, found, PRECISION)
             one_hot = column_of_1[:, None] == column[None, :]
-            found = product_with_ones(tl.trans(weights_1), one_hot, found, PRECISION)
+            found = product_with_ones(tl.trans(weights_1 * WEIGHT_SCALE), one_hot, found, PRECISION)
+            found *= 1.0 / WEIGHT_SCALE  # a power of two: exact
             stored = (row < end - first)[:, None] & (column < count)[None, :]
             tl.store(base + row[:, None] * count + column[None, :], found, mask=stored)
         going_on = tl.maximum(tl.max(left, axis=0), tl.max(left_1, axis=0)) > 0

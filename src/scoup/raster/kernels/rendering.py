@@ -8,7 +8,14 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-from scoup.raster.kernels.blending import blend, load_chunk, pixel_block, product, product_with_ones
+from scoup.raster.kernels.blending import (
+    WEIGHT_SCALE,
+    blend,
+    load_chunk,
+    pixel_block,
+    product,
+    product_with_ones,
+)
 
 TINY = tl.constexpr(1.1754943508222875e-38)  # the smallest normal float32
 
@@ -123,7 +130,9 @@ def accumulate_codes(
     ATOMS: tl.constexpr,
     PRECISION: tl.constexpr,
 ):
-    """Coefficients [P, L] of up to four levels from ``level`` on; those beyond LEVELS are of no use."""
+    """Coefficients [P, L], times WEIGHT_SCALE, of up to four levels from ``level`` on; those beyond LEVELS are of no
+    use.
+    """
     PIXELS: tl.constexpr = x.shape[0]
     sums_0 = tl.zeros([PIXELS, ATOMS], tl.float32)
     sums_1 = tl.zeros([PIXELS, ATOMS if LEVELS > 1 else 1], tl.float32)
@@ -138,6 +147,7 @@ def accumulate_codes(
         blending, transmittance = blend(
             x, y, u, v, ku, skew, kv, peak, transmittance, alpha_max, stop, STOP_INCLUSIVE
         )
+        blending *= WEIGHT_SCALE
         there = peak > -float("inf")
         dense = dense_codes(gaussian, there, indices, weights, level, n_levels, first_atom, K, ATOMS)
         sums_0 = product(blending, dense, sums_0, PRECISION)
@@ -221,13 +231,13 @@ def codes_kernel(
     stored = inside[:, None] & (atom < n_atoms)[None, :]
     plane = height.to(tl.int64) * width * n_atoms
     own = out + first_level * plane + pixel.to(tl.int64)[:, None] * n_atoms + atom[None, :]
-    tl.store(own, sums_0, mask=stored)
+    tl.store(own, sums_0 * (1.0 / WEIGHT_SCALE), mask=stored)
     if LEVELS > 1:
-        tl.store(own + plane, sums_1, mask=stored)
+        tl.store(own + plane, sums_1 * (1.0 / WEIGHT_SCALE), mask=stored)
     if LEVELS > 2:
-        tl.store(own + 2 * plane, sums_2, mask=stored)
+        tl.store(own + 2 * plane, sums_2 * (1.0 / WEIGHT_SCALE), mask=stored)
     if LEVELS > 3:
-        tl.store(own + 3 * plane, sums_3, mask=stored)
+        tl.store(own + 3 * plane, sums_3 * (1.0 / WEIGHT_SCALE), mask=stored)
 
 
 @triton.jit(
