@@ -1,34 +1,25 @@
-"""Presence: signals by hand, a model that tells what it was shown, its file."""
+"""Presence: standing by hand, what an answer is made of, in views and in scenes."""
 
 from __future__ import annotations
 
-import json
-import math
-from dataclasses import replace
-from pathlib import Path
-
+import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from scoup import raster
-from scoup.errors import FileFormatError, InputError, MissingFileError, OutputExistsError
+from scoup.errors import InputError
+from scoup.everyday import EVERYDAY_WORDS, LEAST_WORDS, with_everyday
+from scoup.field import LanguageField
 from scoup.pipeline import build
-from scoup.presence import (
-    SIGNALS,
-    PresenceModel,
-    fit_presence,
-    load_presence,
-    rendered_mean,
-    save_presence,
-    scene_presence,
-    signals_of,
-    view_presence,
-    vote_entropy,
-)
-from scoup.query import PRESETS, segment
+from scoup.presence import answer_core, mean_embedding, scene_standing, standing, view_standing, vote_entropy
+from scoup.query import PRESETS, segment, select, select_with_level
+from scoup.relevancy import CANONICAL_PHRASES
 from support import small_scene, unit
 
-MODEL = PresenceModel(SIGNALS, (0.6, 0.6, 0.1), (0.05, 0.05, 0.05), (1.0, 0.5, -0.25), 0.2)
+
+def random(*shape: int, seed: int = 0) -> Tensor:
+    return unit(torch.randn(*shape, generator=torch.Generator().manual_seed(seed)))
 
 
 def test_entropy_of_votes() -> None:
@@ -39,137 +30,101 @@ def test_entropy_of_votes() -> None:
     assert vote_entropy(weights * 7)[:, 0].tolist() == pytest.approx([0, 1, 1, 0.5])
 
 
-def test_signals_by_hand() -> None:
-    maps = torch.full((2, 20, 30), 0.4)
-    maps[1, 4:14, 6:20] = 0.8
-    found = signals_of(maps)
-    mask = segment(maps).mask
-    smoothed = 0.5 * (maps[1] + box(maps[1]))
-    assert found[0] == pytest.approx(float(smoothed.max()))
-    assert found[1] == pytest.approx(float(smoothed[mask].mean()), abs=1e-6)
-    assert found[2] == pytest.approx(float(smoothed[mask].mean() - smoothed[~mask].mean()), abs=1e-6)
-    extra = torch.rand(2, 20, 30)
-    assert signals_of(maps, [extra])[3] == pytest.approx(float(extra[1][mask].mean()), abs=1e-6)
+def test_standing_by_hand() -> None:
+    answers, queries, words = random(3, 16), random(3, 16, seed=1), random(20, 16, seed=2)
+    cosines = (answers @ words.T).double().numpy()
+    own = (answers * queries).sum(1).double().numpy()
+    expected = (own - cosines.mean(1)) / cosines.std(1)
+    assert standing(answers, queries, words).numpy() == pytest.approx(expected, abs=1e-5)
+    # The length of an answer says nothing.
+    assert standing(answers * 37, queries, words).numpy() == pytest.approx(expected, abs=1e-5)
+    # A word that is the query itself is no word to compare it with.
+    own_among_them = standing(answers, queries, torch.cat([words, queries[:1]]))
+    assert float(own_among_them[0]) == pytest.approx(expected[0], abs=1e-5)
+    assert float(own_among_them[1]) != pytest.approx(expected[1], abs=1e-5)
 
 
-def box(values: torch.Tensor) -> torch.Tensor:
-    """Mean over 7 x 7 pixels inside the image, by torch's own pooling."""
-    pooled = torch.nn.functional.avg_pool2d(values[None, None], 7, 1, 3, count_include_pad=False)
-    return pooled[0, 0]
+def test_what_was_asked_for_stands_high_and_nothing_stands_nowhere() -> None:
+    queries, words = random(2, 64), random(50, 64, seed=2)
+    found = standing(torch.stack([queries[0], torch.zeros(64)]), queries, words)
+    assert float(found[0]) > 5
+    assert float(found[1]) == -np.inf
 
 
-def test_a_constant_map_answers_nothing() -> None:
-    assert signals_of(torch.full((3, 9, 9), 0.5)).tolist() == [0.5, 0.5, 0.0]
-    extra = torch.rand(3, 9, 9)
-    assert signals_of(torch.full((3, 9, 9), 0.5), [extra])[3] == pytest.approx(float(extra[0].mean()))
-
-
-def test_fit_tells_classes_apart_and_weighs_them_alike() -> None:
-    random = torch.Generator().manual_seed(0)
-    rows = torch.randn(400, 3, generator=random)
-    present = rows[:, 0] + 0.3 * torch.randn(400, generator=random) > 0
-    model = fit_presence(rows, present)
-    chance = model.probability(rows)
-    assert ((chance > 0.5) == present).float().mean() > 0.85
-    assert model.weights[0] > 5 * max(abs(model.weights[1]), abs(model.weights[2]))
-    # Many more of one class: as many of the rare class are told as of the other.
-    keep = present | (torch.arange(400) % 8 == 0)
-    skewed = fit_presence(rows[keep], present[keep]).probability(rows) > 0.5
-    rates = (skewed[present].float().mean(), (~skewed)[~present].float().mean())
-    assert abs(float(rates[0] - rates[1])) < 0.12
-
-
-def test_fit_is_the_minimum_of_its_loss() -> None:
-    """Newton's result against small steps away from it."""
-    random = torch.Generator().manual_seed(1)
-    rows = torch.randn(60, 3, generator=random).double()
-    present = rows.sum(1) + torch.randn(60, generator=random) > 0.5
-    model = fit_presence(rows, present)
-    importance = torch.where(present, 0.5 / present.sum(), 0.5 / (~present).sum()) * 60
-    units = (rows - torch.tensor(model.center)) / torch.tensor(model.scale)
-
-    def loss(weights: torch.Tensor, bias: float) -> float:
-        chance = torch.sigmoid(units @ weights + bias)
-        likelihood = torch.where(present, chance.log(), (1 - chance).log())
-        return float(-(importance * likelihood).sum() + 0.5 * 0.01 * 60 * (weights**2).sum())
-
-    weights = torch.tensor(model.weights).double()
-    best = loss(weights, model.bias)
-    for axis in range(3):
-        for step in (-0.01, 0.01):
-            moved = weights.clone()
-            moved[axis] += step
-            assert loss(moved, model.bias) > best
-    assert min(loss(weights, model.bias + 0.01), loss(weights, model.bias - 0.01)) > best
-
-
-def test_classes_that_part_do_not_run_away() -> None:
-    rows = torch.cat([torch.zeros(10, 3), torch.ones(10, 3)])
-    model = fit_presence(rows, torch.arange(20) >= 10)
-    assert all(math.isfinite(weight) and abs(weight) < 20 for weight in (*model.weights, model.bias))
-
-
-@pytest.mark.parametrize("present", [torch.zeros(4, dtype=torch.bool), torch.ones(4, dtype=torch.bool)])
-def test_both_classes_are_needed(present: torch.Tensor) -> None:
-    with pytest.raises(InputError, match="both kinds"):
-        fit_presence(torch.rand(4, 3), present)
+def test_what_does_not_fit_is_refused() -> None:
+    queries, words = random(2, 16), random(LEAST_WORDS, 16, seed=2)
+    with pytest.raises(InputError, match="everyday words or more"):
+        standing(queries, queries, words[1:])
     with pytest.raises(InputError, match="do not fit"):
-        fit_presence(torch.rand(4, 2), torch.arange(4) > 1)
+        standing(queries[:1], queries, words)
+    with pytest.raises(InputError, match="do not fit"):
+        standing(queries, queries, words[:, 1:])
 
 
-def test_rendered_means_are_over_coded_gaussians() -> None:
-    gaussians, cameras, _ = small_scene(count=40, views=1)
-    view = raster.look(gaussians, cameras[0])
-    values = torch.rand(40, 3, generator=torch.Generator().manual_seed(0))
-    coded = torch.rand(40, 3, generator=torch.Generator().manual_seed(1)) > 0.4
-    weights = raster.render_channels(view, torch.eye(40))[0]
-    found = rendered_mean(view, values, coded)
-    for level in range(3):
-        counted = coded[:, level].float()
-        total = weights @ counted
-        expected = torch.where(
-            total > 1e-6, weights @ (counted * values[:, level]) / total.clamp(min=1e-6), 1.0
-        )
-        assert torch.allclose(found[level], expected, atol=1e-4)
+def test_everyday_words() -> None:
+    assert len(set(EVERYDAY_WORDS)) == len(EVERYDAY_WORDS) >= 100
+    assert not set(EVERYDAY_WORDS) & set(CANONICAL_PHRASES)
+    canonical, words = random(4, 16), random(LEAST_WORDS, 16, seed=1)
+    both = with_everyday(canonical, words)
+    assert torch.equal(both[:4], canonical)
+    assert torch.allclose(both[4], words.mean(0))
+    assert with_everyday(canonical, words[1:]) is canonical
 
 
-def test_presence_in_a_scene_is_the_largest_over_views() -> None:
+def test_the_core_is_the_more_relevant_half_of_the_mask() -> None:
+    maps = torch.full((2, 24, 30), 0.4)
+    maps[1, 4:14, 6:20] = torch.linspace(0.7, 0.9, 14)
+    level, core = answer_core(maps)
+    mask = segment(maps).mask
+    assert level == 1
+    assert bool((core & ~mask).any()) is False
+    assert 0.4 < int(core.sum()) / int(mask.sum()) < 0.7
+    columns = core.nonzero()[:, 1].float()
+    assert columns.mean() > mask.nonzero()[:, 1].float().mean()
+
+
+def test_an_empty_mask_gives_the_peak() -> None:
+    level, core = answer_core(torch.full((3, 9, 9), 0.5))
+    assert (level, int(core.sum())) == (0, 81)
+
+
+def asked() -> tuple[LanguageField, raster.View, Tensor, Tensor, Tensor, Tensor]:
     gaussians, cameras, regions = small_scene(count=80, views=3)
     field = build(gaussians, cameras, regions, n_atoms=8)
-    queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
-    found = scene_presence(field, cameras, queries, canonical, MODEL)
-    for query in range(2):
-        chances = [
-            view_presence(field.relevancy(camera, queries, canonical)[:, query], MODEL) for camera in cameras
-        ]
-        assert float(found[query]) == pytest.approx(max(chances))
-    with pytest.raises(InputError, match="there are none"):
-        scene_presence(field, [], queries, canonical, MODEL)
-    with pytest.raises(InputError, match="takes peak"):
-        view_presence(torch.rand(3, 9, 9), replace(MODEL, signals=("peak",)), PRESETS["default"])
+    view = field.look(cameras[0])
+    queries, canonical, words = random(11, 16), random(3, 16, seed=1), random(30, 16, seed=2)
+    return field, view, field.relevancy(cameras[0], queries, canonical, view), queries, canonical, words
 
 
-def test_file(tmp_path: Path) -> None:
-    path = tmp_path / "model.json"
-    model = replace(MODEL, scene_threshold=0.75, calibrated_on="two scenes")
-    save_presence(model, path)
-    assert load_presence(path) == model
-    with pytest.raises(OutputExistsError):
-        save_presence(model, path)
-    with pytest.raises(MissingFileError, match="scoup eval presence"):
-        load_presence(tmp_path / "absent.json")
+def test_standing_in_a_view_against_pixel_by_pixel() -> None:
+    """The answer's embedding is that of the pixels of the core, each a sum of decoded codes by blending weights."""
+    field, view, maps, queries, _, words = asked()
+    found = view_standing(field, view, maps, queries, words)
+    blended = raster.render_channels(view, torch.eye(len(field)))[0]  # [H, W, N]
+    for query in range(len(queries)):
+        level, core = answer_core(maps[:, query], PRESETS["default"])
+        painted = blended[core].sum(0)
+        dense = torch.zeros(len(field), field.n_atoms)
+        dense.scatter_add_(1, field.code_indices[:, level].long(), field.code_weights[:, level].float())
+        answer = (painted @ dense) @ field.codebook[level]
+        expected = standing(answer[None], queries[query : query + 1], words)
+        assert float(found[query]) == pytest.approx(float(expected[0]), abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"kind": "other"}, {"version": 2}, {"weights": [1.0]}, {"scale": [0.0, 1.0, 1.0]}, {"bias": None},
-        {"bias": "x"}, {"center": 3}, {"center": [1.0, float("nan"), 1.0]},
-    ],
-)  # fmt: skip
-def test_damaged_file(tmp_path: Path, change: dict) -> None:
-    path = tmp_path / "model.json"
-    save_presence(MODEL, path)
-    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
-    with pytest.raises(FileFormatError, match=r"model\.json"):
-        load_presence(path)
+def test_standing_in_a_scene_is_of_the_gaussians_selected() -> None:
+    field, _, _, queries, canonical, words = asked()
+    selections = list(select_with_level(field, queries, canonical))
+    assert torch.equal(
+        torch.stack([chosen for chosen, _, _ in selections]), select(field, queries, canonical)
+    )
+    found = scene_standing(field, selections, queries, words)
+    for query, (chosen, relevancy, level) in enumerate(selections):
+        own = field.gaussian_relevancy(queries[query : query + 1], canonical)[level, 0]
+        assert torch.equal(relevancy, own)
+        middle = own[chosen].median()
+        core = torch.tensor([row for row in range(len(field)) if chosen[row] and own[row] >= middle])
+        answer = mean_embedding(field, level, core, field.gaussians.opacities[core])
+        expected = standing(answer[None], queries[query : query + 1], words)
+        assert float(found[query]) == pytest.approx(float(expected[0]), abs=1e-4)
+    nothing = [(torch.zeros_like(chosen), relevancy, level) for chosen, relevancy, level in selections]
+    assert bool((scene_standing(field, nothing, queries, words) == -torch.inf).all())

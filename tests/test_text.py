@@ -358,3 +358,21 @@ def test_open_clip(monkeypatch: pytest.MonkeyPatch) -> None:
         TextEncoder.open("open_clip:X/y")
     with pytest.raises(InputError, match="ARCHITECTURE"):
         TextEncoder.open("open_clip:ViT-B-16")
+
+
+def test_everyday_words_of_a_table_are_its_other_names(tmp_path: Path) -> None:
+    names = ["red apple", "Object", "chair", "things", "stuff", "texture"]
+    vectors = np.random.default_rng(0).normal(size=(6, 5)).astype(np.float32)
+    save_table(tmp_path / "words.npz", names, vectors)
+    encoder = TextEncoder.open(tmp_path / "words.npz")
+    assert encoder.table_names == tuple(names)
+    assert torch.equal(encoder.everyday(), encoder.encode(["red apple", "chair"]))
+    assert torch.equal(encoder.canonical(), encoder.encode(["object", "things", "stuff", "texture"]))
+
+
+def test_everyday_words_of_a_model_are_a_fixed_list(clip_folder: Path) -> None:
+    from scoup.everyday import EVERYDAY_WORDS
+
+    encoder = TextEncoder.open(clip_folder)
+    assert encoder.table_names is None
+    assert encoder.everyday().shape == (len(EVERYDAY_WORDS), 12)

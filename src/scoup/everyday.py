@@ -21,7 +21,7 @@ EVERYDAY_WORDS = (
     "book", "paper", "pen", "scissors", "clock", "telephone", "computer", "keyboard", "television", "camera",
     "shirt", "shoe", "hat", "bag", "umbrella", "glasses", "ring",
     "ball", "toy", "doll", "guitar", "piano", "drum", "hammer", "rope", "bucket", "box", "candle",
-    "towel", "toothbrush", "toilet", "bathtub",
+    "towel", "toothbrush", "toilet", "bathtub", "wheel",
 )  # fmt: skip
 """A hundred names of things, outdoors and indoors, for text models; a table has words of its own."""
 LEAST_WORDS = 16

@@ -305,9 +305,7 @@ def select(
     if queries.dim() == 1:
         return found[0][0]
     masks = [chosen for chosen, _, _ in found]
-    return (
-        torch.stack(masks) if masks else torch.zeros(0, len(field), dtype=torch.bool, device=queries.device)
-    )
+    return torch.stack(masks) if masks else field.code_weights.new_zeros(0, len(field.code_weights)).bool()
 
 
 def select_with_level(

@@ -11,7 +11,6 @@ from PIL import Image
 
 from cli_support import refused, run, run_json
 from scoup.evaluate.lerf_ovs import read_labels
-from scoup.presence import load_presence
 
 pytestmark = pytest.mark.slow
 
@@ -184,27 +183,32 @@ def test_consistency(here: Path) -> None:
 def test_presence_to_query_and_select(here: Path) -> None:
     record = run_json("eval", "presence", "lerf-ovs")
     assert record["rules"]["the protocols' rule (paints always)"]["absent_refused"] == 0
-    path = here / "eval_lerf-ovs" / "presence_model.json"
-    assert load_presence(path).signals == ("peak", "inside", "contrast")
+    assert record["auc"]["standing"]["absent"] > 0.5
+    assert set(record["bounds"]) == {"query", "select"}
     run_json("eval", "lerf-ovs", "lerf-ovs", *QUICK, "--scenes", "table", "--sheets", "none")
     field = here / "eval_lerf-ovs" / "fields" / "table.scoup"
     words = ("table", "elephant", "piano", "tent", "violin")
-    for threshold, present in ((0.0, True), (1.1, False)):
-        model = {**json.loads(path.read_text()), "threshold": threshold, "scene_threshold": threshold}
-        (here / "m.json").write_text(json.dumps(model))
-        answers = run_json("query", field, *words, "--presence", "m.json", "--overwrite", "--out", "q")[
-            "answers"
-        ]
-        for answer in answers:
+    ask = ("query", field, *words, "--overwrite", "--out", "q", "--pictures", "none")
+    for bound, present in ((-100, True), (100, False)):
+        for answer in run_json(*ask, "--presence", bound)["answers"]:
             assert answer["present"] == present
-            assert 0 <= answer["presence"] <= 1
+            assert -20 < answer["standing"] < 20
             if not present:
                 assert (answer["box"], answer["pixel"], answer["coverage"]) == (None, None, 0)
-        code, _, err = run("select", field, "table", "--presence", "m.json", "--out", "s.ply", "--overwrite")
+        select = ("select", field, "table", "--presence", bound, "--out", "s.ply", "--overwrite")
+        code, out, err = run(*select)
         assert (code, "nothing to write" in err) == ((0, False) if present else (2, True))
-    plain = run_json("query", field, "elephant", "--overwrite", "--out", "q")["answers"]
-    assert "present" not in plain[0]
-    assert "needs" not in refused("query", field, "table", "--presence", "absent.json", "--out", "r")
+        assert ("table: not in this scene (standing" in out + err) != present
+    assert run_json(*ask)["answers"][0]["present"], "the table fills the view"
+    # The systems' rules find something always, unless told otherwise.
+    for options in (["--always"], ["--rule", "scoup"]):
+        for answer in run_json(*ask, *options)["answers"]:
+            assert "present" not in answer
+            assert answer["pixel"] is not None
+    assert not run_json(*ask, "--rule", "scoup", "--presence", 100)["answers"][0]["present"]
+    code, out, _ = run("select", field, "elephant", "--presence", 100, "--always", "--out", "e.ply")
+    assert code == 0
+    assert "not in this scene" not in out
     assert "two scenes or more" in refused("eval", "presence", "lerf-ovs", "--scenes", "table", "--overwrite")
 
 

@@ -6,25 +6,33 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from scoup import raster
 from scoup.errors import InputError
 from scoup.evaluate.datasets import find_data_set, open_scene
 from scoup.evaluate.presence_study import (
     ABSENT,
+    IN_SCENE,
     OUT_OF_VIEW,
     PRESENT,
     Question,
     absent_words,
     auc,
-    calibrated,
+    best_bound,
     held_out_answers,
     presence_score,
     presence_tables,
+    rendered_mean,
+    signals_of,
 )
+from scoup.query import segment
+from support import small_scene
 
 
-def question(scene: str, kind: str, peak: float, number: int = 0) -> Question:
-    return Question(scene, "f", f"{kind}{number}", kind, (peak, peak, peak, 0.5, 0.5, 1.0), True)
+def question(scene: str, kind: str, value: float, number: int = 0, frame: str = "f") -> Question:
+    signals = (value, value, value, value, 0.5, 0.5, 1.0)
+    return Question(scene, frame, f"{kind}{number}", kind, signals if frame else signals[:1])
 
 
 def test_auc_by_hand() -> None:
@@ -51,20 +59,21 @@ def test_scores_by_hand() -> None:
     assert everything.recall == 1
 
 
-def study() -> list[Question]:
-    """In scene "a" present things peak above 0.6, in "b" above 0.5: each must be judged by the other's threshold."""
+def study(frame: str = "f") -> list[Question]:
+    """In scene "a" present things lie above 3, in "b" above 2: each must be judged by the other's bound."""
     questions = []
+    there = PRESENT if frame else IN_SCENE
     for number in range(20):
-        for scene, shift in (("a", 0.1), ("b", 0.0)):
-            questions.append(question(scene, PRESENT, 0.55 + shift + number * 0.002, number))
-            questions.append(question(scene, ABSENT, 0.45 + shift - number * 0.002, number))
+        for scene, shift in (("a", 1.0), ("b", 0.0)):
+            questions.append(question(scene, there, 2.5 + shift + number * 0.02, number, frame))
+            questions.append(question(scene, ABSENT, 1.5 + shift - number * 0.02, number, frame))
     return questions
 
 
 def test_each_scene_is_judged_by_the_other() -> None:
     questions = study()
-    said = held_out_answers(questions, ("peak",))
-    # Calibrated on "b" (bound 0.5), absent things of "a" above it pass; on "a" (0.6) present things of "b" fail.
+    said = held_out_answers(questions, "peak")
+    # Chosen on "b" (2), absent things of "a" above it pass; on "a" (3), present things of "b" fail.
     of_a = np.array([q.scene == "a" for q in questions])
     kinds = np.array([q.kind for q in questions])
     assert said[of_a & (kinds == PRESENT)].all()
@@ -72,30 +81,70 @@ def test_each_scene_is_judged_by_the_other() -> None:
     assert not said[~of_a & (kinds == ABSENT)].any()
     assert not said[~of_a & (kinds == PRESENT)].all()
     with pytest.raises(InputError, match="two or more"):
-        held_out_answers([q for q in questions if q.scene == "a"])
+        held_out_answers([q for q in questions if q.scene == "a"], "peak")
 
 
-def test_the_scene_threshold_parts_the_largest_probabilities() -> None:
-    questions = [question("a", PRESENT, 0.7, n) for n in range(5)] + [
-        question("a", ABSENT, 0.4, n) for n in range(5)
-    ]
-    model = calibrated(questions, ("peak",))
-    low, high = (float(model.probability(np_tensor(value))) for value in (0.4, 0.7))
-    assert low < model.scene_threshold < high
+def test_the_best_bound_parts_the_kinds() -> None:
+    values, present = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), np.array([0, 0, 1, 0, 1, 1], bool)
+    gains = {
+        bound: (values[present] >= bound).mean() + (values[~present] < bound).mean()
+        for bound in (1, 1.5, 2.5, 3.5, 4.5, 5.5)
+    }
+    assert best_bound(values, present) == max(gains, key=lambda bound: gains[bound])
+    for kind in (np.zeros(6, bool), np.ones(6, bool)):
+        with pytest.raises(InputError, match="both kinds"):
+            best_bound(values, kind)
 
 
-def np_tensor(value: float):
-    import torch
+def test_signals_by_hand() -> None:
+    maps = torch.full((2, 20, 30), 0.4)
+    maps[1, 4:14, 6:20] = 0.8
+    found = signals_of(maps)
+    mask = segment(maps).mask
+    smoothed = 0.5 * (maps[1] + box(maps[1]))
+    assert found[0] == pytest.approx(float(smoothed.max()))
+    assert found[1] == pytest.approx(float(smoothed[mask].mean()), abs=1e-6)
+    assert found[2] == pytest.approx(float(smoothed[mask].mean() - smoothed[~mask].mean()), abs=1e-6)
+    extra = torch.rand(2, 20, 30)
+    assert signals_of(maps, [extra])[3] == pytest.approx(float(extra[1][mask].mean()), abs=1e-6)
 
-    return torch.tensor([value])
+
+def box(values: torch.Tensor) -> torch.Tensor:
+    """Mean over 7 x 7 pixels inside the image, by torch's own pooling."""
+    pooled = torch.nn.functional.avg_pool2d(values[None, None], 7, 1, 3, count_include_pad=False)
+    return pooled[0, 0]
+
+
+def test_a_constant_map_answers_nothing() -> None:
+    assert signals_of(torch.full((3, 9, 9), 0.5)) == [0.5, 0.5, 0.0]
+    extra = torch.rand(3, 9, 9)
+    assert signals_of(torch.full((3, 9, 9), 0.5), [extra])[3] == pytest.approx(float(extra[0].mean()))
+
+
+def test_rendered_means_are_over_coded_gaussians() -> None:
+    gaussians, cameras, _ = small_scene(count=40, views=1)
+    view = raster.look(gaussians, cameras[0])
+    values = torch.rand(40, 3, generator=torch.Generator().manual_seed(0))
+    coded = torch.rand(40, 3, generator=torch.Generator().manual_seed(1)) > 0.4
+    weights = raster.render_channels(view, torch.eye(40))[0]
+    found = rendered_mean(view, values, coded)
+    for level in range(3):
+        counted = coded[:, level].float()
+        total = weights @ counted
+        expected = torch.where(
+            total > 1e-6, weights @ (counted * values[:, level]) / total.clamp(min=1e-6), 1.0
+        )
+        assert torch.allclose(found[level], expected, atol=1e-4)
 
 
 def test_tables() -> None:
-    tables, record = presence_tables(study())
+    tables, record = presence_tables([*study(), *study("")])
     assert record["auc"]["peak"][OUT_OF_VIEW] is None
     assert record["rules"]["the protocols' rule (paints always)"]["recall"] == 1
     assert record["questions"] == {PRESENT: 40, OUT_OF_VIEW: 0, ABSENT: 40}
-    assert len(tables) == 2
+    fixed = record["scene_rules"]["standing, 2 or more (the default)"]
+    assert (fixed["recall"], fixed["absent_refused"]) == (1, 0.5)
+    assert len(tables) == 3
 
 
 def test_absent_words(twins: Path, tmp_path: Path) -> None:

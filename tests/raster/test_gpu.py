@@ -23,7 +23,8 @@ from scoup import raster
 from scoup.errors import InputError, ScoupWarning
 from support import make_camera, random_gaussians
 
-MOST_SPILLED = 256  # bytes a thread, all of it behind the loop over Gaussians
+# Bytes a thread, all of it behind the loop over Gaussians. Compilers before Triton 3.9 part registers worse.
+MOST_SPILLED, MOST_SPILLED_BEFORE_39 = 256, 1024
 MOST_SHARED = 99 << 10  # bytes a block may have on the smallest of the GPUs served
 
 on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
@@ -176,9 +177,12 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
 
 @pytest.mark.parametrize("capability", [80, 90])
 def test_kernels_compile_within_a_gpu(needs_triton: None, tmp_path: Path, capability: int) -> None:
+    import triton
+
+    is_old = tuple(map(int, triton.__version__.split(".")[:2])) < (3, 9)
     for name, launch in launches().items():
         usage = compile_kernel(*launch, capability, tmp_path)
-        assert usage.spilled <= MOST_SPILLED, (name, usage)
+        assert usage.spilled <= (MOST_SPILLED_BEFORE_39 if is_old else MOST_SPILLED), (name, usage)
         assert usage.shared <= MOST_SHARED, (name, usage)
 
 

@@ -140,19 +140,22 @@ class TextVectors:
     canonical: Tensor
     everyday: Tensor
 
-    def standing_words(self) -> Tensor | None:
-        """Everyday words to judge presence by; None, with a warning, where a table has too few."""
-        from scoup.errors import ScoupWarning
+    def standing_words(self, wanted: bool) -> Tensor | None:
+        """Everyday words to judge presence by; None where a table has too few.
+
+        Raises:
+            InputError: it has too few, and presence was ``wanted`` by name.
+        """
+        from scoup.errors import InputError
         from scoup.everyday import LEAST_WORDS
 
         if len(self.everyday) >= LEAST_WORDS:
             return self.everyday
-        warnings.warn(
-            f"{self.source}: has {len(self.everyday)} words; {LEAST_WORDS} are needed to tell whether a thing is "
-            "there at all, so something is found always. Add any words to the table, or pass --always",
-            ScoupWarning,
-            stacklevel=2,
-        )
+        if wanted:
+            raise InputError(
+                f"{self.source}: has {len(self.everyday)} words; --presence compares with {LEAST_WORDS} or more, so "
+                "add any words to the table"
+            )
         return None
 
 

@@ -45,8 +45,8 @@ class Query(AsksText, AsksViews):
     """A pixel is in the mask above this, 0 to 1, once relevancy is rescaled over the view. Default: the rule's."""
     presence: OptionalNumber = None
     """A text is in a view if what was found lies this many standard deviations nearer to it than to everyday words;
-    otherwise it gets an empty mask and no point there. Default: 2 with the rule default; the systems' rules find
-    something always."""
+    otherwise it gets an empty mask and no point there. Default: 2 with the rule default, where
+    the table of --text has 16 words or more; the systems' rules find something always."""
     always: Flag = False
     """Find something in every view, whatever is asked."""
     pictures: Literal["all", "none"] = "all"
@@ -76,7 +76,7 @@ class Query(AsksText, AsksViews):
         queries, canonical = vectors.queries, vectors.canonical
         if self.rule == "default":
             canonical = with_everyday(canonical, vectors.everyday)
-        words = vectors.standing_words() if judged else None
+        words = vectors.standing_words(self.presence is not None) if judged else None
 
         names = unique_slugs(self.texts)
         folders = unique_slugs(camera.stem for camera in cameras)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from scoup.cli.asking import AsksText
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, Texts, common_last
+from scoup.cli.options import Flag, OptionalNumber, Texts, common_last
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -37,9 +37,9 @@ class Select(AsksText):
     """A Gaussian is chosen above this, 0 to 1, once relevancy is rescaled over the scene."""
     absolute: Flag = False
     """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases."""
-    presence: float = 2.0
+    presence: OptionalNumber = None
     """A text is in the scene if what was found lies this many standard deviations nearer to it than to everyday words;
-    otherwise nothing is chosen for it."""
+    otherwise nothing is chosen for it. Default: 2, where the table of --text has 16 words or more."""
     always: Flag = False
     """Choose something whatever is asked, unless the threshold is absolute."""
     neighbours: int = 0
@@ -52,7 +52,7 @@ class Select(AsksText):
         from scoup.errors import InputError
         from scoup.everyday import with_everyday
         from scoup.io import check_output, write_ply_table
-        from scoup.presence import scene_standing
+        from scoup.presence import PRESENT_FROM, scene_standing
         from scoup.query import select_with_level
 
         if not self.texts:
@@ -83,11 +83,15 @@ class Select(AsksText):
             )
         )
         found = torch.stack([chosen for chosen, _, _ in selections])
-        words = None if self.always else vectors.standing_words()
+        absent: list[str] = []
+        words = None if self.always else vectors.standing_words(self.presence is not None)
         if words is not None:
             standings = scene_standing(field, selections, vectors.queries, words)
-            found = found & (standings >= self.presence).to(found.device)[:, None]
-            self._tell_absent(console, standings)
+            bound = PRESENT_FROM if self.presence is None else self.presence
+            found = found & (standings >= bound).to(found.device)[:, None]
+            absent = self._absent(standings, bound)
+            for told in absent:
+                console.say(told)
         chosen = found.any(0)
         counts = {text: int(row.sum()) for text, row in zip(self.texts, found, strict=True)}
 
@@ -101,11 +105,9 @@ class Select(AsksText):
             wanted = torch.zeros(len(kept), dtype=torch.bool)
             wanted[kept] = chosen if self.write == "chosen" else ~chosen
             if not wanted.any():
-                advice = (
-                    "try a lower --threshold or --presence, or --always"
-                    if self.write == "chosen"
-                    else "try a higher --threshold"
-                )
+                advice = "try a lower --threshold" if self.write == "chosen" else "try a higher --threshold"
+                if absent and self.write == "chosen":
+                    advice = f"{'; '.join(absent)}; --always chooses something all the same"
                 raise InputError(
                     f"{self.out}: nothing to write, {int(chosen.sum())} of {len(chosen)} Gaussians answer; {advice}"
                 )
@@ -116,11 +118,14 @@ class Select(AsksText):
         console.say(f"{self.out}: {len(table):,} Gaussians written")
         console.result({"out": self.out, "written": len(table), "chosen": counts, "gaussians": len(field)})
 
-    def _tell_absent(self, console: Console, standings: Tensor) -> None:
+    def _absent(self, standings: Tensor, bound: float) -> list[str]:
+        """A sentence for each text that is not there."""
+        sentences = []
         for text, standing in zip(self.texts, standings.tolist(), strict=True):
-            if standing < self.presence:
+            if standing < bound:
                 told = f"standing {standing:.1f}" if math.isfinite(standing) else "nothing found"
-                console.say(f"{text}: not in this scene ({told}, {self.presence:g} asked)")
+                sentences.append(f"{text}: not in this scene ({told}, {bound:g} asked)")
+        return sentences
 
     def _table(self, field: LanguageField) -> tuple[PlyTable, Tensor]:
         """Rows to write from, and which of them [M] are the field's Gaussians, in order."""
