@@ -27,7 +27,6 @@ import scoup
 from scoup.evaluate.lerf_ovs import SceneScore, match_frames, read_labels
 from scoup.evaluate.metrics import bootstrap_interval
 from scoup.evaluate.variants import dense_variant, score_variants, sparse_variant
-from scoup.relevancy import CANONICAL_PHRASES
 from scoup.uplifting import region_sums, uplift
 
 METHOD, ALL_ATOMS, DENSE = "top-4 vote", "no top-K", "dense 512-d"
@@ -98,7 +97,7 @@ def score_kitchen(arguments: Arguments, kitchen: Path, features: Path) -> dict:
     labels = sorted({label for frame, _ in frames for label in frame.labels})
     encoder = scoup.TextEncoder.open(kitchen.parent / "clip" / "text_vit_b16_laion2b.npz")
     vectors = dict(zip(labels, encoder.encode(labels), strict=True))
-    canonical = encoder.encode(list(CANONICAL_PHRASES))
+    canonical = encoder.canonical()
     with timed(seconds, "scoring"):
         scores = score_variants(
             variants, gaussians, frames, vectors, canonical, scene="kitchen", progress=report

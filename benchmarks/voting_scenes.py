@@ -19,7 +19,6 @@ from scoup.evaluate.lerf_ovs import LabelledFrame, match_frames, read_labels
 from scoup.evaluate.perturbations import LevelSums, gaussians_by_name, level_sums
 from scoup.gaussians import Gaussians
 from scoup.regions import Regions
-from scoup.relevancy import CANONICAL_PHRASES
 from scoup.uplifting import region_sums
 
 LEVELS_ASKED = ("m", "l")  # names of objects and of groups
@@ -104,7 +103,7 @@ def _kitchen(data: Path, scale: float) -> VotingScene:
     vectors = dict(zip(labels, encoder.encode(labels), strict=True))
     with tempfile.TemporaryDirectory() as folder:
         regions = scoup.load_regions(make_features(kitchen, Path(folder)), cameras)
-        canonical = encoder.encode(list(CANONICAL_PHRASES))
+        canonical = encoder.canonical()
         return _prepared("kitchen", gaussians, cameras, regions, frames, vectors, canonical)
 
 

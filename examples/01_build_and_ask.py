@@ -9,7 +9,6 @@ table of text vectors or a CLIP model, the third what to look for.
 import sys
 
 import scoup
-from scoup.relevancy import CANONICAL_PHRASES
 
 scene, words, thing = sys.argv[1:4]
 
@@ -19,7 +18,7 @@ regions = scoup.load_regions(scene, cameras)
 field = scoup.build(gaussians, cameras, regions)
 
 text = scoup.TextEncoder.open(words)
-query, canonical = text.encode([thing]), text.encode(list(CANONICAL_PHRASES))
+query, canonical = text.encode([thing]), text.canonical(everyday=True)
 for camera in cameras[:3]:
     relevancy = field.relevancy(camera, query, canonical)[:, 0]  # [levels, H, W]
     place, shape = scoup.localize(relevancy), scoup.segment(relevancy)

@@ -6,12 +6,11 @@ python examples/02_cut_out_a_thing.py demo/demo.scoup demo/scene/text.npz teapot
 import sys
 
 import scoup
-from scoup.relevancy import CANONICAL_PHRASES
 
 path, words, thing, out = sys.argv[1:5]
 
 field = scoup.LanguageField.load(path)
 text = scoup.TextEncoder.open(words)
-chosen = scoup.select(field, text.encode([thing])[0], text.encode(list(CANONICAL_PHRASES)), neighbours=10)
+chosen = scoup.select(field, text.encode([thing])[0], text.canonical(everyday=True), neighbours=10)
 scoup.save_gaussians(field.gaussians.select(chosen), out)
 print(f"{int(chosen.sum())} of {len(field)} Gaussians saved to {out}")

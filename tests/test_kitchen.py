@@ -15,7 +15,6 @@ from cli_support import run
 from scoup.evaluate.lerf_ovs import match_frames, read_labels, score_scene
 from scoup.io import load_image
 from scoup.raster import render_colors
-from scoup.relevancy import CANONICAL_PHRASES
 
 
 @pytest.mark.data
@@ -47,7 +46,7 @@ def test_kitchen_from_files_to_scores(data_folder: Path, tmp_path: Path):
     cameras = scoup.load_cameras(kitchen, downscale=4)
     frames = match_frames(read_labels(kitchen / "label"), cameras)
     encoder = scoup.TextEncoder.open(data_folder / "clip" / "text_vit_b16_laion2b.npz")
-    canonical = encoder.encode(list(CANONICAL_PHRASES))
+    canonical = encoder.canonical()
     answers = [
         (frame, field.relevancy(camera, encoder.encode(list(frame.labels)), canonical))
         for frame, camera in frames[:3]

@@ -368,6 +368,7 @@ def test_everyday_words_of_a_table_are_its_other_names(tmp_path: Path) -> None:
     assert encoder.table_names == tuple(names)
     assert torch.equal(encoder.everyday(), encoder.encode(["red apple", "chair"]))
     assert torch.equal(encoder.canonical(), encoder.encode(["object", "things", "stuff", "texture"]))
+    assert torch.equal(encoder.canonical(everyday=True), encoder.canonical())  # two words are too few
 
 
 def test_everyday_words_of_a_model_are_a_fixed_list(clip_folder: Path) -> None:
@@ -376,3 +377,6 @@ def test_everyday_words_of_a_model_are_a_fixed_list(clip_folder: Path) -> None:
     encoder = TextEncoder.open(clip_folder)
     assert encoder.table_names is None
     assert encoder.everyday().shape == (len(EVERYDAY_WORDS), 12)
+    both = encoder.canonical(everyday=True)
+    assert torch.equal(both[:4], encoder.canonical())
+    torch.testing.assert_close(both[4], encoder.encode(EVERYDAY_WORDS).mean(0))

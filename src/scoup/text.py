@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from scoup.errors import InputError, ScoupError, ScoupWarning, UnknownNameError
-from scoup.everyday import EVERYDAY_WORDS
+from scoup.everyday import EVERYDAY_WORDS, with_everyday
 from scoup.hub import OPEN_CLIP, first_line, load_local_first, open_clip_names
 from scoup.relevancy import CANONICAL_PHRASES
 from scoup.text_table import EmbeddingTable, is_table, load_table, save_table
@@ -118,13 +118,18 @@ class TextEncoder:
         vectors = torch.cat(batches).float().cpu()
         return torch.nn.functional.normalize(vectors, dim=1)
 
-    def canonical(self) -> Tensor:
+    def canonical(self, everyday: bool = False) -> Tensor:
         """[4, D] float32 unit vectors of the canonical phrases (``scoup.relevancy.CANONICAL_PHRASES``).
 
+        Args:
+            everyday: add the mean of everyday words as a fifth row (``scoup.everyday.with_everyday``), as
+                `scoup query` does. The papers' protocols know no such row.
+
         Raises:
-            UnknownNameError: a table lacks one.
+            UnknownNameError: a table lacks a phrase.
         """
-        return self.encode(CANONICAL_PHRASES)
+        phrases = self.encode(CANONICAL_PHRASES)
+        return with_everyday(phrases, self.everyday()) if everyday else phrases
 
     def everyday(self) -> Tensor:
         """[B, D] float32 unit vectors of everyday words (``scoup.everyday``): of a model those of a fixed list, of a

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
 import numpy as np
@@ -208,8 +209,10 @@ def _labels_of(
 
 
 def consistency_table(results: Sequence[ConsistencyResult], sources: dict[str, str]) -> Table:
-    """Mean cosine by scene, level and kind of feature, with intervals over points."""
+    """Mean cosine by scene, level and kind of feature, with intervals over points; then means over all scenes and
+    levels, each counting alike."""
     rows = []
+    means: dict[str, list[tuple[float, float]]] = {}
     for result in results:
         interval = bootstrap_interval(result.cosines, [str(i) for i in range(len(result.cosines))])
         cells = (
@@ -219,6 +222,11 @@ def consistency_table(results: Sequence[ConsistencyResult], sources: dict[str, s
             f"{interval.mean - result.unmatched:.3f}",
         )
         rows.append((result.features, result.scene, result.level, str(len(result.cosines)), *cells))
+        means.setdefault(result.features, []).append((interval.mean, result.unmatched))
+    for features, pairs in means.items():
+        cosine, unmatched = (mean(part) for part in zip(*pairs, strict=True))
+        cells = (f"{cosine:.3f}", "-", f"{unmatched:.3f}", f"{cosine - unmatched:.3f}")
+        rows.append((features, "all", "all", "-", *cells))
     notes = tuple(f"{scene}: matched by {source}." for scene, source in sources.items())
     return Table(
         "Multi-view consistency: cosine between matched observations",
