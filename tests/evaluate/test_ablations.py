@@ -7,14 +7,16 @@ import pytest
 import torch
 
 from scoup.baselines.methods import METHODS
+from scoup.coding import fit_codes
 from scoup.errors import UnknownNameError
 from scoup.evaluate.ablation_recipes import ABLATIONS, BASE, find_ablations
-from scoup.evaluate.ablations import _start, _without
+from scoup.evaluate.ablations import _rounded_uplift, _rule, _start, _without
 from scoup.evaluate.curves import FAULTS, displaced_masks, find_fault
 from scoup.evaluate.prepared import every_nth_pixel, of_views
 from scoup.evaluate.published import ABLATIONS as PUBLISHED
 from scoup.presence import vote_entropy
-from scoup.uplifting import region_sums
+from scoup.query import PRESETS
+from scoup.uplifting import region_sums, uplift
 from support import small_scene, unit
 
 
@@ -43,6 +45,30 @@ def test_starts() -> None:
     assert free is not None
     assert torch.allclose(free.norm(dim=1), torch.ones(4))
     assert not any((rows == atom).all(1).any() for atom in free)
+
+
+def test_sums_rounded_after_every_view() -> None:
+    gaussians, cameras, regions = small_scene(count=60, views=3)
+    sums = region_sums(gaussians, cameras, regions)
+    rows = [regions.embeddings(level)[0] for level in regions.levels]
+    codes = [fit_codes(of_level, 8, 3, "exact", 0).codes for of_level in rows]
+    exact = uplift(sums, codes)
+    assert torch.allclose(_rounded_uplift(sums, codes, torch.float32), exact, rtol=1e-5, atol=1e-6)
+    for dtype, digits in ((torch.float16, 2**-11), (torch.bfloat16, 2**-8)):
+        rounded = _rounded_uplift(sums, codes, dtype)
+        assert torch.equal(rounded, rounded.to(dtype).float())
+        assert not torch.equal(rounded, exact)
+        error = (rounded - exact).abs()
+        assert bool((error <= 3 * digits * exact + 1e-6).all())
+
+
+def test_rules_of_rows() -> None:
+    preset = PRESETS["scoup"]
+    rules = {each.name: _rule(each, preset) for each in ABLATIONS}
+    assert [name for name, rule in rules.items() if rule.everyday] == ["beside everyday words"]
+    assert rules["level by mask"].preset.level_choice == "mask"
+    assert rules["only level m"].levels == ("m",)
+    assert rules["beside everyday words"].preset == preset
 
 
 def test_rows_are_complete() -> None:

@@ -31,7 +31,7 @@ from scoup.progress import Progress, no_progress
 from scoup.query import QueryPreset
 from scoup.regions import Regions
 from scoup.rounds import accumulate
-from scoup.uplifting import RegionSums, region_sums
+from scoup.uplifting import RegionSums, region_sums, uplift
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,10 @@ class _Workshop:
         if key not in self._codes:
             self._codes[key] = _code(rows, recipe, seed, self._epochs)
         codes, codebook = self._codes[key]
-        accumulators = accumulate(sums, codes, codebook, recipe.rounds, recipe.keep or recipe.k)
+        if recipe.accumulators == "float32":
+            accumulators = accumulate(sums, codes, codebook, recipe.rounds, recipe.keep or recipe.k)
+        else:
+            accumulators = _rounded_uplift(sums, codes, getattr(torch, recipe.accumulators))
         if recipe.dropped is not None:
             accumulators = _without(accumulators, recipe.dropped)
         return voted_field(accumulators, codebook, recipe.keep)
@@ -179,6 +182,18 @@ def _code(rows: Sequence[Tensor], recipe: Recipe, seed: int, epochs: int) -> tup
         codes.append(solution.codes)
         atoms.append(solution.atoms)
     return codes, torch.stack(atoms)
+
+
+def _rounded_uplift(sums: RegionSums, codes: Sequence[SparseCodes], dtype: torch.dtype) -> Tensor:
+    """Accumulators [N, S, L] float32 that were kept in ``dtype`` between views."""
+    total = None
+    for view in sums.views:
+        added = uplift(
+            RegionSums(sums.n_gaussians, sums.levels, [view], sums.rows, sums.raster_preset), codes
+        )
+        total = (added if total is None else total.float() + added).to(dtype)
+    assert total is not None, "regions without views"
+    return total.float()
 
 
 def _start(rows: Tensor, n_atoms: int, start: Start, seed: int) -> Tensor | None:
