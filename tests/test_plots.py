@@ -66,3 +66,5 @@ def test_bad_series(series: list[Series]) -> None:
 
 def test_many_curves_have_different_colors() -> None:
     assert len(set(plot_colors(12))) == 12
+    first = [np.array(color) for color in plot_colors(9)]
+    assert min(np.abs(a - b).max() for i, a in enumerate(first) for b in first[:i]) > 40

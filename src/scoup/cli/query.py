@@ -141,7 +141,8 @@ def _draw(
     from scoup.pictures import heat_map, mask_overlay
 
     level, score = record["level"], record["score"]
-    remark = f"level {level}, {record['coverage']:.1%} of the view"
+    is_there = record.get("present", True)
+    remark = f"level {level}, {record['coverage']:.1%} of the view" if is_there else "not in this view"
     made = {
         "heat": heat_map(relevancy, rgb, record["text"], level, score),
         "mask": mask,

@@ -182,9 +182,12 @@ def nice_ticks(low: float, high: float, most: int = 6) -> list[float]:
 
 def plot_colors(count: int) -> list[tuple[int, int, int]]:
     """Colours dark enough for lines on white, easy to tell apart."""
-    base = [(214, 69, 46), (38, 112, 184), (52, 150, 84), (146, 82, 170), (226, 146, 24), (90, 96, 106)]
+    base = [
+        (214, 69, 46), (38, 112, 184), (52, 150, 84), (146, 82, 170), (226, 146, 24), (90, 96, 106), (22, 170, 190),
+        (128, 74, 44), (224, 110, 164),
+    ]  # fmt: skip
     more = [tuple(int(value * 0.72) for value in color) for color in label_colors(max(count, 1))]
-    return (base + more[6:])[:count] if count > len(base) else base[:count]  # pyright: ignore[reportReturnType]
+    return (base + more[len(base) :])[:count] if count > len(base) else base[:count]  # pyright: ignore[reportReturnType]
 
 
 def _check(series: Sequence[Series]) -> None:
