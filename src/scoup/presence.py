@@ -88,7 +88,7 @@ def view_standing(
         # One region a map, so the key is the number of the map.
         for number, (level, _) in enumerate(part):
             mine = key == number
-            answers[start + number] = mean_embedding(field, level, gaussian[mine], weight[mine]).cpu()
+            answers[start + number] = mean_embedding(field, level, gaussian[mine], weight[mine])
     return standing(answers, queries, words)
 
 
@@ -107,7 +107,7 @@ def scene_standing(
     for row, (chosen, relevancy, level) in enumerate(selections):
         if chosen.any():
             core = (chosen & (relevancy >= relevancy[chosen].median())).nonzero()[:, 0]
-            answers[row] = mean_embedding(field, level, core, field.gaussians.opacities[core]).cpu()
+            answers[row] = mean_embedding(field, level, core, field.gaussians.opacities[core])
     return standing(answers, queries, words)
 
 
@@ -128,11 +128,12 @@ def answer_core(relevancy: Tensor, preset: QueryPreset = PRESETS["default"]) -> 
 
 
 def mean_embedding(field: LanguageField, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
-    """[D] sum of the decoded codes of some Gaussians [M] by weights [M], at one level."""
-    atoms = field.code_indices[gaussians, level].long()
-    shares = field.code_weights[gaussians, level].float() * weights[:, None]
+    """[D] on the CPU: sum of the decoded codes of some Gaussians [M] by weights [M], at one level."""
+    # On the CPU: sums by index on a GPU are not the same twice.
+    atoms = field.code_indices[gaussians, level].cpu().long()
+    shares = (field.code_weights[gaussians, level].float() * weights[:, None]).cpu()
     code = torch.bincount(atoms.flatten(), shares.flatten().double(), field.n_atoms)
-    return code.float() @ field.codebook[level]
+    return code.float() @ field.codebook[level].cpu()
 
 
 def vote_entropy(weights: Tensor) -> Tensor:
