@@ -78,8 +78,13 @@ class _Suite:
         processes = min(MOST_PROCESSES, (os.cpu_count() or 1) // 2)
         if processes > 1 and importlib.util.find_spec("xdist") is not None:
             self._command += ["-n", str(processes), "--max-worker-restart", str(STARTS)]
-        # The suite interprets kernels in processes of its own, and on a GPU it must not.
-        self._environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
+        # The suite interprets kernels in processes of its own, and on a GPU it must not. Nor is it part of a run of
+        # tests that this one may be called from.
+        self._environment = {
+            name: value
+            for name, value in os.environ.items()
+            if name != "TRITON_INTERPRET" and not name.startswith("PYTEST_")
+        }
         paths = [str(Path(__file__).resolve().parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
         self._environment |= {
             "PYTHONPATH": os.pathsep.join(paths),
