@@ -144,6 +144,7 @@ COMPARISONS: dict[str, tuple[str, str]] = {
     "default - dense-mask": ("default", "dense-mask"),
     "default - paper": ("default", "paper"),
     "default - exact": ("default", "exact"),
+    "K = 2 - default": ("exact-128-k2-rounds-mask", "default"),
 }
 """First way minus second way."""
 
