@@ -40,7 +40,7 @@ class Query(AsksText, AsksViews):
     rule: Literal["default", "scoup", "langsplatv2", "langsplat"] = "default"
     """What turns relevancy into masks and points: sides of the boxes that smooth, threshold, choice of the level.
     scoup, langsplatv2 and langsplat are those systems' rules for LERF-OVS; default takes the constants of scoup and
-    the level whose mask is the most relevant on average."""
+    the level whose mask is the most relevant on average, and compares with everyday words, too."""
     threshold: OptionalNumber = None
     """A pixel is in the mask above this, 0 to 1, once relevancy is rescaled over the view. Default: the rule's."""
     presence: OptionalNumber = None

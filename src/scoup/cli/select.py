@@ -36,7 +36,7 @@ class Select(AsksText):
     threshold: float = 0.6
     """A Gaussian is chosen above this, 0 to 1, once relevancy is rescaled over the scene."""
     absolute: Flag = False
-    """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases."""
+    """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases and everyday words."""
     presence: OptionalNumber = None
     """A text is in the scene if what was found lies this many standard deviations nearer to it than to everyday words;
     otherwise nothing is chosen for it. Default: 2, where the table of --text has 16 words or more."""
