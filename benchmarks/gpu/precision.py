@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -12,6 +13,9 @@ from benchmarks.gpu.context import PRESET, Context
 from benchmarks.gpu.timing import Work, reason
 from scoup import raster
 from scoup.bench import Workload
+
+if TYPE_CHECKING:
+    from scoup.raster.gpu_view import Precision
 
 EXACT = "ieee"
 PRECISIONS = ("ieee", "fp16x3", "tf32x3", "tf32")
@@ -44,34 +48,35 @@ def precision(context: Context) -> None:
     if context.about_to(f"answers of {EXACT}") is not None or context.time_is_up():
         return
     exact = answers(work, gpu.look(work.gaussians, work.camera, constants, EXACT))
-    for name in PRECISIONS[1:]:
+
+    def compare(name: str, find: Callable[[], dict[str, float]]) -> None:
         left_out = context.about_to(f"answers of {name}")
         if left_out is not None or context.time_is_up():
             found.append({"name": name, "reason": left_out or "no time was left"})
-            continue
+            return
         try:
-            theirs = answers(work, gpu.look(work.gaussians, work.camera, constants, name))
-            found.append({"name": name, **differences(theirs, exact, sizes.k)})
+            found.append({"name": name, **find()})
         except Exception as error:
             found.append({"name": name, "reason": reason(error)})
             context.clock.recover()
         context.save(context.result)
-    del exact
-    left_out = context.about_to(f"answers of {REFERENCE}")
-    if left_out is not None or context.time_is_up():
-        found.append({"name": REFERENCE, "reason": left_out or "no time was left"})
-        return
-    small = context.work(
-        n_atoms, size=(max(8, sizes.width // 4), max(8, sizes.height // 4)), accumulators=True
-    )
-    try:
+
+    def of_precision(name: Precision, exact: dict[str, Tensor]) -> dict[str, float]:
+        theirs = answers(work, gpu.look(work.gaussians, work.camera, constants, name))
+        return differences(theirs, exact, sizes.k)
+
+    def of_reference() -> dict[str, float]:
+        size = (max(8, sizes.width // 4), max(8, sizes.height // 4))
+        small = context.work(n_atoms, size=size, accumulators=True)
         theirs = answers(small, raster.look(small.gaussians, small.camera, constants, "reference"))
-        exact = answers(small, gpu.look(small.gaussians, small.camera, constants, EXACT))
-        found.append({"name": REFERENCE, **differences(theirs, exact, sizes.k)})
-    except Exception as error:
-        found.append({"name": REFERENCE, "reason": reason(error)})
-        context.clock.recover()
-    context.save(context.result)
+        return differences(
+            theirs, answers(small, gpu.look(small.gaussians, small.camera, constants, EXACT)), sizes.k
+        )
+
+    for name in PRECISIONS[1:]:
+        compare(name, partial(of_precision, name, exact))
+    del exact
+    compare(REFERENCE, of_reference)
 
 
 def runs_of(work: Workload, view: Callable[[], raster.View]) -> dict[str, Callable[[], object]]:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import TypeVar
+
+Entry = TypeVar("Entry")
 
 
 class ScoupError(Exception):
@@ -68,6 +71,22 @@ class UnknownNameError(InputError, KeyError):
 
     def __str__(self) -> str:  # KeyError would print the repr
         return self.message
+
+
+def looked_up(kind: str, name: str, table: Mapping[str, Entry]) -> Entry:
+    """The entry of that name.
+
+    Args:
+        kind: what is looked for, for the error.
+        name: of the entry.
+        table: all entries.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    if name not in table:
+        raise UnknownNameError(kind, name, table)
+    return table[name]
 
 
 class ScoupWarning(UserWarning):

@@ -19,7 +19,7 @@ from scoup import __version__, raster
 from scoup.cameras import Camera, Cameras
 from scoup.checkpoint import BuildState, Checkpoint, Embeddings, build_key
 from scoup.codes import SparseCodes
-from scoup.coding import fit_codes
+from scoup.coding import Codebook, fit_codes
 from scoup.consensus import consensus
 from scoup.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.field import FieldInfo, LanguageField
@@ -282,6 +282,21 @@ def _forget_other_maps(state: BuildState, views: list[Camera], regions: Regions)
                 return
 
 
+def learn_codebook(rows: Tensor, settings: BuildSettings, progress: Progress = no_progress) -> Codebook:
+    """Codebook and codes of the embeddings [R, D] of one level, by the settings of a build; see ``fit_codes``."""
+    return fit_codes(
+        rows,
+        settings.n_atoms,
+        settings.k,
+        solver=settings.solver,
+        effort=settings.effort,
+        seed=settings.seed,
+        epochs=settings.epochs,
+        tolerance=settings.tolerance,
+        progress=progress,
+    )
+
+
 def _learn_codes(
     embeddings: dict[str, Embeddings],
     settings: BuildSettings,
@@ -295,16 +310,8 @@ def _learn_codes(
     for level in processes.share(list(embeddings)):
         rows, _ = embeddings[level]
         name = f"coding {level}"
-        book = fit_codes(
-            rows.to(device),
-            settings.n_atoms,
-            settings.k,
-            solver=settings.solver,
-            effort=settings.effort,
-            seed=settings.seed,
-            epochs=settings.epochs,
-            tolerance=settings.tolerance,
-            progress=lambda _, done, total, name=name: progress(name, done, total),
+        book = learn_codebook(
+            rows.to(device), settings, lambda _, done, total, name=name: progress(name, done, total)
         )
         # Seconds would make two equal builds write different bytes.
         report = {key: value for key, value in dataclasses.asdict(book.report).items() if key != "seconds"}

@@ -30,6 +30,11 @@ def dense_features(sums: RegionSums, embeddings: Sequence[Tensor], level: int) -
     return torch.nn.functional.normalize(summed, dim=1)
 
 
+def weighted_means(sums: RegionSums, rows: Sequence[Tensor]) -> list[Tensor]:
+    """``dense_features`` of every level, of rows [R, C] of any kind."""
+    return [dense_features(sums, rows, level) for level in range(len(rows))]
+
+
 def dense_relevancy(view: raster.View, features: Tensor, queries: Tensor, canonical: Tensor) -> Tensor:
     """Relevancy of one level from rendered D-channel features: [Q, H, W] float32.
 

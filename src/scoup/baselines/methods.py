@@ -16,12 +16,12 @@ from torch import Tensor
 from scoup import raster
 from scoup.baselines.autoencoder import LANGSPLAT, AutoencoderSettings, fit_autoencoder
 from scoup.baselines.channels import ChannelField, code_cosines, embedding_cosines
+from scoup.baselines.dense import weighted_means
 from scoup.baselines.gather import CentrePixel, Gather, TopContributors, VisibleCentrePixel
 from scoup.baselines.product_quantisation import fit_product_quantiser
 from scoup.codes import SparseCodes
-from scoup.coding import fit_codes
-from scoup.errors import InputError, UnknownNameError
-from scoup.pipeline import BUILD_PRESETS, BuildSettings
+from scoup.errors import InputError, looked_up
+from scoup.pipeline import BUILD_PRESETS, BuildSettings, learn_codebook
 from scoup.progress import Progress, no_progress
 from scoup.rounds import accumulate
 from scoup.uplifting import RegionSums, top_k
@@ -79,14 +79,6 @@ def dense_field(sums: RegionSums, embeddings: Sequence[Tensor], settings: Method
     return ChannelField(features, [embedding_cosines] * len(features), size)
 
 
-def weighted_means(sums: RegionSums, rows: Sequence[Tensor]) -> list[Tensor]:
-    """Per level [N, C] float32 of unit norm; zero where nothing was gathered."""
-    return [
-        torch.nn.functional.normalize(torch.from_numpy(sums.matrix(level) @ of_level.cpu().numpy()), dim=1)
-        for level, of_level in enumerate(rows)
-    ]
-
-
 def quantised_field(sums: RegionSums, embeddings: Sequence[Tensor], settings: MethodSettings) -> ChannelField:
     """Dense features kept as product-quantised codes. Asked by their decoded form."""
     features = []
@@ -120,26 +112,22 @@ def autoencoded_field(
 
 def sparse_field(sums: RegionSums, embeddings: Sequence[Tensor], settings: MethodSettings) -> ChannelField:
     """Sparse codes by the settings of a build, as ``scoup.build`` makes them."""
-    wanted = settings.build
-    if wanted.consensus:
+    accumulators, codebook = votes(sums, embeddings, replace(settings.build, seed=settings.seed))
+    return voted_field(accumulators, codebook, settings.build.keep or None)
+
+
+def votes(sums: RegionSums, embeddings: Sequence[Tensor], settings: BuildSettings) -> tuple[Tensor, Tensor]:
+    """Accumulators [N, S, L] after all rounds, and codebook [S, L, D], by the settings of a build.
+
+    Raises:
+        InputError: the settings ask for consensus.
+    """
+    if settings.consensus:
         raise InputError("consensus is not compared here; build without it")
-    books = [
-        fit_codes(
-            rows,
-            wanted.n_atoms,
-            wanted.k,
-            wanted.solver,
-            settings.seed,
-            wanted.epochs,
-            wanted.tolerance,
-            wanted.effort,
-        )
-        for rows in embeddings
-    ]
+    books = [learn_codebook(rows, settings) for rows in embeddings]
     codebook = torch.stack([book.atoms for book in books])
-    keep = wanted.keep or None
-    accumulators = accumulate(sums, [book.codes for book in books], codebook, wanted.rounds, keep or wanted.k)
-    return voted_field(accumulators, codebook, keep)
+    codes = [book.codes for book in books]
+    return accumulate(sums, codes, codebook, settings.rounds, settings.keep or settings.k), codebook
 
 
 def voted_field(accumulators: Tensor, codebook: Tensor, keep: int | None) -> ChannelField:
@@ -269,6 +257,4 @@ def find_method(name: str) -> Method:
     Raises:
         UnknownNameError: there is none.
     """
-    if name not in METHODS:
-        raise UnknownNameError("method", name, METHODS)
-    return METHODS[name]
+    return looked_up("method", name, METHODS)

@@ -159,6 +159,14 @@ class TextVectors:
         return None
 
 
+def not_there(place: str, standing: float | None, bound: float) -> str:
+    """What is said of a text that is judged to be absent; ``standing`` is None or infinite where nothing was found."""
+    found = standing is not None and math.isfinite(standing)
+    return (
+        f"not in this {place} ({f'standing {standing:.1f}' if found else 'nothing found'}, {bound:g} asked)"
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class AsksText(AsksField):
     """Options of verbs that take words."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from scoup.cli.asking import AsksText, AsksViews, sees_nothing
+from scoup.cli.asking import AsksText, AsksViews, not_there, sees_nothing
 from scoup.cli.console import Console
 from scoup.cli.names import unique_slugs
 from scoup.cli.options import Flag, OptionalNumber, OptionalPath, Texts, common_last
@@ -119,10 +119,8 @@ class Query(AsksText, AsksViews):
             write_text(hidden / RECORD, json.dumps({"field": str(self.field), "answers": records}, indent=2))
         for record in records:
             if not record.get("present", True):
-                told = "nothing found" if record["standing"] is None else f"standing {record['standing']:.1f}"
-                console.say(
-                    f"{record['camera']}  {record['text']}: not in this view ({told}, {bound:g} asked)"
-                )
+                told = not_there("view", record["standing"], bound)
+                console.say(f"{record['camera']}  {record['text']}: {told}")
                 continue
             box = "no pixel" if record["box"] is None else f"box {record['box']}"
             console.say(

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from scoup.cli.asking import AsksText
+from scoup.cli.asking import AsksText, not_there
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalNumber, Texts, common_last
 
@@ -89,7 +88,11 @@ class Select(AsksText):
             standings = scene_standing(field, selections, vectors.queries, words)
             bound = PRESENT_FROM if self.presence is None else self.presence
             found = found & (standings >= bound).to(found.device)[:, None]
-            absent = self._absent(standings, bound)
+            absent = [
+                f"{text}: {not_there('scene', standing, bound)}"
+                for text, standing in zip(self.texts, standings.tolist(), strict=True)
+                if standing < bound
+            ]
             for told in absent:
                 console.say(told)
         chosen = found.any(0)
@@ -117,15 +120,6 @@ class Select(AsksText):
             console.say(f"{text}: {count:,} of {len(field):,} Gaussians")
         console.say(f"{self.out}: {len(table):,} Gaussians written")
         console.result({"out": self.out, "written": len(table), "chosen": counts, "gaussians": len(field)})
-
-    def _absent(self, standings: Tensor, bound: float) -> list[str]:
-        """A sentence for each text that is not there."""
-        sentences = []
-        for text, standing in zip(self.texts, standings.tolist(), strict=True):
-            if standing < bound:
-                told = f"standing {standing:.1f}" if math.isfinite(standing) else "nothing found"
-                sentences.append(f"{text}: not in this scene ({told}, {bound:g} asked)")
-        return sentences
 
     def _table(self, field: LanguageField) -> tuple[PlyTable, Tensor]:
         """Rows to write from, and which of them [M] are the field's Gaussians, in order."""

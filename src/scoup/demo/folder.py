@@ -83,15 +83,7 @@ def write_demo_scene(
     for camera in scene.building:
         check_output(folder / "images" / camera.name, overwrite)
 
-    save_gaussians(scene.gaussians, folder / "point_cloud.ply", overwrite)
-    points = np.linspace(0, len(scene.gaussians) - 1, min(SPARSE_POINTS, len(scene.gaussians))).astype(int)
-    colors = (scene.gaussians.sh[points, 0].numpy() * SH_C0 + 0.5).clip(0, 1) * 255
-    positions = scene.gaussians.means[points].double().numpy()
-    write_colmap(
-        scene.building, folder / "sparse" / "0", (positions, colors.astype(np.uint8)), overwrite=overwrite
-    )
-    save_regions(scene.regions, folder / "language_features", overwrite)
-    save_table(folder / "text.npz", scene.words.texts, scene.words.vectors, overwrite, EMBEDDING_MODEL)
+    write_scene(scene, folder, overwrite)
 
     cameras = scene.cameras
     for done, camera in enumerate(cameras):
@@ -134,3 +126,17 @@ def label_file(frame: LabelledFrame, image_name: str, groups: dict[str, str]) ->
             )
     info = {"name": image_name, "width": frame.width, "height": frame.height, "depth": 3, "note": "simulated"}
     return {"info": info, "objects": objects}
+
+
+def write_scene(scene: DemoScene, folder: Path, overwrite: bool) -> None:
+    """Splat, cameras with some points, region features and text vectors: all of a scene's folder but its images."""
+    save_gaussians(scene.gaussians, folder / "point_cloud.ply", overwrite)
+    count = len(scene.gaussians)
+    points = np.linspace(0, count - 1, min(SPARSE_POINTS, count)).astype(int)
+    colors = (scene.gaussians.sh[points, 0].numpy() * SH_C0 + 0.5).clip(0, 1) * 255
+    positions = scene.gaussians.means[points].double().numpy()
+    write_colmap(
+        scene.building, folder / "sparse" / "0", (positions, colors.astype(np.uint8)), overwrite=overwrite
+    )
+    save_regions(scene.regions, folder / "language_features", overwrite)
+    save_table(folder / "text.npz", scene.words.texts, scene.words.vectors, overwrite, EMBEDDING_MODEL)

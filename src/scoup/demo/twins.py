@@ -14,18 +14,16 @@ from pathlib import Path
 import numpy as np
 
 from scoup.cameras import Camera, Cameras
-from scoup.demo.folder import SPARSE_POINTS, label_file
+from scoup.demo.folder import label_file, write_scene
 from scoup.demo.layouts import LAYOUTS, find_layout
-from scoup.demo.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
-from scoup.demo.splat import SH_C0
+from scoup.demo.scene import DemoScene, make_demo_scene
 from scoup.demo.words import DISTRACTORS
 from scoup.errors import InputError, OutputExistsError
 from scoup.evaluate.datasets import DataSet, find_data_set
-from scoup.io import check_output, save_gaussians, save_png, save_regions, write_colmap, write_text
+from scoup.io import check_output, save_png, write_text
 from scoup.progress import Progress, no_progress
 from scoup.raster import render_colors
 from scoup.regions import Regions
-from scoup.text_table import save_table
 
 LEVELS_ASKED = ("m", "l")  # names of objects and of groups
 
@@ -140,16 +138,7 @@ def _write_scene(
     kind: DataSet, scene: DemoScene, root: Path, name: str, size: TwinSize, overwrite: bool
 ) -> None:
     folder = root / name
-    save_gaussians(scene.gaussians, folder / "point_cloud.ply", overwrite)
-    count = len(scene.gaussians)
-    points = np.linspace(0, count - 1, min(SPARSE_POINTS, count)).astype(int)
-    colors = (scene.gaussians.sh[points, 0].numpy() * SH_C0 + 0.5).clip(0, 1) * 255
-    positions = scene.gaussians.means[points].double().numpy()
-    write_colmap(
-        scene.building, folder / "sparse" / "0", (positions, colors.astype(np.uint8)), overwrite=overwrite
-    )
-    save_regions(scene.regions, folder / "language_features", overwrite)
-    save_table(folder / "text.npz", scene.words.texts, scene.words.vectors, overwrite, EMBEDDING_MODEL)
+    write_scene(scene, folder, overwrite)
     write_text(folder / "absent.txt", "".join(f"{word}\n" for word in DISTRACTORS), overwrite)
     labelled = {scene.building[i].name for i in np.linspace(0, size.n_views - 1, size.n_labelled).astype(int)}
     for camera in scene.building:

@@ -31,7 +31,7 @@ from scoup.progress import Progress, no_progress
 from scoup.query import QueryPreset
 from scoup.regions import Regions
 from scoup.rounds import accumulate
-from scoup.uplifting import RegionSums, region_sums, uplift
+from scoup.uplifting import RegionSums, add_view, codes_of_view, region_sums
 
 
 @dataclass(frozen=True)
@@ -186,14 +186,11 @@ def _code(rows: Sequence[Tensor], recipe: Recipe, seed: int, epochs: int) -> tup
 
 def _rounded_uplift(sums: RegionSums, codes: Sequence[SparseCodes], dtype: torch.dtype) -> Tensor:
     """Accumulators [N, S, L] float32 that were kept in ``dtype`` between views."""
-    total = None
+    total = torch.zeros(sums.n_gaussians, len(codes), codes[0].n_atoms, device=codes[0].weights.device)
     for view in sums.views:
-        added = uplift(
-            RegionSums(sums.n_gaussians, sums.levels, [view], sums.rows, sums.raster_preset), codes
-        )
-        total = (added if total is None else total.float() + added).to(dtype)
-    assert total is not None, "regions without views"
-    return total.float()
+        add_view(view, codes_of_view(codes, sums.rows, view.view_name), total)
+        total = total.to(dtype).float()
+    return total
 
 
 def _start(rows: Tensor, n_atoms: int, start: Start, seed: int) -> Tensor | None:

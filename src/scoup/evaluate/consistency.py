@@ -8,7 +8,7 @@ most of the pixel under their centre. Only what lies in 2D is compared: nothing 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from statistics import mean
@@ -22,7 +22,6 @@ from scoup import raster
 from scoup.baselines.autoencoder import LANGSPLAT, AutoencoderSettings, fit_autoencoder
 from scoup.baselines.gather import centre_pixels, pixel_weights
 from scoup.cameras import Camera, Cameras
-from scoup.coding import fit_codes
 from scoup.errors import InputError, MissingFileError
 from scoup.evaluate.metrics import bootstrap_interval
 from scoup.evaluate.tables import Table
@@ -30,7 +29,7 @@ from scoup.gaussians import Gaussians
 from scoup.io import read_tracks
 from scoup.pictures.colors import Picture
 from scoup.pictures.plots import interval_plot
-from scoup.pipeline import BuildSettings
+from scoup.pipeline import BuildSettings, learn_codebook
 from scoup.regions import Regions
 
 DOMINANT = 0.5  # of a pixel's weight: a Gaussian that paints this much is what one sees there
@@ -157,7 +156,7 @@ def consistency(
         both = (one >= 0) & (other >= 0)
         if not both.any():
             continue
-        book = fit_codes(rows, settings.n_atoms, settings.k, settings.solver, seed, settings.epochs)
+        book = learn_codebook(rows, replace(settings, seed=seed))
         unit = torch.nn.functional.normalize(rows, dim=1)
         sparse = torch.nn.functional.normalize(book.codes.to_dense() @ book.atoms, dim=1)
         features = {"raw": unit, "autoencoder": network.decode(network.encode(rows)), "sparse codes": sparse}

@@ -13,7 +13,7 @@ import torch
 from scipy import ndimage
 
 from scoup.baselines.methods import DEFAULTS, Method, MethodSettings
-from scoup.errors import UnknownNameError
+from scoup.errors import looked_up
 from scoup.evaluate.comparison import paired_difference, signed
 from scoup.evaluate.perturbations import LevelSums, as_region_sums, level_sums, perturbed
 from scoup.evaluate.prepared import PreparedScene, Rule
@@ -82,9 +82,7 @@ def find_fault(name: str) -> Fault:
     Raises:
         UnknownNameError: there is none.
     """
-    if name not in FAULTS:
-        raise UnknownNameError("fault", name, FAULTS)
-    return FAULTS[name]
+    return looked_up("fault", name, FAULTS)
 
 
 def run_curves(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scoup.cameras import Camera, Cameras
-from scoup.errors import InputError, MissingFileError, UnknownNameError
+from scoup.errors import InputError, MissingFileError, UnknownNameError, looked_up
 from scoup.evaluate import lerf_ovs, mipnerf360, threed_ovs
 from scoup.evaluate.lerf_labels import LabelledFrame, match_frames, read_labels
 from scoup.io import find_gaussians, load_cameras
@@ -111,9 +111,7 @@ def find_data_set(name: str) -> DataSet:
     Raises:
         UnknownNameError: there is none.
     """
-    if name not in DATA_SETS:
-        raise UnknownNameError("data set", name, DATA_SETS)
-    return DATA_SETS[name]
+    return looked_up("data set", name, DATA_SETS)
 
 
 def data_set_preset(data_set: DataSet, system: str) -> QueryPreset:

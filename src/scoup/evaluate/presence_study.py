@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.coding import fit_codes
+from scoup.baselines.methods import votes
 from scoup.errors import InputError
 from scoup.evaluate.datasets import EvalScene
 from scoup.evaluate.prepared import PreparedScene
@@ -28,7 +28,6 @@ from scoup.pipeline import BuildSettings
 from scoup.presence import PRESENT_FROM, scene_standing, view_standing, vote_entropy
 from scoup.progress import Progress, no_progress
 from scoup.query import PRESETS, QueryPreset, choose_level, level_masks, select_with_level
-from scoup.rounds import accumulate
 from scoup.uplifting import top_k
 
 SIGNALS = ("standing", "peak", "inside", "contrast", "entropy", "vote entropy", "vote weight")
@@ -94,7 +93,7 @@ def ask_scene(
         preset: by which answers are made.
         progress: told after each view.
     """
-    field, votes = _build(scene, settings)
+    field, told = _build(scene, settings)
     words = {**scene.asked.vectors, **absent}
     queries = torch.stack(list(words.values()))
     canonical = with_everyday(scene.asked.canonical, everyday)
@@ -102,7 +101,7 @@ def ask_scene(
     progress(f"presence {scene.name}", 0, len(scene.scene.frames))
     for done, (frame, camera) in enumerate(scene.scene.frames, start=1):
         view = field.look(camera)
-        extra = [rendered_mean(view, each, field.code_weights.any(-1)) for each in votes]
+        extra = [rendered_mean(view, each, field.code_weights.any(-1)) for each in told]
         maps = field.relevancy(camera, queries, canonical, view)
         standings = view_standing(field, view, maps, queries, everyday, preset).clamp(min=_LOWEST).tolist()
         for position, (word, standing) in enumerate(zip(words, standings, strict=True)):
@@ -119,15 +118,8 @@ def ask_scene(
 
 def _build(scene: PreparedScene, settings: BuildSettings) -> tuple[LanguageField, list[Tensor]]:
     """The field, and what its votes say [N, S] each: entropy of the codes, entropy of the votes, their weight."""
-    books = [
-        fit_codes(rows, settings.n_atoms, settings.k, settings.solver, settings.seed, settings.epochs)
-        for rows in scene.embeddings()
-    ]
-    codebook = torch.stack([book.atoms for book in books])
-    keep = settings.keep or None
-    codes = [book.codes for book in books]
-    accumulators = accumulate(scene.gathered(), codes, codebook, settings.rounds, keep or settings.k)
-    indices, weights = top_k(accumulators, keep)
+    accumulators, codebook = votes(scene.gathered(), scene.embeddings(), settings)
+    indices, weights = top_k(accumulators, settings.keep or None)
     info = FieldInfo(
         tuple(scene.regions.levels),
         "",
@@ -136,8 +128,8 @@ def _build(scene: PreparedScene, settings: BuildSettings) -> tuple[LanguageField
         scene.raster_preset,
     )
     field = LanguageField(indices, weights, codebook, info, scene.gaussians)
-    votes = [vote_entropy(field.code_weights), vote_entropy(accumulators), torch.log1p(accumulators.sum(-1))]
-    return field, votes
+    told = [vote_entropy(field.code_weights), vote_entropy(accumulators), torch.log1p(accumulators.sum(-1))]
+    return field, told
 
 
 def rendered_mean(view: raster.View, values: Tensor, coded: Tensor) -> Tensor:

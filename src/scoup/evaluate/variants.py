@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.baselines.dense import dense_features, dense_relevancy
+from scoup.baselines.dense import dense_relevancy, weighted_means
 from scoup.cameras import Camera
 from scoup.evaluate.lerf_ovs import LabelledFrame, PairScore, SceneScore, score_frame
 from scoup.field import FieldInfo, LanguageField
@@ -66,7 +66,7 @@ def sparse_variant(
 
 def dense_variant(name: str, sums: RegionSums, embeddings: Sequence[Tensor]) -> Variant:
     """Dense uplift of the embeddings, per level [R, D]; keeps N x S x D floats in memory."""
-    features = [dense_features(sums, embeddings, level) for level in range(len(embeddings))]
+    features = weighted_means(sums, embeddings)
 
     def ask(camera: Camera, view: raster.View, queries: Tensor, canonical: Tensor) -> Tensor:
         return torch.stack([dense_relevancy(view, each, queries, canonical) for each in features])
