@@ -61,14 +61,15 @@ def work_through(
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started this one decides
     if interpreted:
-        os.environ["TRITON_INTERPRET"] = "1"  # before triton is imported
+        from benchmarks.gpu.interpreting import interpret_kernels
+
+        interpret_kernels()  # before triton is imported
     import torch
 
     from benchmarks.gpu.context import Context
     from benchmarks.gpu.timing import DeviceLost, reason
 
     if interpreted:
-        torch.set_num_threads(1)
         warnings.filterwarnings("ignore", category=RuntimeWarning)  # of numpy, in the interpreter
     device = torch.device("cpu" if interpreted else "cuda")
     name = ""

@@ -23,9 +23,10 @@ from scoup.codes import SparseCodes
 from scoup.errors import InputError
 from scoup.raster.gpu_regions import CodeTables
 from scoup.raster.gpu_view import FUSED, TILE, GpuView
-from scoup.raster.kernels.blending import blend, load_chunk, pixel_block
+from scoup.raster.kernels.blending import blend, gaussians_of, is_lit, pixels_of
 
 _CHUNK = 16
+_WARPS = 2  # a thread a pixel
 
 
 def scatter_view(view: GpuView, labels: Tensor, codes: Sequence[SparseCodes], out: Tensor) -> None:
@@ -54,18 +55,16 @@ def scatter_view(view: GpuView, labels: Tensor, codes: Sequence[SparseCodes], ou
     labels = labels.to(view.device).contiguous()
     with torch.cuda.device_of(out):
         scatter_kernel[(view.n_tiles,)](
-            view.pair_ids, view.corners, view.records, view.starts, labels, tables.firsts, tables.atoms,
-            tables.weights, out, view.width, view.height, view.across, len(codes), codes[0].n_atoms,
-            view.preset.alpha_max, view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive, TILE=TILE,
-            CHUNK=_CHUNK, K=tables.atoms.shape[1], num_warps=8, **FUSED,
+            view.records, view.numbers, view.starts, labels, tables.firsts, tables.atoms, tables.weights, out,
+            view.width, view.height, view.across, len(codes), codes[0].n_atoms, view.preset.alpha_max, view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive, TILE=TILE,
+            CHUNK=_CHUNK, K=tables.atoms.shape[1], num_warps=_WARPS, **FUSED,
         )  # fmt: skip
 
 
 @triton.jit(do_not_specialize=["width", "height", "across", "n_levels", "n_atoms"])
 def scatter_kernel(
-    pair_ids,  # [P] int32
-    corners,  # [P, 2] float32
-    records,  # [N, 4] float32
+    records,  # [., RECORD] float32
+    numbers,  # the same memory as int32
     starts,  # [tiles + 1] int64
     labels,  # [S, H, W] integers
     first_rows,  # [S] int64: where the regions of a level begin in the tables
@@ -86,14 +85,14 @@ def scatter_kernel(
 ):
     """One program a tile."""
     tile = tl.program_id(0)
-    x, y, pixel, inside = pixel_block(tile, 0, across, width, height, TILE, TILE * TILE)
+    x, y, pixel, inside = pixels_of(tile, across, width, height, TILE)
     plane = height.to(tl.int64) * width
-    transmittance = tl.where(inside, 1.0, 0.0)
+    transmittance = tl.where(inside, 1.0, 0.0)[None, :]
     start, end = tl.load(starts + tile), tl.load(starts + tile + 1)
     while start < end:
-        gaussian, u, v, ku, skew, kv, peak = load_chunk(pair_ids, corners, records, start, end, CHUNK)
+        gaussian, _ = gaussians_of(numbers, start, end, CHUNK)
         blending, transmittance = blend(
-            x, y, u, v, ku, skew, kv, peak, transmittance, alpha_max, stop, STOP_INCLUSIVE
+            records, start, end, x, y, transmittance, alpha_max, stop, STOP_INCLUSIVE, CHUNK, 1.0
         )
         for level in range(n_levels):
             region = tl.load(labels + level * plane + pixel, mask=inside, other=-1)
@@ -103,7 +102,6 @@ def scatter_kernel(
             for slot in range(K):
                 atom = tl.load(atoms + row + slot, mask=has_region, other=0)
                 weight = tl.load(weights + row + slot, mask=has_region, other=0.0)
-                share = blending * weight[:, None]
-                tl.atomic_add(own[None, :] + atom[:, None], share, mask=share > 0, sem="relaxed")
-        going_on = tl.max(transmittance, axis=0) > 0
-        start = tl.where(going_on, start + CHUNK, end)
+                share = blending * weight[None, :]
+                tl.atomic_add(own[:, None] + atom[None, :], share, mask=share > 0, sem="relaxed")
+        start = tl.where(is_lit(transmittance), start + CHUNK, end)

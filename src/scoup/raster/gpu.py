@@ -23,13 +23,23 @@ from scoup.codes import SparseCodes, add_codes, cosines_from_products, full_prod
 from scoup.raster.gpu_regions import add_votes, triplets
 from scoup.raster.gpu_view import FUSED, TILE, GpuView
 from scoup.raster.gpu_view import look as look
-from scoup.raster.kernels.rendering import channels_kernel, codes_kernel, products_kernel
+from scoup.raster.kernels.blending import LOW_SCALE
+from scoup.raster.kernels.rendering import (
+    SLOTS,
+    channels_kernel,
+    codes_kernel,
+    pack_kernel,
+    products_kernel,
+)
 
 PREPARES = False  # rows in another order have not been seen to pay here
 MOST_ATOMS = 256  # coefficients of a pixel that stay on the chip
-_CHUNK = 16  # Gaussians at a time; tensor cores want no fewer
-WARPS = 8  # of a program that renders
-_COEFFICIENTS = 96 * 32 * WARPS  # of a program: 96 registers of each thread
+_CHUNK = 32  # Gaussians at a time; with 16 there are nearly as many barriers for half of the work
+_FEW_CHANNELS = 16  # a program of two warps, a thread a pixel
+_CHANNELS = 64  # that a program of four warps renders
+WARPS = 4  # of a program that renders codes: fewer than Hopper's matrix products are made for would be slower
+_COEFFICIENTS = 128 * 32 * WARPS  # of a program: 128 registers of each thread
+_BLOCK = 128
 
 
 def region_weights(view: GpuView, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -83,33 +93,62 @@ def render_channels(view: GpuView, values: Tensor) -> tuple[Tensor, Tensor]:
     values = values.to(device).contiguous()
     image = torch.empty(view.height, view.width, channels, device=device)
     alpha = torch.empty(view.height, view.width, device=device)
-    block = min(64, max(16, triton.next_power_of_2(max(1, channels))))
-    pixels = 128 if block == 64 else TILE * TILE
+    few = channels <= _FEW_CHANNELS
+    block = _FEW_CHANNELS if few else _CHANNELS
     with torch.cuda.device_of(values):
-        grid = (view.n_tiles * (TILE * TILE // pixels), max(1, triton.cdiv(channels, block)))
-        channels_kernel[grid](
-            *_lists(view), values, image, alpha, *_size(view), channels, *_bounds(view),
-            **_constants(view, values), PIXELS=pixels, CHANNELS=block, num_warps=WARPS,
+        channels_kernel[(view.n_tiles, max(1, triton.cdiv(channels, block)))](
+            *_lists(view), values, image, alpha, *_size(view), channels, *_bounds(view), **_constants(view),
+            CHUNK=_CHUNK // 2, CHANNELS=block, PRECISION=view.products(wide=True), num_warps=2 if few else WARPS,
         )  # fmt: skip
     return image, alpha
+
+
+@dataclass(frozen=True, eq=False)
+class PackedCodes:
+    """Codes as the kernels read them, see ``kernels.rendering.pack_kernel``.
+
+    Attributes:
+        words: [N, S, GROUPS * SLOTS] int32, or int64 where ``wide``.
+        wide: weights are kept as float32, because they came so or because another precision was asked for.
+    """
+
+    words: Tensor
+    wide: bool
+
+    @property
+    def groups(self) -> int:
+        """Of ``SLOTS`` entries each."""
+        return self.words.shape[2] // SLOTS.value
+
+
+def pack(view: GpuView, indices: Tensor, weights: Tensor, n_atoms: int) -> PackedCodes:
+    """[N, S, K] sparse codes, packed."""
+    count, levels, k = indices.shape
+    wide = weights.dtype != torch.float16 or view.products() != "fp16x3" or n_atoms > 2**16
+    indices, weights = indices.to(view.device).contiguous(), weights.to(view.device).contiguous()
+    groups = triton.cdiv(k, SLOTS.value)
+    shape = count, levels, groups * SLOTS.value
+    words = torch.empty(shape, dtype=torch.int64 if wide else torch.int32, device=view.device)
+    pack_kernel[(triton.cdiv(count * levels, _BLOCK),)](
+        indices, weights, words, count * levels, n_atoms, K=k, GROUPS=groups, WIDE=wide, BLOCK=_BLOCK, **FUSED
+    )  # fmt: skip
+    return PackedCodes(words, wide)
 
 
 def render_codes(view: GpuView, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
     levels, k = indices.shape[1:]
     shape = (levels, view.height, view.width, n_atoms)
-    if k == 0 or math.prod(shape) == 0:
+    if 0 in (view.n_gaussians, k, *shape):
         return torch.zeros(shape, device=view.device)
     out = torch.empty(shape, device=view.device)  # every number is written
-    table = (indices.to(view.device).contiguous(), weights.to(view.device).contiguous())
     blocks = code_blocks(levels, min(n_atoms, MOST_ATOMS))
     with torch.cuda.device_of(out):
+        codes = pack(view, indices, weights, n_atoms)
         for first in range(0, levels, blocks.levels):
-            grid = (view.n_tiles * (TILE * TILE // blocks.pixels), triton.cdiv(n_atoms, blocks.atoms))
-            codes_kernel[grid](
-                *_lists(view), *table, out, *_size(view), levels, n_atoms, first, *_bounds(view),
-                **_constants(view, weights), PIXELS=blocks.pixels, LEVELS=min(blocks.levels, levels - first), K=k,
-                ATOMS=blocks.atoms, num_warps=WARPS,
+            codes_kernel[(view.n_tiles, triton.cdiv(n_atoms, blocks.atoms))](
+                *_lists(view), codes.words, out, *_size(view), levels, n_atoms, first, *_bounds(view),
+                **_constants(view), **_of_codes(view, codes, blocks, levels - first), num_warps=WARPS,
             )  # fmt: skip
     return out
 
@@ -145,7 +184,7 @@ def _render_products(
     """Coefficients times ``table`` over the norm of the decoded feature."""
     n_atoms, columns = table.shape[1:]
     levels, k = indices.shape[1:]
-    if k == 0 or n_atoms == 0 or math.prod(shape) == 0:
+    if 0 in (view.n_gaussians, k, n_atoms, *shape):
         return torch.zeros(shape, device=view.device)
     out = torch.empty(shape, device=view.device)  # every number is written
     grams = full_products(codebook, codebook)
@@ -153,24 +192,27 @@ def _render_products(
         return _products_by_level(view, indices, weights, grams, table, out, pixels_last)
     # The quotient stays the same, and entries are within float16.
     scale = grams.amax((1, 2), keepdim=True).clamp(min=torch.finfo(torch.float32).tiny)
-    tables = (
-        indices.to(view.device).contiguous(),
-        weights.to(view.device).contiguous(),
-        grams / scale,
-        (table / scale.sqrt()).contiguous(),
-    )
+    precision = "fp16x3" if view.precision == "tf32x3" else view.products()
+    tables = [grams / scale, table / scale.sqrt()]
+    if precision == "fp16x3":
+        tables = [halves(part) for part in tables]
     blocks = code_blocks(levels, n_atoms)
-    at_once = product_columns(blocks, pixels_last)
     with torch.cuda.device_of(out):
+        codes = pack(view, indices, weights, n_atoms)
         for first in range(0, levels, blocks.levels):
-            products_kernel[(view.n_tiles * (TILE * TILE // blocks.pixels),)](
-                *_lists(view), *tables, out, *_size(view), levels, n_atoms, columns, first, *_bounds(view),
-                **_constants(view, weights), PIXELS=blocks.pixels, LEVELS=min(blocks.levels, levels - first), K=k,
-                ATOMS=blocks.atoms, COLUMNS=at_once, PIXELS_LAST=pixels_last,
-                TABLE_PRECISION="fp16x3" if view.precision == "tf32x3" else view.products(),
+            products_kernel[(view.n_tiles,)](
+                *_lists(view), codes.words, *tables, out, *_size(view), levels, n_atoms, columns, first,
+                *_bounds(view), **_constants(view), **_of_codes(view, codes, blocks, levels - first),
+                COLUMNS=product_columns(blocks, pixels_last), PIXELS_LAST=pixels_last, TABLE_PRECISION=precision,
                 num_warps=WARPS,
             )  # fmt: skip
     return out
+
+
+def halves(table: Tensor) -> Tensor:
+    """[2, ...] float16 that sum up to a table of float32, the second times LOW_SCALE: ``kernels.blending.halves``."""
+    high = table.half()
+    return torch.stack([high, ((table - high.float()) * LOW_SCALE.value).half()])
 
 
 def _products_by_level(
@@ -197,22 +239,18 @@ def _products_by_level(
 
 @dataclass(frozen=True)
 class CodeBlocks:
-    """What one program renders: so many pixels of a tile, levels, and atoms."""
+    """Levels and atoms that one program renders."""
 
-    pixels: int
     levels: int
     atoms: int
 
 
 def code_blocks(levels: int, n_atoms: int) -> CodeBlocks:
-    """The largest block whose coefficients fit into registers: more pixels share the cost of making a Gaussian's code
-    dense, more levels that of its blending weights.
-    """
+    """The largest block whose coefficients fit into registers: more levels share the cost of the blending weights."""
     atoms = max(16, triton.next_power_of_2(n_atoms))
-    pixels = 128 if atoms <= 64 else 64 if atoms == 128 else 32
-    most = 1 if atoms > 128 else min(4, _COEFFICIENTS // (pixels * atoms))
+    most = max(1, min(4, _COEFFICIENTS // (TILE * TILE * atoms)))
     passes = triton.cdiv(levels, most)
-    return CodeBlocks(pixels, triton.cdiv(levels, passes), atoms)
+    return CodeBlocks(triton.cdiv(levels, passes), atoms)
 
 
 def product_columns(blocks: CodeBlocks, pixels_last: bool) -> int:
@@ -221,7 +259,7 @@ def product_columns(blocks: CodeBlocks, pixels_last: bool) -> int:
 
 
 def _lists(view: GpuView) -> tuple[Tensor, ...]:
-    return view.pair_ids, view.corners, view.records, view.starts
+    return view.records, view.numbers, view.starts
 
 
 def _size(view: GpuView) -> tuple[int, int, int]:
@@ -232,13 +270,19 @@ def _bounds(view: GpuView) -> tuple[float, float]:
     return view.preset.alpha_max, view.preset.stop
 
 
-def _constants(view: GpuView, values: Tensor) -> dict[str, object]:
-    """What is compiled in, and how; ``values`` are what is blended."""
+def _constants(view: GpuView) -> dict[str, object]:
+    """What is compiled into every kernel, and how."""
+    return {**FUSED, "STOP_INCLUSIVE": view.preset.stop_inclusive, "TILE": TILE}
+
+
+def _of_codes(view: GpuView, codes: PackedCodes, blocks: CodeBlocks, levels_left: int) -> dict[str, object]:
+    """What is compiled into a kernel that renders codes."""
     return {
-        **FUSED,
-        "STOP_INCLUSIVE": view.preset.stop_inclusive,
-        "TILE": TILE,
         "CHUNK": _CHUNK,
+        "LEVELS": min(blocks.levels, levels_left),
+        "GROUPS": codes.groups,
+        "ATOMS": blocks.atoms,
+        "WIDE": codes.wide,
         # Numbers of float32 may be beyond what float16 can hold.
-        "PRECISION": view.products(wide=values.dtype != torch.float16),
+        "PRECISION": view.products(wide=codes.wide),
     }

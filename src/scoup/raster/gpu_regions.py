@@ -23,6 +23,7 @@ FEW_TILES = 48  # Gaussians that reach more are added up by a program of their o
 MOST_ATOMS_AT_ONCE = 4096
 _CHUNK = 32
 _COLUMNS = 16
+_WARPS = 2  # of a program that sums up: a thread a pixel
 _OTHERS = 32
 _LANES = 32
 
@@ -83,30 +84,34 @@ def columns_of(view: GpuView, labels: Tensor) -> Columns:
 
 def tile_sums(view: GpuView, columns: Columns) -> Iterator[TileSums]:
     """Sums of all tiles, as many tiles at a time as ``MOST_SUMS`` allows; Gaussians that paint nothing have zeros."""
-    sizes = (view.starts.diff() * columns.counts).tolist()
-    first = 0
-    while first < len(sizes):
-        last, total = first, 0
-        while last < len(sizes) and (last == first or total + sizes[last] <= MOST_SUMS):
-            total += sizes[last]
-            last += 1
+    ends = torch.cumsum(view.starts.diff() * columns.counts, 0)
+    total = int(ends[-1]) if len(ends) else 0
+    if total <= MOST_SUMS:
         if total:
-            yield _sums_of(view, columns, first, sizes[first:last])
-        first = last
+            yield _sums_of(view, columns, ends, 0, len(ends))
+        return
+    ends_here = ends.cpu()
+    first, before = 0, 0
+    while before < total:
+        last = int(torch.searchsorted(ends_here, before + MOST_SUMS, right=True))
+        last = max(last, first + 1)
+        if int(ends_here[last - 1]) > before:
+            yield _sums_of(view, columns, ends, first, last)
+        first, before = last, int(ends_here[last - 1])
 
 
-def _sums_of(view: GpuView, columns: Columns, first: int, sizes: list[int]) -> TileSums:
+def _sums_of(view: GpuView, columns: Columns, ends: Tensor, first: int, last: int) -> TileSums:
+    """Of the tiles from ``first`` to before ``last``; ``ends`` [tiles] is where the sums of each end."""
     device = view.device
-    ends = torch.tensor([0, *sizes]).cumsum(0)
-    bases = torch.full((view.n_tiles,), -1, dtype=torch.int64)
-    bases[first : first + len(sizes)] = ends[:-1]
-    bases = bases.to(device)
-    values = torch.zeros(int(ends[-1]), device=device)
-    region_sums_kernel[(len(sizes),)](
-        view.pair_ids, view.corners, view.records, view.starts, columns.of_pixel, columns.counts, bases, values,
-        view.width, view.height, view.across, first, view.preset.alpha_max, view.preset.stop,
-        STOP_INCLUSIVE=view.preset.stop_inclusive, TILE=TILE, CHUNK=_CHUNK, COLUMNS=_COLUMNS,
-        PRECISION=view.products(), num_warps=8, **FUSED,
+    begins = torch.nn.functional.pad(ends[:-1], (1, 0))
+    values = torch.zeros(int(ends[last - 1] - begins[first]), device=device)
+    tiles = torch.arange(view.n_tiles, device=device)
+    here = (tiles >= first) & (tiles < last)
+    bases = torch.where(here, begins - begins[first], -1)
+    region_sums_kernel[(last - first,)](
+        view.records, view.starts, columns.of_pixel, columns.counts, bases, values, view.width, view.height,
+        view.across, first, view.preset.alpha_max, view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive,
+        TILE=TILE, CHUNK=_CHUNK, COLUMNS=_COLUMNS, PRECISION=view.products(), num_warps=_WARPS, **FUSED,
     )  # fmt: skip
     return TileSums(values, bases)
 

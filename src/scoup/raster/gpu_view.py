@@ -17,10 +17,12 @@ from scoup.cameras import Camera
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
 from scoup.raster.binning import SLACK
+from scoup.raster.kernels.blending import PADDING, RECORD, ROW
 from scoup.raster.kernels.projection import (
     GEOMETRY,
     TABLE,
     expand_kernel,
+    list_kernel,
     project_kernel,
     sieve_kernel,
 )
@@ -31,7 +33,8 @@ Precision = Literal["fp16x3", "ieee", "tf32x3", "tf32"]
 
 # Products may be added unrounded: which Triton lets them by default depends on its version.
 FUSED = {"enable_fp_fusion": True}
-TILE = 16  # edge of a tile in pixels
+# Edge of a tile in pixels. Half as many lanes are evaluated in vain as with 16, for twice as many pairs to sort.
+TILE = 8
 MOST_PAIRS = 2**31 - 1
 _BLOCK = 128
 
@@ -44,9 +47,8 @@ class GpuView:
         n_gaussians: N of the scene.
         width, height: image size in pixels.
         preset: the rasteriser constants used.
-        records: [N, 4] float32 of each visible Gaussian, see ``kernels.blending.load_chunk``; not set elsewhere.
-        pair_ids: [P] int32, for each tile the Gaussians that reach it, nearest first.
-        corners: [P, 2] float32, each Gaussian's terms at the first pixel of the tile.
+        records: [., RECORD] float32, for each tile what it knows of the Gaussians that reach it, nearest first, see
+            ``kernels.blending``; PADDING more rows at the end.
         starts: [tiles + 1] int64, where each tile begins in these.
         visible: of the Gaussians, with the way back from them to their pairs.
         precision: of matrix products. "fp16x3" splits float32 into two float16 and multiplies these on tensor cores,
@@ -59,8 +61,6 @@ class GpuView:
     height: int
     preset: RasterPreset
     records: Tensor
-    pair_ids: Tensor
-    corners: Tensor
     starts: Tensor
     visible: Visible
     precision: Precision = "fp16x3"
@@ -70,6 +70,16 @@ class GpuView:
     @property
     def device(self) -> torch.device:
         return self.records.device
+
+    @property
+    def numbers(self) -> Tensor:
+        """``records`` as int32."""
+        return self.records.view(torch.int32)
+
+    @property
+    def pair_ids(self) -> Tensor:
+        """[.] int32 rows of the scene, one for each record."""
+        return self.numbers[:, ROW.value]
 
     @property
     def across(self) -> int:
@@ -143,7 +153,6 @@ def _bin(
     device, n_visible = gaussians.device, len(ids)
     across, down = tile_counts(camera.width, camera.height, TILE)
     n_tiles = across * down
-    records = torch.empty(len(gaussians), 4, device=device)
     depths = torch.empty(n_visible, dtype=torch.float64, device=device)
     geometry = torch.empty(n_visible, GEOMETRY.value, dtype=torch.float64, device=device)
     rects = torch.empty(n_visible, 3, dtype=torch.int32, device=device)
@@ -151,45 +160,45 @@ def _bin(
     if n_visible:
         grid = (triton.cdiv(n_visible, _BLOCK),)
         project_kernel[grid](
-            ids, *scene, table, depths, geometry, rects, counts, records, n_visible, across, down,
+            ids, *scene, table, depths, geometry, rects, counts, n_visible, across, down,
             TILE=TILE, BLOCK=_BLOCK, **FUSED,
         )  # fmt: skip
     # Equal depths stay in the order of the rows.
     order = torch.sort(depths, stable=True).indices
     firsts = torch.zeros(n_visible + 1, dtype=torch.int64, device=device)
     torch.cumsum(counts[order], 0, out=firsts[1:])
-    n_pairs = int(firsts[-1])
-    if n_pairs > MOST_PAIRS:
+    n_candidates = int(firsts[-1])
+    if n_candidates > MOST_PAIRS:
         raise InputError(
-            f"a view of {camera.width} x {camera.height} with {n_pairs} pairs of Gaussians and tiles is too much for "
-            "one pass; make the images smaller or prune the scene"
+            f"a view of {camera.width} x {camera.height} with {n_candidates} pairs of Gaussians and tiles is too much "
+            "for one pass; make the images smaller or prune the scene"
         )
-    ranks = torch.repeat_interleave(firsts.diff(), output_size=n_pairs)
+    ranks = torch.repeat_interleave(firsts.diff(), output_size=n_candidates)
     # Radix sorts take as many passes as the keys have bytes.
     tile_type = torch.int16 if n_tiles < 2**15 else torch.int32
-    tiles = torch.empty(n_pairs, dtype=tile_type, device=device)
-    pair_ids = torch.empty(n_pairs, dtype=torch.int32, device=device)
-    corners = torch.empty(n_pairs, 2, device=device)
-    if n_pairs:
-        grid = (triton.cdiv(n_pairs, _BLOCK),)
+    tiles = torch.empty(n_candidates, dtype=tile_type, device=device)
+    if n_candidates:
+        grid = (triton.cdiv(n_candidates, _BLOCK),)
         expand_kernel[grid](
-            ranks, order, firsts, ids, rects, geometry, table, tiles, pair_ids, corners, n_pairs, across, down,
+            ranks, order, firsts, rects, geometry, table, tiles, n_candidates, across, down,
             TILE=TILE, BLOCK=_BLOCK, **FUSED,
         )  # fmt: skip
-    del ranks, geometry, rects
     # The candidates are in depth order, so a stable sort by tile alone keeps each tile's.
     in_order, by_tile = torch.sort(tiles, stable=True)
     starts = torch.searchsorted(in_order, torch.arange(n_tiles + 1, dtype=tile_type, device=device))
-    places = torch.empty(n_pairs, dtype=torch.int32, device=device)
-    places[by_tile] = torch.arange(n_pairs, dtype=torch.int32, device=device)
+    n_records = n_candidates + PADDING
+    records = torch.empty(n_records, RECORD.value, device=device)
+    places = torch.empty(n_candidates, dtype=torch.int32, device=device)
+    list_kernel[(triton.cdiv(n_records, _BLOCK),)](
+        by_tile, in_order, ranks, order, ids, geometry, table, records, records.view(torch.int32), places,
+        n_candidates, n_records, across, down, TILE=TILE, BLOCK=_BLOCK, **FUSED,
+    )  # fmt: skip
     return GpuView(
         len(gaussians),
         camera.width,
         camera.height,
         preset,
         records,
-        pair_ids[by_tile],
-        corners[by_tile],
         starts,
         Visible(ids[order], firsts, tiles, places),
         precision,

@@ -1,9 +1,16 @@
-"""Who paints how much of each pixel: a block of pixels and a chunk of Gaussians at a time, front to back.
+"""Who paints how much of each pixel: a tile and a chunk of Gaussians at a time, front to back.
 
-The blending weights of G Gaussians at P pixels are a matrix E [P, G]; what follows is one matrix product: rendering is
-E @ values, region sums are E^T @ one-hot(regions). The transmittance behind each Gaussian of a chunk is a running
-product along its row. A pixel stops before the Gaussian that would take its transmittance below the bound; since
+The blending weights of G Gaussians at P pixels are a matrix E [G, P]; what follows is one matrix product: rendering is
+E^T @ values, region sums are E @ one-hot(regions). The transmittance behind each Gaussian of a chunk is a running
+product down its column. A pixel stops before the Gaussian that would take its transmittance below the bound; since
 transmittance only falls, that one and all behind it are the ones masked.
+
+How these kernels are written follows from what Triton makes of them (``benchmarks/gpu/instructions.py`` counts it).
+A tensor is spread over threads by its last dimension, so in [G, P] a thread has a pixel and the whole chunk, and a
+running product needs no words between threads; in [P, G] the same takes more than twice the instructions. Whenever a
+tensor's spread changes, it goes through shared memory with a barrier before and after, which costs more than the
+arithmetic here; so a thread loads what it needs of a Gaussian itself, and what is carried from chunk to chunk keeps
+its shape [1, P].
 """
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false
@@ -16,103 +23,108 @@ import triton.language as tl
 
 from scoup.raster import presets
 
+RECORD = tl.constexpr(8)
+"""Numbers that a tile knows of a Gaussian: u, v, ku, kv; skew, peak, its row in the scene (an int32), 0. Its alpha at
+the pixel (x, y) of the tile is 2^(peak - (u + ku x - skew y)^2 - (v + kv y)^2)."""
+ROW = tl.constexpr(6)
+PADDING = 64  # records behind the last one; a chunk may be read beyond its tile's list
 ALPHA_MIN = tl.constexpr(presets.ALPHA_MIN)
 LOW_SCALE = tl.constexpr(2048.0)
 # float16 holds no numbers between multiples of 2^-24, and the weight of a Gaussian that is all but hidden is 4e-7.
-# Times this, every weight keeps its digits, and the largest is far from overflowing.
-WEIGHT_SCALE = tl.constexpr(4096.0)
+# Times this, every weight keeps its digits, and the largest, 1, does not overflow.
+WEIGHT_SCALE = tl.constexpr(32768.0)
 
 
 @triton.jit
-def pixel_block(tile, part, across, width, height, TILE: tl.constexpr, PIXELS: tl.constexpr):
-    """Pixels of a part of a tile: x and y [P] float32 from the tile's first pixel, their number in the image
-    [P] int32, and whether they are inside it [P].
+def pixels_of(tile, across, width, height, TILE: tl.constexpr):
+    """Pixels of a tile: x and y [1, P] float32 from its first one, their number in the image [P] int32, and whether
+    they are inside it [P].
     """
-    pixel = part * PIXELS + tl.arange(0, PIXELS)
+    pixel = tl.arange(0, TILE * TILE)
     x, y = pixel % TILE, pixel // TILE
     column, row = tile % across * TILE + x, tile // across * TILE + y
     inside = (column < width) & (row < height)
-    return x.to(tl.float32), y.to(tl.float32), row * width + column, inside
+    return x.to(tl.float32)[None, :], y.to(tl.float32)[None, :], row * width + column, inside
 
 
 @triton.jit
-def load_chunk(pair_ids, corners, records, start, end, CHUNK: tl.constexpr):
-    """Gaussians ``start`` to ``start + CHUNK`` of a tile's list, [G] each; beyond ``end`` they paint nothing.
-
-    A Gaussian's record is (ku, skew, kv, peak) and its corner in this tile (u, v), with which its alpha at the pixel
-    (x, y) of the tile is 2^(peak - (u + ku x - skew y)^2 - (v + kv y)^2).
+def gaussians_of(numbers, start, end, CHUNK: tl.constexpr):
+    """Rows in the scene of the Gaussians ``start`` to ``start + CHUNK`` of a tile's list, and whether they are there,
+    [G] each. ``numbers`` are the records as int32.
     """
-    pair = start + tl.arange(0, CHUNK)
-    there = pair < end
-    gaussian = tl.load(pair_ids + pair, mask=there, other=0)
-    u = tl.load(corners + 2 * pair, mask=there, other=0.0)
-    v = tl.load(corners + 2 * pair + 1, mask=there, other=0.0)
-    record = records + 4 * gaussian.to(tl.int64)
-    ku = tl.load(record, mask=there, other=0.0)
-    skew = tl.load(record + 1, mask=there, other=0.0)
-    kv = tl.load(record + 2, mask=there, other=0.0)
-    peak = tl.load(record + 3, mask=there, other=-float("inf"))
-    return gaussian, u, v, ku, skew, kv, peak
+    place = tl.arange(0, CHUNK)
+    there = place < end - start
+    gaussian = tl.load(numbers + start * RECORD + (place * RECORD + ROW), mask=there, other=0)
+    return gaussian, there
 
 
 @triton.jit
 def blend(
-    x,  # [P]
-    y,  # [P]
-    u,  # [G]
-    v,  # [G]
-    ku,  # [G]
-    skew,  # [G]
-    kv,  # [G]
-    peak,  # [G]
-    transmittance,  # [P]
+    records,  # [., RECORD] float32
+    start,
+    end,
+    x,  # [1, P]
+    y,  # [1, P]
+    transmittance,  # [1, P]
     alpha_max,
     stop,
     STOP_INCLUSIVE: tl.constexpr,
+    CHUNK: tl.constexpr,
+    SCALE: tl.constexpr,
 ):
-    """Blending weights [P, G] of a chunk, and the transmittance behind it [P], 0 once a pixel has stopped."""
-    along = u[None, :] + ku[None, :] * x[:, None] - skew[None, :] * y[:, None]
-    down = v[None, :] + kv[None, :] * y[:, None]
-    alpha = tl.exp2(peak[None, :] - down * down - along * along)
+    """Blending weights [G, P] of the Gaussians ``start`` to ``start + CHUNK`` of a tile's list, times SCALE, and the
+    transmittance behind them [1, P], 0 once a pixel has stopped. Beyond ``end`` nothing paints.
+    """
+    u, v, ku, kv, skew, peak = spread(records, start, end, CHUNK, x.shape[1])
+    along = u + ku * x - skew * y
+    down = v + kv * y
+    alpha = tl.exp2(peak - down * down - along * along)
     alpha = tl.minimum(alpha, alpha_max)
     alpha = tl.where(alpha >= ALPHA_MIN, alpha, 0.0)
-    left = 1.0 - alpha
-    after = tl.cumprod(left, axis=1) * transmittance[:, None]
+    through, shares = tl.associative_scan((1.0 - alpha, alpha), 0, one_behind_the_other)
+    after = through * transmittance
+    last = tl.min(after, axis=0, keep_dims=True)
+    shares *= transmittance * SCALE
     if STOP_INCLUSIVE:
-        kept = after > stop
+        weights = tl.where(after > stop, shares, 0.0)
+        last = tl.where(last > stop, last, 0.0)
     else:
-        kept = after >= stop
-    # alpha (transmittance before): what is left behind it, divided by what it lets through, at least 0.01.
-    weights = tl.where(kept, after * (alpha / left), 0.0)
-    return weights, tl.min(tl.where(kept, after, 0.0), axis=1)
+        weights = tl.where(after >= stop, shares, 0.0)
+        last = tl.where(last >= stop, last, 0.0)
+    return weights, last
 
 
 @triton.jit
-def product(one, other, sums, PRECISION: tl.constexpr):
-    """``sums`` [M, N] + one [M, K] @ other [K, N]. For "fp16x3" no entry may be beyond some thousands; what is lost of
-    each is about 2^-22 of it, or 2^-36 where that is more, see ``WEIGHT_SCALE``.
+def spread(records, start, end, CHUNK: tl.constexpr, PIXELS: tl.constexpr):
+    """u, v, ku, kv, skew and peak of a chunk, [G, P] each, the same at all pixels."""
+    row = tl.arange(0, CHUNK)
+    at = row[:, None, None] * RECORD + tl.arange(0, 4)[None, None, :] + tl.zeros([1, PIXELS, 1], tl.int32)
+    at = records + start * RECORD + at
+    first = tl.reshape(tl.load(at), (CHUNK, PIXELS, 2, 2))
+    second = tl.reshape(tl.load(at + 4), (CHUNK, PIXELS, 2, 2))
+    u_ku, v_kv = tl.split(first)
+    u, ku = tl.split(u_ku)
+    v, kv = tl.split(v_kv)
+    skew_row, peak_0 = tl.split(second)
+    skew, _ = tl.split(skew_row)
+    peak, _ = tl.split(peak_0)
+    # What is behind the list is another tile's, or zeros: numbers in any case.
+    peak = tl.where((row < end - start)[:, None], peak, -float("inf"))
+    return u, v, ku, kv, skew, peak
+
+
+@triton.jit
+def one_behind_the_other(through, share, through_behind, share_behind):
+    """What two lots of Gaussians let through together, and the share of the light that the hindmost one paints with:
+    its alpha times what all before it let through. Associative, and no division is needed.
     """
-    if PRECISION == "fp16x3":
-        high, low = halves(one)
-        other_high, other_low = halves(other)
-        small = tl.dot(high, other_low)
-        small = tl.dot(low, other_high, small)
-        sums = tl.dot(high, other_high, sums + small * (1.0 / LOW_SCALE))
-    else:
-        sums = tl.dot(one, other, sums, input_precision=PRECISION)
-    return sums
+    return through * through_behind, through * share_behind
 
 
 @triton.jit
-def product_with_ones(one, ones, sums, PRECISION: tl.constexpr):
-    """``product`` where the other factor holds zeros and ones only: no bits of it can be lost."""
-    if PRECISION == "fp16x3":
-        high, low = halves(one)
-        small = tl.dot(low, ones.to(tl.float16))
-        sums = tl.dot(high, ones.to(tl.float16), sums + small * (1.0 / LOW_SCALE))
-    else:
-        sums = tl.dot(one, ones.to(tl.float32), sums, input_precision=PRECISION)
-    return sums
+def is_lit(transmittance):
+    """Whether any pixel goes on."""
+    return tl.max(tl.max(transmittance, axis=1), axis=0) > 0
 
 
 @triton.jit
@@ -120,3 +132,19 @@ def halves(values):
     """float32 as a sum of two float16: high + low / LOW_SCALE. Scaled, because the small ones lose bits."""
     high = values.to(tl.float16)
     return high, ((values - high.to(tl.float32)) * LOW_SCALE).to(tl.float16)
+
+
+@triton.jit
+def halves_of_weights(weights):
+    """Blending weights times WEIGHT_SCALE as a sum of two float16, high + low: what is lost is 2^-22 of them, or 2^-25
+    where that is more.
+    """
+    high = weights.to(tl.float16)
+    return high, (weights - high.to(tl.float32)).to(tl.float16)
+
+
+@triton.jit
+def add_product(high, low, other, sums):
+    """``sums`` [M, N] + (high + low) [M, K] @ other [K, N], all of float16: no digit of ``other`` is lost."""
+    sums = tl.dot(high, other, sums)
+    return tl.dot(low, other, sums)

@@ -13,6 +13,8 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
+from scoup.raster.kernels.blending import RECORD, ROW
+
 # Places in the camera's float64 table, see ``gpu_view.camera_table``: 0 to 11 are the rows of the view matrix.
 FX, FY, CX, CY = tl.constexpr(12), tl.constexpr(13), tl.constexpr(14), tl.constexpr(15)
 LOW_X, HIGH_X, LOW_Y, HIGH_Y = tl.constexpr(16), tl.constexpr(17), tl.constexpr(18), tl.constexpr(19)
@@ -77,7 +79,6 @@ def project_kernel(
     geometry,  # [M, GEOMETRY] float64
     rects,  # [M, 3] int32: first column and row of tiles, columns
     counts,  # [M] int32: tiles in the rectangle around the ellipse
-    records,  # [N, 4] float32, see ``blending.load_chunk``; written where a Gaussian is visible
     n_visible,
     across,
     down,
@@ -154,62 +155,101 @@ def project_kernel(
     tl.store(own + 4, yy, mask=there)
     tl.store(own + 5, determinant, mask=there)
     tl.store(own + 6, reach, mask=there)
-    root = tl.load(camera + ROOT_LOG2_E)
-    across_scale = root * tl.sqrt(0.5 * yy / determinant)
-    record = records + 4 * row
-    tl.store(record, across_scale.to(tl.float32), mask=there)
-    tl.store(record + 1, (across_scale * (xy / yy)).to(tl.float32), mask=there)
-    tl.store(record + 2, (root * tl.sqrt(0.5 / yy)).to(tl.float32), mask=there)
-    tl.store(record + 3, (log_opacity * tl.load(camera + LOG2_E)).to(tl.float32), mask=there)
 
 
-@triton.jit(do_not_specialize=["n_pairs", "across", "down"])
+@triton.jit(do_not_specialize=["n_candidates", "across", "down"])
 def expand_kernel(
-    ranks,  # [P] int64: place of the pair's Gaussian by depth
+    ranks,  # [C] int64: place of the candidate's Gaussian by depth
     order,  # [M] int64: slots by depth
-    firsts,  # [M] int64: first pair of each place
-    ids,  # [M] int64
+    firsts,  # [M] int64: first candidate of each place
     rects,  # [M, 3] int32
     geometry,  # [M, GEOMETRY] float64
     camera,  # [TABLE] float64
-    tiles,  # [P] int16 or int32: out; across * down where the ellipse misses the tile
-    pair_ids,  # [P] int32: out
-    corners,  # [P, 2] float32: out, see ``blending.load_chunk``
-    n_pairs,
+    tiles,  # [C] int16 or int32: out; across * down where the ellipse misses the tile
+    n_candidates,
+    across,
+    down,
+    TILE: tl.constexpr,
+    BLOCK: tl.constexpr,
+):
+    candidate = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    there = candidate < n_candidates
+    rank = tl.load(ranks + candidate, mask=there, other=0)
+    slot = tl.load(order + rank, mask=there, other=0)
+    within = (candidate - tl.load(firsts + rank, mask=there, other=0)).to(tl.int32)
+    span = tl.load(rects + 3 * slot + 2, mask=there, other=1)
+    row = within // span
+    column = within - row * span + tl.load(rects + 3 * slot, mask=there, other=0)
+    row += tl.load(rects + 3 * slot + 1, mask=there, other=0)
+    corner_x, corner_y, xx, xy, yy, determinant, reach = ellipse_at(geometry, slot, column, row, there, TILE)
+    touched = ellipse_touches(corner_x, corner_y, xx, xy, yy, determinant, reach, camera, TILE)
+    tile = tl.where(touched, row * across + column, across * down)
+    tl.store(tiles + candidate, tile.to(tiles.dtype.element_ty), mask=there)
+
+
+@triton.jit(do_not_specialize=["n_candidates", "n_records", "across", "down"])
+def list_kernel(
+    by_tile,  # [C] int64: candidates, tile after tile
+    tiles,  # [C] int16 or int32: their tiles, in this order
+    ranks,  # [C] int64
+    order,  # [M] int64
+    ids,  # [M] int64
+    geometry,  # [M, GEOMETRY] float64
+    camera,  # [TABLE] float64
+    records,  # [R, RECORD] float32: out, see ``blending.RECORD``; zeros behind the last tile
+    numbers,  # the same memory as int32
+    places,  # [C] int32: out, where each candidate is
+    n_candidates,
+    n_records,
     across,
     down,
     TILE: tl.constexpr,
     BLOCK: tl.constexpr,
 ):
     pair = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
-    there = pair < n_pairs
-    rank = tl.load(ranks + pair, mask=there, other=0)
-    slot = tl.load(order + rank, mask=there, other=0)
-    within = (pair - tl.load(firsts + rank, mask=there, other=0)).to(tl.int32)
-    span = tl.load(rects + 3 * slot + 2, mask=there, other=1)
-    row = within // span
-    column = within - row * span + tl.load(rects + 3 * slot, mask=there, other=0)
-    row += tl.load(rects + 3 * slot + 1, mask=there, other=0)
+    there = pair < n_candidates
+    candidate = tl.load(by_tile + pair, mask=there, other=0)
+    tl.store(places + candidate, pair.to(tl.int32), mask=there)
+    tile = tl.load(tiles + pair, mask=there, other=0).to(tl.int32)
+    listed = there & (tile < across * down)
+    slot = tl.load(order + tl.load(ranks + candidate, mask=listed, other=0), mask=listed, other=0)
+    corner_x, corner_y, xx, xy, yy, determinant, reach = ellipse_at(
+        geometry, slot, tile % across, tile // across, listed, TILE
+    )
+    root = tl.load(camera + ROOT_LOG2_E)
+    along, down_scale = root * tl.sqrt(0.5 * yy / determinant), root * tl.sqrt(0.5 / yy)
+    skew = along * (xy / yy)
+    peak = (0.5 * reach + tl.load(camera + LOG_ALPHA_MIN)) * tl.load(camera + LOG2_E)
+    written = pair < n_records
+    own = records + pair * RECORD
+    store_listed(own, along * corner_x - skew * corner_y, listed, written)
+    store_listed(own + 1, down_scale * corner_y, listed, written)
+    store_listed(own + 2, along, listed, written)
+    store_listed(own + 3, down_scale, listed, written)
+    store_listed(own + 4, skew, listed, written)
+    store_listed(own + 5, peak, listed, written)
+    gaussian = tl.load(ids + slot, mask=listed, other=0).to(tl.int32)
+    tl.store(numbers + pair * RECORD + ROW, gaussian, mask=written)
+    tl.store(numbers + pair * RECORD + (ROW + 1), tl.zeros_like(gaussian), mask=written)
 
+
+@triton.jit
+def store_listed(place, value, listed, written):
+    tl.store(place, tl.where(listed, value, 0.0).to(tl.float32), mask=written)
+
+
+@triton.jit
+def ellipse_at(geometry, slot, column, row, there, TILE: tl.constexpr):
+    """A Gaussian's ellipse: the tile's first pixel from its centre; xx, xy, yy; determinant; reach."""
     own = geometry + GEOMETRY * slot
-    centre_x = tl.load(own, mask=there, other=0.0)
-    centre_y = tl.load(own + 1, mask=there, other=0.0)
+    corner_x = (column * TILE).to(tl.float64) + 0.5 - tl.load(own, mask=there, other=0.0)
+    corner_y = (row * TILE).to(tl.float64) + 0.5 - tl.load(own + 1, mask=there, other=0.0)
     xx = tl.load(own + 2, mask=there, other=1.0)
     xy = tl.load(own + 3, mask=there, other=0.0)
     yy = tl.load(own + 4, mask=there, other=1.0)
     determinant = tl.load(own + 5, mask=there, other=1.0)
     reach = tl.load(own + 6, mask=there, other=0.0)
-    corner_x = (column * TILE).to(tl.float64) + 0.5 - centre_x  # of the tile's first pixel
-    corner_y = (row * TILE).to(tl.float64) + 0.5 - centre_y
-
-    touched = ellipse_touches(corner_x, corner_y, xx, xy, yy, determinant, reach, camera, TILE)
-    tile = tl.where(touched, row * across + column, across * down)
-    tl.store(tiles + pair, tile.to(tiles.dtype.element_ty), mask=there)
-    tl.store(pair_ids + pair, tl.load(ids + slot, mask=there, other=0).to(tl.int32), mask=there)
-    root = tl.load(camera + ROOT_LOG2_E)
-    along = root * tl.sqrt(0.5 * yy / determinant) * (corner_x - xy / yy * corner_y)
-    tl.store(corners + 2 * pair, along.to(tl.float32), mask=there)
-    tl.store(corners + 2 * pair + 1, (root * tl.sqrt(0.5 / yy) * corner_y).to(tl.float32), mask=there)
+    return corner_x, corner_y, xx, xy, yy, determinant, reach
 
 
 @triton.jit

@@ -1,7 +1,7 @@
 """Region sums of a view: how much each Gaussian paints of each region, tile by tile.
 
 The pixels of a tile that have the same region at every level are one column. A Gaussian's sums over the columns of a
-tile are a row of E^T @ one-hot(columns), which serves all levels at once.
+tile are a row of E @ one-hot(columns), which serves all levels at once.
 """
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false
@@ -14,10 +14,11 @@ import triton.language as tl
 
 from scoup.raster.kernels.blending import (
     WEIGHT_SCALE,
+    add_product,
     blend,
-    load_chunk,
-    pixel_block,
-    product_with_ones,
+    halves_of_weights,
+    is_lit,
+    pixels_of,
 )
 
 
@@ -35,7 +36,7 @@ def alike_kernel(
     """The first pixel of the tile that has the same region as a pixel at every level; P for pixels without any."""
     tile = tl.program_id(0)
     PIXELS: tl.constexpr = TILE * TILE
-    _, _, pixel, inside = pixel_block(tile, 0, across, width, height, TILE, PIXELS)
+    _, _, pixel, inside = pixels_of(tile, across, width, height, TILE)
     plane = height.to(tl.int64) * width
     has_region = tl.zeros([PIXELS], tl.int1)
     for level in range(n_levels):
@@ -59,9 +60,7 @@ def alike_kernel(
 
 @triton.jit(do_not_specialize=["width", "height", "across", "first_tile"])
 def region_sums_kernel(
-    pair_ids,  # [P] int32
-    corners,  # [P, 2] float32
-    records,  # [N, 4] float32
+    records,  # [., RECORD] float32
     starts,  # [tiles + 1] int64
     columns,  # [tiles, P] int16: column of each pixel, -1 for none
     n_columns,  # [tiles] int32
@@ -79,37 +78,30 @@ def region_sums_kernel(
     COLUMNS: tl.constexpr,
     PRECISION: tl.constexpr,
 ):
+    """One program a tile. Few tiles have more than COLUMNS columns: they are walked over once more for each so many."""
     tile = first_tile + tl.program_id(0)
-    HALF: tl.constexpr = (
-        TILE * TILE // 2
-    )  # pixels go in two parts: the weights of all are too much for the registers
-    x, y, _, inside = pixel_block(tile, 0, across, width, height, TILE, HALF)
-    x_1, y_1, _, inside_1 = pixel_block(tile, 1, across, width, height, TILE, HALF)
-    of_pixel = columns + tile * (TILE * TILE) + tl.arange(0, HALF)
-    column_of, column_of_1 = tl.load(of_pixel).to(tl.int32), tl.load(of_pixel + HALF).to(tl.int32)
+    x, y, _, inside = pixels_of(tile, across, width, height, TILE)
+    column_of = tl.load(columns + tile * (TILE * TILE) + tl.arange(0, TILE * TILE)).to(tl.int32)
     count = tl.load(n_columns + tile)
-    left, left_1 = tl.where(inside, 1.0, 0.0), tl.where(inside_1, 1.0, 0.0)
     first, end = tl.load(starts + tile), tl.load(starts + tile + 1)
-    start = tl.where(count > 0, first, end)
     base = sums + tl.load(bases + tile)
-    _, u, v, ku, skew, kv, peak = load_chunk(pair_ids, corners, records, start, end, CHUNK)
-    while start < end:
-        _, next_u, next_v, next_ku, next_skew, next_kv, next_peak = load_chunk(
-            pair_ids, corners, records, start + CHUNK, end, CHUNK
-        )
-        weights, left = blend(x, y, u, v, ku, skew, kv, peak, left, alpha_max, stop, STOP_INCLUSIVE)
-        weights_1, left_1 = blend(x_1, y_1, u, v, ku, skew, kv, peak, left_1, alpha_max, stop, STOP_INCLUSIVE)
-        row = start - first + tl.arange(0, CHUNK)
-        for block in range(0, count, COLUMNS):
-            column = block + tl.arange(0, COLUMNS)
+    for block in range(0, count, COLUMNS):
+        column = block + tl.arange(0, COLUMNS)
+        one_hot = column_of[:, None] == column[None, :]
+        transmittance = tl.where(inside, 1.0, 0.0)[None, :]
+        start = first
+        while start < end:
+            weights, transmittance = blend(
+                records, start, end, x, y, transmittance, alpha_max, stop, STOP_INCLUSIVE, CHUNK, WEIGHT_SCALE
+            )
             found = tl.zeros([CHUNK, COLUMNS], tl.float32)
-            one_hot = column_of[:, None] == column[None, :]
-            found = product_with_ones(tl.trans(weights * WEIGHT_SCALE), one_hot, found, PRECISION)
-            one_hot = column_of_1[:, None] == column[None, :]
-            found = product_with_ones(tl.trans(weights_1 * WEIGHT_SCALE), one_hot, found, PRECISION)
-            found *= 1.0 / WEIGHT_SCALE  # a power of two: exact
+            if PRECISION == "fp16x3":
+                high, low = halves_of_weights(weights)
+                found = add_product(high, low, one_hot.to(tl.float16), found)
+            else:
+                found = tl.dot(weights, one_hot.to(tl.float32), found, input_precision=PRECISION)
+            row = start - first + tl.arange(0, CHUNK)
             stored = (row < end - first)[:, None] & (column < count)[None, :]
-            tl.store(base + row[:, None] * count + column[None, :], found, mask=stored)
-        going_on = tl.maximum(tl.max(left, axis=0), tl.max(left_1, axis=0)) > 0
-        start = tl.where(going_on, start + CHUNK, end)
-        u, v, ku, skew, kv, peak = next_u, next_v, next_ku, next_skew, next_kv, next_peak
+            # A power of two: exact.
+            tl.store(base + row[:, None] * count + column[None, :], found * (1.0 / WEIGHT_SCALE), mask=stored)
+            start = tl.where(is_lit(transmittance), start + CHUNK, end)
