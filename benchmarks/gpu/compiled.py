@@ -19,20 +19,19 @@ RESERVED = 1 << 10  # bytes of shared memory of each block that are not the kern
 
 @dataclass(frozen=True)
 class Device:
-    """Of a multiprocessor: bytes of shared memory, and of these what one block may have; warps; blocks."""
+    """Of a multiprocessor: bytes of shared memory, warps, blocks."""
 
     shared: int
-    shared_of_block: int
     warps: int
     blocks: int
 
 
 # CUDA programming guide, technical specifications by compute capability.
 DEVICES = {
-    80: Device(164 << 10, 163 << 10, 64, 32),
-    86: Device(100 << 10, 99 << 10, 48, 16),
-    89: Device(100 << 10, 99 << 10, 48, 24),
-    90: Device(228 << 10, 227 << 10, 64, 32),
+    80: Device(164 << 10, 64, 32),
+    86: Device(100 << 10, 48, 16),
+    89: Device(100 << 10, 48, 24),
+    90: Device(228 << 10, 64, 32),
 }
 
 
@@ -50,8 +49,6 @@ class Usage:
         """How many blocks of so many warps a multiprocessor holds at once; 0 where not even one can run."""
         of_warp = _up(self.registers * THREADS, REGISTER_UNIT)
         shared = _up(self.shared + RESERVED, SHARED_UNIT)
-        if self.shared > device.shared_of_block or of_warp * _up(warps, PARTS) > REGISTERS:
-            return 0
         by_registers = REGISTERS // PARTS // of_warp * PARTS // warps
         return min(by_registers, device.shared // shared, device.warps // warps, device.blocks)
 
