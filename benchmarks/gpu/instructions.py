@@ -53,7 +53,7 @@ from typing import Any
 
 from benchmarks.gpu.compiled import DEVICES, THREADS, Usage, compile_kernel, disassemble, resources
 from benchmarks.gpu.disassembly import GROUPS, OTHER, Function, parse, powers, tally
-from benchmarks.gpu.gsplat_kernels import PEERS, WARPS, Peer, channels_of, compile_peer, versions
+from benchmarks.gpu.gsplat_kernels import PEERS, SOURCES, WARPS, Peer, channels_of, compile_peer, versions
 from benchmarks.gpu.launches import launches
 from benchmarks.gpu.machine import version_of
 from benchmarks.gpu.timing import Row, Unavailable, reason
@@ -124,7 +124,7 @@ def count(
         shortest=len(shortest),
         shortest_lanes=powers(shortest) if lanes is None else lanes,
         loops_inside=function.loops_inside(loop),
-        calls=sum(own.opcode.startswith("CALL") and not own.guard for own in longest),
+        calls=sum(own.opcode.startswith("CALL") and not own.operands.startswith("`(.L") for own in longest),
         unknown=sorted({own.opcode for own in longest if own.group == OTHER}),
     )
     return row
@@ -171,7 +171,8 @@ def count_peer(
     except Exception as error:
         return [{"name": peer.name, "reason": reason(error)}]
     rows: list[Row] = []
-    for channels, function in sorted((channels_of(name) or 0, one) for name, one in functions.items()):
+    for function in sorted(functions.values(), key=lambda one: channels_of(one.name) or 0):
+        channels = channels_of(function.name) or 0
         usage = Usage(*needs[function.name], peer.shared(channels))
         rows.append(count(f"{peer.name}, {channels} channels", function, usage, WARPS, capability, None))
     return rows
@@ -250,6 +251,10 @@ def main(words: list[str] | None = None) -> str:
         raise InputError("triton is not installed, so that nothing can be compiled: pip install triton")
     found = arguments.nvcc or shutil.which("nvcc")
     nvcc = Path(found) if found else None
+    if arguments.gsplat is not None and not (arguments.gsplat / SOURCES / "csrc").is_dir():
+        raise InputError(
+            f"{arguments.gsplat}: give the folder that holds {SOURCES / 'csrc'}, gsplat's unpacked wheel"
+        )
     if arguments.gsplat is not None and nvcc is None:
         raise InputError("there is no nvcc on the PATH to compile gsplat with: give --nvcc PATH")
     if arguments.json is not None:

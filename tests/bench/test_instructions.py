@@ -174,6 +174,27 @@ def test_of_unrolled_loops_the_one_with_most_powers_counts() -> None:
     assert (row["lanes"], row["instructions"], row["blocks"], row["warps"]) == (2, 3, 8, 64)
 
 
+def test_a_call_of_a_label_is_a_branch() -> None:
+    text = """
+.text.called:
+.L_head:
+    /*00*/ MUFU.EX2 R1, R1 ;
+    /*10*/ CALL.REL.NOINC `($__internal_0_$slow) ;
+    /*20*/ @P0 CALL.REL.NOINC `(.L_out) ;
+    /*30*/ BRA `(.L_head) ;
+    /*40*/ NOP ;
+.L_out:
+    /*50*/ EXIT ;
+$__internal_0_$slow:
+    /*60*/ RET.REL.NODEC R2 `(called) ;
+"""
+    function = parse(text)["called"]
+    assert function.successors == ((1,), (2,), (3, 5), (0,), (5,), (), ())
+    row = instructions.count("called", function, Usage(32, 0, 0), 8, 90, None)
+    assert (row["instructions"], row["calls"]) == (4, 1)
+    assert "functions, whose instructions are not counted: 1" in instructions.note_of(row)
+
+
 def test_what_takes_no_powers_in_a_loop_says_so() -> None:
     row = instructions.count("idle", parse(LISTING)["idle_kernel"], Usage(32, 0, 0), 4, 90, 16)
     assert row["reason"] == "no loop that takes powers of 2 was found"
@@ -303,6 +324,9 @@ def test_the_command(needs_triton: None, tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(OutputExistsError):
         instructions.main(["--json", str(out)])
     monkeypatch.setattr(instructions.shutil, "which", lambda name: None)
+    with pytest.raises(InputError, match="give the folder that holds gsplat/cuda/csrc"):
+        instructions.main(["--gsplat", str(tmp_path)])
+    (tmp_path / "gsplat" / "cuda" / "csrc").mkdir(parents=True)
     with pytest.raises(InputError, match="give --nvcc"):
         instructions.main(["--gsplat", str(tmp_path)])
     monkeypatch.setenv("TRITON_INTERPRET", "1")
