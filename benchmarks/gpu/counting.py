@@ -22,17 +22,20 @@ from benchmarks.gpu.walking import Walk, walk
 from scoup.bench import Workload
 from scoup.raster.gpu_regions import Columns, columns_of
 from scoup.raster.gpu_view import TILE, GpuView
+from scoup.raster.kernels.blending import RECORD
+from scoup.raster.kernels.codes import SLOTS
 
 PIXELS = TILE * TILE
 VOTES = "add_few_kernel and add_many_kernel"
-BLEND = 19
+BLEND = 16
 """float32 instructions of a lane in ``blending.blend``: 3 multiply-adds to the ellipse's axes and 2 to the exponent;
-cap, comparison and selection of alpha; 1 - alpha; 1 product of the running one and 1 with the transmittance; comparison
-with the bound; 3 of the division, product and selection of the weight; selection and minimum of what is left."""
-SPLIT = 4
-"""``blending.halves``: two conversions, a difference and a product for a number."""
+cap, comparison and selection of alpha; 1 - alpha; 2 products of the running ones and 2 with the transmittance;
+comparison with the bound and selection of the weight; minimum of what is left."""
+SPLIT = 3
+"""``blending.halves_of_weights``: two conversions and a difference for a number."""
+SPLIT_SCALED = 4  # ``blending.halves``: and a product
 DOTS = {"fp16x3": 3, "tf32x3": 3, "tf32": 1, "ieee": 0}  # tensor-core products that make one
-DOTS_WITH_ONES = {"fp16x3": 2, "tf32x3": 3, "tf32": 1, "ieee": 0}
+DOTS_OF_HALVES = {"fp16x3": 2, "tf32x3": 3, "tf32": 1, "ieee": 0}  # where the other factor is float16
 
 
 @dataclass(frozen=True)
@@ -71,13 +74,13 @@ class Facts:
         self.n_atoms, self.dim = self.work.codebook.shape[1:]
         self.code_bytes = self.work.indices.element_size() + self.work.weights.element_size()
         self.columns: Columns = columns_of(self.view, self.work.labels)
-        self.walk: Callable[[int, int], Walk] = cache(lambda pixels, chunk: walk(self.view, pixels, chunk))
+        self.walk: Callable[[int], Walk] = cache(lambda chunk: walk(self.view, chunk))
         # Sums that are kept: each tile's list times its columns.
         self.sums = int((self.view.starts.diff() * self.columns.counts).sum())
 
     def list_bytes(self) -> float:
-        """Pairs with their corners, and the records of the Gaussians in them."""
-        return 12.0 * self.pairs + 16.0 * self.reached
+        """The records of the pairs."""
+        return 4.0 * RECORD.value * self.pairs
 
     def record(self) -> dict[str, int]:
         """For JSON."""
@@ -97,9 +100,9 @@ class Facts:
         return {name: int(getattr(self, name)) for name in names}
 
 
-def blended(facts: Facts, constants: dict[str, Any], pixels: int, times: int = 1) -> tuple[Count, Walk]:
+def blended(facts: Facts, constants: dict[str, Any], times: int = 1) -> tuple[Count, Walk]:
     """What every kernel that blends has in common, ``times`` over: lists read once, lanes evaluated each time."""
-    own = facts.walk(pixels, constants["CHUNK"])
+    own = facts.walk(constants["CHUNK"])
     split = SPLIT if constants["PRECISION"] == "fp16x3" else 0
     lanes = float(own.lanes * times)
     share = own.painting / own.lanes if own.lanes else 0.0
@@ -114,20 +117,29 @@ def sieve(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Cou
 
 
 def project(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
-    """In: row 8, geometry 44 bytes. Out: depth 8, ellipse 56, rectangle and count 16, record 16 bytes. Some 190
-    multiply-adds (9 to the frame, 93 of the rotation and its two rows, 30 of covariance and determinant, the rest
-    bounds and spans) and 15 divisions, roots and logarithms at 10.
+    """In: row 8, geometry 44 bytes. Out: depth 8, ellipse 56, rectangle and count 16 bytes. Some 180 multiply-adds (9
+    to the frame, 93 of the rotation and its two rows, 30 of covariance and determinant, the rest bounds and spans) and
+    12 divisions, roots and logarithms at 10.
     """
-    return Count(bytes=148.0 * facts.visible, float64=340.0 * facts.visible)
+    return Count(bytes=132.0 * facts.visible, float64=300.0 * facts.visible)
 
 
 def expand(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
-    """A rank of 8 bytes in and tile, number and corner out for each candidate; of each visible Gaussian order, start,
-    row, rectangle and ellipse (92 bytes). Some 50 multiply-adds and 9 divisions and roots at 10 for each candidate.
+    """A rank of 8 bytes in and a tile out for each candidate; of each visible Gaussian order, start, rectangle and
+    ellipse (84 bytes). Some 40 multiply-adds and 6 divisions at 10 for each candidate.
     """
     tile_bytes = facts.view.visible.tiles.element_size()
-    moved = (8.0 + tile_bytes + 12.0) * facts.candidates + 92.0 * facts.visible
-    return Count(bytes=moved, float64=140.0 * facts.candidates)
+    moved = (8.0 + tile_bytes) * facts.candidates + 84.0 * facts.visible
+    return Count(bytes=moved, float64=100.0 * facts.candidates)
+
+
+def lists(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
+    """For each candidate its number, tile and rank in, its place out; a record out for it. Of each visible Gaussian
+    order, row and ellipse (72 bytes). Some 15 multiply-adds and 5 divisions and roots at 10 for each pair.
+    """
+    tile_bytes = facts.view.visible.tiles.element_size()
+    moved = (8.0 + tile_bytes + 8.0 + 4.0 + 4.0 * RECORD.value) * facts.candidates + 72.0 * facts.visible
+    return Count(bytes=moved, float64=65.0 * facts.pairs)
 
 
 def channels(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
@@ -136,24 +148,34 @@ def channels(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> 
     """
     n_channels = facts.work.values.shape[1]
     blocks, width = grid[1], constants["CHANNELS"]
-    count, own = blended(facts, constants, constants["PIXELS"], blocks)
+    count, own = blended(facts, constants, blocks)
     lanes = own.lanes * blocks
     moved = count.bytes + 4.0 * facts.reached * n_channels + 4.0 * facts.pixels * (n_channels + 1)
     tensor = 2.0 * DOTS[constants["PRECISION"]] * lanes * width
     return replace(count, bytes=moved, float32=count.float32 + lanes, tensor=tensor)
 
 
+def pack(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
+    """Codes in, words out; for each two entries a comparison, a selection and an addition."""
+    entries = float(facts.n * facts.levels * facts.k)
+    slots = facts.n * facts.levels * constants["GROUPS"] * SLOTS.value
+    moved = entries * facts.code_bytes + (8.0 if constants["WIDE"] else 4.0) * slots
+    return Count(bytes=moved, float32=3.0 * entries * constants["K"])
+
+
 def coefficients(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
-    """Codes of the Gaussians reached in. In each chunk the codes are made dense (for every entry and atom a comparison,
-    a selection and an addition), split, and multiplied with E on the tensor cores.
+    """Words of the Gaussians reached in. In each chunk the codes are made dense (for every entry and atom, or two
+    neighbouring ones, a comparison, a selection and an addition), and multiplied with E on the tensor cores.
     """
     blocks = grid[1] if len(grid) > 1 else 1
-    count, own = blended(facts, constants, constants["PIXELS"], blocks)
-    atoms, levels = constants["ATOMS"], constants["LEVELS"]
-    split = SPLIT if constants["PRECISION"] == "fp16x3" else 0
-    dense = float(own.n_chunks * own.chunk * blocks * levels * atoms) * (3 * constants["K"] + split)
-    tensor = 2.0 * DOTS[constants["PRECISION"]] * own.lanes * blocks * levels * atoms
-    moved = count.bytes + float(facts.reached * levels * facts.k * facts.code_bytes)
+    count, own = blended(facts, constants, blocks)
+    atoms, levels, wide = constants["ATOMS"], constants["LEVELS"], constants["WIDE"]
+    slots = constants["GROUPS"] * SLOTS.value
+    places = atoms if wide else atoms / 2
+    dense = float(own.n_chunks * own.chunk * blocks * levels) * places * 3 * slots
+    dots = DOTS if wide else DOTS_OF_HALVES
+    tensor = 2.0 * dots[constants["PRECISION"]] * own.lanes * blocks * levels * atoms
+    moved = count.bytes + (8.0 if wide else 4.0) * facts.reached * levels * slots
     return replace(count, bytes=moved, float32=count.float32 + dense, tensor=tensor)
 
 
@@ -173,12 +195,12 @@ def products(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> 
     atoms, levels = constants["ATOMS"], min(constants["LEVELS"], facts.levels)
     columns = len(facts.work.queries) if constants["PIXELS_LAST"] else facts.dim
     padded = math.ceil(columns / constants["COLUMNS"]) * constants["COLUMNS"]
-    lanes = float(grid[0] * constants["PIXELS"] * levels)
+    lanes = float(grid[0] * PIXELS * levels)
     dots = DOTS[constants["TABLE_PRECISION"]]
     return replace(
         count,
         bytes=count.bytes + 4.0 * facts.pixels * levels * columns,
-        float32=count.float32 + lanes * (atoms * (2 + SPLIT) + padded),
+        float32=count.float32 + lanes * (atoms * (2 + SPLIT_SCALED) + padded),
         tensor=count.tensor + 2.0 * dots * lanes * atoms * (atoms + padded),
     )
 
@@ -193,20 +215,29 @@ def alike(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Cou
 
 
 def region_sums(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
-    """Columns of the pixels in, sums of the Gaussians walked over out. In each chunk, for each block of columns of the
-    tile: which pixels are in it (2 instructions a pixel and column), and E^T with these ones on the tensor cores.
+    """Columns of the pixels in, sums of the Gaussians walked over out. A tile is walked over once for each block of
+    columns: lanes are evaluated, and E is multiplied with ones on the tensor cores.
     """
-    count, own = blended(facts, constants, PIXELS)
-    blocks = torch.div(facts.columns.counts + constants["COLUMNS"] - 1, constants["COLUMNS"]).long()
-    chunks = own.chunks.sum(1).long()
-    ones = float((chunks * blocks).sum()) * PIXELS * constants["COLUMNS"]
+    count, own = blended(facts, constants)
+    blocks = torch.div(
+        facts.columns.counts + constants["COLUMNS"] - 1, constants["COLUMNS"], rounding_mode="floor"
+    )
+    chunks = own.chunks.long()
+    turns = float((chunks * blocks).sum())
     walked = torch.minimum(chunks * own.chunk, facts.view.starts.diff())
     written = 4.0 * float((walked * facts.columns.counts).sum())
+    again = turns / own.n_chunks if own.n_chunks else 0.0
     return replace(
         count,
         bytes=count.bytes + 2.0 * facts.view.n_tiles * PIXELS + written,
-        float32=count.float32 + 2 * ones,
-        tensor=2.0 * DOTS_WITH_ONES[constants["PRECISION"]] * ones * own.chunk,
+        float32=count.float32 * again,
+        powers=count.powers * again,
+        tensor=2.0
+        * DOTS_OF_HALVES[constants["PRECISION"]]
+        * turns
+        * PIXELS
+        * constants["COLUMNS"]
+        * own.chunk,
     )
 
 
@@ -224,7 +255,9 @@ FORMULAS: dict[str, Callable[[Facts, tuple[int, ...], dict[str, Any]], Count]] =
     "sieve_kernel": sieve,
     "project_kernel": project,
     "expand_kernel": expand,
+    "list_kernel": lists,
     "channels_kernel": channels,
+    "pack_kernel": pack,
     "codes_kernel": codes,
     "products_kernel": products,
     "alike_kernel": alike,
@@ -235,10 +268,10 @@ FORMULAS: dict[str, Callable[[Facts, tuple[int, ...], dict[str, Any]], Count]] =
 
 def sorting(facts: Facts) -> Count:
     """What ``look`` leaves to torch: two stable radix sorts, each pass of 8 bits reading and writing keys and places
-    (depths of 8 bytes: 8 passes of 16 bytes; tiles of 2 or 4 bytes beside places of 8), and the lists gathered in their
-    new order (places 8 bytes in; numbers 4 and corners 8 in and out; the way back 4 out).
+    (depths of 8 bytes: 8 passes of 16 bytes; tiles of 2 or 4 bytes beside places of 8), and a rank of 8 bytes out for
+    each candidate.
     """
     tile_bytes = facts.view.visible.tiles.element_size()
     depths = 8 * 2 * 16.0 * facts.visible
     tiles = tile_bytes * 2 * (8.0 + tile_bytes) * facts.candidates
-    return Count(bytes=depths + tiles + (2 * 8 + 24 + 8) * 1.0 * facts.candidates)
+    return Count(bytes=depths + tiles + 8.0 * facts.candidates)

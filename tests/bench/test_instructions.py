@@ -297,7 +297,7 @@ def test_a_kernel_compiled_for_real(needs_triton: None, tmp_path: Path) -> None:
     usage = Usage(*resources(binary)[kernel.__name__], shared)
     lanes = instructions.lanes_of(constants, warps)
     row = instructions.count("kernel", function, usage, warps, 90, lanes)
-    assert row["powers"] == row["lanes"] == constants["PIXELS"] * constants["CHUNK"] / (32 * warps)
+    assert row["powers"] == row["lanes"] == constants["TILE"] ** 2 * constants["CHUNK"] / (32 * warps)
     assert row["groups"]["fp32"] > 2 * row["lanes"], "the exponent alone takes more"
     assert row["groups"]["tensor"] > 0
     assert row["unknown"] == []
@@ -306,6 +306,24 @@ def test_a_kernel_compiled_for_real(needs_triton: None, tmp_path: Path) -> None:
     others = {name: type_ for name, type_ in types.items() if name != "stop"}
     with pytest.raises(ValueError, match=r"launches\.py and the kernel disagree about WIDTH, stop"):
         compile_kernel(kernel, others, {**constants, "WIDTH": 1}, warps, 90)
+
+
+@pytest.mark.parametrize("capability", [80, 90])
+def test_loops_stay_short(needs_triton: None, tmp_path: Path, capability: int) -> None:
+    """What these kernels are fast by: a Gaussian is weighed at a pixel by one thread alone, and few tensors change
+    hands between threads. A compiler that takes something amiss takes two or three times as many instructions.
+    """
+    found = instructions.count_ours(capability, lambda name: None)
+    rows = {row["name"]: row for row in found}
+    assert {"3 channels", "codes 3 x 64", "cosines 2 x 128", "region sums"} <= rows.keys()
+    for name, row in rows.items():
+        assert "reason" not in row, row
+        a_lane = {group: count / row["lanes"] for group, count in row["groups"].items()}
+        most = 50 if name in ("3 channels", "region sums") else 115
+        assert row["instructions"] / row["lanes"] <= most, row
+        assert a_lane["shuffles"] <= 1.5, row
+        assert a_lane["waits"] <= 7, row
+        assert a_lane.get("spills", 0) <= 6, row
 
 
 def test_the_command(needs_triton: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

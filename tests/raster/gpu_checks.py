@@ -202,6 +202,22 @@ def check_codes(
     assert not bool(found[unpainted].any())
 
 
+def check_repeated_atoms(device: str) -> None:
+    """An atom that a code has twice counts with both weights, whatever stands between."""
+    gaussians, camera = scene_of("mixed", 5, device == "cpu")
+    view, reference = views_of(gaussians, camera, "inria", device)
+    indices = torch.tensor([[[3, 0, 3, 2, 3]], [[0, 0, 0, 0, 0]]], dtype=torch.uint8)[
+        torch.arange(len(gaussians)) % 2
+    ]
+    weights = torch.tensor([0.5, 0.0, 0.25, 1.0, 0.125]).expand(len(gaussians), 1, 5)
+    sure = sure_pixels(gaussians, camera)
+    for dtype in (torch.float16, torch.float32):
+        expected = raster.render_codes(reference, indices, weights.to(dtype), 4)
+        found = raster.render_codes(view, indices.to(device), weights.to(device, dtype), 4).cpu()
+        assert bool((expected[..., 3] > 0).any())
+        assert_close(found.movedim(0, 2), expected.movedim(0, 2), 2.0, sure)
+
+
 def check_build(device: str) -> None:
     """A whole build of two rounds gives the field that the reference gives."""
     from scoup.pipeline import build, build_settings

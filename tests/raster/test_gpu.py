@@ -27,8 +27,9 @@ from scoup import raster
 from scoup.errors import InputError, ScoupWarning
 from support import make_camera, random_gaussians
 
-# Bytes a thread, all of it behind the loop over Gaussians. Compilers before Triton 3.9 part registers worse.
-MOST_SPILLED, MOST_SPILLED_BEFORE_39 = 256, 1024
+# Bytes a thread, nearly all of it behind the loop over Gaussians, where the coefficients of one level wait for those of
+# another; ``tests/bench/test_instructions.py`` bounds what is spilled in the loop.
+MOST_SPILLED = 2560
 MOST_SHARED = 99 << 10  # bytes a block may have on the smallest of the GPUs served
 
 on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
@@ -102,18 +103,19 @@ def test_codes_agree_with_the_reference(interpreted, kind, levels, n_atoms, k, h
     interpreted(gpu_checks.check_codes, kind, 7, levels, n_atoms, k, halves)
 
 
+def test_atoms_that_a_code_has_twice(interpreted):
+    interpreted(gpu_checks.check_repeated_atoms)
+
+
 def test_a_build_agrees_with_the_reference(interpreted):
     interpreted(gpu_checks.check_build)
 
 
 @pytest.mark.parametrize("capability", [80, 90])
 def test_kernels_compile_within_a_gpu(needs_triton: None, tmp_path: Path, capability: int) -> None:
-    import triton
-
-    is_old = tuple(map(int, triton.__version__.split(".")[:2])) < (3, 9)
     for name, launch in launches().items():
         usage = compile_kernel(*launch, capability, tmp_path)
-        assert usage.spilled <= (MOST_SPILLED_BEFORE_39 if is_old else MOST_SPILLED), (name, usage)
+        assert usage.spilled <= MOST_SPILLED, (name, usage)
         assert usage.shared <= MOST_SHARED, (name, usage)
 
 
@@ -153,7 +155,7 @@ def test_kernels_with_float32_compile_for_amd(needs_triton: None) -> None:
 
     from scoup.raster.gpu_view import FUSED
 
-    for name, precision in (("16 channels", "ieee"), ("region sums", "fp16x3"), ("codes 3 x 64", "ieee")):
+    for name, precision in (("3 channels", "ieee"), ("region sums", "fp16x3"), ("codes 3 x 64", "fp16x3")):
         kernel, types, constants, warps = launches()[name]
         signature = {argument: types.get(argument, "constexpr") for argument in kernel.arg_names}
         source = ASTSource(kernel, signature, {**constants, "PRECISION": precision})
@@ -189,6 +191,7 @@ def test_what_cannot_run_the_kernels_is_told(needs_triton: None, monkeypatch: py
 def test_small_things_on_a_gpu() -> None:
     gpu_checks.check_nothing_painted("cuda")
     gpu_checks.check_split("cuda")
+    gpu_checks.check_repeated_atoms("cuda")
 
 
 # What is asked of the same scenes is asked in tests of its own: one that fails hides no other.

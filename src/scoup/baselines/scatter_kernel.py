@@ -56,8 +56,9 @@ def scatter_view(view: GpuView, labels: Tensor, codes: Sequence[SparseCodes], ou
     with torch.cuda.device_of(out):
         scatter_kernel[(view.n_tiles,)](
             view.records, view.numbers, view.starts, labels, tables.firsts, tables.atoms, tables.weights, out,
-            view.width, view.height, view.across, len(codes), codes[0].n_atoms, view.preset.alpha_max, view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive, TILE=TILE,
-            CHUNK=_CHUNK, K=tables.atoms.shape[1], num_warps=_WARPS, **FUSED,
+            view.width, view.height, view.across, len(codes), codes[0].n_atoms, view.preset.alpha_max,
+            view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive, TILE=TILE, CHUNK=_CHUNK,
+            K=tables.atoms.shape[1], num_warps=_WARPS, **FUSED,
         )  # fmt: skip
 
 

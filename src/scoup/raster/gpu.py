@@ -11,7 +11,6 @@ an index beyond the codebook paints nothing.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -24,19 +23,13 @@ from scoup.raster.gpu_regions import add_votes, triplets
 from scoup.raster.gpu_view import FUSED, TILE, GpuView
 from scoup.raster.gpu_view import look as look
 from scoup.raster.kernels.blending import LOW_SCALE
-from scoup.raster.kernels.rendering import (
-    SLOTS,
-    channels_kernel,
-    codes_kernel,
-    pack_kernel,
-    products_kernel,
-)
+from scoup.raster.kernels.channels import channels_kernel
+from scoup.raster.kernels.codes import SLOTS, codes_kernel, pack_kernel
+from scoup.raster.kernels.products import products_kernel
 
 PREPARES = False  # rows in another order have not been seen to pay here
 MOST_ATOMS = 256  # coefficients of a pixel that stay on the chip
-_CHUNK = 32  # Gaussians at a time; with 16 there are nearly as many barriers for half of the work
-_FEW_CHANNELS = 16  # a program of two warps, a thread a pixel
-_CHANNELS = 64  # that a program of four warps renders
+CHUNK = 32  # Gaussians at a time; with 16 there are nearly as many barriers for half of the work
 WARPS = 4  # of a program that renders codes: fewer than Hopper's matrix products are made for would be slower
 _COEFFICIENTS = 128 * 32 * WARPS  # of a program: 128 registers of each thread
 _BLOCK = 128
@@ -93,19 +86,32 @@ def render_channels(view: GpuView, values: Tensor) -> tuple[Tensor, Tensor]:
     values = values.to(device).contiguous()
     image = torch.empty(view.height, view.width, channels, device=device)
     alpha = torch.empty(view.height, view.width, device=device)
-    few = channels <= _FEW_CHANNELS
-    block = _FEW_CHANNELS if few else _CHANNELS
+    blocks = channel_blocks(channels)
     with torch.cuda.device_of(values):
-        channels_kernel[(view.n_tiles, max(1, triton.cdiv(channels, block)))](
+        channels_kernel[(view.n_tiles, max(1, triton.cdiv(channels, blocks.channels)))](
             *_lists(view), values, image, alpha, *_size(view), channels, *_bounds(view), **_constants(view),
-            CHUNK=_CHUNK // 2, CHANNELS=block, PRECISION=view.products(wide=True), num_warps=2 if few else WARPS,
+            CHUNK=blocks.chunk, CHANNELS=blocks.channels, PRECISION=view.products(wide=True), num_warps=blocks.warps,
         )  # fmt: skip
     return image, alpha
 
 
+@dataclass(frozen=True)
+class ChannelBlocks:
+    """Channels that one program renders, of so many Gaussians at a time, with so many warps."""
+
+    channels: int
+    chunk: int
+    warps: int
+
+
+def channel_blocks(channels: int) -> ChannelBlocks:
+    """A thread for each pixel where the sums of few channels leave it the registers, else two."""
+    return ChannelBlocks(16, 16, 2) if channels <= 16 else ChannelBlocks(64, 16, WARPS)
+
+
 @dataclass(frozen=True, eq=False)
 class PackedCodes:
-    """Codes as the kernels read them, see ``kernels.rendering.pack_kernel``.
+    """Codes as the kernels read them, see ``kernels.codes.pack_kernel``.
 
     Attributes:
         words: [N, S, GROUPS * SLOTS] int32, or int64 where ``wide``.
@@ -278,7 +284,7 @@ def _constants(view: GpuView) -> dict[str, object]:
 def _of_codes(view: GpuView, codes: PackedCodes, blocks: CodeBlocks, levels_left: int) -> dict[str, object]:
     """What is compiled into a kernel that renders codes."""
     return {
-        "CHUNK": _CHUNK,
+        "CHUNK": CHUNK,
         "LEVELS": min(blocks.levels, levels_left),
         "GROUPS": codes.groups,
         "ATOMS": blocks.atoms,

@@ -21,9 +21,9 @@ from scoup.raster.kernels.votes import add_few_kernel, add_many_kernel
 MOST_SUMS = 1 << 27  # float32 numbers at a time: half a gigabyte
 FEW_TILES = 48  # Gaussians that reach more are added up by a program of their own
 MOST_ATOMS_AT_ONCE = 4096
-_CHUNK = 32
-_COLUMNS = 16
-_WARPS = 2  # of a program that sums up: a thread a pixel
+CHUNK = 32
+COLUMNS = 16
+WARPS = 2  # of a program that sums up: a thread a pixel
 _OTHERS = 32
 _LANES = 32
 
@@ -111,7 +111,7 @@ def _sums_of(view: GpuView, columns: Columns, ends: Tensor, first: int, last: in
     region_sums_kernel[(last - first,)](
         view.records, view.starts, columns.of_pixel, columns.counts, bases, values, view.width, view.height,
         view.across, first, view.preset.alpha_max, view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive,
-        TILE=TILE, CHUNK=_CHUNK, COLUMNS=_COLUMNS, PRECISION=view.products(), num_warps=_WARPS, **FUSED,
+        TILE=TILE, CHUNK=CHUNK, COLUMNS=COLUMNS, PRECISION=view.products(), num_warps=WARPS, **FUSED,
     )  # fmt: skip
     return TileSums(values, bases)
 

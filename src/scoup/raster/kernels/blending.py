@@ -98,10 +98,18 @@ def blend(
 def spread(records, start, end, CHUNK: tl.constexpr, PIXELS: tl.constexpr):
     """u, v, ku, kv, skew and peak of a chunk, [G, P] each, the same at all pixels."""
     row = tl.arange(0, CHUNK)
-    at = row[:, None, None] * RECORD + tl.arange(0, 4)[None, None, :] + tl.zeros([1, PIXELS, 1], tl.int32)
-    at = records + start * RECORD + at
-    first = tl.reshape(tl.load(at), (CHUNK, PIXELS, 2, 2))
-    second = tl.reshape(tl.load(at + 4), (CHUNK, PIXELS, 2, 2))
+    # Triton spreads what it loads along the dimension where addresses follow each other most, and all that comes of it
+    # likewise. Across pixels they are the same, so it is told that there are two in a row; how many are loaded at once
+    # follows from the last dimension alone, where there are four. The zero must not look like one, or else what was
+    # told is lost with the sum.
+    nothing = tl.arange(0, PIXELS) // PIXELS
+    at = row[:, None, None] * RECORD + tl.arange(0, 4)[None, None, :] + nothing[None, :, None]
+    first_at = tl.max_contiguous(tl.multiple_of(records + start * RECORD + at, (16, 16, 16)), (1, 2, 4))
+    second_at = tl.max_contiguous(
+        tl.multiple_of(records + start * RECORD + (at + 4), (16, 16, 16)), (1, 2, 4)
+    )
+    first = tl.reshape(tl.load(first_at), (CHUNK, PIXELS, 2, 2))
+    second = tl.reshape(tl.load(second_at), (CHUNK, PIXELS, 2, 2))
     u_ku, v_kv = tl.split(first)
     u, ku = tl.split(u_ku)
     v, kv = tl.split(v_kv)

@@ -213,7 +213,7 @@ def list_kernel(
     tile = tl.load(tiles + pair, mask=there, other=0).to(tl.int32)
     listed = there & (tile < across * down)
     slot = tl.load(order + tl.load(ranks + candidate, mask=listed, other=0), mask=listed, other=0)
-    corner_x, corner_y, xx, xy, yy, determinant, reach = ellipse_at(
+    corner_x, corner_y, _xx, xy, yy, determinant, reach = ellipse_at(
         geometry, slot, tile % across, tile // across, listed, TILE
     )
     root = tl.load(camera + ROOT_LOG2_E)

@@ -1,4 +1,4 @@
-"""Rendering of dense channels and of sparse codes, with what is asked of the coefficients computed where they are."""
+"""Rendering of sparse codes: they are packed for all views, made dense where they are used, and multiplied with E."""
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false
 # pyright: reportIndexIssue=false, reportOperatorIssue=false, reportAssignmentType=false
@@ -9,66 +9,16 @@ import triton
 import triton.language as tl
 
 from scoup.raster.kernels.blending import (
-    LOW_SCALE,
     WEIGHT_SCALE,
     add_product,
     blend,
     gaussians_of,
-    halves,
     halves_of_weights,
     is_lit,
     pixels_of,
 )
 
-TINY = tl.constexpr(1.1754943508222875e-38)  # the smallest normal float32
 SLOTS = tl.constexpr(4)  # entries of a code that are read at once: 16 bytes
-
-
-@triton.jit(do_not_specialize=["width", "height", "across", "n_channels"])
-def channels_kernel(
-    records,  # [., RECORD] float32
-    numbers,  # the same memory as int32
-    starts,  # [tiles + 1] int64
-    values,  # [N, C] float32
-    image,  # [H, W, C] float32: out
-    coverage,  # [H, W] float32: out
-    width,
-    height,
-    across,
-    n_channels,
-    alpha_max,
-    stop,
-    STOP_INCLUSIVE: tl.constexpr,
-    TILE: tl.constexpr,
-    CHUNK: tl.constexpr,
-    CHANNELS: tl.constexpr,
-    PRECISION: tl.constexpr,
-):
-    """One program renders a block of channels of a tile."""
-    tile, block = tl.program_id(0), tl.program_id(1)
-    x, y, pixel, inside = pixels_of(tile, across, width, height, TILE)
-    channel = block * CHANNELS + tl.arange(0, CHANNELS)
-    in_range = channel < n_channels
-    sums = tl.zeros([TILE * TILE, CHANNELS], tl.float32)
-    covered = tl.zeros([1, TILE * TILE], tl.float32)
-    transmittance = tl.where(inside, 1.0, 0.0)[None, :]
-    start, end = tl.load(starts + tile), tl.load(starts + tile + 1)
-    gaussian, there = gaussians_of(numbers, start, end, CHUNK)
-    while start < end:
-        rows = values + gaussian.to(tl.int64)[:, None] * n_channels + channel[None, :]
-        own = tl.load(rows, mask=there[:, None] & in_range[None, :], other=0.0)
-        # Who comes next is on its way while these are blended.
-        gaussian, there = gaussians_of(numbers, start + CHUNK, end, CHUNK)
-        weights, transmittance = blend(
-            records, start, end, x, y, transmittance, alpha_max, stop, STOP_INCLUSIVE, CHUNK, 1.0
-        )
-        sums = tl.dot(tl.trans(weights), own, sums, input_precision=PRECISION)
-        covered += tl.sum(weights, axis=0, keep_dims=True)
-        start = tl.where(is_lit(transmittance), start + CHUNK, end)
-    out = image + pixel.to(tl.int64)[:, None] * n_channels + channel[None, :]
-    tl.store(out, sums, mask=inside[:, None] & in_range[None, :])
-    if block == 0:
-        tl.store(coverage + pixel[None, :], covered, mask=inside[None, :])
 
 
 @triton.jit(do_not_specialize=["n_codes", "n_atoms"])
@@ -95,12 +45,11 @@ def pack_kernel(
             atom = tl.load(indices + row * K + slot, mask=there, other=0).to(tl.int32)
             total = tl.zeros([BLOCK], tl.float32)
             is_first = there & (atom >= 0) & (atom < n_atoms)
-            for other in tl.static_range(K):
+            for other in range(K):
                 same = tl.load(indices + row * K + other, mask=there, other=0).to(tl.int32) == atom
                 weight = tl.load(weights + row * K + other, mask=there, other=0.0).to(tl.float32)
                 total += tl.where(same, weight, 0.0)
-                if other < slot:
-                    is_first &= (same == 0) | (weight == 0)
+                is_first &= (same == 0) | (weight == 0) | (other >= slot)
             if WIDE:
                 bits = total.to(tl.int32, bitcast=True).to(tl.int64) & 0xFFFFFFFF
                 word = tl.where(is_first, (atom.to(tl.int64) << 32) | bits, 0)
@@ -121,7 +70,15 @@ def words_of(words, gaussian, there, level, n_levels, GROUP: tl.constexpr, GROUP
 
 @triton.jit
 def first_words(
-    words, numbers, start, end, level, n_levels, LEVELS: tl.constexpr, GROUPS: tl.constexpr, CHUNK: tl.constexpr
+    words,
+    numbers,
+    start,
+    end,
+    level,
+    n_levels,
+    LEVELS: tl.constexpr,
+    GROUPS: tl.constexpr,
+    CHUNK: tl.constexpr,
 ):
     """The first ``words_of`` up to four levels from ``level`` on; those beyond LEVELS are of no use."""
     gaussian, there = gaussians_of(numbers, start, end, CHUNK)
@@ -257,17 +214,50 @@ def accumulate_codes(
         sums_0 = add_codes(sums_0, blending, dense, WIDE, PRECISION)
         if LEVELS > 1:
             dense = dense_codes(
-                words_1, words, numbers, start, end, level + 1, n_levels, first_atom, CHUNK, GROUPS, ATOMS, WIDE
+                words_1,
+                words,
+                numbers,
+                start,
+                end,
+                level + 1,
+                n_levels,
+                first_atom,
+                CHUNK,
+                GROUPS,
+                ATOMS,
+                WIDE,
             )
             sums_1 = add_codes(sums_1, blending, dense, WIDE, PRECISION)
         if LEVELS > 2:
             dense = dense_codes(
-                words_2, words, numbers, start, end, level + 2, n_levels, first_atom, CHUNK, GROUPS, ATOMS, WIDE
+                words_2,
+                words,
+                numbers,
+                start,
+                end,
+                level + 2,
+                n_levels,
+                first_atom,
+                CHUNK,
+                GROUPS,
+                ATOMS,
+                WIDE,
             )
             sums_2 = add_codes(sums_2, blending, dense, WIDE, PRECISION)
         if LEVELS > 3:
             dense = dense_codes(
-                words_3, words, numbers, start, end, level + 3, n_levels, first_atom, CHUNK, GROUPS, ATOMS, WIDE
+                words_3,
+                words,
+                numbers,
+                start,
+                end,
+                level + 3,
+                n_levels,
+                first_atom,
+                CHUNK,
+                GROUPS,
+                ATOMS,
+                WIDE,
             )
             sums_3 = add_codes(sums_3, blending, dense, WIDE, PRECISION)
         start = tl.where(is_lit(transmittance), start + CHUNK, end)
@@ -318,156 +308,3 @@ def codes_kernel(
         tl.store(own + 2 * plane, sums_2 * (1.0 / WEIGHT_SCALE), mask=stored)
     if LEVELS > 3:
         tl.store(own + 3 * plane, sums_3 * (1.0 / WEIGHT_SCALE), mask=stored)
-
-
-@triton.jit(
-    do_not_specialize=["width", "height", "across", "n_levels", "n_atoms", "n_columns", "first_level"]
-)
-def products_kernel(
-    records,  # [., RECORD] float32
-    numbers,  # the same memory as int32
-    starts,  # [tiles + 1] int64
-    words,  # [N, S, GROUPS * SLOTS], see ``pack_kernel``
-    grams,  # [S, L, L] float32, or [2, S, L, L] float16, see TABLE_PRECISION
-    tables,  # [S, L, C] float32, or [2, S, L, C] float16: what the coefficients are multiplied with
-    out,  # [S, C, H, W] float32 for cosines; [S, H, W, C] for features
-    width,
-    height,
-    across,
-    n_levels,
-    n_atoms,
-    n_columns,
-    first_level,
-    alpha_max,
-    stop,
-    STOP_INCLUSIVE: tl.constexpr,
-    TILE: tl.constexpr,
-    CHUNK: tl.constexpr,
-    LEVELS: tl.constexpr,
-    GROUPS: tl.constexpr,
-    ATOMS: tl.constexpr,
-    WIDE: tl.constexpr,
-    COLUMNS: tl.constexpr,
-    PIXELS_LAST: tl.constexpr,
-    PRECISION: tl.constexpr,
-    TABLE_PRECISION: tl.constexpr,
-):
-    """W B / sqrt(W G W^T) of the coefficients W of each pixel, all atoms at once: cosines with queries where B is the
-    codebook times the queries, features of unit norm where B is the codebook. The coefficients never leave the chip.
-    With TABLE_PRECISION "fp16x3" Gram matrices and B come as ``halves``, elsewhere as they are.
-    """
-    tile = tl.program_id(0)
-    x, y, pixel, inside = pixels_of(tile, across, width, height, TILE)
-    start, end = tl.load(starts + tile), tl.load(starts + tile + 1)
-    sums_0, sums_1, sums_2, sums_3 = accumulate_codes(
-        records, numbers, start, end, words, first_level, n_levels, 0, x, y, inside, alpha_max, stop,
-        STOP_INCLUSIVE, CHUNK, LEVELS, GROUPS, ATOMS, WIDE, PRECISION,
-    )  # fmt: skip
-    pixels = height.to(tl.int64) * width
-    store_products(
-        sums_0, grams, tables, out, first_level, pixel, pixels, inside, n_levels, n_atoms, n_columns, COLUMNS,
-        PIXELS_LAST, TABLE_PRECISION,
-    )  # fmt: skip
-    if LEVELS > 1:
-        store_products(
-            sums_1, grams, tables, out, first_level + 1, pixel, pixels, inside, n_levels, n_atoms, n_columns,
-            COLUMNS, PIXELS_LAST, TABLE_PRECISION,
-        )  # fmt: skip
-    if LEVELS > 2:
-        store_products(
-            sums_2, grams, tables, out, first_level + 2, pixel, pixels, inside, n_levels, n_atoms, n_columns,
-            COLUMNS, PIXELS_LAST, TABLE_PRECISION,
-        )  # fmt: skip
-    if LEVELS > 3:
-        store_products(
-            sums_3, grams, tables, out, first_level + 3, pixel, pixels, inside, n_levels, n_atoms, n_columns,
-            COLUMNS, PIXELS_LAST, TABLE_PRECISION,
-        )  # fmt: skip
-
-
-@triton.jit
-def store_products(
-    coefficients,  # [P, L]
-    grams,
-    tables,
-    out,
-    level,
-    pixel,  # [P]
-    pixels,
-    inside,  # [P]
-    n_levels,
-    n_atoms,
-    n_columns,
-    COLUMNS: tl.constexpr,
-    PIXELS_LAST: tl.constexpr,
-    PRECISION: tl.constexpr,
-):
-    """One level of ``products_kernel``; pixels without coefficients get 0. Tables have entries of about 1 at most."""
-    PIXELS: tl.constexpr = coefficients.shape[0]
-    ATOMS: tl.constexpr = coefficients.shape[1]
-    largest = tl.max(coefficients, axis=1)
-    coefficients *= tl.where(largest > 0, 1.0 / tl.maximum(largest, TINY), 0.0)[:, None]
-    # W G W^T, so many columns of G at a time as fit.
-    OTHERS: tl.constexpr = ATOMS if ATOMS <= 64 else 4096 // ATOMS
-    squared = tl.zeros([PIXELS], tl.float32)
-    for first in range(0, ATOMS, OTHERS):
-        products = times_table(coefficients, grams, level, n_levels, n_atoms, n_atoms, first, OTHERS, PRECISION)
-        if OTHERS < ATOMS:  # columns of a tensor in registers can be had as a product only
-            one_hot = tl.arange(0, ATOMS)[:, None] == first + tl.arange(0, OTHERS)[None, :]
-            squared += tl.sum(products * times_ones(coefficients, one_hot, PRECISION), axis=1)
-        else:
-            squared += tl.sum(products * coefficients, axis=1)
-    inverse = tl.where(squared > 0, 1.0 / tl.sqrt(tl.maximum(squared, TINY)), 0.0)
-    for first in range(0, n_columns, COLUMNS):
-        found = times_table(
-            coefficients, tables, level, n_levels, n_atoms, n_columns, first, COLUMNS, PRECISION
-        )
-        found *= inverse[:, None]
-        column = first + tl.arange(0, COLUMNS)
-        if PIXELS_LAST:
-            place = (level.to(tl.int64) * n_columns + column)[None, :] * pixels + pixel[:, None]
-        else:
-            place = (level.to(tl.int64) * pixels + pixel)[:, None] * n_columns + column[None, :]
-        tl.store(out + place, found, mask=inside[:, None] & (column < n_columns)[None, :])
-
-
-@triton.jit
-def times_table(
-    coefficients,  # [P, L]
-    table,  # [S, L, C] float32 or [2, S, L, C] float16
-    level,
-    n_levels,
-    n_atoms,
-    n_columns,
-    first,
-    COLUMNS: tl.constexpr,
-    PRECISION: tl.constexpr,
-):
-    """[P, COLUMNS] coefficients times the columns from ``first`` on of a level of a table."""
-    nothing = tl.zeros([coefficients.shape[0], COLUMNS], tl.float32)
-    atom, column = tl.arange(0, coefficients.shape[1]), first + tl.arange(0, COLUMNS)
-    there = (atom < n_atoms)[:, None] & (column < n_columns)[None, :]
-    part = table + (level.to(tl.int64) * n_atoms + atom[:, None]) * n_columns + column[None, :]
-    if PRECISION == "fp16x3":
-        high, low = halves(coefficients)
-        other_high = tl.load(part, mask=there, other=0.0)
-        other_low = tl.load(part + n_levels.to(tl.int64) * n_atoms * n_columns, mask=there, other=0.0)
-        small = tl.dot(high, other_low, nothing)
-        small = tl.dot(low, other_high, small)
-        found = tl.dot(high, other_high, small * (1.0 / LOW_SCALE))
-    else:
-        other = tl.load(part, mask=there, other=0.0)
-        found = tl.dot(coefficients, other, nothing, input_precision=PRECISION)
-    return found
-
-
-@triton.jit
-def times_ones(coefficients, ones, PRECISION: tl.constexpr):
-    """Coefficients times zeros and ones: no digit of these is lost."""
-    if PRECISION == "fp16x3":
-        high, low = halves(coefficients)
-        small = tl.dot(low, ones.to(tl.float16))
-        found = tl.dot(high, ones.to(tl.float16), small * (1.0 / LOW_SCALE))
-    else:
-        found = tl.dot(coefficients, ones.to(tl.float32), input_precision=PRECISION)
-    return found
