@@ -27,6 +27,7 @@ STAGES: dict[str, tuple[str, str]] = {
     "roofline": ("roofline:roofline", "Kernels against the ceilings"),
     "large": ("rendering:large_view", "Rendering a large view"),
     "scaling": ("scaling:scaling", "Growth"),
+    "tuning": ("tuning:tuning", "Other numbers for the kernels"),
 }
 """By name: module and function, and the heading of its table; in the order they run, what matters most first."""
 UNTIMED = ("agreement",)  # may run while something else keeps the processors busy

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 import triton
@@ -32,7 +32,7 @@ from scoup.raster.projection import ray_limits, tile_counts
 Precision = Literal["fp16x3", "ieee", "tf32x3", "tf32"]
 
 # Products may be added unrounded: which Triton lets them by default depends on its version.
-FUSED = {"enable_fp_fusion": True}
+FUSED: dict[str, Any] = {"enable_fp_fusion": True}
 # Edge of a tile in pixels. Half as many lanes are evaluated in vain as with 16, for twice as many pairs to sort.
 TILE = 8
 MOST_PAIRS = 2**31 - 1
