@@ -117,29 +117,29 @@ def sieve(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Cou
 
 
 def project(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
-    """In: row 8, geometry 44 bytes. Out: depth 8, ellipse 56, rectangle and count 16 bytes. Some 180 multiply-adds (9
+    """In: row 8, geometry 44 bytes. Out: depth 8, ellipse 104, rectangle and count 16 bytes. Some 190 multiply-adds (9
     to the frame, 93 of the rotation and its two rows, 30 of covariance and determinant, the rest bounds and spans) and
-    12 divisions, roots and logarithms at 10.
+    17 divisions, roots and logarithms at 10.
     """
-    return Count(bytes=132.0 * facts.visible, float64=300.0 * facts.visible)
+    return Count(bytes=180.0 * facts.visible, float64=360.0 * facts.visible)
 
 
 def expand(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
     """A rank of 8 bytes in and a tile out for each candidate; of each visible Gaussian order, start, rectangle and
-    ellipse (84 bytes). Some 40 multiply-adds and 6 divisions at 10 for each candidate.
+    nine numbers of the ellipse (100 bytes). Some 40 additions and multiply-adds for each candidate.
     """
     tile_bytes = facts.view.visible.tiles.element_size()
-    moved = (8.0 + tile_bytes) * facts.candidates + 84.0 * facts.visible
-    return Count(bytes=moved, float64=100.0 * facts.candidates)
+    moved = (8.0 + tile_bytes) * facts.candidates + 100.0 * facts.visible
+    return Count(bytes=moved, float64=40.0 * facts.candidates)
 
 
 def lists(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
     """For each candidate its number, tile and rank in, its place out; a record out for it. Of each visible Gaussian
-    order, row and ellipse (72 bytes). Some 15 multiply-adds and 5 divisions and roots at 10 for each pair.
+    order, row and six numbers of the ellipse (64 bytes). Some 10 multiply-adds for each pair.
     """
     tile_bytes = facts.view.visible.tiles.element_size()
-    moved = (8.0 + tile_bytes + 8.0 + 4.0 + 4.0 * RECORD.value) * facts.candidates + 72.0 * facts.visible
-    return Count(bytes=moved, float64=65.0 * facts.pairs)
+    moved = (8.0 + tile_bytes + 8.0 + 4.0 + 4.0 * RECORD.value) * facts.candidates + 64.0 * facts.visible
+    return Count(bytes=moved, float64=10.0 * facts.pairs)
 
 
 def channels(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:

@@ -206,6 +206,8 @@ def add_votes(
     counts = visible.firsts.diff()
     at_once = n_atoms <= MOST_ATOMS_AT_ONCE
     few = torch.nonzero((counts > 0) & (counts <= FEW_TILES) if at_once else counts > 0).squeeze(1)
+    # A warp takes as long as its lane with the most tiles: lanes with as many as each other go together.
+    few = few[torch.sort(counts[few].clamp(max=255).to(torch.uint8), stable=True).indices]
     many = torch.nonzero(counts > FEW_TILES).squeeze(1) if at_once else few[:0]
     if agreement is None:
         earlier_k, nothing = 0, torch.zeros(0, device=view.device)

@@ -28,9 +28,15 @@ LOW_PASS, ALPHA_MIN, LOG_ALPHA_MIN, SLACK = (
 ROOT_LOG2_E, LOG2_E = tl.constexpr(27), tl.constexpr(28)
 TABLE = 29
 
-GEOMETRY = tl.constexpr(
-    7
-)  # numbers of a Gaussian: centre x, y; xx, xy, yy of the covariance; determinant; reach
+# What is known of a Gaussian's ellipse, so that a pair takes no division: few GPUs are fast in float64. For the exact
+# test against a tile: its centre and reach, and what the covariance ((xx, xy), (xy, yy)) makes of offsets.
+CENTRE_X, CENTRE_Y, REACH = tl.constexpr(0), tl.constexpr(1), tl.constexpr(2)
+SLOPE_Y, SLOPE_X = tl.constexpr(3), tl.constexpr(4)  # xy / xx, xy / yy
+INVERSE_XX, INVERSE_YY = tl.constexpr(5), tl.constexpr(6)
+WEIGHT_Y, WEIGHT_X = tl.constexpr(7), tl.constexpr(8)  # xx / determinant, yy / determinant
+# For the record, see ``blending.RECORD``.
+KU, KV, SKEW, PEAK = tl.constexpr(9), tl.constexpr(10), tl.constexpr(11), tl.constexpr(12)
+GEOMETRY = tl.constexpr(13)
 
 
 @triton.jit(do_not_specialize=["count"])
@@ -148,13 +154,22 @@ def project_kernel(
     tl.store(rects + 3 * slot + 1, first_y, mask=there)
     tl.store(rects + 3 * slot + 2, tl.maximum(span_x, 1), mask=there)
     own = geometry + GEOMETRY * slot.to(tl.int64)
-    tl.store(own, centre_x, mask=there)
-    tl.store(own + 1, centre_y, mask=there)
-    tl.store(own + 2, xx, mask=there)
-    tl.store(own + 3, xy, mask=there)
-    tl.store(own + 4, yy, mask=there)
-    tl.store(own + 5, determinant, mask=there)
-    tl.store(own + 6, reach, mask=there)
+    tl.store(own + CENTRE_X, centre_x, mask=there)
+    tl.store(own + CENTRE_Y, centre_y, mask=there)
+    tl.store(own + REACH, reach, mask=there)
+    inverse_xx, inverse_yy, inverse = 1.0 / xx, 1.0 / yy, 1.0 / determinant
+    tl.store(own + SLOPE_Y, xy * inverse_xx, mask=there)
+    tl.store(own + SLOPE_X, xy * inverse_yy, mask=there)
+    tl.store(own + INVERSE_XX, inverse_xx, mask=there)
+    tl.store(own + INVERSE_YY, inverse_yy, mask=there)
+    tl.store(own + WEIGHT_Y, xx * inverse, mask=there)
+    tl.store(own + WEIGHT_X, yy * inverse, mask=there)
+    root = tl.load(camera + ROOT_LOG2_E)
+    ku = root * tl.sqrt(0.5 * yy * inverse)
+    tl.store(own + KU, ku, mask=there)
+    tl.store(own + KV, root * tl.sqrt(0.5 * inverse_yy), mask=there)
+    tl.store(own + SKEW, ku * (xy * inverse_yy), mask=there)
+    tl.store(own + PEAK, log_opacity * tl.load(camera + LOG2_E), mask=there)
 
 
 @triton.jit(do_not_specialize=["n_candidates", "across", "down"])
@@ -181,8 +196,8 @@ def expand_kernel(
     row = within // span
     column = within - row * span + tl.load(rects + 3 * slot, mask=there, other=0)
     row += tl.load(rects + 3 * slot + 1, mask=there, other=0)
-    corner_x, corner_y, xx, xy, yy, determinant, reach = ellipse_at(geometry, slot, column, row, there, TILE)
-    touched = ellipse_touches(corner_x, corner_y, xx, xy, yy, determinant, reach, camera, TILE)
+    own = geometry + GEOMETRY * slot
+    touched = ellipse_touches(own, column, row, there, camera, TILE)
     tile = tl.where(touched, row * across + column, across * down)
     tl.store(tiles + candidate, tile.to(tiles.dtype.element_ty), mask=there)
 
@@ -213,60 +228,52 @@ def list_kernel(
     tile = tl.load(tiles + pair, mask=there, other=0).to(tl.int32)
     listed = there & (tile < across * down)
     slot = tl.load(order + tl.load(ranks + candidate, mask=listed, other=0), mask=listed, other=0)
-    corner_x, corner_y, _xx, xy, yy, determinant, reach = ellipse_at(
-        geometry, slot, tile % across, tile // across, listed, TILE
-    )
-    root = tl.load(camera + ROOT_LOG2_E)
-    along, down_scale = root * tl.sqrt(0.5 * yy / determinant), root * tl.sqrt(0.5 / yy)
-    skew = along * (xy / yy)
-    peak = (0.5 * reach + tl.load(camera + LOG_ALPHA_MIN)) * tl.load(camera + LOG2_E)
+    ellipse = geometry + GEOMETRY * slot
+    corner_x, corner_y = corner_at(ellipse, tile % across, tile // across, listed, TILE)
+    ku = tl.load(ellipse + KU, mask=listed, other=0.0)
+    kv = tl.load(ellipse + KV, mask=listed, other=0.0)
+    skew = tl.load(ellipse + SKEW, mask=listed, other=0.0)
+    peak = tl.load(ellipse + PEAK, mask=listed, other=0.0)
     written = pair < n_records
     own = records + pair * RECORD
-    store_listed(own, along * corner_x - skew * corner_y, listed, written)
-    store_listed(own + 1, down_scale * corner_y, listed, written)
-    store_listed(own + 2, along, listed, written)
-    store_listed(own + 3, down_scale, listed, written)
-    store_listed(own + 4, skew, listed, written)
-    store_listed(own + 5, peak, listed, written)
+    tl.store(own, tl.where(listed, ku * corner_x - skew * corner_y, 0.0).to(tl.float32), mask=written)
+    tl.store(own + 1, tl.where(listed, kv * corner_y, 0.0).to(tl.float32), mask=written)
+    tl.store(own + 2, ku.to(tl.float32), mask=written)
+    tl.store(own + 3, kv.to(tl.float32), mask=written)
+    tl.store(own + 4, skew.to(tl.float32), mask=written)
+    tl.store(own + 5, peak.to(tl.float32), mask=written)
     gaussian = tl.load(ids + slot, mask=listed, other=0).to(tl.int32)
     tl.store(numbers + pair * RECORD + ROW, gaussian, mask=written)
     tl.store(numbers + pair * RECORD + (ROW + 1), tl.zeros_like(gaussian), mask=written)
 
 
 @triton.jit
-def store_listed(place, value, listed, written):
-    tl.store(place, tl.where(listed, value, 0.0).to(tl.float32), mask=written)
+def corner_at(ellipse, column, row, there, TILE: tl.constexpr):
+    """The first pixel of a tile, from the ellipse's centre."""
+    corner_x = (column * TILE).to(tl.float64) + 0.5 - tl.load(ellipse + CENTRE_X, mask=there, other=0.0)
+    corner_y = (row * TILE).to(tl.float64) + 0.5 - tl.load(ellipse + CENTRE_Y, mask=there, other=0.0)
+    return corner_x, corner_y
 
 
 @triton.jit
-def ellipse_at(geometry, slot, column, row, there, TILE: tl.constexpr):
-    """A Gaussian's ellipse: the tile's first pixel from its centre; xx, xy, yy; determinant; reach."""
-    own = geometry + GEOMETRY * slot
-    corner_x = (column * TILE).to(tl.float64) + 0.5 - tl.load(own, mask=there, other=0.0)
-    corner_y = (row * TILE).to(tl.float64) + 0.5 - tl.load(own + 1, mask=there, other=0.0)
-    xx = tl.load(own + 2, mask=there, other=1.0)
-    xy = tl.load(own + 3, mask=there, other=0.0)
-    yy = tl.load(own + 4, mask=there, other=1.0)
-    determinant = tl.load(own + 5, mask=there, other=1.0)
-    reach = tl.load(own + 6, mask=there, other=0.0)
-    return corner_x, corner_y, xx, xy, yy, determinant, reach
-
-
-@triton.jit
-def ellipse_touches(corner_x, corner_y, xx, xy, yy, determinant, reach, camera, TILE: tl.constexpr):
+def ellipse_touches(ellipse, column, row, there, camera, TILE: tl.constexpr):
     """Does the ellipse alpha >= 1/255 reach the rectangle of the tile's pixel centres? See ``raster.binning``."""
+    corner_x, corner_y = corner_at(ellipse, column, row, there, TILE)
     slack = tl.load(camera + SLACK)
     x0, y0 = corner_x - slack, corner_y - slack
     x1, y1 = x0 + (TILE - 1) + 2 * slack, y0 + (TILE - 1) + 2 * slack
     edge_x = tl.maximum(x0, 0.0) + tl.minimum(x1, 0.0)
     edge_y = tl.maximum(y0, 0.0) + tl.minimum(y1, 0.0)
-    off_y = xy / xx * edge_x
+    off_y = tl.load(ellipse + SLOPE_Y, mask=there, other=0.0) * edge_x
     off_y -= tl.minimum(tl.maximum(off_y, y0), y1)
-    off_x = xy / yy * edge_y
+    off_x = tl.load(ellipse + SLOPE_X, mask=there, other=0.0) * edge_y
     off_x -= tl.minimum(tl.maximum(off_x, x0), x1)
-    by_x = edge_x * edge_x / xx + off_y * off_y * (xx / determinant)
-    by_y = edge_y * edge_y / yy + off_x * off_x * (yy / determinant)
+    weight_y = tl.load(ellipse + WEIGHT_Y, mask=there, other=0.0)
+    weight_x = tl.load(ellipse + WEIGHT_X, mask=there, other=0.0)
+    by_x = edge_x * edge_x * tl.load(ellipse + INVERSE_XX, mask=there, other=0.0) + off_y * off_y * weight_y
+    by_y = edge_y * edge_y * tl.load(ellipse + INVERSE_YY, mask=there, other=0.0) + off_x * off_x * weight_x
     best = tl.where(edge_x == 0, by_y, tl.where(edge_y == 0, by_x, tl.minimum(by_x, by_y)))
+    reach = tl.load(ellipse + REACH, mask=there, other=-1.0)
     return ((edge_x == 0) & (edge_y == 0)) | (best <= reach)
 
 
