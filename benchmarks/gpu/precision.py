@@ -13,6 +13,7 @@ from benchmarks.gpu.context import PRESET, Context
 from benchmarks.gpu.timing import Work, reason
 from scoup import raster
 from scoup.bench import Workload
+from scoup.codes import add_codes
 
 if TYPE_CHECKING:
     from scoup.raster.gpu_view import Precision
@@ -88,11 +89,19 @@ def runs_of(work: Workload, view: Callable[[], raster.View]) -> dict[str, Callab
     }
 
 
-def answers(work: Workload, view: raster.View) -> dict[str, Tensor]:
-    """Coefficient maps [S, H, W, L], cosines [S, Q, H, W] and one view's accumulators [N, S, L]."""
+def answers(work: Workload, view: raster.View, interpreted: bool = False) -> dict[str, Tensor]:
+    """Coefficient maps [S, H, W, L], cosines [S, Q, H, W] and one view's accumulators [N, S, L].
+
+    The votes of a Gaussian that reaches many tiles take an interpreter minutes: there torch adds up the region sums,
+    which are all that precision changes.
+    """
     n_atoms = work.codebook.shape[1]
     sums = torch.zeros_like(work.accumulators)
-    raster.uplift_view(view, work.labels, work.codes, sums)
+    if interpreted:
+        gaussian, key, weight = raster.region_weights(view, work.labels)
+        add_codes(gaussian, key, weight, int(work.labels.max()) + 1, work.codes, sums)
+    else:
+        raster.uplift_view(view, work.labels, work.codes, sums)
     return {
         "coefficients": raster.render_codes(view, work.indices, work.weights, n_atoms),
         "cosines": raster.render_cosines(view, work.indices, work.weights, work.codebook, work.queries),
