@@ -251,7 +251,8 @@ def test_chunks_are_filled_up() -> None:
 
 def test_the_commands(needs_triton: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "lanes.json"
-    words = [*"--n-gaussians 500 700 --width 50 --height 40 --tiles 5 --json".split(), str(out)]
+    room = ["--n-gaussians", "500", "700", "--width", "50", "--height", "40"]
+    words = [*room, "--tiles", "5", "--json", str(out)]
     told = lanes.main(words)
     assert "room 500, 500 Gaussians, 50 x 40 pixels" in told
     assert "5 of 12 blocks" in told
