@@ -1,6 +1,6 @@
 """Instructions that blending takes, counted in the compiled kernels: no GPU is needed, and no time is told.
 
-    python -m benchmarks.gpu.instructions [--capability 90] [--json FILE] [--gsplat FOLDER --nvcc PATH]
+    python -m benchmarks.gpu.instructions [--capability 90] [--json FILE] [--gsplat FOLDER --nvcc PATH] [--lanes FILE]
 
 Each kernel that blends is compiled for the GPU asked for and disassembled, and the loop over Gaussians is found: the
 innermost that takes powers of 2 (MUFU.EX2). Counted is one turn of it, as a warp issues it: instructions that a
@@ -35,6 +35,11 @@ Columns, in instructions a lane:
   uniform      what runs once for a warp, and loads of constants
   other        what this program does not know; a line below the tables names it
 
+With --lanes, the file that python -m benchmarks.gpu.lanes --json writes, a third table multiplies: instructions a lane
+times the lanes a pixel of a view. For gsplat's forward kernels it is the longest way for steps of warps that paint, the
+shortest for those that skip, each step for all 32 pixels of the warp. Still not counted is what comes before and after
+the loop; and region sums, which go over a tile's list once more for every 16 columns, count once.
+
 Instructions are not time: they differ in how many are begun in a cycle, they wait for memory and for one another, and
 one on the tensor cores does thousands of operations. What fits on a multiprocessor is by registers, shared memory,
 warps and blocks, as CUDA's occupancy calculator has it.
@@ -51,6 +56,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from benchmarks.gpu.a_pixel import a_pixel, read_lanes, table
 from benchmarks.gpu.compiled import DEVICES, THREADS, Usage, compile_kernel, disassemble, resources
 from benchmarks.gpu.disassembly import GROUPS, OTHER, Function, parse, powers, tally
 from benchmarks.gpu.gsplat_kernels import PEERS, SOURCES, WARPS, Peer, channels_of, compile_peer, versions
@@ -82,6 +88,8 @@ def parse_words(words: list[str] | None = None) -> argparse.Namespace:
     add("--gsplat", type=Path, metavar="FOLDER", help="count gsplat's rasterisers too: the folder it is installed or "
         "unpacked in, which holds gsplat/cuda/csrc")
     add("--nvcc", type=Path, metavar="PATH", help="CUDA's compiler, for gsplat; default: the nvcc on the PATH")
+    add("--lanes", type=Path, metavar="FILE", help="print instructions a pixel too, on the views of this file, which "
+        "python -m benchmarks.gpu.lanes --json FILE writes")
     # fmt: on
     return parser.parse_args(words)
 
@@ -151,7 +159,8 @@ def count_ours(capability: int, progress: Callable[[str], None]) -> list[Row]:
                 functions, needs = parse(disassemble(binary)), resources(binary)
             function = functions[kernel.__name__]
             usage = Usage(*needs[function.name], shared)
-            rows.append(count(name, function, usage, warps, capability, lanes_of(constants, warps)))
+            row = count(name, function, usage, warps, capability, lanes_of(constants, warps))
+            rows.append({**row, "tile": constants["TILE"], "chunk": constants["CHUNK"]})
         except Exception as error:
             rows.append({"name": name, "reason": reason(error)})
     return rows
@@ -179,7 +188,9 @@ def count_peer(
 
 
 def report(record: dict[str, Any]) -> str:
-    """Two tables, instructions a lane and what fits on a multiprocessor, and what could not be counted."""
+    """Tables: instructions a lane, what fits on a multiprocessor, and, where lanes are given, instructions a pixel;
+    and what could not be counted.
+    """
     rows: list[Row] = record["rows"]
     counted = [row for row in rows if "instructions" in row]
     built = [row for row in rows if "registers" in row]
@@ -220,6 +231,8 @@ def report(record: dict[str, Any]) -> str:
             "warps",
         ]
         parts.append(markdown(head, fits))
+    if record.get("views"):
+        parts.append(table(rows, record["views"]))
     parts += [note for row in rows if (note := note_of(row))]
     return "\n\n".join(parts)
 
@@ -259,6 +272,7 @@ def main(words: list[str] | None = None) -> str:
         raise InputError("there is no nvcc on the PATH to compile gsplat with: give --nvcc PATH")
     if arguments.json is not None:
         check_output(arguments.json, arguments.overwrite)
+    views = [] if arguments.lanes is None else read_lanes(arguments.lanes)
 
     def progress(name: str) -> None:
         if sys.stderr.isatty():
@@ -270,7 +284,7 @@ def main(words: list[str] | None = None) -> str:
     by = [f"triton {version_of('triton')}"]
     if arguments.gsplat is not None and nvcc is not None:
         by.append(versions(arguments.gsplat, nvcc))
-    record = {"capability": arguments.capability, "by": by, "rows": rows}
+    record = {"capability": arguments.capability, "by": by, "rows": rows, "views": a_pixel(rows, views)}
     if arguments.json is not None:
         write_json(arguments.json, record, arguments.overwrite)
     return report(record)
