@@ -209,7 +209,8 @@ def check_repeated_atoms(device: str) -> None:
     indices = torch.tensor([[[3, 0, 3, 2, 3]], [[0, 0, 0, 0, 0]]], dtype=torch.uint8)[
         torch.arange(len(gaussians)) % 2
     ]
-    weights = torch.tensor([0.5, 0.0, 0.25, 1.0, 0.125]).expand(len(gaussians), 1, 5)
+    kinds = torch.tensor([[0.5, 0.0, 0.25, 1.0, 0.125], [0.0, 0.0, 0.25, 1.0, 0.125]])
+    weights = kinds[torch.arange(len(gaussians)) // 2 % 2][:, None]
     sure = sure_pixels(gaussians, camera)
     for dtype in (torch.float16, torch.float32):
         expected = raster.render_codes(reference, indices, weights.to(dtype), 4)
