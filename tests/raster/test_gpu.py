@@ -64,6 +64,14 @@ def test_region_sums_agree_with_the_reference(interpreted, kind, levels, n_regio
     interpreted(gpu_checks.check_regions, kind, 3, levels, n_regions)
 
 
+def test_labels_of_any_kind(interpreted):
+    interpreted(gpu_checks.check_kinds_of_labels)
+
+
+def test_sums_of_few_tiles_at_a_time(interpreted):
+    interpreted(gpu_checks.check_few_sums_at_a_time)
+
+
 def test_regions_that_nobody_paints(interpreted):
     interpreted(gpu_checks.check_nothing_painted)
 
@@ -192,6 +200,8 @@ def test_small_things_on_a_gpu() -> None:
     gpu_checks.check_nothing_painted("cuda")
     gpu_checks.check_split("cuda")
     gpu_checks.check_repeated_atoms("cuda")
+    gpu_checks.check_kinds_of_labels("cuda")
+    gpu_checks.check_few_sums_at_a_time("cuda")
 
 
 # What is asked of the same scenes is asked in tests of its own: one that fails hides no other.

@@ -58,11 +58,16 @@ class TileSums:
     bases: Tensor
 
 
+def with_sign(labels: Tensor) -> Tensor:
+    """Regions as integers that can be -1, which the kernels give to pixels outside the image."""
+    return labels if labels.dtype.is_signed else labels.int()
+
+
 def columns_of(view: GpuView, labels: Tensor) -> Columns:
     """See ``Columns``; labels [S, H, W]."""
     levels, pixels, device = len(labels), TILE * TILE, labels.device
     first_alike = torch.empty(view.n_tiles, pixels, dtype=torch.int32, device=device)
-    labels = labels.contiguous()
+    labels = with_sign(labels).contiguous()
     alike_kernel[(view.n_tiles,)](
         labels, first_alike, view.width, view.height, view.across, levels, TILE=TILE, OTHERS=_OTHERS, **FUSED
     )  # fmt: skip
