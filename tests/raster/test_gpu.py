@@ -145,6 +145,7 @@ def test_tensors_on_a_cpu_are_refused() -> None:
 
 
 def test_products_on_gpus_of_amd(needs_triton: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    from scoup.raster.gpu import most_atoms_of_products
     from scoup.raster.gpu_view import GpuView
 
     def products(precision: Any, wide: bool) -> str:
@@ -152,8 +153,11 @@ def test_products_on_gpus_of_amd(needs_triton: None, monkeypatch: pytest.MonkeyP
 
     cases = [("fp16x3", False), ("fp16x3", True), ("tf32x3", False), ("tf32", True), ("ieee", True)]
     assert [products(*case) for case in cases] == ["fp16x3", "tf32x3", "tf32x3", "tf32", "ieee"]
+    atoms = [most_atoms_of_products(SimpleNamespace(precision=name)) for name in ("fp16x3", "ieee")]  # type: ignore[arg-type]
+    assert atoms == [256, 128]
     monkeypatch.setattr(torch.version, "hip", "6.4")
     assert [products(*case) for case in cases] == ["fp16x3", "ieee", "ieee", "ieee", "ieee"]
+    assert most_atoms_of_products(SimpleNamespace(precision="fp16x3")) == 128  # type: ignore[arg-type]
 
 
 def test_kernels_with_float32_compile_for_amd(needs_triton: None) -> None:
