@@ -1,4 +1,4 @@
-"""Rendering of sparse codes: they are packed for all views, made dense where they are used, and multiplied with E."""
+"""Rendering of sparse codes: they are packed, made dense where they are used, and multiplied with E."""
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false
 # pyright: reportIndexIssue=false, reportOperatorIssue=false, reportAssignmentType=false
