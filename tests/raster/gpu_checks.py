@@ -93,6 +93,65 @@ def check_regions(kind: str, seed: int, levels: int, n_regions: int, device: str
     assert_same_triplets(tuple(part.cpu() for part in found), raster.region_weights(reference, labels))
 
 
+def check_kinds_of_labels(device: str) -> None:
+    """Regions may be integers of any kind; those without a sign know no pixel without a region."""
+    gaussians, _ = scene_of("mixed", 3, device == "cpu")
+    camera = make_camera(19, 13, 18.0, 3)
+    view, _ = views_of(gaussians, camera, "inria", device)
+    labels = random_labels(2, camera.height, camera.width, 5, 3)
+    expected = raster.region_weights(view, labels.to(device))
+    for dtype in (torch.int8, torch.int16, torch.int64):
+        found = raster.region_weights(view, labels.to(device, dtype))
+        assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True)), dtype
+    labels = labels.clamp(min=0, max=1)
+    expected = raster.region_weights(view, labels.to(device))
+    for dtype in (torch.uint8, torch.bool):
+        found = raster.region_weights(view, labels.to(device, dtype))
+        assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True)), dtype
+
+
+def check_few_sums_at_a_time(device: str) -> None:
+    """Tiles whose sums do not fit at once come one lot after the other, each tile once, however large; the triplets
+    and the accumulators stay the same to the last bit.
+    """
+    from scoup.raster import gpu_regions
+
+    gaussians, _ = scene_of("mixed", 3, device == "cpu")
+    gaussians, camera = gaussians.select(torch.arange(12)), make_camera(45, 37, 36.0, 3)
+    view, _ = views_of(gaussians, camera, "inria", device)
+    labels = random_labels(2, camera.height, camera.width, 9, 3).to(device)
+    labels[:, 16:24] = -1  # a row of tiles without a region
+    generator = torch.Generator().manual_seed(3)
+    codes = [SparseCodes.from_dense(torch.rand(9, 6, generator=generator), 2).to(device) for _ in range(2)]
+
+    def found(most: int) -> tuple[list[int], list[Tensor]]:
+        before, gpu_regions.MOST_SUMS = gpu_regions.MOST_SUMS, most
+        try:
+            lots = [sums.bases >= 0 for sums in gpu_regions.tile_sums(view, columns)]
+            out = torch.zeros(len(gaussians), 2, 6, device=device)
+            raster.Uplift(out, "triton").add(view, labels, codes)
+            triplets = raster.region_weights(view, labels)
+        finally:
+            gpu_regions.MOST_SUMS = before
+        assert int(torch.stack(lots).sum(0).amax()) <= 1, "a tile came twice"
+        return [int(sizes[lot].sum()) for lot in lots], [*triplets, out]
+
+    columns = gpu_regions.columns_of(view, labels)
+    sizes = view.starts.diff() * columns.counts
+    total, largest = int(sizes.sum()), int(sizes.max())
+    assert bool((sizes == 0).any())
+    assert largest < total
+    _, expected = found(total)
+    for most in (total - 1, largest - 1):
+        lots, again = found(most)
+        assert len(lots) > 1
+        assert sum(lots) == total
+        assert min(lots) > 0
+        assert max(lots) <= max(most, largest)
+        assert all(torch.equal(one, other) for one, other in zip(again[:3], expected[:3], strict=True)), most
+        assert_close(again[3].cpu(), expected[3].cpu(), 3.0)
+
+
 def check_nothing_painted(device: str) -> None:
     """Regions of pixels that nobody paints, in tiles that Gaussians do reach."""
     gaussians, camera = scene_of("mixed", 3, device == "cpu")
@@ -209,7 +268,8 @@ def check_repeated_atoms(device: str) -> None:
     indices = torch.tensor([[[3, 0, 3, 2, 3]], [[0, 0, 0, 0, 0]]], dtype=torch.uint8)[
         torch.arange(len(gaussians)) % 2
     ]
-    weights = torch.tensor([0.5, 0.0, 0.25, 1.0, 0.125]).expand(len(gaussians), 1, 5)
+    kinds = torch.tensor([[0.5, 0.0, 0.25, 1.0, 0.125], [0.0, 0.0, 0.25, 1.0, 0.125]])
+    weights = kinds[torch.arange(len(gaussians)) // 2 % 2][:, None]
     sure = sure_pixels(gaussians, camera)
     for dtype in (torch.float16, torch.float32):
         expected = raster.render_codes(reference, indices, weights.to(dtype), 4)

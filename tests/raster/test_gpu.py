@@ -64,6 +64,14 @@ def test_region_sums_agree_with_the_reference(interpreted, kind, levels, n_regio
     interpreted(gpu_checks.check_regions, kind, 3, levels, n_regions)
 
 
+def test_labels_of_any_kind(interpreted):
+    interpreted(gpu_checks.check_kinds_of_labels)
+
+
+def test_sums_of_few_tiles_at_a_time(interpreted):
+    interpreted(gpu_checks.check_few_sums_at_a_time)
+
+
 def test_regions_that_nobody_paints(interpreted):
     interpreted(gpu_checks.check_nothing_painted)
 
@@ -137,6 +145,7 @@ def test_tensors_on_a_cpu_are_refused() -> None:
 
 
 def test_products_on_gpus_of_amd(needs_triton: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    from scoup.raster.gpu import most_atoms_of_products
     from scoup.raster.gpu_view import GpuView
 
     def products(precision: Any, wide: bool) -> str:
@@ -144,8 +153,11 @@ def test_products_on_gpus_of_amd(needs_triton: None, monkeypatch: pytest.MonkeyP
 
     cases = [("fp16x3", False), ("fp16x3", True), ("tf32x3", False), ("tf32", True), ("ieee", True)]
     assert [products(*case) for case in cases] == ["fp16x3", "tf32x3", "tf32x3", "tf32", "ieee"]
+    atoms = [most_atoms_of_products(SimpleNamespace(precision=name)) for name in ("fp16x3", "ieee")]  # type: ignore[arg-type]
+    assert atoms == [256, 128]
     monkeypatch.setattr(torch.version, "hip", "6.4")
     assert [products(*case) for case in cases] == ["fp16x3", "ieee", "ieee", "ieee", "ieee"]
+    assert most_atoms_of_products(SimpleNamespace(precision="fp16x3")) == 128  # type: ignore[arg-type]
 
 
 def test_kernels_with_float32_compile_for_amd(needs_triton: None) -> None:
@@ -192,6 +204,8 @@ def test_small_things_on_a_gpu() -> None:
     gpu_checks.check_nothing_painted("cuda")
     gpu_checks.check_split("cuda")
     gpu_checks.check_repeated_atoms("cuda")
+    gpu_checks.check_kinds_of_labels("cuda")
+    gpu_checks.check_few_sums_at_a_time("cuda")
 
 
 # What is asked of the same scenes is asked in tests of its own: one that fails hides no other.

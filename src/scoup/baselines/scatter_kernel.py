@@ -21,7 +21,7 @@ from torch import Tensor
 
 from scoup.codes import SparseCodes
 from scoup.errors import InputError
-from scoup.raster.gpu_regions import CodeTables
+from scoup.raster.gpu_regions import CodeTables, with_sign
 from scoup.raster.gpu_view import FUSED, TILE, GpuView
 from scoup.raster.kernels.blending import blend, gaussians_of, is_lit, pixels_of
 
@@ -52,7 +52,7 @@ def scatter_view(view: GpuView, labels: Tensor, codes: Sequence[SparseCodes], ou
             f"labels {list(labels.shape)} do not fit {len(codes)} levels of {view.height} x {view.width} pixels"
         )
     tables = CodeTables.of(codes, None, view.device)
-    labels = labels.to(view.device).contiguous()
+    labels = with_sign(labels.to(view.device)).contiguous()
     with torch.cuda.device_of(out):
         scatter_kernel[(view.n_tiles,)](
             view.records, view.numbers, view.starts, labels, tables.firsts, tables.atoms, tables.weights, out,

@@ -58,11 +58,16 @@ class TileSums:
     bases: Tensor
 
 
+def with_sign(labels: Tensor) -> Tensor:
+    """Regions as integers that can be -1, which the kernels give to pixels outside the image."""
+    return labels if labels.dtype.is_signed else labels.int()
+
+
 def columns_of(view: GpuView, labels: Tensor) -> Columns:
     """See ``Columns``; labels [S, H, W]."""
     levels, pixels, device = len(labels), TILE * TILE, labels.device
     first_alike = torch.empty(view.n_tiles, pixels, dtype=torch.int32, device=device)
-    labels = labels.contiguous()
+    labels = with_sign(labels).contiguous()
     alike_kernel[(view.n_tiles,)](
         labels, first_alike, view.width, view.height, view.across, levels, TILE=TILE, OTHERS=_OTHERS, **FUSED
     )  # fmt: skip
@@ -88,23 +93,26 @@ def tile_sums(view: GpuView, columns: Columns) -> Iterator[TileSums]:
     total = int(ends[-1]) if len(ends) else 0
     if total <= MOST_SUMS:
         if total:
-            yield _sums_of(view, columns, ends, 0, len(ends))
+            yield _sums_of(view, columns, ends, 0, len(ends), total)
         return
     ends_here = ends.cpu()
     first, before = 0, 0
     while before < total:
         last = int(torch.searchsorted(ends_here, before + MOST_SUMS, right=True))
         last = max(last, first + 1)
-        if int(ends_here[last - 1]) > before:
-            yield _sums_of(view, columns, ends, first, last)
-        first, before = last, int(ends_here[last - 1])
+        behind = int(ends_here[last - 1])
+        if behind > before:
+            yield _sums_of(view, columns, ends, first, last, behind - before)
+        first, before = last, behind
 
 
-def _sums_of(view: GpuView, columns: Columns, ends: Tensor, first: int, last: int) -> TileSums:
-    """Of the tiles from ``first`` to before ``last``; ``ends`` [tiles] is where the sums of each end."""
+def _sums_of(view: GpuView, columns: Columns, ends: Tensor, first: int, last: int, count: int) -> TileSums:
+    """Of the tiles from ``first`` to before ``last``, ``count`` numbers; ``ends`` [tiles] is where those of each tile
+    end.
+    """
     device = view.device
     begins = torch.nn.functional.pad(ends[:-1], (1, 0))
-    values = torch.zeros(int(ends[last - 1] - begins[first]), device=device)
+    values = torch.zeros(count, device=device)
     tiles = torch.arange(view.n_tiles, device=device)
     here = (tiles >= first) & (tiles < last)
     bases = torch.where(here, begins - begins[first], -1)

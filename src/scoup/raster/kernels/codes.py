@@ -1,4 +1,4 @@
-"""Rendering of sparse codes: they are packed for all views, made dense where they are used, and multiplied with E."""
+"""Rendering of sparse codes: they are packed, made dense where they are used, and multiplied with E."""
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false
 # pyright: reportIndexIssue=false, reportOperatorIssue=false, reportAssignmentType=false
@@ -34,8 +34,8 @@ def pack_kernel(
     BLOCK: tl.constexpr,
 ):
     """An atom and its weight in one integer: the bits of a float16 below 16 bits of the atom, or with WIDE those of a
-    float32 below 32. What has no weight or no such atom is 0, which paints nothing. An atom that a code has twice gets
-    both weights at its first place.
+    float32 below 32. What has no such atom is 0, which paints nothing. An atom that a code has twice gets both weights
+    at its first place, even where it has none there.
     """
     row = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     there = row < n_codes
@@ -49,7 +49,7 @@ def pack_kernel(
                 same = tl.load(indices + row * K + other, mask=there, other=0).to(tl.int32) == atom
                 weight = tl.load(weights + row * K + other, mask=there, other=0.0).to(tl.float32)
                 total += tl.where(same, weight, 0.0)
-                is_first &= (same == 0) | (weight == 0) | (other >= slot)
+                is_first &= (same == 0) | (other >= slot)
             if WIDE:
                 bits = total.to(tl.int32, bitcast=True).to(tl.int64) & 0xFFFFFFFF
                 word = tl.where(is_first, (atom.to(tl.int64) << 32) | bits, 0)

@@ -49,7 +49,9 @@ def sieve_kernel(
     count,
     BLOCK: tl.constexpr,
 ):
-    """Which Gaussians may be visible, by their centre and largest scale alone. NaN fails every comparison."""
+    """Which Gaussians may be visible, by their centre and largest scale alone. NaN fails every comparison; on a GPU
+    the largest of scales may be a number though one of them is not: ``project_kernel`` leaves that Gaussian out.
+    """
     row = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     there = row < count
     row = row.to(tl.int64)
@@ -176,7 +178,7 @@ def project_kernel(
 def expand_kernel(
     ranks,  # [C] int64: place of the candidate's Gaussian by depth
     order,  # [M] int64: slots by depth
-    firsts,  # [M] int64: first candidate of each place
+    firsts,  # [M + 1] int64: first candidate of each place
     rects,  # [M, 3] int32
     geometry,  # [M, GEOMETRY] float64
     camera,  # [TABLE] float64
