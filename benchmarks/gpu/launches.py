@@ -40,6 +40,10 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
         found[f"cosines {levels} x {n_atoms}"] = (
             products.products_kernel, {**types, **TABLES}, {**constants, **_table(n_atoms, True)}, gpu.WARPS,
         )  # fmt: skip
+    for n_atoms, precision in ((64, "ieee"), (128, "tf32x3")):
+        constants = {**blended, **_of_codes(1, n_atoms, precision)}
+        types = {**LISTS, **SIZE, **BOUNDS, **CODES, "words": I64}
+        found[f"codes 1 x {n_atoms} in {precision}"] = codes.codes_kernel, types, constants, gpu.WARPS
     for n_atoms in (64, 256):
         constants = {**blended, **_of_codes(1, n_atoms), **_table(n_atoms, False)}
         types = {**LISTS, **SIZE, **BOUNDS, **CODES, **TABLES}
@@ -75,13 +79,13 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
     return found
 
 
-def _of_codes(levels: int, n_atoms: int) -> dict[str, Any]:
+def _of_codes(levels: int, n_atoms: int, precision: Any = "fp16x3") -> dict[str, Any]:
     from scoup.raster import gpu
 
-    blocks = gpu.code_blocks(levels, n_atoms)
+    blocks = gpu.code_blocks(levels, n_atoms, precision)
     assert blocks.levels == levels, "more than a program renders"
-    sizes = {"CHUNK": gpu.CHUNK, "LEVELS": levels, "GROUPS": 1, "ATOMS": blocks.atoms}
-    return {**sizes, "WIDE": False, "PRECISION": "fp16x3"}
+    sizes = {"CHUNK": blocks.chunk, "LEVELS": levels, "GROUPS": 1, "ATOMS": blocks.atoms}
+    return {**sizes, "WIDE": precision != "fp16x3", "PRECISION": precision}
 
 
 def _table(n_atoms: int, pixels_last: bool) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -53,10 +54,17 @@ def variants(what: str, run: Callable[[], object], changes: dict[str, dict[str, 
 
 
 def of_codes() -> dict[str, dict[str, Any]]:
-    found: dict[str, dict[str, Any]] = {AS_IT_IS: {}, "gpu.CHUNK = 16": {"gpu.CHUNK": 16}}
+    from scoup.raster import gpu
+
+    before = gpu.code_blocks
+
+    def fewer(*arguments: Any) -> Any:
+        return replace(before(*arguments), chunk=16)
+
+    found: dict[str, dict[str, Any]] = {AS_IT_IS: {}, "16 at a time": {"gpu.code_blocks": fewer}}
     for most in REGISTERS:
         found[f"maxnreg = {most}"] = {"maxnreg": most}
-        found[f"gpu.CHUNK = 16, maxnreg = {most}"] = {"gpu.CHUNK": 16, "maxnreg": most}
+        found[f"16 at a time, maxnreg = {most}"] = {"gpu.code_blocks": fewer, "maxnreg": most}
     return found
 
 

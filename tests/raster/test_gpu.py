@@ -153,11 +153,10 @@ def test_products_on_gpus_of_amd(needs_triton: None, monkeypatch: pytest.MonkeyP
 
     cases = [("fp16x3", False), ("fp16x3", True), ("tf32x3", False), ("tf32", True), ("ieee", True)]
     assert [products(*case) for case in cases] == ["fp16x3", "tf32x3", "tf32x3", "tf32", "ieee"]
-    atoms = [most_atoms_of_products(SimpleNamespace(precision=name)) for name in ("fp16x3", "ieee")]  # type: ignore[arg-type]
-    assert atoms == [256, 128]
+    assert [most_atoms_of_products(name) for name in ("fp16x3", "tf32x3", "ieee")] == [256, 128, 64]
     monkeypatch.setattr(torch.version, "hip", "6.4")
     assert [products(*case) for case in cases] == ["fp16x3", "ieee", "ieee", "ieee", "ieee"]
-    assert most_atoms_of_products(SimpleNamespace(precision="fp16x3")) == 128  # type: ignore[arg-type]
+    assert [most_atoms_of_products(name) for name in ("fp16x3", "ieee")] == [128, 64]
 
 
 def test_kernels_with_float32_compile_for_amd(needs_triton: None) -> None:

@@ -20,7 +20,7 @@ from torch import Tensor
 from scoup.agreement import Agreement
 from scoup.codes import SparseCodes, add_codes, cosines_from_products, full_products
 from scoup.raster.gpu_regions import add_votes, triplets
-from scoup.raster.gpu_view import FUSED, TILE, GpuView
+from scoup.raster.gpu_view import FUSED, TILE, GpuView, Precision
 from scoup.raster.gpu_view import look as look
 from scoup.raster.kernels.blending import LOW_SCALE
 from scoup.raster.kernels.channels import channels_kernel
@@ -28,9 +28,11 @@ from scoup.raster.kernels.codes import SLOTS, codes_kernel, pack_kernel
 from scoup.raster.kernels.products import products_kernel
 
 PREPARES = False  # rows in another order have not been seen to pay here
-MOST_ATOMS = 256  # coefficients of a pixel that stay on the chip
-CHUNK = 32  # Gaussians at a time; with 16 there are nearly as many barriers for half of the work
-WARPS = 4  # of a program that renders codes: fewer than Hopper's matrix products are made for would be slower
+# Coefficients of a pixel that stay on the chip; with more, products leave no registers.
+MOST_ATOMS: dict[Precision, int] = {"fp16x3": 256, "tf32x3": 128, "tf32": 128, "ieee": 64}
+# Of a program that renders codes: Hopper's matrix products are made by four warps, and among eight Triton spreads sums
+# that two products are added to in two ways, and moves them in between.
+WARPS = 4
 _COEFFICIENTS = 128 * 32 * WARPS  # of a program: 128 registers of each thread
 _BLOCK = 128
 
@@ -127,10 +129,15 @@ class PackedCodes:
         return self.words.shape[2] // SLOTS.value
 
 
+def is_wide(view: GpuView, weights: Tensor, n_atoms: int) -> bool:
+    """Whether codes are multiplied as float32: numbers of float32 may be beyond what float16 can hold."""
+    return weights.dtype != torch.float16 or view.products() != "fp16x3" or n_atoms > 2**16
+
+
 def pack(view: GpuView, indices: Tensor, weights: Tensor, n_atoms: int) -> PackedCodes:
     """[N, S, K] sparse codes, packed."""
     count, levels, k = indices.shape
-    wide = weights.dtype != torch.float16 or view.products() != "fp16x3" or n_atoms > 2**16
+    wide = is_wide(view, weights, n_atoms)
     indices, weights = indices.to(view.device).contiguous(), weights.to(view.device).contiguous()
     groups = triton.cdiv(k, SLOTS.value)
     shape = count, levels, groups * SLOTS.value
@@ -148,7 +155,8 @@ def render_codes(view: GpuView, indices: Tensor, weights: Tensor, n_atoms: int) 
     if 0 in (view.n_gaussians, k, *shape):
         return torch.zeros(shape, device=view.device)
     out = torch.empty(shape, device=view.device)  # every number is written
-    blocks = code_blocks(levels, min(n_atoms, MOST_ATOMS))
+    precision = view.products(wide=is_wide(view, weights, n_atoms))
+    blocks = code_blocks(levels, n_atoms, precision)
     with torch.cuda.device_of(out):
         codes = pack(view, indices, weights, n_atoms)
         for first in range(0, levels, blocks.levels):
@@ -194,7 +202,8 @@ def _render_products(
         return torch.zeros(shape, device=view.device)
     out = torch.empty(shape, device=view.device)  # every number is written
     grams = full_products(codebook, codebook)
-    if n_atoms > most_atoms_of_products(view):
+    of_codes = view.products(wide=is_wide(view, weights, n_atoms))
+    if n_atoms > most_atoms_of_products(of_codes):
         return _products_by_level(view, indices, weights, grams, table, out, pixels_last)
     # The quotient stays the same, and entries are within float16.
     scale = grams.amax((1, 2), keepdim=True).clamp(min=torch.finfo(torch.float32).tiny)
@@ -202,7 +211,7 @@ def _render_products(
     tables = [grams / scale, table / scale.sqrt()]
     if precision == "fp16x3":
         tables = [halves(part) for part in tables]
-    blocks = code_blocks(levels, n_atoms)
+    blocks = code_blocks(levels, n_atoms, of_codes)
     with torch.cuda.device_of(out):
         codes = pack(view, indices, weights, n_atoms)
         for first in range(0, levels, blocks.levels):
@@ -215,9 +224,9 @@ def _render_products(
     return out
 
 
-def most_atoms_of_products(view: GpuView) -> int:
-    """Atoms whose products fit into the shared memory of every GPU served: 99 KB, or 64 KB of AMD."""
-    return MOST_ATOMS // 2 if view.precision == "ieee" or torch.version.hip else MOST_ATOMS
+def most_atoms_of_products(precision: Precision) -> int:
+    """Atoms whose products also fit into the shared memory of every GPU served: 99 KB, or 64 KB of AMD."""
+    return min(MOST_ATOMS[precision], 128) if torch.version.hip else MOST_ATOMS[precision]
 
 
 def halves(table: Tensor) -> Tensor:
@@ -250,18 +259,23 @@ def _products_by_level(
 
 @dataclass(frozen=True)
 class CodeBlocks:
-    """Levels and atoms that one program renders."""
+    """Levels and atoms that one program renders, of so many Gaussians at a time."""
 
     levels: int
     atoms: int
+    chunk: int
 
 
-def code_blocks(levels: int, n_atoms: int) -> CodeBlocks:
-    """The largest block whose coefficients fit into registers: more levels share the cost of the blending weights."""
-    atoms = max(16, triton.next_power_of_2(n_atoms))
+def code_blocks(levels: int, n_atoms: int, precision: Precision = "fp16x3") -> CodeBlocks:
+    """The largest block whose coefficients fit into registers: more levels share the cost of the blending weights. With
+    32 Gaussians at a time there are nearly as many barriers as with 16, for twice the work; float32 leaves no room.
+    """
+    atoms = max(16, min(MOST_ATOMS[precision], triton.next_power_of_2(n_atoms)))
+    if precision != "fp16x3":
+        return CodeBlocks(1, atoms, 16)
     most = max(1, min(4, _COEFFICIENTS // (TILE * TILE * atoms)))
     passes = triton.cdiv(levels, most)
-    return CodeBlocks(triton.cdiv(levels, passes), atoms)
+    return CodeBlocks(triton.cdiv(levels, passes), atoms, 32)
 
 
 def product_columns(blocks: CodeBlocks, pixels_last: bool) -> int:
@@ -289,11 +303,10 @@ def _constants(view: GpuView) -> dict[str, object]:
 def _of_codes(view: GpuView, codes: PackedCodes, blocks: CodeBlocks, levels_left: int) -> dict[str, object]:
     """What is compiled into a kernel that renders codes."""
     return {
-        "CHUNK": CHUNK,
+        "CHUNK": blocks.chunk,
         "LEVELS": min(blocks.levels, levels_left),
         "GROUPS": codes.groups,
         "ATOMS": blocks.atoms,
         "WIDE": codes.wide,
-        # Numbers of float32 may be beyond what float16 can hold.
         "PRECISION": view.products(wide=codes.wide),
     }
