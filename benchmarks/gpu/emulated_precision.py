@@ -9,7 +9,6 @@ python -m benchmarks.gpu.emulated_precision          # ten minutes
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import warnings
 from dataclasses import asdict, dataclass, replace
@@ -17,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.gpu.sizes import FULL
+from scoup.bench import write_json
 from scoup.errors import InputError, ScoupError
-from scoup.io.atomic import check_output, write_text
+from scoup.io import check_output
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def main(arguments: Arguments) -> str:
     rows = [row for n_atoms in arguments.n_atoms for row in compare(arguments, n_atoms)]
     record = {"arguments": {**asdict(arguments), "out": None}, "rows": rows}
     if arguments.out is not None:
-        write_text(arguments.out, json.dumps(record, indent=1) + "\n", arguments.overwrite)
+        write_json(arguments.out, record, arguments.overwrite)
     return table(arguments, rows)
 
 

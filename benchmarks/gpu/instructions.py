@@ -8,8 +8,8 @@ predicate switches off count, loops inside (over blocks of columns in region sum
 of a warp that have come apart where they should be together does not count. Of several ways through the loop the
 longest is counted; the shortest that takes a power is given, too. What comes before and after the loop is not counted.
 
-A lane is one pixel and one Gaussian, seen by one thread. A turn of our loops is PIXELS x CHUNK / (32 x warps) of them
-(all pixels of the tile for region sums), and takes the same way whether they paint or not. What comes of the weights,
+A lane is one pixel and one Gaussian, seen by one thread. A turn of our loops is TILE x TILE x CHUNK / (32 x warps) of
+them, and takes the same way whether they paint or not. What comes of the weights,
 which is matrix products with 16 channels, or with 3 x 64 atoms, is in the loop and counted. A turn of gsplat's loop is
 one Gaussian at each thread's own pixel, or several where the compiler unrolls it: as many lanes as powers. A warp goes
 the longest way there if any of its 32 pixels is painted, and the shortest if none is. A pixel that has stopped leaves
@@ -140,8 +140,7 @@ def count(
 
 def lanes_of(constants: dict[str, Any], warps: int) -> float:
     """Pixels and Gaussians of a turn of our loops, for one thread."""
-    pixels = constants.get("PIXELS", constants["TILE"] ** 2)
-    return pixels * constants["CHUNK"] / (THREADS * warps)
+    return constants["TILE"] ** 2 * constants["CHUNK"] / (THREADS * warps)
 
 
 def count_ours(capability: int, progress: Callable[[str], None]) -> list[Row]:

@@ -17,15 +17,13 @@ from benchmarks.gpu.uplift import ours
 from scoup import raster
 from scoup.bench import Workload
 
-REGISTERS = (
-    168,
-    128,
-)  # with which a multiprocessor holds half as many warps again, or twice as many, as with 255
+# With these a multiprocessor holds half as many warps again, or twice as many, as with 255.
+REGISTERS = (168, 128)
 AS_IT_IS = "as it is"
 
 
 def tuning(context: Context) -> None:
-    """A row for each choice; whoever finds a faster one changes the constant that the row names."""
+    """A row for each choice; whoever finds a faster one changes ``scoup.raster.gpu`` or ``gpu_regions`` to it."""
     sizes = context.sizes
     context.result["about"] = (
         f"{sizes.n_gaussians:,} Gaussians, a view of {sizes.width} x {sizes.height}, three levels; the view is at hand "
@@ -40,7 +38,7 @@ def tuning(context: Context) -> None:
     works += variants("RGB", at_hand(work, rgb), of_channels())
     works += variants("look and RGB", partial(colors, work), {AS_IT_IS: {}})
     works += variants("look", partial(look, work.gaussians, work.camera), {AS_IT_IS: {}})
-    context.rows(works, over={f"{work.name}": [work.name] for work in works if work.name.endswith(AS_IT_IS)})
+    context.rows(works, over={work.name: [work.name] for work in works if work.name.endswith(AS_IT_IS)})
     context.save(context.result)
 
 

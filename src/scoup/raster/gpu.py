@@ -155,10 +155,9 @@ def render_codes(view: GpuView, indices: Tensor, weights: Tensor, n_atoms: int) 
     if 0 in (view.n_gaussians, k, *shape):
         return torch.zeros(shape, device=view.device)
     out = torch.empty(shape, device=view.device)  # every number is written
-    precision = view.products(wide=is_wide(view, weights, n_atoms))
-    blocks = code_blocks(levels, n_atoms, precision)
     with torch.cuda.device_of(out):
         codes = pack(view, indices, weights, n_atoms)
+        blocks = code_blocks(levels, n_atoms, view.products(codes.wide))
         for first in range(0, levels, blocks.levels):
             codes_kernel[(view.n_tiles, triton.cdiv(n_atoms, blocks.atoms))](
                 *_lists(view), codes.words, out, *_size(view), levels, n_atoms, first, *_bounds(view),

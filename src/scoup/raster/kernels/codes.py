@@ -155,8 +155,27 @@ def dense_codes(
 
 
 @triton.jit
-def add_codes(sums, blending, dense, WIDE: tl.constexpr, PRECISION: tl.constexpr):
-    """``sums`` [P, L] + blending weights [G, P] times dense codes [G, L]."""
+def add_codes(
+    sums,
+    blending,
+    words,  # [G, SLOTS] the first of each code
+    all_words,
+    numbers,
+    start,
+    end,
+    level,
+    n_levels,
+    first_atom,
+    CHUNK: tl.constexpr,
+    GROUPS: tl.constexpr,
+    ATOMS: tl.constexpr,
+    WIDE: tl.constexpr,
+    PRECISION: tl.constexpr,
+):
+    """``sums`` [P, L] + blending weights [G, P] times the ``dense_codes`` [G, L] of a level."""
+    dense = dense_codes(
+        words, all_words, numbers, start, end, level, n_levels, first_atom, CHUNK, GROUPS, ATOMS, WIDE
+    )
     if WIDE:
         sums = tl.dot(tl.trans(blending), dense, sums, input_precision=PRECISION)
     else:
@@ -208,58 +227,25 @@ def accumulate_codes(
         blending, transmittance = blend(
             records, start, end, x, y, transmittance, alpha_max, stop, STOP_INCLUSIVE, CHUNK, WEIGHT_SCALE
         )
-        dense = dense_codes(
-            words_0, words, numbers, start, end, level, n_levels, first_atom, CHUNK, GROUPS, ATOMS, WIDE
-        )
-        sums_0 = add_codes(sums_0, blending, dense, WIDE, PRECISION)
+        sums_0 = add_codes(
+            sums_0, blending, words_0, words, numbers, start, end, level, n_levels, first_atom, CHUNK, GROUPS,
+            ATOMS, WIDE, PRECISION,
+        )  # fmt: skip
         if LEVELS > 1:
-            dense = dense_codes(
-                words_1,
-                words,
-                numbers,
-                start,
-                end,
-                level + 1,
-                n_levels,
-                first_atom,
-                CHUNK,
-                GROUPS,
-                ATOMS,
-                WIDE,
-            )
-            sums_1 = add_codes(sums_1, blending, dense, WIDE, PRECISION)
+            sums_1 = add_codes(
+                sums_1, blending, words_1, words, numbers, start, end, level + 1, n_levels, first_atom, CHUNK, GROUPS,
+                ATOMS, WIDE, PRECISION,
+            )  # fmt: skip
         if LEVELS > 2:
-            dense = dense_codes(
-                words_2,
-                words,
-                numbers,
-                start,
-                end,
-                level + 2,
-                n_levels,
-                first_atom,
-                CHUNK,
-                GROUPS,
-                ATOMS,
-                WIDE,
-            )
-            sums_2 = add_codes(sums_2, blending, dense, WIDE, PRECISION)
+            sums_2 = add_codes(
+                sums_2, blending, words_2, words, numbers, start, end, level + 2, n_levels, first_atom, CHUNK, GROUPS,
+                ATOMS, WIDE, PRECISION,
+            )  # fmt: skip
         if LEVELS > 3:
-            dense = dense_codes(
-                words_3,
-                words,
-                numbers,
-                start,
-                end,
-                level + 3,
-                n_levels,
-                first_atom,
-                CHUNK,
-                GROUPS,
-                ATOMS,
-                WIDE,
-            )
-            sums_3 = add_codes(sums_3, blending, dense, WIDE, PRECISION)
+            sums_3 = add_codes(
+                sums_3, blending, words_3, words, numbers, start, end, level + 3, n_levels, first_atom, CHUNK, GROUPS,
+                ATOMS, WIDE, PRECISION,
+            )  # fmt: skip
         start = tl.where(is_lit(transmittance), start + CHUNK, end)
         words_0, words_1, words_2, words_3 = next_0, next_1, next_2, next_3
     return sums_0, sums_1, sums_2, sums_3
