@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.raster.binning import Bins
+from scoup.raster.binning import Bins, grouped, tiles_in
 from scoup.raster.presets import ALPHA_MIN, PRESETS, RasterPreset
 from scoup.raster.projection import Projection, tile_counts
 
@@ -47,15 +47,8 @@ def rectangles(projection: Projection, width: int, height: int, tile: int = GSPL
     first = torch.minimum(torch.floor((centres - radii) / tile).clamp(min=0), limits)
     behind = torch.minimum(torch.ceil((centres + radii) / tile).clamp(min=0), limits)
     spans = torch.where((radii > 0).all(1, keepdim=True), behind - first, 0).clamp(min=0).long()
-    counts = spans[:, 0] * spans[:, 1]
-    ranks = torch.repeat_interleave(counts)
-    within = torch.arange(len(ranks)) - (torch.cumsum(counts, 0) - counts)[ranks]
-    row = torch.div(within, spans[ranks, 0], rounding_mode="floor")
-    column = within - row * spans[ranks, 0] + first[ranks, 0].long()
-    tiles = (row + first[ranks, 1].long()) * across + column
-    starts = torch.zeros(across * down + 1, dtype=torch.int64)
-    starts[1:] = torch.cumsum(torch.bincount(tiles, minlength=across * down), 0)
-    return Bins(tile, across, down, ranks[torch.argsort(tiles, stable=True)], starts)
+    ranks, row, column = tiles_in(first, spans)
+    return grouped(ranks, row * across + column, tile, across, down)
 
 
 def walk(

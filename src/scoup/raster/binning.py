@@ -43,17 +43,31 @@ def bin_to_tiles(projection: Projection, width: int, height: int, tile: int) -> 
     last = torch.floor(projection.means2d + extents - 0.5).div(tile).floor()
     last = torch.minimum(last, limits - 1)
     spans = (last - first + 1).clamp(min=0).long()
-    counts = spans[:, 0] * spans[:, 1]
+    ranks, row, column = tiles_in(first, spans)
+    touched = _ellipse_touches_tile(projection, ranks, column * tile, row * tile, tile)
+    return grouped(ranks[touched], (row * across + column)[touched], tile, across, down)
 
+
+def tiles_in(first: Tensor, spans: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Rectangles of tiles, one tile after the other.
+
+    Args:
+        first: [M, 2] float64 column and row of the first tile of each.
+        spans: [M, 2] int64 columns and rows.
+
+    Returns:
+        [P] int64 each: the rectangle's number, row and column of the tile.
+    """
+    counts = spans[:, 0] * spans[:, 1]
     ranks = torch.repeat_interleave(counts)
     within = torch.arange(len(ranks), device=ranks.device) - (torch.cumsum(counts, 0) - counts)[ranks]
     row = torch.div(within, spans[ranks, 0], rounding_mode="floor")
     column = within - row * spans[ranks, 0] + first[ranks, 0].long()
-    row += first[ranks, 1].long()
-    touched = _ellipse_touches_tile(projection, ranks, column * tile, row * tile, tile)
-    ranks, tiles = ranks[touched], (row * across + column)[touched]
+    return ranks, row + first[ranks, 1].long(), column
 
-    # The pairs are in depth order, so a stable sort by tile alone keeps each tile's depth order.
+
+def grouped(ranks: Tensor, tiles: Tensor, tile: int, across: int, down: int) -> Bins:
+    """Pairs in depth order as lists of the tiles: a stable sort by tile alone keeps each tile's depth order."""
     order = torch.argsort(tiles.int(), stable=True)
     starts = torch.zeros(across * down + 1, dtype=torch.int64, device=ranks.device)
     starts[1:] = torch.cumsum(torch.bincount(tiles, minlength=across * down), 0)
