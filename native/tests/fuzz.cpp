@@ -7,6 +7,7 @@
 
 #include "fuzz_coder.h"
 #include "fuzz_raster.h"
+#include "fuzz_smoothing.h"
 
 namespace {
 
@@ -16,6 +17,7 @@ void run_round(uint64_t seed, long long round, const std::vector<const char*>& s
     scoup::fuzz_raster(random);
     scoup::fuzz_vote(random, int(random.between(1, 4)));
     for (int i = 0; i < 4; ++i) scoup::fuzz_coder(random);
+    scoup::fuzz_smoothing(random, int(random.between(1, 4)));
 }
 
 }  // namespace

@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 
 from scoup.errors import InputError, UnknownNameError
+from scoup.smoothing import Border, box_mean, mask_sums, rescale, smoothed_masks
 
 if TYPE_CHECKING:
     from scoup.field import LanguageField
     from scoup.neighbours import Neighbourhood
 
-Border = Literal["inside", "reflect"]
 LevelChoice = Literal["peak", "mask"]
 
 
@@ -124,7 +124,9 @@ class Segmentation:
     box: tuple[int, int, int, int] | None
 
 
-def localize(relevancy: Tensor, preset: QueryPreset = PRESETS["default"]) -> Localization:
+def localize(
+    relevancy: Tensor, preset: QueryPreset = PRESETS["default"], averaged: Tensor | None = None
+) -> Localization:
     """The most relevant place in one view (protocols.md, LERF-OVS, "Localisation").
 
     Each level is averaged by the preset's box; the level with the largest maximum is chosen, the first of
@@ -133,8 +135,9 @@ def localize(relevancy: Tensor, preset: QueryPreset = PRESETS["default"]) -> Loc
     Args:
         relevancy: [S, H, W] of one query, 0..1.
         preset: its box is used.
+        averaged: see ``averaged_by``, if at hand.
     """
-    averaged = box_mean(_checked(relevancy), preset.kernel, preset.border)
+    averaged = averaged_by(relevancy, preset) if averaged is None else averaged
     peaks = averaged.flatten(1).amax(1)
     level = int(peaks.argmax())
     pixels = (averaged[level] == peaks[level]).nonzero().flip(1)
@@ -144,33 +147,61 @@ def localize(relevancy: Tensor, preset: QueryPreset = PRESETS["default"]) -> Loc
     return Localization(pixels, (x, y), level, float(peaks[level]))
 
 
-def segment(relevancy: Tensor, preset: QueryPreset = PRESETS["default"]) -> Segmentation:
+def segment(
+    relevancy: Tensor, preset: QueryPreset = PRESETS["default"], averaged: Tensor | None = None
+) -> Segmentation:
     """The pixels of one view that answer a query (protocols.md, LERF-OVS, steps 1 to 4).
 
     Args:
         relevancy: [S, H, W] of one query, 0..1.
         preset: box, threshold, mask smoothing and choice of the level.
+        averaged: see ``averaged_by``, if at hand.
     """
-    smoothed, masks = level_masks(relevancy, preset)
-    level = choose_level(smoothed, masks, preset.level_choice)
+    smoothed, masks = level_masks(relevancy, preset, averaged)
+    peaks, areas, sums = mask_sums(smoothed, masks)
+    level = _chosen_level(peaks, areas, sums, preset.level_choice)
     mask = masks[level]
-    return Segmentation(mask, level, float(smoothed[level].max()), float(mask.float().mean()), mask_box(mask))
+    coverage = int(areas[level]) / mask.numel()
+    return Segmentation(mask, level, float(peaks[level]), coverage, mask_box(mask))
 
 
-def level_masks(relevancy: Tensor, preset: QueryPreset) -> tuple[Tensor, Tensor]:
+def localize_and_segment(
+    relevancy: Tensor, preset: QueryPreset = PRESETS["default"]
+) -> tuple[Localization, Segmentation]:
+    """Both answers of one view, the box means worked out once.
+
+    Args:
+        relevancy: [S, H, W] of one query, 0..1.
+        preset: how relevancy becomes answers.
+    """
+    averaged = averaged_by(relevancy, preset)
+    return localize(relevancy, preset, averaged), segment(relevancy, preset, averaged)
+
+
+def averaged_by(relevancy: Tensor, preset: QueryPreset) -> Tensor:
+    """[S, H, W] box means of relevancy [S, H, W] by a preset's box: what ``localize`` and ``segment`` both need.
+
+    Raises:
+        InputError: relevancy has another shape, or is empty.
+    """
+    return box_mean(_checked(relevancy), preset.kernel, preset.border)
+
+
+def level_masks(
+    relevancy: Tensor, preset: QueryPreset, averaged: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """What every level would answer (protocols.md, LERF-OVS, steps 1 to 3).
 
     Args:
         relevancy: [S, H, W] of one query, 0..1.
         preset: box, threshold and mask smoothing.
+        averaged: see ``averaged_by``, if at hand.
 
     Returns:
         smoothed relevancy [S, H, W], dtype of ``relevancy``, and masks [S, H, W] boolean.
     """
-    relevancy = _checked(relevancy)
-    smoothed = 0.5 * (relevancy + box_mean(relevancy, preset.kernel, preset.border))
-    above = torch.stack([rescale(level) > preset.threshold for level in smoothed])
-    return smoothed, box_mean(above.float(), preset.smoothing) > 0.5
+    averaged = averaged_by(relevancy, preset) if averaged is None else averaged
+    return smoothed_masks(relevancy, averaged, preset.threshold, preset.smoothing)
 
 
 def choose_level(smoothed: Tensor, masks: Tensor, choice: LevelChoice) -> int:
@@ -182,77 +213,27 @@ def choose_level(smoothed: Tensor, masks: Tensor, choice: LevelChoice) -> int:
         smoothed, masks: [S, H, W] each, from ``level_masks``.
         choice: see ``QueryPreset``.
     """
-    areas = masks.flatten(1).sum(1)
+    return _chosen_level(*mask_sums(smoothed, masks), choice)
+
+
+def _chosen_level(peaks: Tensor, areas: Tensor, sums: Tensor, choice: LevelChoice) -> int:
+    """``choose_level`` by what ``mask_sums`` gives."""
     if choice == "peak" or not areas.any():
-        return int(smoothed.flatten(1).amax(1).argmax())
-    # float64, so that levels alike to the last bit give equal means.
-    sums = torch.where(masks, smoothed.double(), 0.0).flatten(1).sum(1)
+        return int(peaks.argmax())
     return int(torch.where(areas > 0, sums / areas, -torch.inf).argmax())
-
-
-def rescale(values: Tensor) -> Tensor:
-    """Stretch values of any shape to 0..1 and cut the lower half off: clip(2 n - 1, 0, 1) with
-    n = (v - min) / (max - min + 1e-9) (protocols.md, LERF-OVS, step 2). Constant values become 0."""
-    low, high = values.min(), values.max()
-    # float64, in which 1e-9 does not vanish beside the range.
-    stretched = (values.double() - low) / (high.double() - low + 1e-9)
-    return (2 * stretched - 1).clamp(0, 1).to(values.dtype)
 
 
 def mask_box(mask: Tensor) -> tuple[int, int, int, int] | None:
     """(x0, y0, x1, y1) around the true pixels of [H, W], x1 and y1 one past the last; None if there are
     none.
     """
-    rows = mask.any(1).nonzero()[:, 0]
-    columns = mask.any(0).nonzero()[:, 0]
+    if not mask.numel():
+        return None
+    bits = mask.view(torch.uint8)  # of which torch finds the largest much sooner than any of a boolean
+    rows, columns = bits.amax(1).nonzero()[:, 0], bits.amax(0).nonzero()[:, 0]
     if not len(rows):
         return None
     return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
-
-
-def box_mean(maps: Tensor, kernel: int, border: Border = "inside") -> Tensor:
-    """Mean over a kernel x kernel box around each pixel, same size as the input.
-
-    The box of pixel x covers x - kernel // 2 ... x - kernel // 2 + kernel - 1 on each axis; for even kernels
-    this is where OpenCV's filter2D puts it. Summed in float64, so that equal neighbourhoods give equal
-    means.
-
-    Args:
-        maps: [..., H, W] floating point; may be smaller than the kernel.
-        kernel: side of the box in pixels.
-        border: see ``QueryPreset``.
-    """
-    means = maps.double()
-    for axis in (-1, -2):
-        means = _mean_along(means, axis, kernel, border)
-    return means.to(maps.dtype)
-
-
-def _mean_along(values: Tensor, axis: int, kernel: int, border: Border) -> Tensor:
-    """[..., H, W] float64 running means along one axis, by differences of running sums."""
-    size = values.shape[axis]
-    before, after = kernel // 2, kernel - 1 - kernel // 2
-    counts: Tensor | int = kernel
-    if border == "reflect":
-        values = values.index_select(axis, _reflected(size, before, after).to(values.device))
-        before = after = 0
-    else:
-        position = torch.arange(size, device=values.device)
-        counts = (position + after).clamp(max=size - 1) - (position - before).clamp(min=0) + 1
-        counts = counts.view([-1] + [1] * (-axis - 1))
-    padding = [0, 0] * (-axis - 1) + [before + 1, after]
-    sums = torch.nn.functional.pad(values, padding).cumsum(axis)
-    return (sums.narrow(axis, kernel, size) - sums.narrow(axis, 0, size)) / counts
-
-
-def _reflected(size: int, before: int, after: int) -> Tensor:
-    """Source of each position from -before to size + after, mirrored about the edge pixels as often as
-    needed.
-    """
-    positions = torch.arange(-before, size + after)
-    period = max(2 * (size - 1), 1)
-    positions = positions % period
-    return torch.minimum(positions, period - positions) if size > 1 else torch.zeros_like(positions)
 
 
 def _checked(relevancy: Tensor) -> Tensor:

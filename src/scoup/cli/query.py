@@ -157,9 +157,9 @@ def _answer(
 ) -> dict[str, Any]:
     """What one text gets in one view: relevancy maps [S, H, W] to a record, and the mask. ``standing`` is None where
     presence is not judged."""
-    from scoup.query import localize, segment
+    from scoup.query import localize_and_segment
 
-    place, shape = localize(maps, preset), segment(maps, preset)
+    place, shape = localize_and_segment(maps, preset)
     record = {
         "level": levels[shape.level],
         "score": round(shape.score, 4),

@@ -9,7 +9,7 @@ from scoup.demo.run import METHOD, DemoResult, rows_by_name
 from scoup.evaluate.lerf_ovs import PairScore
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
-from scoup.query import localize, segment
+from scoup.query import localize_and_segment
 from scoup.raster import render_colors
 
 TRUTH_COLOR = (70, 200, 110)
@@ -55,7 +55,7 @@ def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture
     view = field.look(camera)
     rgb = render_colors(field.gaussians, camera, view)
     maps: Tensor = field.relevancy(camera, scene.text_vectors([pair.label]), scene.canonical, view)[:, 0]
-    shape, place = segment(maps), localize(maps)
+    place, shape = localize_and_segment(maps)
     truth = mask_overlay(
         scene.mask(camera.name, pair.label),
         rgb,

@@ -14,7 +14,7 @@ from scoup.errors import InputError
 from scoup.evaluate.lerf_labels import LabelledFrame, match_frames, read_frame, read_labels
 from scoup.evaluate.metrics import any_inside, iou
 from scoup.evaluate.scores import PairScore, SceneScore, overall, scene_score
-from scoup.query import PRESETS, QueryPreset, localize, segment
+from scoup.query import PRESETS, QueryPreset, localize_and_segment
 
 __all__ = [
     "LabelledFrame",
@@ -75,8 +75,7 @@ def maps_by_label(
 
 
 def _score_pair(frame: LabelledFrame, label: str, maps: Tensor, preset: QueryPreset) -> PairScore:
-    segmentation = segment(maps, preset)
-    localization = localize(maps, preset)
+    localization, segmentation = localize_and_segment(maps, preset)
     truth = frame.only(label).resized(maps.shape[2], maps.shape[1])
     return PairScore(
         frame=frame.name,
