@@ -171,14 +171,17 @@ nb::tuple py_render_channels(const View& view, const Array& values, int threads)
 }
 
 // float16 weights come as the uint16 of their bits.
-GaussianCodes gaussian_codes(const View& view, const Array& indices, const Array& weights, int64_t n_atoms) {
+// Whether the atoms exist is found out when they are met.
+GaussianCodes gaussian_codes(int64_t n, const Array& indices, const Array& weights, int64_t n_atoms) {
     if (indices.ndim() != 3) throw std::invalid_argument("code indices must be [N, levels, k]");
     if (n_atoms < 1 || n_atoms > 65536) throw std::invalid_argument("there must be 1 to 65536 atoms");
-    const int64_t n = view.n_gaussians, levels = int64_t(indices.shape(1)), k = int64_t(indices.shape(2));
+    const auto levels = int64_t(indices.shape(1)), k = int64_t(indices.shape(2));
     if (levels > 1024 || k > n_atoms + 65536) throw std::invalid_argument("codes of too many levels or entries");
     GaussianCodes codes{nullptr, nullptr, nullptr, nullptr, int32_t(levels), int32_t(k), int32_t(n_atoms)};
-    const Indices atoms = code_indices(indices, "code indices", {n, levels, k}, codes.n_atoms);
-    codes.indices8 = atoms.bytes, codes.indices16 = atoms.wide;
+    if (indices.dtype() == nb::dtype<uint8_t>())
+        codes.indices8 = data_of<uint8_t>(indices, "code indices", {n, levels, k});
+    else
+        codes.indices16 = data_of<uint16_t>(indices, "code indices", {n, levels, k});
     if (weights.dtype() == nb::dtype<uint16_t>())
         codes.half_weights = data_of<uint16_t>(weights, "code weights", {n, levels, k});
     else
@@ -187,7 +190,7 @@ GaussianCodes gaussian_codes(const View& view, const Array& indices, const Array
 }
 
 nb::object py_render_codes(const View& view, const Array& indices, const Array& weights, int64_t n_atoms, int threads) {
-    const GaussianCodes codes = gaussian_codes(view, indices, weights, n_atoms);
+    const GaussianCodes codes = gaussian_codes(view.n_gaussians, indices, weights, n_atoms);
     Buffer<float> out(int64_t(view.width) * view.height * codes.atoms_of_all_levels());
     without_lock([&] {
         render_codes(view, codes, out.data(), sane(threads), python_signals());
@@ -195,21 +198,38 @@ nb::object py_render_codes(const View& view, const Array& indices, const Array& 
     return to_numpy(std::move(out), {size_t(codes.levels), size_t(view.height), size_t(view.width), size_t(n_atoms)});
 }
 
-nb::object py_render_cosines(const View& view, const Array& indices, const Array& weights, const Array& grams,
+// Cosines and norms.
+nb::tuple py_render_cosines(const View& view, const Array& indices, const Array& weights, const Array& grams,
                              const Array& scores, int threads) {
     if (grams.ndim() != 3 || scores.ndim() != 3) throw std::invalid_argument("grams and scores must have three axes");
     const auto n_atoms = int64_t(grams.shape(1)), n_queries = int64_t(scores.shape(2));
-    const GaussianCodes codes = gaussian_codes(view, indices, weights, n_atoms);
+    const GaussianCodes codes = gaussian_codes(view.n_gaussians, indices, weights, n_atoms);
     if (n_queries > 1 << 20) throw std::invalid_argument("too many queries for one render");
-    Buffer<float> out(int64_t(view.width) * view.height * codes.levels * n_queries);
+    const int64_t maps = int64_t(view.width) * view.height * codes.levels;
+    Buffer<float> out(maps * n_queries), norms(maps);
     const Cosines cosines{data_of<float>(grams, "grams", {codes.levels, n_atoms, n_atoms}),
                           data_of<float>(scores, "scores", {codes.levels, n_atoms, n_queries}), int32_t(n_queries),
-                          out.data()};
+                          out.data(), norms.data()};
     without_lock([&] {
         render_cosines(view, codes, cosines, sane(threads), python_signals());
     });
-    return to_numpy(std::move(out),
-                    {size_t(codes.levels), size_t(n_queries), size_t(view.height), size_t(view.width)});
+    const auto levels = size_t(codes.levels), height = size_t(view.height), width = size_t(view.width);
+    return nb::make_tuple(to_numpy(std::move(out), {levels, size_t(n_queries), height, width}),
+                          to_numpy(std::move(norms), {levels, height, width}));
+}
+
+nb::object py_code_scores(const Array& indices, const Array& weights, const Array& scores, int threads) {
+    if (scores.ndim() != 3) throw std::invalid_argument("scores must have three axes");
+    const auto n = int64_t(indices.ndim() > 0 ? indices.shape(0) : 0);
+    const auto n_atoms = int64_t(scores.shape(1)), columns = int64_t(scores.shape(2));
+    const GaussianCodes codes = gaussian_codes(n, indices, weights, n_atoms);
+    if (columns > 65536) throw std::invalid_argument("too many columns of scores");
+    const float* table = data_of<float>(scores, "scores", {codes.levels, n_atoms, columns});
+    Buffer<float> out(n * codes.levels * columns);
+    without_lock([&] {
+        code_scores(n, codes, table, int32_t(columns), out.data(), sane(threads), python_signals());
+    });
+    return to_numpy(std::move(out), {size_t(n), size_t(codes.levels), size_t(columns)});
 }
 
 template <class Index>
@@ -277,6 +297,7 @@ void bind_raster(nb::module_& m) {
           nb::arg("threads"));
     m.def("render_cosines", &py_render_cosines, nb::arg("view"), nb::arg("indices"), nb::arg("weights"), nb::arg("grams"),
           nb::arg("scores"), nb::arg("threads"));
+    m.def("code_scores", &py_code_scores, nb::arg("indices"), nb::arg("weights"), nb::arg("scores"), nb::arg("threads"));
     m.def("vote", &py_vote, nb::arg("sums"), nb::arg("k"), nb::arg("threads"));
     m.def("count_work", &py_count_work, nb::arg("view"), nb::arg("threads"));
 }

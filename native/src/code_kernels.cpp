@@ -20,8 +20,20 @@ SCOUP_INLINE float from_half(uint16_t half) {
     return value;
 }
 
-SCOUP_INLINE float from_stored(uint16_t half) { return from_half(half); }
-SCOUP_INLINE float from_stored(float weight) { return weight; }
+// Stored weights as float32: where they lie, or written to `out`.
+SCOUP_INLINE const float* from_stored(const float* weights, int, float*) { return weights; }
+SCOUP_INLINE const float* from_stored(const uint16_t* halves, int count, float* out) {
+    int i = 0;
+#if defined(__F16C__)
+    for (; i + 8 <= count; i += 8) _mm256_storeu_ps(out + i, _mm256_cvtph_ps(_mm_loadu_si128((const __m128i*)(halves + i))));
+    if (i + 4 <= count) {
+        _mm_storeu_ps(out + i, _mm_cvtph_ps(_mm_loadl_epi64((const __m128i*)(halves + i))));
+        i += 4;
+    }
+#endif
+    for (; i < count; ++i) out[i] = from_half(halves[i]);
+    return out;
+}
 
 // Adds weights times codes to sums for each atom that occurs in the tile. `Index` and `Weight` are the types the codes
 // are stored in.
@@ -31,8 +43,8 @@ class CodeSink {
     SCOUP_INLINE CodeSink(const GaussianCodes& codes, const Index* indices, const Weight* weights,
                           const Projected* projected, const CodeScratch& scratch)
         : indices_(indices), weights_(weights), levels_(codes.levels), k_(codes.k), n_atoms_(codes.n_atoms),
-          projected_(projected), scratch_(scratch), planes_(reinterpret_cast<Floats*>(scratch.sums)),
-          stride_(codes.block_stride()) {
+          index_values_(codes.index_values()), projected_(projected), scratch_(scratch),
+          planes_(reinterpret_cast<Floats*>(scratch.sums)), stride_(codes.block_stride()) {
         for (int level = 0; level < levels_; ++level) scratch.n_found[level] = 0;
     }
 
@@ -40,11 +52,14 @@ class CodeSink {
         int entry = 0;
         for (int i = 0; i < count; ++i) {
             first_entry_[i] = entry;
-            int64_t at = row(projected_[stage.slot[i]]);
+            const int64_t first = row(projected_[stage.slot[i]]);
+            const Index* index = indices_ + first;
+            const float* weight = from_stored(weights_ + first, levels_ * k_, scratch_.row);
             for (int level = 0; level < levels_; ++level)
-                for (int j = 0; j < k_; ++j, ++at) {
-                    const float weight = from_stored(weights_[at]);
-                    if (weight != 0) scratch_.entries[entry++] = {place(level, indices_[at]), weight};
+                for (int j = 0; j < k_; ++j, ++index, ++weight) {
+                    if (*weight == 0) continue;
+                    const int32_t at = place(level, *index);
+                    if (at >= 0) scratch_.entries[entry++] = {at, *weight};
                 }
         }
         first_entry_[count] = entry;
@@ -70,9 +85,14 @@ class CodeSink {
   private:
     SCOUP_INLINE int64_t row(const Projected& p) const { return int64_t(p.id) * levels_ * k_; }
 
+    // -1 for what is no atom.
     SCOUP_INLINE int32_t place(int level, int atom) {
-        int32_t& place = scratch_.place[int64_t(level) * n_atoms_ + atom];
+        int32_t& place = scratch_.place[level * index_values_ + atom];
         if (__builtin_expect(place < 0, 0)) {
+            if (atom >= n_atoms_) {
+                if (atom > *scratch_.no_atom) *scratch_.no_atom = atom;
+                return -1;
+            }
             place = n_places_++;
             scratch_.atoms[int64_t(level) * n_atoms_ + scratch_.n_found[level]++] = {atom, place};
             for (int block = 0; block < kBlocks; ++block) planes_[block * stride_ + place] = Floats{};
@@ -83,6 +103,7 @@ class CodeSink {
     const Index* indices_;
     const Weight* weights_;
     const int levels_, k_, n_atoms_;
+    const int64_t index_values_;
     const Projected* projected_;
     const CodeScratch& scratch_;
     Floats* planes_;  // [blocks, places]: what is added to in one block lies together
@@ -95,7 +116,8 @@ class CodeSink {
 class TileCodes {
   public:
     SCOUP_INLINE TileCodes(const Tile& tile, const GaussianCodes& codes, const CodeScratch& scratch)
-        : n_atoms_(codes.n_atoms), levels_(codes.levels), stride_(codes.block_stride()), scratch_(scratch) {
+        : n_atoms_(codes.n_atoms), levels_(codes.levels), index_values_(codes.index_values()),
+          stride_(codes.block_stride()), scratch_(scratch) {
         if (codes.indices8 != nullptr)
             codes.weights != nullptr ? walk(tile, codes, codes.indices8, codes.weights)
                                      : walk(tile, codes, codes.indices8, codes.half_weights);
@@ -106,7 +128,7 @@ class TileCodes {
     // Leaves the scratch as it was; to be called at the end. (A destructor would bring in code shared with other files.)
     SCOUP_INLINE void clear() const {
         for (int level = 0; level < levels_; ++level)
-            for (int a = 0; a < count(level); ++a) scratch_.place[int64_t(level) * n_atoms_ + atom(level, a)] = -1;
+            for (int a = 0; a < count(level); ++a) scratch_.place[level * index_values_ + atom(level, a)] = -1;
     }
 
     SCOUP_INLINE int count(int level) const { return scratch_.n_found[level]; }
@@ -125,7 +147,7 @@ class TileCodes {
     }
 
     int n_atoms_, levels_;
-    int64_t stride_;
+    int64_t index_values_, stride_;
     const CodeScratch& scratch_;
 };
 
@@ -160,8 +182,8 @@ class CosineLevel {
         }
     }
 
-    // Inverse norms of a row of blocks; zero where nothing is painted.
-    SCOUP_INLINE void inverse_norms(int first_block, Floats inverse[kColumns]) const {
+    // Norms of a row of blocks and their inverses; zero where nothing is painted.
+    SCOUP_INLINE void norms(int first_block, Floats norm[kColumns], Floats inverse[kColumns]) const {
         Floats half[kColumns] = {};  // of the squared norm: the Gram matrix is symmetric, one triangle will do
         for (int a = 0; a < count_; ++a) {
             Floats product[kColumns] = {};
@@ -172,7 +194,8 @@ class CosineLevel {
             for (int c = 0; c < kColumns; ++c) half[c] += found_.sums(level_, a, first_block + c) * product[c];
         }
         for (int c = 0; c < kColumns; ++c) {
-            inverse[c] = half[c] > 0.0f ? 1.0f / sqrt(half[c] * 2.0f) : Floats{};
+            norm[c] = half[c] > 0.0f ? sqrt(half[c] * 2.0f) : Floats{};
+            inverse[c] = half[c] > 0.0f ? 1.0f / norm[c] : Floats{};
         }
     }
 
@@ -212,8 +235,9 @@ void cosines(const Tile& tile, const GaussianCodes& codes, const Cosines& cosine
     for (int level = 0; level < codes.levels; ++level) {
         const CosineLevel of_level(found, codes, cosines, level, scratch);
         for (int row = 0; row < kRows; ++row) {
-            Floats inverse[kColumns];
-            of_level.inverse_norms(row * kColumns, inverse);
+            Floats norm[kColumns], inverse[kColumns];
+            of_level.norms(row * kColumns, norm, inverse);
+            if (cosines.norms != nullptr) store_row(tile, row, norm, cosines.norms + level * plane);
             for (int query = 0; query < cosines.n_queries; ++query) {
                 Floats values[kColumns];
                 of_level.dot(row * kColumns, query, values);
@@ -225,8 +249,56 @@ void cosines(const Tile& tile, const GaussianCodes& codes, const Cosines& cosine
     found.clear();
 }
 
+// Sums of `k` neighbours each.
+template <int K>
+SCOUP_INLINE void add_up(const float* products, int64_t count, int32_t k, float* out, int64_t step) {
+    const int32_t length = K > 0 ? K : k;
+    for (int64_t i = 0; i < count; ++i) {
+        float total = 0;
+        for (int32_t j = 0; j < length; ++j) total += products[i * length + j];
+        out[i * step] = total;
+    }
+}
+
+template <class Index, class Weight>
+SCOUP_INLINE int32_t scores_of(const GaussianCodes& codes, const Index* all_indices, const Weight* all_weights,
+                               const CodeScores& scores, int64_t first, int64_t last, const ScoreScratch& scratch) {
+    const int32_t entries = codes.levels * codes.k;
+    const auto values = int32_t(codes.index_values());
+    for (int32_t e = 0; e < kScoreRows * entries; ++e) scratch.base[e] = e % entries / codes.k * values;
+    Index largest = 0;
+    for (int64_t row = first; row < last; row += kScoreRows) {
+        const int64_t rows = last - row < kScoreRows ? last - row : kScoreRows;
+        const auto count = int32_t(rows * entries);
+        const Index* __restrict indices = all_indices + row * entries;
+        const float* __restrict weights = from_stored(all_weights + row * entries, count, scratch.weights);
+        const int32_t* __restrict base = scratch.base;
+        float* __restrict products = scratch.products;
+        for (int32_t e = 0; e < count; ++e) largest = indices[e] > largest ? indices[e] : largest;
+        for (int32_t c = 0; c < scores.columns; ++c) {
+            const float* __restrict table = scores.table + int64_t(c) * codes.levels * values;
+            for (int32_t e = 0; e < count; ++e) products[e] = weights[e] * table[base[e] + int32_t(indices[e])];
+            float* out = scores.out + row * codes.levels * scores.columns + c;
+            const int64_t sums = rows * codes.levels;
+            if (codes.k == 4 && scores.columns == 1) add_up<4>(products, sums, 4, out, 1);
+            else if (codes.k == 4) add_up<4>(products, sums, 4, out, scores.columns);
+            else add_up<0>(products, sums, codes.k, out, scores.columns);
+        }
+    }
+    return largest;
+}
+
+int32_t scores(const GaussianCodes& codes, const CodeScores& scores, int64_t first, int64_t last,
+               const ScoreScratch& scratch) {
+    if (codes.indices8 != nullptr)
+        return codes.weights != nullptr ? scores_of(codes, codes.indices8, codes.weights, scores, first, last, scratch)
+                                        : scores_of(codes, codes.indices8, codes.half_weights, scores, first, last, scratch);
+    return codes.weights != nullptr ? scores_of(codes, codes.indices16, codes.weights, scores, first, last, scratch)
+                                    : scores_of(codes, codes.indices16, codes.half_weights, scores, first, last, scratch);
+}
+
 }  // namespace
 
-const CodeKernels code_kernels = {render, cosines};
+const CodeKernels code_kernels = {render, cosines, scores};
 
 }  // namespace scoup::SCOUP_ISA

@@ -11,11 +11,17 @@ namespace scoup {
 
 void render_channels(const View& view, const ChannelImage& out, int n_threads, const Interrupted& interrupted);
 
+// Those that read codes throw std::invalid_argument if one that matters refers to an atom there is not.
+
 // out [levels, height, width, n_atoms]
 void render_codes(const View& view, const GaussianCodes& codes, float* out, int n_threads, const Interrupted& interrupted);
 
 void render_cosines(const View& view, const GaussianCodes& codes, const Cosines& cosines, int n_threads,
                     const Interrupted& interrupted);
+
+// Of Gaussians 0 .. n - 1, seen or not. The table is as long as there are atoms: [levels, n_atoms, columns].
+void code_scores(int64_t n, const GaussianCodes& codes, const float* table, int32_t columns, float* out, int n_threads,
+                 const Interrupted& interrupted);
 
 struct ViewCounts {
     TileCounts all;

@@ -112,7 +112,7 @@ void codes(const Work& work, const scoup::View& view) {
 
 void cosines(const Work& work, const scoup::View& view) {
     std::vector<float> out(size_t(kPixels) * kLevels * kQueries);
-    scoup::render_cosines(view, codes_of(work), {work.grams.data(), work.scores.data(), kQueries, out.data()}, 1, kNever);
+    scoup::render_cosines(view, codes_of(work), {work.grams.data(), work.scores.data(), kQueries, out.data(), nullptr}, 1, kNever);
 }
 
 struct Mode {

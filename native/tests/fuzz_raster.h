@@ -264,9 +264,21 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
                 grams[a * n_atoms + b] += codebook[a * kDim + d] * codebook[(a / n_atoms * n_atoms + b) * kDim + d];
     for (int64_t i = 0; i < scores.size(); ++i) scores[i] = float(random.uniform(-1, 1));
     Exact<float> cosines(random, levels * n_queries * seen.pixels()), again(random, cosines.size());
-    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, cosines.data()}, seen.threads, never);
-    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, again.data()}, 1, never);
+    Exact<float> norms(random, levels * seen.pixels());
+    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
+    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, again.data(), nullptr}, 1, never);
     check_same(cosines, again, "cosines: threads");
+    Exact<float> worth(random, n * levels * n_queries), alike(random, worth.size());
+    code_scores(n, table, scores.data(), n_queries, worth.data(), seen.threads, never);
+    code_scores(n, table, scores.data(), n_queries, alike.data(), 1, never);
+    check_same(worth, alike, "code scores: threads");
+    for (int64_t i = 0; i < worth.size(); ++i) {
+        const int64_t row = i / n_queries, query = i % n_queries;  // row: of a Gaussian and level
+        double expected_worth = 0;
+        for (int64_t j = row * k; j < (row + 1) * k; ++j)
+            expected_worth += double(codes.weights[j]) * scores[(row % levels * n_atoms + codes.index(j)) * n_queries + query];
+        check_near(worth[i], expected_worth, 1e-5, "code scores");
+    }
     for (int64_t i = 0; i < cosines.size(); ++i) {
         const int64_t level = i / (n_queries * seen.pixels()), query = i / seen.pixels() % n_queries;
         const float* mine = &rendered[level * image + i % seen.pixels() * n_atoms];
@@ -281,6 +293,8 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
         check(std::isfinite(cosines[i]), "cosines: not finite");
         if (own == 0) check(cosines[i] == 0, "cosines: of nothing");
         if (norm2 > 0.01 * own && own > 1e-6)
+            check_near(norms[level * seen.pixels() + i % seen.pixels()], std::sqrt(norm2), 1e-3 * std::sqrt(own), "norms");
+        if (norm2 > 0.01 * own && own > 1e-6)
             check_near(cosines[i], dot / std::sqrt(norm2), 1e-3 * (1 + std::sqrt(own / norm2)), "cosines");
     }
 
@@ -291,7 +305,25 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
     for (int64_t i = 0; i < grams.size(); ++i)
         if (random.chance(0.1)) grams[i] = hostile_float(random);
     render_codes(seen.view, table, rendered.data(), seen.threads, never);
-    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, cosines.data()}, seen.threads, never);
+    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
+    code_scores(n, table, scores.data(), n_queries, worth.data(), seen.threads, never);
+
+    // Atoms that there are not: refused where they are met, and never read beyond.
+    Exact<uint8_t> any8(random, n * levels * k);
+    Exact<uint16_t> any16(random, n * levels * k);
+    for (int64_t i = 0; i < any8.size(); ++i) any8[i] = uint8_t(random.bits()), any16[i] = uint16_t(random.bits());
+    table.indices8 = codes.bytes ? any8.data() : nullptr, table.indices16 = codes.bytes ? nullptr : any16.data();
+    const auto refused = [&](const auto& call) {
+        try {
+            call();
+        } catch (const std::invalid_argument&) {
+        }
+    };
+    refused([&] { render_codes(seen.view, table, rendered.data(), seen.threads, never); });
+    refused([&] {
+        render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
+    });
+    refused([&] { code_scores(n, table, scores.data(), n_queries, worth.data(), seen.threads, never); });
 }
 
 inline void fuzz_vote(Random& random, int threads) {

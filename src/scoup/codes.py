@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -114,9 +115,59 @@ def cosines_from_products(weights: Tensor, scores: Tensor, gram: Tensor) -> Tens
     Returns:
         [..., P, Q]; zero where the coefficients are all zero.
     """
+    return cosines_and_norms(weights, scores, gram)[0]
+
+
+def cosines_and_norms(weights: Tensor, scores: Tensor, gram: Tensor) -> tuple[Tensor, Tensor]:
+    """``cosines_from_products``, and the norms of the decoded codes [..., P], sqrt(W G W^T)."""
     squared_norm = ((weights @ gram) * weights).sum(-1, keepdim=True)
     norm = torch.sqrt(squared_norm.clamp(min=torch.finfo(weights.dtype).tiny))
-    return torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)
+    cosines = torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)
+    return cosines, torch.where(squared_norm > 0, norm, 0.0)[..., 0]
+
+
+def code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
+    """What sparse codes are worth: their products W A with a table of scores.
+
+    On a CPU the compiled core does it, where there is one.
+
+    Args:
+        indices: [N, S, K] atoms, each below L.
+        weights: [N, S, K] float weights (float16 or float32).
+        scores: [S, L, Q] float32, what each atom is worth.
+
+    Returns:
+        [N, S, Q] float32.
+
+    Raises:
+        InputError: an index is not below L.
+    """
+    core = native_core() if indices.device.type == "cpu" else None
+    if core is None or indices.dtype not in (torch.uint8, torch.uint16):
+        return plain_code_scores(indices, weights, scores)
+    arrays = *code_arrays(indices, weights), scores.detach().float().contiguous().numpy()
+    try:
+        return torch.from_numpy(core.code_scores(*arrays, torch.get_num_threads()))
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def plain_code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
+    """``code_scores`` in torch."""
+    check_atoms(indices, scores.shape[1])
+    levels = [
+        (scores[level][indices[:, level].long()] * weights[:, level, :, None].float()).sum(1)
+        for level in range(len(scores))
+    ]
+    return torch.stack(levels, 1)
+
+
+def code_arrays(indices: Tensor, weights: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Codes for the compiled core: indices as they are, weights as float32 or the bits of float16."""
+    table = indices.detach().cpu().contiguous().numpy()
+    if weights.dtype == torch.float16:
+        return table, weights.detach().cpu().contiguous().numpy().view(np.uint16)
+    return table, weights.detach().to("cpu", torch.float32).contiguous().numpy()
 
 
 def decoded(weights: Tensor, codebook: Tensor) -> Tensor:

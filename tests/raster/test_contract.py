@@ -106,6 +106,9 @@ def test_codes_and_cosines_equal_decoded_features(backend, scene, k, seed):
 
     rendered = raster.render_codes(view, indices, weights, n_atoms)
     cosines = raster.render_cosines(view, indices, weights, codebook, queries)
+    again, norms = raster.render_cosines_and_norms(view, indices, weights, codebook, queries)
+    assert torch.equal(again, cosines)
+    assert norms.shape == (levels, camera.height, camera.width)
     assert rendered.shape == (levels, camera.height, camera.width, n_atoms)
     assert cosines.shape == (levels, 4, camera.height, camera.width)
     for level in range(levels):
@@ -116,6 +119,7 @@ def test_codes_and_cosines_equal_decoded_features(backend, scene, k, seed):
         unit = torch.nn.functional.normalize(features.double(), dim=-1)
         expected = (unit @ queries.T.double()).permute(2, 0, 1).float()
         solid = features.norm(dim=-1) > 1e-4
+        assert torch.allclose(norms[level], features.norm(dim=-1), rtol=1e-3, atol=1e-4)
         assert torch.allclose(cosines[level][:, solid], expected[:, solid], atol=1e-4)
         decoded = raster.render_features(view, indices, weights, codebook)[level]
         assert torch.allclose(decoded[solid], unit[solid].float(), atol=1e-4)

@@ -312,16 +312,30 @@ def render_cosines(view: View, indices: Tensor, weights: Tensor, codebook: Tenso
     Returns:
         [S, Q, H, W] float32.
     """
-    _check_codes(view, indices, weights)
-    if (
-        codebook.dim() != 3
-        or codebook.shape[0] != indices.shape[1]
-        or queries.shape[1:] != codebook.shape[2:]
-    ):
-        raise InputError(
-            f"codebook {list(codebook.shape)} and queries {list(queries.shape)} do not fit {indices.shape[1]} levels"
-        )
+    _check_cosines(view, indices, weights, codebook, queries)
     return _backend_of(view).render_cosines(view, indices, weights, codebook.float(), queries.float())
+
+
+def render_cosines_and_norms(
+    view: View, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> tuple[Tensor, Tensor]:
+    """``render_cosines``, and the norm of each pixel's rendered feature, which no query changes.
+
+    A cosine is a sum over Gaussians, W A, by this norm: with it at hand, another query is a render of few channels
+    (``codes.code_scores``, then ``render_channels``).
+
+    Args:
+        view: from ``look``.
+        indices: [N, S, K] sparse codes.
+        weights: [N, S, K], not negative.
+        codebook, queries: see ``render_cosines``.
+
+    Returns:
+        cosines [S, Q, H, W] float32, and norms [S, H, W] float32, sqrt(W G W^T); zero where no code reaches.
+    """
+    _check_cosines(view, indices, weights, codebook, queries)
+    render = _backend_of(view).render_cosines_and_norms
+    return render(view, indices, weights, codebook.float(), queries.float())
 
 
 def render_features(view: View, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
@@ -390,3 +404,15 @@ def _check_codes(view: View, indices: Tensor, weights: Tensor) -> None:
     _check_rows(view, weights, 3, "code weights")
     if indices.shape != weights.shape:
         raise InputError(f"code indices {list(indices.shape)} and weights {list(weights.shape)} differ")
+
+
+def _check_cosines(view: View, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor) -> None:
+    _check_codes(view, indices, weights)
+    if (
+        codebook.dim() != 3
+        or codebook.shape[0] != indices.shape[1]
+        or queries.shape[1:] != codebook.shape[2:]
+    ):
+        raise InputError(
+            f"codebook {list(codebook.shape)} and queries {list(queries.shape)} do not fit {indices.shape[1]} levels"
+        )

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from scoup.agreement import Agreement
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes, check_atoms, decoded, index_dtype, row_products
+from scoup.codes import SparseCodes, check_atoms, code_arrays, decoded, index_dtype, row_products
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
 from scoup.native import native_core
@@ -134,13 +134,20 @@ def render_cosines(
     view: NativeView, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> Tensor:
     """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
+    return render_cosines_and_norms(view, indices, weights, codebook, queries)[0]
+
+
+def render_cosines_and_norms(
+    view: NativeView, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> tuple[Tensor, Tensor]:
+    """See ``raster.render_cosines_and_norms``."""
     table = _code_table(indices, weights, codebook.shape[1])
     levels, asked = codebook.cpu(), queries.cpu()
     with _refusals():
         grams = _array(torch.stack([row_products(atoms, atoms) for atoms in levels]))
         scores = _array(torch.stack([row_products(atoms, asked) for atoms in levels]))
-        found = _core().render_cosines(view.handle, *table, grams, scores, torch.get_num_threads())
-    return torch.from_numpy(found)
+        found, norms = _core().render_cosines(view.handle, *table, grams, scores, torch.get_num_threads())
+    return torch.from_numpy(found), torch.from_numpy(norms)
 
 
 def render_features(view: NativeView, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
@@ -191,11 +198,10 @@ def _labels(labels: Tensor) -> np.ndarray:
 
 
 def _code_table(indices: Tensor, weights: Tensor, n_atoms: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indices as uint8 or uint16, weights as float32 or the bits of float16: the forms fields are stored in."""
+    """Indices as uint8 or uint16, weights as float32 or the bits of float16: the forms fields are stored in. These are
+    not looked through for atoms there are not: the core refuses those it meets.
+    """
     if indices.dtype not in (torch.uint8, torch.uint16):
         check_atoms(indices, n_atoms)
         indices = indices.to(index_dtype(n_atoms))
-    table = _array(indices, indices.dtype)
-    if weights.dtype == torch.float16:
-        return table, _array(weights, torch.float16).view(np.uint16)
-    return table, _array(weights)
+    return code_arrays(indices, weights)

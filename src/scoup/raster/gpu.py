@@ -177,6 +177,22 @@ def render_cosines(
     return _render_products(view, indices, weights, codebook, scores, shape, pixels_last=True)
 
 
+def render_cosines_and_norms(
+    view: GpuView, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> tuple[Tensor, Tensor]:
+    """See ``raster.render_cosines_and_norms``."""
+    levels, count = len(codebook), len(queries)
+    codebook, queries = codebook.to(view.device), queries.to(view.device)
+    scores = full_products(codebook, queries)
+    # One column more, of ones: the sum of the coefficients by the norm. The sum itself is a render of channels.
+    table = torch.cat([scores, scores.new_ones(*scores.shape[:2], 1)], 2)
+    shape = (levels, count + 1, view.height, view.width)
+    found = _render_products(view, indices, weights, codebook, table, shape, pixels_last=True)
+    sums = render_channels(view, weights.to(view.device).float().sum(-1))[0].permute(2, 0, 1)  # [S, H, W]
+    shares = found[:, count]
+    return found[:, :count].contiguous(), torch.where(shares > 0, sums / shares, 0.0)
+
+
 def render_features(view: GpuView, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
     """See ``raster.render_features``."""
     levels, _, dim = codebook.shape

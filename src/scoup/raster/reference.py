@@ -15,7 +15,7 @@ from torch import Tensor
 
 from scoup.agreement import Agreement
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes, add_codes, check_atoms, cosines_from_products, decoded
+from scoup.codes import SparseCodes, add_codes, check_atoms, cosines_and_norms, decoded
 from scoup.gaussians import Gaussians
 from scoup.raster.binning import Bins, bin_to_tiles
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
@@ -146,19 +146,30 @@ def render_codes(view: ReferenceView, indices: Tensor, weights: Tensor, n_atoms:
 def render_cosines(
     view: ReferenceView, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> Tensor:
-    """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
+    """See ``raster.render_cosines``."""
+    return render_cosines_and_norms(view, indices, weights, codebook, queries)[0]
+
+
+def render_cosines_and_norms(
+    view: ReferenceView, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> tuple[Tensor, Tensor]:
+    """See ``raster.render_cosines_and_norms``. The coefficients of a tile are used up at once; no map of them is
+    kept.
+    """
     levels, n_atoms, _ = codebook.shape
     check_atoms(indices, n_atoms)
     count = len(queries)
     scores, grams = codebook @ queries.T, codebook @ codebook.transpose(1, 2)
-    tiles = _empty_tiles(view, levels * count, weights.device)
+    tiles = _empty_tiles(view, levels * (count + 1), weights.device)
     for tile, ids, blending in tile_weights(view):
         painted = blending.T @ _dense_codes(indices[ids], weights[ids], n_atoms)
         by_level = painted.view(-1, levels, n_atoms).transpose(0, 1)
-        cosines = cosines_from_products(by_level, scores, grams)  # [S, P, Q]
-        tiles[tile] = cosines.transpose(0, 1).flatten(1)
-    image = _from_tiles(tiles, view).reshape(view.height, view.width, levels, count)
-    return image.permute(2, 3, 0, 1).contiguous()
+        cosines, norms = cosines_and_norms(by_level, scores, grams)  # [S, P, Q] and [S, P]
+        found = torch.cat([cosines, norms[..., None]], 2)
+        tiles[tile] = found.transpose(0, 1).flatten(1)
+    image = _from_tiles(tiles, view).reshape(view.height, view.width, levels, count + 1)
+    image = image.permute(2, 3, 0, 1)
+    return image[:, :count].contiguous(), image[:, count].contiguous()
 
 
 def render_features(view: ReferenceView, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
