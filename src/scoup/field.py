@@ -85,7 +85,12 @@ class LanguageField:
         return self.code_indices.shape[0]
 
     def to(self, device: torch.device | str) -> LanguageField:
-        """The same field with its tensors, and its geometry if loaded, on a device."""
+        """The same field with its tensors, and its geometry if loaded, on a device; itself if it is there already."""
+        place = torch.empty(0, device=device).device
+        parts = [self.code_indices, self.code_weights, self.codebook]
+        parts += [] if self._gaussians is None else [self._gaussians.means]
+        if all(part.device == place for part in parts):
+            return self
         moved = LanguageField(
             self.code_indices.to(device),
             self.code_weights.to(device),
@@ -381,12 +386,17 @@ class LanguageField:
             )
         if self.code_indices.dtype != index_dtype(n_atoms):
             raise InputError(f"code indices are {self.code_indices.dtype}, expected {index_dtype(n_atoms)}")
-        if not torch.isfinite(self.codebook).all() or not torch.isfinite(self.code_weights).all():
+        # The smallest and the largest tell of what is no number, too, and need no copy of the weights.
+        low, high = torch.aminmax(self.code_weights) if self.code_weights.numel() else torch.zeros(2)
+        if not torch.isfinite(self.codebook).all() or not bool(torch.isfinite(low) & torch.isfinite(high)):
             raise InputError("codebook or code weights hold values that are not finite")
-        if self.code_indices.numel() and int(self.code_indices.long().max()) >= n_atoms:
-            raise InputError(f"a code index is beyond the {n_atoms} atoms of the codebook")
-        if self.code_weights.numel() and float(self.code_weights.min()) < 0:
+        if low < 0:
             raise InputError("a code weight is negative")
+        indices = self.code_indices
+        # torch finds no largest of uint16.
+        wide = indices if indices.dtype == torch.uint8 else indices.int()
+        if wide.numel() and int(wide.max()) >= n_atoms:
+            raise InputError(f"a code index is beyond the {n_atoms} atoms of the codebook")
 
     def _check_queries(self, queries: Tensor, canonical: Tensor) -> Tensor:
         for name, vectors in (("queries", queries), ("canonical", canonical)):

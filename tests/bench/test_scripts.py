@@ -136,6 +136,20 @@ def test_the_best_codes_are_those_of_every_support(script):
     torch.testing.assert_close(best, oracle(rows @ atoms.T, atoms @ atoms.T, 3), atol=1e-6, rtol=0)
 
 
+def test_what_it_costs_to_ask(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    query = script("query")
+    out = tmp_path / "query.json"
+    arguments = query.Arguments(n_gaussians=200, n_atoms=8, repeats=2, command_repeats=1, out=out, **SMALL)
+    record = query.main(arguments)
+    assert json.loads(out.read_text()) == record
+    assert {stage: len(times) for stage, times in record["processor_seconds"].items()} == {
+        stage: 1 if stage == "scoup query" else 2 for stage in query.STAGES
+    }
+    assert "query, same camera" in capsys.readouterr().out
+    with pytest.raises(OutputExistsError):
+        query.main(arguments)
+
+
 def test_the_rarest_objects(script):
     objects = torch.tensor([0] * 5 + [1] * 4 + [2] * 3 + [7] * 2)
     rare = script("coding_forms").rarest_rows(objects)
