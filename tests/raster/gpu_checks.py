@@ -254,6 +254,12 @@ def check_codes(
     assert bool((found.abs() <= 1 + 1e-3).all())
     unpainted = (painted == 0).all(3) & sure
     assert not bool(found.movedim(1, 3)[unpainted].any())
+    given = *there, codebook.to(device), queries.to(device)
+    again, norms = (part.cpu() for part in raster.render_cosines_and_norms(view, *given))
+    assert_close(again.permute(2, 3, 0, 1), found.permute(2, 3, 0, 1), 1.0, whole)
+    _, known = raster.render_cosines_and_norms(reference, indices, weights, codebook, queries)
+    assert_close(norms.movedim(0, 2), known.movedim(0, 2), 5 * max(1.0, float(terms.max())), whole)
+    assert not bool(norms[unpainted].any())
 
     expected = raster.render_features(reference, indices, weights, codebook)
     found = raster.render_features(view, *there, codebook.to(device)).cpu()
