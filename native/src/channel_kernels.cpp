@@ -5,6 +5,20 @@
 namespace scoup::SCOUP_ISA {
 namespace {
 
+// Walks a tile and writes its pixels that lie inside the image.
+template <class Sink>
+SCOUP_INLINE void render_with(Sink& sink, const Tile& tile, const ChannelImage& out, int channels) {
+    const Transmittance transmittance = walk_tile(tile, sink);
+    for (int block = 0; block < kBlocks; ++block)
+        for (int lane = 0; lane < kLanes; ++lane) {
+            const int x = tile.x + block_x(block) + lane_x(lane), y = tile.y + block_y(block) + lane_y(lane);
+            if (x >= tile.width || y >= tile.height) continue;
+            const int64_t pixel = int64_t(y) * tile.width + x;
+            for (int c = 0; c < channels; ++c) out.image[pixel * channels + c] = sink.sum(c, block)[lane];
+            out.alpha[pixel] = 1.0f - transmittance.last[block][lane];
+        }
+}
+
 // Keeps the weights of a stage, then adds weights times values for each block: a small matrix product, in which a sum
 // is loaded and stored once for the stage and not once for each Gaussian.
 class ChannelSink {
@@ -32,17 +46,7 @@ class ChannelSink {
 
     SCOUP_INLINE void soon(const Projected& p) const { __builtin_prefetch(out_.values + int64_t(p.id) * out_.channels); }
 
-    SCOUP_INLINE void write(const Tile& tile, const Transmittance& transmittance) const {
-        for (int block = 0; block < kBlocks; ++block)
-            for (int lane = 0; lane < kLanes; ++lane) {
-                const int x = tile.x + block_x(block) + lane_x(lane), y = tile.y + block_y(block) + lane_y(lane);
-                if (x >= tile.width || y >= tile.height) continue;
-                const int64_t pixel = int64_t(y) * tile.width + x;
-                float* image = out_.image + pixel * out_.channels;
-                for (int c = 0; c < out_.channels; ++c) image[c] = sums_[c * kBlocks + block][lane];
-                out_.alpha[pixel] = 1.0f - transmittance.last[block][lane];
-            }
-    }
+    SCOUP_INLINE const Floats& sum(int channel, int block) const { return sums_[channel * kBlocks + block]; }
 
   private:
     SCOUP_INLINE void add(int block, int channel) {
@@ -79,10 +83,51 @@ class ChannelSink {
     Floats weights_[kBlocks][kStage];
 };
 
+// So few channels that adding each weight where it comes from costs less than keeping it.
+template <int Count>
+class FewChannelsSink {
+  public:
+    SCOUP_INLINE FewChannelsSink(const ChannelImage& out, const Projected* projected) : out_(out), projected_(projected) {
+        for (int block = 0; block < kBlocks; ++block)
+            for (int c = 0; c < Count; ++c) sums_[block][c] = Floats{};
+    }
+
+    SCOUP_INLINE void begin(const Stage& stage, int count) {
+        for (int i = 0; i < count; ++i) {
+            const float* values = out_.values + int64_t(projected_[stage.slot[i]].id) * Count;
+            for (int c = 0; c < Count; ++c) values_[i][c] = values[c];
+        }
+    }
+    SCOUP_INLINE void paint(int block, int i, Floats weight) {
+        for (int c = 0; c < Count; ++c) sums_[block][c] += weight * values_[i][c];
+    }
+    SCOUP_INLINE void end(const Stage&, int) {}
+    SCOUP_INLINE void soon(const Projected& p) const { __builtin_prefetch(out_.values + int64_t(p.id) * Count); }
+
+    SCOUP_INLINE const Floats& sum(int channel, int block) const { return sums_[block][channel]; }
+
+  private:
+    const ChannelImage& out_;
+    const Projected* projected_;
+    float values_[kStage][Count];
+    Floats sums_[kBlocks][Count];
+};
+
+template <int Count>
+void render_few(const Tile& tile, const ChannelImage& out) {
+    FewChannelsSink<Count> sink(out, tile.projected);
+    render_with(sink, tile, out, Count);
+}
+
 void render(const Tile& tile, const ChannelImage& out, float* scratch) {
+    switch (out.channels) {
+        case 1: return render_few<1>(tile, out);
+        case 2: return render_few<2>(tile, out);
+        case 3: return render_few<3>(tile, out);
+        default: break;
+    }
     ChannelSink sink(out, tile.projected, reinterpret_cast<Floats*>(scratch));
-    const Transmittance transmittance = walk_tile(tile, sink);
-    sink.write(tile, transmittance);
+    render_with(sink, tile, out, out.channels);
 }
 
 }  // namespace

@@ -45,4 +45,5 @@ def relevancy(
         )
     if canonical.shape[1] == 0:
         raise InputError("relevancy needs at least one canonical phrase")
-    return torch.sigmoid(temperature * (cosines - canonical.amax(1, keepdim=True)))
+    # In place after the first step: maps of all pixels are large.
+    return (cosines - canonical.amax(1, keepdim=True)).mul_(temperature).sigmoid_()
