@@ -177,6 +177,8 @@ class CosineLevel {
             const float* gram = cosines.grams + (first + found.atom(level, a)) * codes.n_atoms;
             for (int b = 0; b < a; ++b) grams_[int64_t(a) * count_ + b] = gram[found.atom(level, b)];
             grams_[int64_t(a) * count_ + a] = 0.5f * gram[found.atom(level, a)];
+            for (int b = a + 1; b < count_ && b < a / kTogether * kTogether + kTogether; ++b)
+                grams_[int64_t(a) * count_ + b] = 0;
             const float* score = cosines.scores + (first + found.atom(level, a)) * n_queries_;
             for (int q = 0; q < n_queries_; ++q) scores_[int64_t(a) * n_queries_ + q] = score[q];
         }
@@ -185,14 +187,9 @@ class CosineLevel {
     // Norms of a row of blocks and their inverses; zero where nothing is painted.
     SCOUP_INLINE void norms(int first_block, Floats norm[kColumns], Floats inverse[kColumns]) const {
         Floats half[kColumns] = {};  // of the squared norm: the Gram matrix is symmetric, one triangle will do
-        for (int a = 0; a < count_; ++a) {
-            Floats product[kColumns] = {};
-            for (int b = 0; b <= a; ++b) {
-                for (int c = 0; c < kColumns; ++c)
-                    product[c] += found_.sums(level_, b, first_block + c) * grams_[int64_t(a) * count_ + b];
-            }
-            for (int c = 0; c < kColumns; ++c) half[c] += found_.sums(level_, a, first_block + c) * product[c];
-        }
+        int a = 0;
+        for (; a + kTogether <= count_; a += kTogether) add_rows<kTogether>(a, first_block, half);
+        for (; a < count_; ++a) add_rows<1>(a, first_block, half);
         for (int c = 0; c < kColumns; ++c) {
             norm[c] = half[c] > 0.0f ? sqrt(half[c] * 2.0f) : Floats{};
             inverse[c] = half[c] > 0.0f ? 1.0f / norm[c] : Floats{};
@@ -208,9 +205,26 @@ class CosineLevel {
     }
 
   private:
+    // Rows of the Gram matrix that go through the sums together: as many as there are registers for.
+    static constexpr int kTogether = kLanes == 16 ? 4 : 2;
+
+    template <int Rows>
+    SCOUP_INLINE void add_rows(int first_row, int first_block, Floats half[kColumns]) const {
+        Floats product[Rows][kColumns] = {};
+        const float* gram = grams_ + int64_t(first_row) * count_;
+        for (int b = 0; b < first_row + Rows; ++b) {
+            for (int c = 0; c < kColumns; ++c) {
+                const Floats sum = found_.sums(level_, b, first_block + c);
+                for (int r = 0; r < Rows; ++r) product[r][c] += sum * gram[int64_t(r) * count_ + b];
+            }
+        }
+        for (int r = 0; r < Rows; ++r)
+            for (int c = 0; c < kColumns; ++c) half[c] += found_.sums(level_, first_row + r, first_block + c) * product[r][c];
+    }
+
     const TileCodes& found_;
     int level_, count_, n_queries_;
-    float* grams_;   // [count, count], lower triangle, the diagonal halved
+    float* grams_;   // [count, count], lower triangle, the diagonal halved; zeros beyond it where rows go together
     float* scores_;  // [count, queries]
 };
 
