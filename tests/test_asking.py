@@ -20,7 +20,10 @@ from scoup.gaussians import Gaussians
 from support import KINDS, make_camera, random_gaussians, scenes, unit
 
 DIM = 16
-CLOSE = {"rtol": 0.0, "atol": 2e-5}
+
+
+def assert_close(found: Tensor, expected: Tensor) -> None:
+    torch.testing.assert_close(found, expected, rtol=0, atol=2e-5)
 
 
 def field_of(gaussians: Gaussians, seed: int, n_atoms: int = 7, k: int = 3) -> LanguageField:
@@ -72,7 +75,7 @@ def test_further_queries_are_those_of_a_fresh_view(backend, scene, seed, n_queri
         expected = field.relevancy(camera, queries, phrases, field.look(camera, backend))
         assert found.shape == expected.shape == (3, len(queries), camera.height, camera.width)
         assert found.is_contiguous()
-        torch.testing.assert_close(found, expected, **CLOSE)
+        assert_close(found, expected)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -83,7 +86,7 @@ def test_every_ugly_kind_and_a_view_of_nothing(backend) -> None:
         field = field_of(scene, 5)
         view = field.look(camera, backend)
         first, again = (field.relevancy(camera, queries, canonical, view) for _ in range(2))
-        torch.testing.assert_close(again, first, **CLOSE)
+        assert_close(again, first)
         assert torch.isfinite(again).all()
     assert (again == 0.5).all()
 
@@ -110,7 +113,7 @@ def test_two_fields_through_one_view_and_changed_codes() -> None:
     def check(field: LanguageField) -> Tensor:
         expected = field.relevancy(camera, queries, canonical)
         found = field.relevancy(camera, queries, canonical, view)
-        torch.testing.assert_close(found, expected, **CLOSE)
+        assert_close(found, expected)
         return found
 
     for field in (*fields, *fields):
@@ -130,7 +133,7 @@ def test_phrases_written_to_are_other_phrases() -> None:
     field.relevancy(camera, queries, canonical, view)
     canonical[:] = vectors(4, 5)
     found = field.relevancy(camera, queries, canonical, view)
-    torch.testing.assert_close(found, field.relevancy(camera, queries, canonical), **CLOSE)
+    assert_close(found, field.relevancy(camera, queries, canonical))
 
 
 def test_what_is_kept_goes_with_the_view() -> None:
