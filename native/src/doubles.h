@@ -1,4 +1,4 @@
-// Eight doubles side by side. For *_kernels.cpp files only.
+// A register of doubles. For *_kernels.cpp files only.
 #pragma once
 
 #include <cstdint>
@@ -8,8 +8,7 @@
 namespace scoup::SCOUP_ISA {
 namespace {
 
-// The compiler splits the vectors where registers are shorter.
-constexpr int kGroup = 8;
+constexpr int kGroup = kLanes / 2;  // longer vectors than registers are converted number by number
 using Doubles = double __attribute__((vector_size(8 * kGroup)));
 using Longs = int64_t __attribute__((vector_size(8 * kGroup)));
 using Singles = float __attribute__((vector_size(4 * kGroup)));

@@ -5,9 +5,9 @@
 namespace scoup::SCOUP_ISA {
 namespace {
 
-static_assert(kGroup == kBlockRows);
+static_assert(kBlockRows % kGroup == 0);
 
-// Which rows of a block may be visible, by their centre and largest scale alone.
+// Which rows of a block, from row `at` on, may be visible, by their centre and largest scale alone.
 struct Sieve {
     const Camera& camera;
     double near;
@@ -19,16 +19,16 @@ struct Sieve {
         spread_y = kReach * c.fy * __builtin_sqrt(1 + ray_y * ray_y);
     }
 
-    SCOUP_INLINE Longs operator()(const SceneBlock& block) const {
+    SCOUP_INLINE Longs operator()(const SceneBlock& block, int at) const {
         const double* v = camera.viewmat;
         constexpr double kBlur = 1.9;  // what the low-pass adds to a half extent: 3.34 sqrt(0.3)
         const double right = camera.width - 0.5 - camera.cx, left = camera.cx - 0.5;
         const double bottom = camera.height - 0.5 - camera.cy, top = camera.cy - 0.5;
-        const Doubles mx = doubles(block.mean[0]), my = doubles(block.mean[1]), mz = doubles(block.mean[2]);
+        const Doubles mx = doubles(block.mean[0] + at), my = doubles(block.mean[1] + at), mz = doubles(block.mean[2] + at);
         const Doubles x = v[0] * mx + v[1] * my + v[2] * mz + v[3];
         const Doubles y = v[4] * mx + v[5] * my + v[6] * mz + v[7];
         const Doubles z = v[8] * mx + v[9] * my + v[10] * mz + v[11];
-        const Doubles extent = doubles(block.extent);
+        const Doubles extent = doubles(block.extent + at);
         const Doubles reach_x = spread_x * extent + kBlur * z, reach_y = spread_y * extent + kBlur * z;
         // Not `|`-ed from comparisons that NaN would pass: every test must hold.
         return (z > near) & (camera.fx * x + left * z + reach_x >= 0) & (camera.fx * x - right * z - reach_x <= 0) &
@@ -56,12 +56,12 @@ class Projector {
     double widest_ray_x() const { return -low_x_ > high_x_ ? -low_x_ : high_x_; }
     double widest_ray_y() const { return -low_y_ > high_y_ ? -low_y_ : high_y_; }
 
-    // Writes the visible ones of the rows wanted, whose numbers in the scene are `ids`; returns how many. There must be
-    // room for one more.
-    int operator()(const SceneBlock& block, Longs wanted, const uint32_t* ids, Projected* out, TileRect* rects,
+    // Writes the visible ones of the rows wanted, a register of them from row `at` on, whose numbers in the scene are
+    // `ids`; returns how many. There must be room for one more.
+    int operator()(const SceneBlock& block, int at, Longs wanted, const uint32_t* ids, Projected* out, TileRect* rects,
                    float* depths) const {
         const double* v = camera_.viewmat;
-        const Doubles mean[3] = {doubles(block.mean[0]), doubles(block.mean[1]), doubles(block.mean[2])};
+        const Doubles mean[3] = {doubles(block.mean[0] + at), doubles(block.mean[1] + at), doubles(block.mean[2] + at)};
         const Doubles x = v[0] * mean[0] + v[1] * mean[1] + v[2] * mean[2] + v[3];
         const Doubles y = v[4] * mean[0] + v[5] * mean[1] + v[6] * mean[2] + v[7];
         const Doubles z = v[8] * mean[0] + v[9] * mean[1] + v[10] * mean[2] + v[11];
@@ -70,8 +70,8 @@ class Projector {
         const Doubles ray_y = at_least(at_most(y * per_depth, high_y_ + Doubles{}), low_y_ + Doubles{});
 
         // B = J W R S, with B B^T the 2D covariance before the low-pass.
-        const Doubles qw = doubles(block.quat[0]), qx = doubles(block.quat[1]), qy = doubles(block.quat[2]);
-        const Doubles qz = doubles(block.quat[3]);
+        const Doubles qw = doubles(block.quat[0] + at), qx = doubles(block.quat[1] + at), qy = doubles(block.quat[2] + at);
+        const Doubles qz = doubles(block.quat[3] + at);
         const Doubles two = 2 / (qw * qw + qx * qx + qy * qy + qz * qz), w = qw * two;
         const Doubles wx = w * qx, wy = w * qy, wz = w * qz;
         const Doubles xx2 = two * qx * qx, yy2 = two * qy * qy, zz2 = two * qz * qz;
@@ -84,7 +84,7 @@ class Projector {
             const Doubles axis_x = v[0] * rotation[0][c] + v[1] * rotation[1][c] + v[2] * rotation[2][c];
             const Doubles axis_y = v[4] * rotation[0][c] + v[5] * rotation[1][c] + v[6] * rotation[2][c];
             const Doubles axis_z = v[8] * rotation[0][c] + v[9] * rotation[1][c] + v[10] * rotation[2][c];
-            const Doubles scale = doubles(block.scale[c]);
+            const Doubles scale = doubles(block.scale[c] + at);
             row_x[c] = (axis_x - ray_x * axis_z) * (camera_.fx * per_depth) * scale;
             row_y[c] = (axis_y - ray_y * axis_z) * (camera_.fy * per_depth) * scale;
         }
@@ -99,7 +99,7 @@ class Projector {
                                     kLowPass * (square_x + square_y) + kLowPass * kLowPass;
         const Doubles xx = square_x + kLowPass, yy = square_y + kLowPass;
 
-        const Doubles peak = doubles(block.peak);
+        const Doubles peak = doubles(block.peak + at);
         const Doubles radius2 = 2 / kLog2E * at_least(peak - double(kLog2AlphaMin), Doubles{});
         const Doubles half_width = sqrt(radius2 * xx), half_height = sqrt(radius2 * yy);
         const Doubles centre_x = x * per_depth * camera_.fx + camera_.cx;
@@ -165,7 +165,7 @@ class Projector {
 // Gaussians of several blocks gathered in one.
 struct Gathered {
     SceneBlock block{};
-    uint32_t ids[kGroup] = {};
+    uint32_t ids[kBlockRows] = {};
     int count = 0;
 
     SCOUP_INLINE void add(const SceneBlock& from, int i, uint32_t id) {
@@ -174,6 +174,14 @@ struct Gathered {
         for (int c = 0; c < 3; ++c) block.scale[c][count] = from.scale[c][i];
         block.peak[count] = from.peak[i];
         ids[count++] = id;
+    }
+
+    template <class Write>
+    SCOUP_INLINE void write(const Write& write) {
+        int64_t wanted[kBlockRows];
+        for (int i = 0; i < kBlockRows; ++i) wanted[i] = -(i < count);
+        if (count > 0) write(block, wanted, ids);
+        count = 0;
     }
 };
 
@@ -185,11 +193,13 @@ int64_t project(const Scene& scene, const Camera& camera, const Preset& preset, 
     const Sieve sieve(camera, preset, projector.widest_ray_x(), projector.widest_ray_y());
     SceneBlock made[kAtOnce];
     Gathered gathered;
-    Longs lanes;
-    for (int i = 0; i < kGroup; ++i) lanes[i] = i;
     int64_t written = 0;
-    const auto write = [&](const SceneBlock& block, Longs wanted, const uint32_t* ids) {
-        written += projector(block, wanted, ids, out + written, rects + written, depths + written);
+    const auto write = [&](const SceneBlock& block, const int64_t* wanted, const uint32_t* ids) {
+        for (int at = 0; at < kBlockRows; at += kGroup) {
+            Longs rows;
+            __builtin_memcpy(&rows, wanted + at, sizeof rows);
+            written += projector(block, at, rows, ids + at, out + written, rects + written, depths + written);
+        }
     };
     for (int64_t at = first; at < last; ++at) {
         const SceneBlock* block = scene.blocks + at;
@@ -198,27 +208,27 @@ int64_t project(const Scene& scene, const Camera& camera, const Preset& preset, 
             if (place == 0) scene_kernels.make_blocks(scene, at, at + kAtOnce < last ? at + kAtOnce : last, made);
             block = made + place;
         }
-        alignas(64) int64_t wanted[kGroup];
-        const Longs visible = sieve(*block);
-        __builtin_memcpy(wanted, &visible, sizeof wanted);
+        alignas(64) int64_t wanted[kBlockRows];  // -1 or 0
+        for (int i = 0; i < kBlockRows; i += kGroup) {
+            const Longs rows = sieve(*block, i);
+            __builtin_memcpy(wanted + i, &rows, sizeof rows);
+        }
         int64_t count = 0;
-        for (int i = 0; i < kGroup; ++i) count -= wanted[i];
+        for (const int64_t row : wanted) count -= row;
         if (count == 0) continue;
-        uint32_t ids[kGroup];
-        for (int i = 0; i < kGroup; ++i) ids[i] = uint32_t(at * kBlockRows + i);
+        uint32_t ids[kBlockRows];
+        for (int i = 0; i < kBlockRows; ++i) ids[i] = uint32_t(at * kBlockRows + i);
         if (count >= kDense) {
-            write(*block, visible, ids);
+            write(*block, wanted, ids);
             continue;
         }
-        for (int i = 0; i < kGroup; ++i) {
+        for (int i = 0; i < kBlockRows; ++i) {
             if (wanted[i] == 0) continue;
             gathered.add(*block, i, ids[i]);
-            if (gathered.count < kGroup) continue;
-            write(gathered.block, lanes >= 0, gathered.ids);
-            gathered.count = 0;
+            if (gathered.count == kBlockRows) gathered.write(write);
         }
     }
-    if (gathered.count > 0) write(gathered.block, lanes < gathered.count, gathered.ids);
+    gathered.write(write);
     return written;
 }
 

@@ -5,7 +5,7 @@
 namespace scoup::SCOUP_ISA {
 namespace {
 
-static_assert(kGroup == kBlockRows);
+static_assert(kBlockRows % kGroup == 0);
 
 // log2 of 2^-126 <= x <= 1 to 1e-15: the exponent, and atanh's series of the mantissa brought near 1.
 SCOUP_INLINE Doubles log2(Doubles x) {
@@ -30,22 +30,24 @@ void make_block(const Scene& scene, int64_t first, SceneBlock& block) {
         for (int c = 0; c < 3; ++c) block.scale[c][i] = scene.scales[3 * row + c];
         opacity[i] = i < left ? scene.opacities[row] : 0.0f;
     }
-    Doubles poison{}, norm2{}, extent{};  // poison: 0 where everything is finite, not a number elsewhere
-    for (int c = 0; c < 3; ++c) {
-        const Doubles scale = doubles(block.scale[c]);
-        poison += doubles(block.mean[c]) * 0 + scale * 0;
-        extent = at_least(absolute(scale), extent);
+    for (int at = 0; at < kBlockRows; at += kGroup) {
+        Doubles poison{}, norm2{}, extent{};  // poison: 0 where everything is finite, not a number elsewhere
+        for (int c = 0; c < 3; ++c) {
+            const Doubles scale = doubles(block.scale[c] + at);
+            poison += doubles(block.mean[c] + at) * 0 + scale * 0;
+            extent = at_least(absolute(scale), extent);
+        }
+        for (int c = 0; c < 4; ++c) {
+            const Doubles q = doubles(block.quat[c] + at);
+            poison += q * 0;
+            norm2 += q * q;
+        }
+        const Doubles o = doubles(opacity + at);
+        const Longs drawn = (norm2 > 0) & (o >= double(float(kAlphaMin))) & (poison == 0);
+        // An opacity of infinity is drawn as 1.
+        store_singles(block.peak + at, log2(drawn ? at_most(o, 1 + Doubles{}) : 1 + Doubles{}));
+        store_singles(block.extent + at, drawn ? extent : __builtin_nan("") + Doubles{});
     }
-    for (int c = 0; c < 4; ++c) {
-        const Doubles q = doubles(block.quat[c]);
-        poison += q * 0;
-        norm2 += q * q;
-    }
-    const Doubles o = doubles(opacity);
-    const Longs drawn = (norm2 > 0) & (o >= double(float(kAlphaMin))) & (poison == 0);
-    // An opacity of infinity is drawn as 1.
-    store_singles(block.peak, log2(drawn ? at_most(o, 1 + Doubles{}) : 1 + Doubles{}));
-    store_singles(block.extent, drawn ? extent : __builtin_nan("") + Doubles{});
 }
 
 void make_blocks(const Scene& scene, int64_t first, int64_t last, SceneBlock* out) {
