@@ -62,6 +62,8 @@ class Arguments:
     """Of the room's view, in pixels."""
     order: Order = "random"
     """Of the room's rows; trained scenes have none."""
+    prepared: bool = False
+    """Look at scenes prepared for many views, as a build does."""
     threads: tuple[int, ...] = (1, 2)
     """Numbers of threads."""
     repeats: int = 5
@@ -132,6 +134,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
             "width": arguments.width,
             "height": arguments.height,
             "order": arguments.order,
+            "prepared": arguments.prepared,
             "repeats": arguments.repeats,
             "reference_repeats": min(arguments.reference_repeats, arguments.repeats),
             "reference_left_out": left_out,
@@ -171,7 +174,7 @@ def kitchen_workload(folder: Path, frame: int = 12) -> Workload:
 def measure_scene(work: Workload, backends: list[str], arguments: Arguments) -> list[Row]:
     """Time all stages of one scene."""
     runs = {
-        backend: stage_runs(work, backend, arguments.stages)
+        backend: stage_runs(work, backend, arguments.stages, arguments.prepared)
         for backend in backends
         if backend != SPECIFICATION or len(work.gaussians) <= arguments.reference_up_to
     }

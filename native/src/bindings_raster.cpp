@@ -31,16 +31,30 @@ void check_size(int64_t width, int64_t height) {
                                     " pixels cannot be rendered");
 }
 
-View py_look(const Array& means, const Array& quats, const Array& scales, const Array& opacities, const Array& viewmat,
-             std::tuple<double, double, double, double> intrinsics, int64_t width, int64_t height,
-             std::tuple<double, double, double> near_alpha_max_stop, bool stop_inclusive, bool centred_clamp,
-             const std::optional<Array>& ties, int threads) {
+// A scene of arrays that Python keeps alive.
+struct PyScene {
+    Scene scene;
+    Buffer<SceneBlock> blocks;
+};
+
+PyScene py_scene(const Array& means, const Array& quats, const Array& scales, const Array& opacities,
+                 const std::optional<Array>& ties, bool many_views, int threads) {
     const auto count = int64_t(means.ndim() > 0 ? means.shape(0) : 0);
     if (count >= std::numeric_limits<int32_t>::max()) throw std::invalid_argument("too many Gaussians for one view");
+    PyScene made{{count, data_of<float>(means, "means", {count, 3}), data_of<float>(quats, "quats", {count, 4}),
+                  data_of<float>(scales, "scales", {count, 3}), data_of<float>(opacities, "opacities", {count}),
+                  ties ? data_of<int64_t>(*ties, "ties", {count}) : nullptr},
+                 {}};
+    if (!many_views) return made;
+    made.blocks = without_lock([&] { return blocks_of(made.scene, sane(threads), python_signals()); });
+    made.scene.blocks = made.blocks.data();
+    return made;
+}
+
+View py_look(const PyScene& made, const Array& viewmat, std::tuple<double, double, double, double> intrinsics,
+             int64_t width, int64_t height, std::tuple<double, double, double> near_alpha_max_stop, bool stop_inclusive,
+             bool centred_clamp, int threads) {
     check_size(width, height);
-    const Scene scene{count, data_of<float>(means, "means", {count, 3}), data_of<float>(quats, "quats", {count, 4}),
-                      data_of<float>(scales, "scales", {count, 3}), data_of<float>(opacities, "opacities", {count}),
-                      ties ? data_of<int64_t>(*ties, "ties", {count}) : nullptr};
     Camera camera{};
     std::copy_n(data_of<double>(viewmat, "viewmat", {3, 4}), 12, camera.viewmat);
     std::tie(camera.fx, camera.fy, camera.cx, camera.cy) = intrinsics;
@@ -55,7 +69,7 @@ View py_look(const Array& means, const Array& quats, const Array& scales, const 
     if (!(near >= 0 && alpha_max > 0 && alpha_max <= 1 && stop > 0 && stop < 1))
         throw std::invalid_argument("near must be 0 or more, alpha_max and stop within 0 .. 1");
     const Preset preset{near, float(alpha_max), float(stop), stop_inclusive, centred_clamp};
-    return without_lock([&] { return look(scene, camera, preset, sane(threads), python_signals()); });
+    return without_lock([&] { return look(made.scene, camera, preset, sane(threads), python_signals()); });
 }
 
 LabelMaps label_maps(const View& view, const Array& labels) {
@@ -276,9 +290,18 @@ void bind_raster(nb::module_& m) {
         .def_ro("n_gaussians", &View::n_gaussians)
         .def_ro("n_visible", &View::n_visible)
         .def_prop_ro("n_pairs", [](const View& view) { return view.lists.size(); });
-    m.def("look", &py_look, nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"), nb::arg("viewmat"),
-          nb::arg("intrinsics"), nb::arg("width"), nb::arg("height"), nb::arg("near_alpha_max_stop"),
-          nb::arg("stop_inclusive"), nb::arg("centred_clamp"), nb::arg("ties").none(), nb::arg("threads"));
+    nb::class_<PyScene>(m, "Scene", "Gaussians to look at; for many views, 48 bytes each are worked out beforehand.")
+        .def(
+            "__init__",
+            [](PyScene* self, const Array& means, const Array& quats, const Array& scales, const Array& opacities,
+               const std::optional<Array>& ties, bool many_views, int threads) {
+                new (self) PyScene(py_scene(means, quats, scales, opacities, ties, many_views, threads));
+            },
+            nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"), nb::arg("ties").none(),
+            nb::arg("many_views"), nb::arg("threads"), nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(),
+            nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>());
+    m.def("look", &py_look, nb::arg("scene"), nb::arg("viewmat"), nb::arg("intrinsics"), nb::arg("width"), nb::arg("height"),
+          nb::arg("near_alpha_max_stop"), nb::arg("stop_inclusive"), nb::arg("centred_clamp"), nb::arg("threads"));
     m.def("region_weights", &py_region_weights, nb::arg("view"), nb::arg("labels"), nb::arg("stride"), nb::arg("threads"));
     nb::class_<Uplift>(m, "Uplift", "Adds the codes of many views to accumulators [N, levels, atoms], some views at a time.")
         .def(

@@ -1,46 +1,74 @@
-// Which Gaussian may paint in which tile.
+// Which Gaussian may paint in which tile: the tiles' lists, counted first, then filled.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
 #include <cstdint>
+#include <optional>
+#include <vector>
 
+#include "buffer.h"
+#include "depth_sort.h"
 #include "projected.h"
+#include "threads.h"
 
 namespace scoup {
 
 constexpr int kUntestedTiles = 4;
 
-inline float between(float x, float low, float high) { return std::min(std::max(x, low), high); }
+// How many Gaussians reach each tile. Kept as differences along both axes: a rectangle of tiles is four numbers,
+// whatever its size.
+class ListLengths {
+  public:
+    ListLengths(int32_t tiles_x, int32_t tiles_y)
+        : tiles_x_(tiles_x), tiles_y_(tiles_y), steps_(size_t(tiles_x + 1) * size_t(tiles_y + 1), 0) {}
 
-// Calls visit(row of tiles, first tile, one past the last) for each row of tiles that the ellipse
-// alpha >= 1/255, slightly widened, reaches; `rect` holds the tiles around it.
-template <class Visit>
-inline void visit_tiles(const Projected& p, const TileRect& rect, const Visit& visit) {
-    // An ellipse inside one row or one column of tiles reaches every tile of its rectangle. A few tiles more or less are
-    // not worth the square roots: the tile loop finds out by itself.
-    const int width = rect.x1 - rect.x0, height = rect.y1 - rect.y0;
-    if (width < 2 || height < 2 || width * height <= kUntestedTiles) {
-        for (int row = rect.y0; row < rect.y1; ++row) visit(row, int(rect.x0), int(rect.x1));
-        return;
+    void add(int x0, int x1, int y0, int y1) {
+        uint32_t* top = steps_.data() + size_t(y0) * size_t(tiles_x_ + 1);
+        uint32_t* below = steps_.data() + size_t(y1) * size_t(tiles_x_ + 1);
+        ++top[x0], --top[x1], --below[x0], ++below[x1];
     }
-    const float radius2 = std::max(p.peak - kLog2AlphaMin, 0.0f), slope = float(p.slope);
-    const float slack = 2 * kSlack + 4 * kSlackShare * p.reach;
-    const auto half_width = [&](float dy) {
-        const float v = p.kv * dy;
-        return std::sqrt(std::max(radius2 - v * v, 0.0f)) * p.pixels + slack;
-    };
-    for (int row = rect.y0; row < rect.y1; ++row) {
-        const float top = std::max(float(row * kTile + 0.5 - p.y), -p.rise);
-        const float bottom = std::min(float(row * kTile + (kTile - 0.5) - p.y), p.rise);
-        const float dy_right = between(p.tip, top, bottom), dy_left = between(-p.tip, top, bottom);
-        const double right = p.x + (slope * dy_right + half_width(dy_right)) - 0.5;
-        const double left = p.x + (slope * dy_left - half_width(dy_left)) - 0.5;
-        const double first = std::floor(std::ceil(left) / kTile), last = std::floor(std::floor(right) / kTile);
-        const int x0 = first > rect.x0 ? int(std::min(first, double(rect.x1))) : rect.x0;
-        const int x1 = last + 1 < rect.x1 ? int(std::max(last + 1, double(rect.x0))) : rect.x1;
-        if (x0 < x1) visit(row, x0, x1);
-    }
-}
+    void add(const ListLengths& other);  // of the same image
+
+    // [tiles + 1], where each tile's list begins if they lie one after the other.
+    Buffer<int64_t> starts() const;
+
+  private:
+    int32_t tiles_x_, tiles_y_;
+    std::vector<uint32_t> steps_;  // they wrap around; no tile has 2^32 Gaussians
+};
+
+// The tiles of a view and the Gaussians that reach them. Slots of chunk c begin at c * stride.
+class Binning {
+  public:
+    Binning(int32_t tiles_x, int32_t tiles_y, int64_t n_chunks, int64_t stride, int n_threads);
+
+    // Where the rectangles of a chunk's slots are to be written.
+    TileRect* rects(int64_t chunk) { return rects_.data() + chunk * stride_; }
+
+    // Counts the tiles that the first `n` slots of a chunk reach. To be called once for every chunk.
+    void count(int64_t chunk, int worker, const Projected* projected, int64_t n);
+
+    // [tiles + 1], where each tile's list begins.
+    Buffer<int64_t> starts() const;
+
+    // The tiles' lists: slots by rising depth. `n_found` slots of each chunk are used, `depths` and `projected` are by slot;
+    // `ties` as in DepthSort. Throws std::logic_error if a list does not end where `starts` says; nothing is written
+    // beyond it.
+    Buffer<uint32_t> lists(const Buffer<int64_t>& starts, const std::vector<int64_t>& n_found, const float* depths,
+                           const Projected* projected, const int64_t* ties, int n_threads,
+                           const Interrupted& interrupted) const;
+
+  private:
+    class Band;
+
+    const Span* spans_of(uint32_t slot) const;
+
+    int32_t tiles_x_, tiles_y_;
+    int64_t stride_;
+    Buffer<TileRect> rects_;
+    // Of the Gaussians that do not reach all tiles of their rectangle, chunk by chunk: the range of rows, then that of each
+    // row. Their rectangles tell where that is. Kept, not worked out again to fill: count and lists must agree.
+    std::vector<std::vector<Span>> spans_;
+    std::vector<std::optional<ListLengths>> lengths_;  // of the workers
+};
 
 }  // namespace scoup

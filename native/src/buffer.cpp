@@ -1,9 +1,9 @@
 #include "buffer.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cstdlib>
-#include <mutex>
-#include <vector>
+#include <type_traits>
 
 #if defined(__linux__)
 #include <sys/mman.h>
@@ -35,49 +35,62 @@ void system_free(void* data) {
 #endif
 }
 
-// Large blocks that were given back, to be used again. The lock is only ever tried: where it is taken (by another
-// thread, or for ever in a child forked meanwhile), memory comes from the system as usual.
+// Large blocks that were given back, to be used again. Nothing here allocates or throws: blocks are given back by
+// destructors. The lock is only ever tried: where it is taken (by another thread, or for ever in a child forked
+// meanwhile), memory comes from the system as usual.
 class Kept {
   public:
     // The smallest block of at least that size, if there is one not much larger.
-    Block take(size_t bytes) {
-        const std::unique_lock<std::mutex> lock(mutex_, std::try_to_lock);
-        if (!lock) return {};
-        auto best = blocks_.end();
-        for (auto block = blocks_.begin(); block != blocks_.end(); ++block)
-            if (block->bytes >= bytes && block->bytes / 2 <= bytes && (best == blocks_.end() || block->bytes < best->bytes))
-                best = block;
-        if (best == blocks_.end()) return {};
-        const Block found = *best;
-        total_ -= found.bytes;
-        blocks_.erase(best);
-        return found;
+    Block take(size_t bytes) noexcept {
+        const Lock lock(busy_);
+        if (!lock.taken) return {};
+        int best = -1;
+        for (int i = 0; i < count_; ++i)
+            if (blocks_[i].bytes >= bytes && blocks_[i].bytes / 2 <= bytes && (best < 0 || blocks_[i].bytes < blocks_[best].bytes))
+                best = i;
+        return best < 0 ? Block{} : remove(best);
     }
 
     // False if the block is not wanted.
-    bool give(const Block& block) {
-        const std::unique_lock<std::mutex> lock(mutex_, std::try_to_lock);
-        if (!lock || block.bytes > kMostKept) return false;
-        blocks_.push_back(block);
+    bool give(const Block& block) noexcept {
+        const Lock lock(busy_);
+        if (!lock.taken || block.bytes > kMostKept) return false;
+        while (total_ + block.bytes > kMostKept) system_free(remove(0).data);  // the oldest go first
+        blocks_[count_++] = block;
         total_ += block.bytes;
-        while (total_ > kMostKept) {  // the oldest go first
-            system_free(blocks_.front().data);
-            total_ -= blocks_.front().bytes;
-            blocks_.erase(blocks_.begin());
-        }
         return true;
     }
 
   private:
-    std::mutex mutex_;
-    std::vector<Block> blocks_;
+    struct Lock {
+        explicit Lock(std::atomic_flag& flag) noexcept : busy(flag), taken(!flag.test_and_set(std::memory_order_acquire)) {}
+        ~Lock() {
+            if (taken) busy.clear(std::memory_order_release);
+        }
+        Lock(const Lock&) = delete;
+        Lock& operator=(const Lock&) = delete;
+
+        std::atomic_flag& busy;
+        const bool taken;
+    };
+
+    Block remove(int i) noexcept {
+        const Block block = blocks_[i];
+        std::copy(blocks_ + i + 1, blocks_ + count_, blocks_ + i);
+        --count_;
+        total_ -= block.bytes;
+        return block;
+    }
+
+    std::atomic_flag busy_ = ATOMIC_FLAG_INIT;
+    Block blocks_[kMostKept / kLarge];  // no block is smaller than kLarge
+    int count_ = 0;
     size_t total_ = 0;
 };
 
-Kept& kept() {
-    static Kept* blocks = new Kept;  // never destroyed: arrays handed to Python may outlive static objects
-    return *blocks;
-}
+// Never destroyed, having no destructor: arrays handed to Python may outlive static objects.
+Kept kept;
+static_assert(std::is_trivially_destructible_v<Kept>);
 
 }  // namespace
 
@@ -85,7 +98,7 @@ Block allocate(size_t bytes) {
     const size_t boundary = bytes < kLarge ? 64 : kLargePage;
     bytes = (bytes + boundary - 1) / boundary * boundary;
     if (bytes >= kLarge)
-        if (const Block block = kept().take(bytes); block.data != nullptr) return block;
+        if (const Block block = kept.take(bytes); block.data != nullptr) return block;
     void* data = system_allocate(boundary, bytes);
     if (data == nullptr) throw std::bad_alloc();
 #if defined(__linux__)
@@ -94,9 +107,9 @@ Block allocate(size_t bytes) {
     return {data, bytes};
 }
 
-void give_back(const Block& block) {
+void give_back(const Block& block) noexcept {
     if (block.data == nullptr) return;
-    if (block.bytes >= kLarge && kept().give(block)) return;
+    if (block.bytes >= kLarge && kept.give(block)) return;
     system_free(block.data);
 }
 

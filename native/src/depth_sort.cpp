@@ -1,83 +1,63 @@
 #include "depth_sort.h"
 
 #include <algorithm>
-#include <vector>
+#include <utility>
 
 namespace scoup {
-namespace {
 
-constexpr int kDigitBits = 11;
-constexpr int64_t kDigits = 1 << kDigitBits;
-
-// One stable pass of a radix sort over the digit at `shift`; parts are counted and moved side by side.
-void radix_pass(const Buffer<DepthKey>& from, Buffer<DepthKey>& to, uint64_t lowest, int shift, int64_t n_parts,
-                int n_threads, const Interrupted& interrupted) {
-    const int64_t n = from.size();
-    std::vector<int64_t> places(size_t(n_parts * kDigits), 0);
-    const auto digit = [&](DepthKey key) { return int64_t((key - lowest) >> shift) & (kDigits - 1); };
-    for_chunks(n_parts, n_threads, interrupted, [&](int64_t part, int) {
-        int64_t* count = &places[size_t(part * kDigits)];
-        for (int64_t i = n * part / n_parts; i < n * (part + 1) / n_parts; ++i) ++count[digit(from[i])];
-    });
-    int64_t place = 0;
-    for (int64_t d = 0; d < kDigits; ++d)
-        for (int64_t part = 0; part < n_parts; ++part) {
-            int64_t& here = places[size_t(part * kDigits + d)];
-            place += std::exchange(here, place);
-        }
-    for_chunks(n_parts, n_threads, interrupted, [&](int64_t part, int) {
-        int64_t* next = &places[size_t(part * kDigits)];
-        for (int64_t i = n * part / n_parts; i < n * (part + 1) / n_parts; ++i) to[next[digit(from[i])]++] = from[i];
-    });
+void DepthSort::operator()(DepthKey* keys, int64_t n, uint32_t* slots) {
+    sort(keys, n);
+    for (int64_t i = 0; i < n; ++i) slots[i] = slot_of(keys[i]);
 }
 
-// Puts the keys of each run that agrees in the sorted digits in order. Depths that are equal as floats may differ as
-// doubles.
-void order_runs(Buffer<DepthKey>& keys, uint64_t lowest, int shift, const Projected* projected, const int64_t* ties,
-                int64_t n_parts, int n_threads, const Interrupted& interrupted) {
-    const auto before = [projected, ties](DepthKey a, DepthKey b) {
-        if (a >> 32 != b >> 32) return a < b;
-        const Projected &pa = projected[slot_of(a)], &pb = projected[slot_of(b)];
-        if (pa.depth != pb.depth) return pa.depth < pb.depth;
-        return ties != nullptr ? ties[pa.id] < ties[pb.id] : pa.id < pb.id;
-    };
-    const int64_t n = keys.size();
-    const auto same_run = [&](int64_t a, int64_t b) { return (keys[a] - lowest) >> shift == (keys[b] - lowest) >> shift; };
-    std::vector<int64_t> edges(size_t(n_parts + 1), n);  // between runs
-    for (int64_t part = 0; part < n_parts; ++part) {
-        int64_t& edge = edges[size_t(part)];
-        edge = n * part / n_parts;
-        while (edge > 0 && edge < n && same_run(edge - 1, edge)) ++edge;
+// Depths that are equal as floats may differ as doubles.
+inline bool DepthSort::before(DepthKey a, DepthKey b) const {
+    if (a >> 32 != b >> 32) return a < b;
+    const Projected &pa = projected_[slot_of(a)], &pb = projected_[slot_of(b)];
+    if (pa.depth != pb.depth) return pa.depth < pb.depth;
+    return ties_ != nullptr ? ties_[pa.id] < ties_[pb.id] : pa.id < pb.id;
+}
+
+// Two passes of a radix sort order all but the last bits of the depths; what is left are short runs.
+void DepthSort::sort(DepthKey* keys, int64_t n) {
+    constexpr int64_t kFew = 48, kMany = 8192;
+    const auto in_order = [this](DepthKey a, DepthKey b) { return before(a, b); };
+    if (n < kFew) {
+        std::sort(keys, keys + n, in_order);
+        return;
     }
-    for_chunks(n_parts, n_threads, interrupted, [&](int64_t part, int) {
-        const int64_t last = edges[size_t(part + 1)];
-        for (int64_t first = edges[size_t(part)]; first < last;) {
-            int64_t end = first + 1;
-            while (end < last && same_run(first, end)) ++end;
-            if (end - first > 1) std::sort(keys.data() + first, keys.data() + end, before);
-            first = end;
-        }
-    });
-}
-
-}  // namespace
-
-void sort_by_depth(Buffer<DepthKey>& keys, const Projected* projected, const int64_t* ties, int n_threads,
-                   const Interrupted& interrupted) {
-    if (keys.size() < 2) return;
-    const auto [low, high] = std::minmax_element(keys.begin(), keys.end());
-    const uint64_t lowest = *low >> 32 << 32, span = (*high - lowest) >> 32;
-    const int64_t n_parts = std::clamp<int64_t>(keys.size() / 16384, 1, n_threads);
-    // Two passes order all but the last few bits of the depths; what is left are short runs.
+    DepthKey lowest = keys[0], highest = keys[0];
+    for (int64_t i = 1; i < n; ++i) lowest = std::min(lowest, keys[i]), highest = std::max(highest, keys[i]);
+    lowest = lowest >> 32 << 32;
     int bits = 0;
-    while (bits < 32 && span >> bits != 0) ++bits;
-    const int shift = 32 + std::max(0, bits - 2 * kDigitBits);
-    Buffer<DepthKey> other(keys.size());
-    for (int pass = 0; pass < 2; ++pass) {
-        radix_pass(keys, other, lowest, shift + pass * kDigitBits, n_parts, n_threads, interrupted);
-        std::swap(keys, other);
+    while (bits < 32 && (highest - lowest) >> 32 >> bits != 0) ++bits;
+    const int digit_bits = n < kMany ? 9 : 11;
+    const int low_shift = 32 + std::max(0, bits - 2 * digit_bits), high_shift = low_shift + digit_bits;
+    const size_t digits = size_t(1) << digit_bits;
+    const auto low = [=](DepthKey key) { return size_t((key - lowest) >> low_shift) & (digits - 1); };
+    const auto high = [=](DepthKey key) { return size_t((key - lowest) >> high_shift); };
+
+    places_.assign(2 * digits, 0);
+    uint32_t *const low_places = places_.data(), *const high_places = low_places + digits;
+    for (int64_t i = 0; i < n; ++i) ++low_places[low(keys[i])], ++high_places[high(keys[i])];
+    uint32_t low_place = 0, high_place = 0;
+    for (size_t d = 0; d < digits; ++d) {
+        low_place += std::exchange(low_places[d], low_place);
+        high_place += std::exchange(high_places[d], high_place);
     }
-    order_runs(keys, lowest, shift, projected, ties, n_parts, n_threads, interrupted);
+    if (other_.size() < size_t(n)) other_.resize(size_t(n) + size_t(n) / 4);
+    for (int64_t i = 0; i < n; ++i) other_[low_places[low(keys[i])]++] = keys[i];
+    for (int64_t i = 0; i < n; ++i) keys[high_places[high(other_[size_t(i)])]++] = other_[size_t(i)];
+
+    const auto same_run = [=](int64_t a, int64_t b) { return (keys[a] - lowest) >> low_shift == (keys[b] - lowest) >> low_shift; };
+    for (int64_t i = 1; i < n; ++i) {
+        if (keys[i - 1] >> 32 < keys[i] >> 32) continue;  // runs that happen to be in order are left alone
+        int64_t first = i - 1, end = i + 1;
+        while (first > 0 && same_run(first - 1, i)) --first;
+        while (end < n && same_run(end, i)) ++end;
+        std::sort(keys + first, keys + end, in_order);
+        i = end;
+    }
 }
 
 }  // namespace scoup

@@ -2,10 +2,9 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
-#include "buffer.h"
 #include "projected.h"
-#include "threads.h"
 
 namespace scoup {
 
@@ -19,9 +18,24 @@ inline DepthKey depth_key(float depth, uint32_t slot) {
 }
 inline uint32_t slot_of(DepthKey key) { return uint32_t(key); }
 
-// Sorts `keys` by depth in double precision; equal ones by `ties` of their rows in the scene, or where that is null by
-// the rows themselves.
-void sort_by_depth(Buffer<DepthKey>& keys, const Projected* projected, const int64_t* ties, int n_threads,
-                   const Interrupted& interrupted);
+// Sorts one list after the other; each worker needs its own.
+class DepthSort {
+  public:
+    // Slots go by their depth in double precision; equal ones by `ties` of their rows in the scene, or where that is
+    // null by the rows themselves.
+    DepthSort(const Projected* projected, const int64_t* ties) : projected_(projected), ties_(ties) {}
+
+    // Sorts `n` keys and writes their slots.
+    void operator()(DepthKey* keys, int64_t n, uint32_t* slots);
+
+  private:
+    bool before(DepthKey a, DepthKey b) const;
+    void sort(DepthKey* keys, int64_t n);
+
+    const Projected* projected_;
+    const int64_t* ties_;
+    std::vector<DepthKey> other_;
+    std::vector<uint32_t> places_;
+};
 
 }  // namespace scoup

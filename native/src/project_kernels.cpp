@@ -1,39 +1,13 @@
 #include "project_kernels.h"
 
-#include "vector.h"
+#include "doubles.h"
 
 namespace scoup::SCOUP_ISA {
 namespace {
 
-// Eight Gaussians go through together; the compiler splits the vectors where registers are shorter.
-constexpr int kGroup = 8;
-constexpr int kBatch = 64;
-using Doubles = double __attribute__((vector_size(8 * kGroup)));
-using Longs = int64_t __attribute__((vector_size(8 * kGroup)));
-using Halves = int32_t __attribute__((vector_size(4 * kGroup)));
+static_assert(kBlockRows % kGroup == 0);
 
-template <double (*function)(double)>
-SCOUP_INLINE Doubles each(Doubles x) {
-    for (int i = 0; i < kGroup; ++i) x[i] = function(x[i]);
-    return x;
-}
-SCOUP_INLINE double root(double x) { return __builtin_sqrt(x); }
-SCOUP_INLINE Doubles sqrt(Doubles x) { return each<root>(x); }
-SCOUP_INLINE Doubles at_least(Doubles x, Doubles low) { return x > low ? x : low; }
-SCOUP_INLINE Doubles at_most(Doubles x, Doubles high) { return x < high ? x : high; }
-
-// log2 of 2^-126 <= x <= 1 to 1e-15: the exponent, and atanh's series of the mantissa brought near 1.
-SCOUP_INLINE Doubles log2(Doubles x) {
-    const Longs bits = (Longs)x - 0x3fe6a09e667f3bcdLL;  // of sqrt(1/2): mantissas end up in [sqrt(1/2), sqrt(2))
-    const Longs exponent = bits >> 52;
-    const Doubles m = (Doubles)((bits & 0x000fffffffffffffLL) + 0x3fe6a09e667f3bcdLL);
-    const Doubles t = (m - 1) / (m + 1), t2 = t * t;
-    Doubles p = t2 * (1.0 / 19) + 1.0 / 17;
-    for (int odd = 15; odd > 0; odd -= 2) p = p * t2 + 1.0 / odd;
-    return __builtin_convertvector(exponent, Doubles) + (2 * kLog2E) * t * p;
-}
-
-// Which of up to kBatch rows may be visible, by their centre and largest scale alone: writes their numbers.
+// Which rows of a block, from row `at` on, may be visible, by their centre and largest scale alone.
 struct Sieve {
     const Camera& camera;
     double near;
@@ -45,64 +19,26 @@ struct Sieve {
         spread_y = kReach * c.fy * __builtin_sqrt(1 + ray_y * ray_y);
     }
 
-    SCOUP_INLINE int operator()(const Scene& scene, int64_t first, int count, int32_t* found) const {
-        alignas(64) int32_t keep[kBatch];
-        const float* means = scene.means + 3 * first;
-        const float* scales = scene.scales + 3 * first;
-        const float* opacities = scene.opacities + first;
+    SCOUP_INLINE Longs operator()(const SceneBlock& block, int at) const {
         const double* v = camera.viewmat;
         constexpr double kBlur = 1.9;  // what the low-pass adds to a half extent: 3.34 sqrt(0.3)
         const double right = camera.width - 0.5 - camera.cx, left = camera.cx - 0.5;
         const double bottom = camera.height - 0.5 - camera.cy, top = camera.cy - 0.5;
-        for (int i = 0; i < count; ++i) {
-            const double mx = means[3 * i], my = means[3 * i + 1], mz = means[3 * i + 2];
-            const double x = v[0] * mx + v[1] * my + v[2] * mz + v[3];
-            const double y = v[4] * mx + v[5] * my + v[6] * mz + v[7];
-            const double z = v[8] * mx + v[9] * my + v[10] * mz + v[11];
-            const float s0 = __builtin_fabsf(scales[3 * i]), s1 = __builtin_fabsf(scales[3 * i + 1]);
-            const float s2 = __builtin_fabsf(scales[3 * i + 2]);
-            const float scale = s0 > s1 ? (s0 > s2 ? s0 : s2) : (s1 > s2 ? s1 : s2);
-            const double reach_x = spread_x * scale + kBlur * z, reach_y = spread_y * scale + kBlur * z;
-            // Not `|`-ed from comparisons that NaN would pass: every test must hold.
-            keep[i] = (z > near) & (opacities[i] >= float(kAlphaMin)) & (camera.fx * x + left * z + reach_x >= 0) &
-                      (camera.fx * x - right * z - reach_x <= 0) & (camera.fy * y + top * z + reach_y >= 0) &
-                      (camera.fy * y - bottom * z - reach_y <= 0);
-        }
-        int n = 0;
-        for (int i = 0; i < count; ++i) {
-            found[n] = i;
-            n += keep[i];
-        }
-        return n;
-    }
-};
-
-// Rows of the scene, one Gaussian a lane.
-struct Group {
-    Doubles mean[3], quat[4], scale[3], opacity;
-
-    SCOUP_INLINE Group(const Scene& scene, int64_t first, const int32_t* rows, int count) {
-        for (int i = 0; i < kGroup; ++i) {
-            const int64_t row = first + rows[i < count ? i : 0];
-            for (int c = 0; c < 3; ++c) mean[c][i] = scene.means[3 * row + c];
-            for (int c = 0; c < 4; ++c) quat[c][i] = scene.quats[4 * row + c];
-            for (int c = 0; c < 3; ++c) scale[c][i] = scene.scales[3 * row + c];
-            opacity[i] = scene.opacities[row];
-        }
-    }
-
-    // 0 where everything is finite, NaN elsewhere. An opacity of infinity is drawn as 1.
-    SCOUP_INLINE Doubles poison() const {
-        Doubles total{};
-        for (int c = 0; c < 3; ++c) total += mean[c] * 0 + scale[c] * 0;
-        for (int c = 0; c < 4; ++c) total += quat[c] * 0;
-        return total;
+        const Doubles mx = doubles(block.mean[0] + at), my = doubles(block.mean[1] + at), mz = doubles(block.mean[2] + at);
+        const Doubles x = v[0] * mx + v[1] * my + v[2] * mz + v[3];
+        const Doubles y = v[4] * mx + v[5] * my + v[6] * mz + v[7];
+        const Doubles z = v[8] * mx + v[9] * my + v[10] * mz + v[11];
+        const Doubles extent = doubles(block.extent + at);
+        const Doubles reach_x = spread_x * extent + kBlur * z, reach_y = spread_y * extent + kBlur * z;
+        // Not `|`-ed from comparisons that NaN would pass: every test must hold.
+        return (z > near) & (camera.fx * x + left * z + reach_x >= 0) & (camera.fx * x - right * z - reach_x <= 0) &
+               (camera.fy * y + top * z + reach_y >= 0) & (camera.fy * y - bottom * z - reach_y <= 0);
     }
 };
 
 class Projector {
   public:
-    Projector(const Camera& camera, const Preset& preset) : camera_(camera), near_(preset.near) {
+    Projector(const Camera& camera, const Preset& preset) : camera_(camera) {
         const double tan_x = 0.5 * camera.width / camera.fx, tan_y = 0.5 * camera.height / camera.fy;
         if (preset.centred_clamp) {
             low_x_ = -1.3 * tan_x, high_x_ = 1.3 * tan_x;
@@ -120,21 +56,23 @@ class Projector {
     double widest_ray_x() const { return -low_x_ > high_x_ ? -low_x_ : high_x_; }
     double widest_ray_y() const { return -low_y_ > high_y_ ? -low_y_ : high_y_; }
 
-    // Writes the visible ones of `count` Gaussians; returns how many. There must be room for one more.
-    SCOUP_INLINE int operator()(const Group& g, const int32_t* rows, int count, uint32_t first, Projected* out,
-                                TileRect* rects, float* keys) const {
+    // Writes the visible ones of the rows wanted, a register of them from row `at` on, whose numbers in the scene are
+    // `ids`; returns how many. There must be room for one more.
+    int operator()(const SceneBlock& block, int at, Longs wanted, const uint32_t* ids, Projected* out, TileRect* rects,
+                   float* depths) const {
         const double* v = camera_.viewmat;
-        const Doubles x = v[0] * g.mean[0] + v[1] * g.mean[1] + v[2] * g.mean[2] + v[3];
-        const Doubles y = v[4] * g.mean[0] + v[5] * g.mean[1] + v[6] * g.mean[2] + v[7];
-        const Doubles z = v[8] * g.mean[0] + v[9] * g.mean[1] + v[10] * g.mean[2] + v[11];
+        const Doubles mean[3] = {doubles(block.mean[0] + at), doubles(block.mean[1] + at), doubles(block.mean[2] + at)};
+        const Doubles x = v[0] * mean[0] + v[1] * mean[1] + v[2] * mean[2] + v[3];
+        const Doubles y = v[4] * mean[0] + v[5] * mean[1] + v[6] * mean[2] + v[7];
+        const Doubles z = v[8] * mean[0] + v[9] * mean[1] + v[10] * mean[2] + v[11];
         const Doubles per_depth = 1 / z;
         const Doubles ray_x = at_least(at_most(x * per_depth, high_x_ + Doubles{}), low_x_ + Doubles{});
         const Doubles ray_y = at_least(at_most(y * per_depth, high_y_ + Doubles{}), low_y_ + Doubles{});
 
         // B = J W R S, with B B^T the 2D covariance before the low-pass.
-        const Doubles norm2 = g.quat[0] * g.quat[0] + g.quat[1] * g.quat[1] + g.quat[2] * g.quat[2] + g.quat[3] * g.quat[3];
-        const Doubles two = 2 / norm2;
-        const Doubles w = g.quat[0] * two, qx = g.quat[1], qy = g.quat[2], qz = g.quat[3];
+        const Doubles qw = doubles(block.quat[0] + at), qx = doubles(block.quat[1] + at), qy = doubles(block.quat[2] + at);
+        const Doubles qz = doubles(block.quat[3] + at);
+        const Doubles two = 2 / (qw * qw + qx * qx + qy * qy + qz * qz), w = qw * two;
         const Doubles wx = w * qx, wy = w * qy, wz = w * qz;
         const Doubles xx2 = two * qx * qx, yy2 = two * qy * qy, zz2 = two * qz * qz;
         const Doubles xy2 = two * qx * qy, xz2 = two * qx * qz, yz2 = two * qy * qz;
@@ -146,8 +84,9 @@ class Projector {
             const Doubles axis_x = v[0] * rotation[0][c] + v[1] * rotation[1][c] + v[2] * rotation[2][c];
             const Doubles axis_y = v[4] * rotation[0][c] + v[5] * rotation[1][c] + v[6] * rotation[2][c];
             const Doubles axis_z = v[8] * rotation[0][c] + v[9] * rotation[1][c] + v[10] * rotation[2][c];
-            row_x[c] = (axis_x - ray_x * axis_z) * (camera_.fx * per_depth) * g.scale[c];
-            row_y[c] = (axis_y - ray_y * axis_z) * (camera_.fy * per_depth) * g.scale[c];
+            const Doubles scale = doubles(block.scale[c] + at);
+            row_x[c] = (axis_x - ray_x * axis_z) * (camera_.fx * per_depth) * scale;
+            row_y[c] = (axis_y - ray_y * axis_z) * (camera_.fy * per_depth) * scale;
         }
         const Doubles square_x = row_x[0] * row_x[0] + row_x[1] * row_x[1] + row_x[2] * row_x[2];
         const Doubles square_y = row_y[0] * row_y[0] + row_y[1] * row_y[1] + row_y[2] * row_y[2];
@@ -160,38 +99,43 @@ class Projector {
                                     kLowPass * (square_x + square_y) + kLowPass * kLowPass;
         const Doubles xx = square_x + kLowPass, yy = square_y + kLowPass;
 
-        const Doubles peak = log2(at_most(g.opacity, 1 + Doubles{}));
+        const Doubles peak = doubles(block.peak + at);
         const Doubles radius2 = 2 / kLog2E * at_least(peak - double(kLog2AlphaMin), Doubles{});
         const Doubles half_width = sqrt(radius2 * xx), half_height = sqrt(radius2 * yy);
         const Doubles centre_x = x * per_depth * camera_.fx + camera_.cx;
         const Doubles centre_y = y * per_depth * camera_.fy + camera_.cy;
         // Bounds keep absurd sizes representable as float.
         const Doubles tiny = 1e-30 + Doubles{}, vast = 1e30 + Doubles{};
-        const Doubles ku = at_least(sqrt(0.5 * kLog2E * yy / determinant), tiny);
-        const Doubles kv = at_least(sqrt(0.5 * kLog2E / yy), tiny);
-        const Doubles slope = at_least(at_most(xy / yy, vast), -vast);
+        const Doubles per_yy = 1 / yy;
+        const Doubles pixels = at_most(sqrt(2 / kLog2E * determinant * per_yy), vast), ku = 1 / pixels;
+        const Doubles kv = at_least(sqrt(0.5 * kLog2E * per_yy), tiny);
+        const Doubles slope = at_least(at_most(xy * per_yy, vast), -vast);
         // Where the right border slope dy + sqrt(R^2 - (kv dy)^2) / ku has its maximum.
         const Doubles tip = at_least(at_most(half_width * xy / xx, vast), -vast);
 
-        const Longs visible = (z > near_) & (norm2 > 0) & (g.opacity >= double(float(kAlphaMin))) &
-                              (g.poison() == 0) & (centre_x + half_width >= 0.5) &
+        const Longs visible = wanted & (centre_x + half_width >= 0.5) &
                               (centre_x - half_width <= camera_.width - 0.5) & (centre_y + half_height >= 0.5) &
                               (centre_y - half_height <= camera_.height - 0.5);
         const Doubles reach = widened(half_width), rise = widened(half_height);
         // Pixel centres lie at +0.5. The first tile may be one too many to the left or above: a bound is all it is.
         const Ranges across = tiles(centre_x - reach - 0.5, centre_x + reach - 0.5, tiles_x_);
         const Ranges along = tiles(centre_y - rise - 0.5, centre_y + rise - 0.5, tiles_y_);
-        const Doubles pixels = 1 / ku;
+        // Through memory: numbers are taken out of long vectors at a high price.
+        alignas(64) float ku_[kGroup], kv_[kGroup], peak_[kGroup], tip_[kGroup], reach_[kGroup], rise_[kGroup],
+            pixels_[kGroup], depth_[kGroup];
+        alignas(64) double x_[kGroup], y_[kGroup], slope_[kGroup], z_[kGroup];
+        alignas(64) int64_t visible_[kGroup];
+        store_singles(ku_, ku), store_singles(kv_, kv), store_singles(peak_, peak), store_singles(tip_, tip);
+        store_singles(reach_, reach), store_singles(rise_, rise), store_singles(pixels_, pixels), store_singles(depth_, z);
+        __builtin_memcpy(x_, &centre_x, sizeof x_), __builtin_memcpy(y_, &centre_y, sizeof y_);
+        __builtin_memcpy(slope_, &slope, sizeof slope_), __builtin_memcpy(z_, &z, sizeof z_);
+        __builtin_memcpy(visible_, &visible, sizeof visible_);
         int n = 0;
-        for (int i = 0; i < count; ++i) {
-            Projected& p = out[n];
-            p.x = centre_x[i], p.y = centre_y[i], p.slope = slope[i], p.depth = z[i];
-            p.ku = float(ku[i]), p.kv = float(kv[i]), p.peak = float(peak[i]), p.tip = float(tip[i]);
-            p.reach = float(reach[i]), p.rise = float(rise[i]), p.pixels = float(pixels[i]);
-            p.id = first + uint32_t(rows[i]);
+        for (int i = 0; i < kGroup; ++i) {
+            out[n] = {x_[i], y_[i], slope_[i], z_[i], ku_[i], kv_[i], peak_[i], tip_[i], reach_[i], rise_[i], pixels_[i], ids[i]};
             rects[n] = {uint16_t(across.first[i]), uint16_t(across.end[i]), uint16_t(along.first[i]), uint16_t(along.end[i])};
-            keys[n] = float(z[i]);
-            n += visible[i] != 0;  // written always, kept only if visible: cheaper than a branch
+            depths[n] = depth_[i];
+            n += visible_[i] != 0;  // written always, kept only if visible: cheaper than a branch
         }
         return n;
     }
@@ -214,29 +158,108 @@ class Projector {
     }
 
     const Camera& camera_;
-    double near_, low_x_, high_x_, low_y_, high_y_;
+    double low_x_, high_x_, low_y_, high_y_;
     int tiles_x_, tiles_y_;
 };
 
+// Gaussians of several blocks gathered in one.
+struct Gathered {
+    SceneBlock block{};
+    uint32_t ids[kBlockRows] = {};
+    int count = 0;
+
+    SCOUP_INLINE void add(const SceneBlock& from, int i, uint32_t id) {
+        for (int c = 0; c < 3; ++c) block.mean[c][count] = from.mean[c][i];
+        for (int c = 0; c < 4; ++c) block.quat[c][count] = from.quat[c][i];
+        for (int c = 0; c < 3; ++c) block.scale[c][count] = from.scale[c][i];
+        block.peak[count] = from.peak[i];
+        ids[count++] = id;
+    }
+
+    template <class Write>
+    SCOUP_INLINE void write(const Write& write) {
+        int64_t wanted[kBlockRows];
+        for (int i = 0; i < kBlockRows; ++i) wanted[i] = -(i < count);
+        if (count > 0) write(block, wanted, ids);
+        count = 0;
+    }
+};
+
 int64_t project(const Scene& scene, const Camera& camera, const Preset& preset, int64_t first, int64_t last,
-                Projected* out, TileRect* rects, float* keys) {
+                Projected* out, TileRect* rects, float* depths) {
+    constexpr int kAtOnce = 8;  // blocks that are made here
+    constexpr int kDense = 6;   // with fewer rows to project, a block is not projected as it is
     const Projector projector(camera, preset);
     const Sieve sieve(camera, preset, projector.widest_ray_x(), projector.widest_ray_y());
+    SceneBlock made[kAtOnce];
+    Gathered gathered;
     int64_t written = 0;
-    int32_t rows[kBatch];
-    for (int64_t at = first; at < last; at += kBatch) {
-        const int found = sieve(scene, at, int(last - at < kBatch ? last - at : kBatch), rows);
-        for (int i = 0; i < found; i += kGroup) {
-            const int count = smaller(found - i, kGroup);
-            const Group group(scene, at, rows + i, count);
-            written += projector(group, rows + i, count, uint32_t(at), out + written, rects + written, keys + written);
+    const auto write = [&](const SceneBlock& block, const int64_t* wanted, const uint32_t* ids) {
+        for (int at = 0; at < kBlockRows; at += kGroup) {
+            Longs rows;
+            __builtin_memcpy(&rows, wanted + at, sizeof rows);
+            written += projector(block, at, rows, ids + at, out + written, rects + written, depths + written);
+        }
+    };
+    for (int64_t at = first; at < last; ++at) {
+        const SceneBlock* block = scene.blocks + at;
+        if (scene.blocks == nullptr) {
+            const int64_t place = (at - first) % kAtOnce;
+            if (place == 0) scene_kernels.make_blocks(scene, at, at + kAtOnce < last ? at + kAtOnce : last, made);
+            block = made + place;
+        }
+        alignas(64) int64_t wanted[kBlockRows];  // -1 or 0
+        for (int i = 0; i < kBlockRows; i += kGroup) {
+            const Longs rows = sieve(*block, i);
+            __builtin_memcpy(wanted + i, &rows, sizeof rows);
+        }
+        int64_t count = 0;
+        for (const int64_t row : wanted) count -= row;
+        if (count == 0) continue;
+        uint32_t ids[kBlockRows];
+        for (int i = 0; i < kBlockRows; ++i) ids[i] = uint32_t(at * kBlockRows + i);
+        if (count >= kDense) {
+            write(*block, wanted, ids);
+            continue;
+        }
+        for (int i = 0; i < kBlockRows; ++i) {
+            if (wanted[i] == 0) continue;
+            gathered.add(*block, i, ids[i]);
+            if (gathered.count == kBlockRows) gathered.write(write);
         }
     }
+    gathered.write(write);
     return written;
+}
+
+// The geometry is that of find_painters in walk.h; rows go through side by side.
+void spans(const Projected& p, const TileRect& rect, Span* out) {
+    const int width = rect.x1 - rect.x0, height = rect.y1 - rect.y0;
+    const float dx = float(rect.x0 * kTile + 0.5 - p.x), dy = float(rect.y0 * kTile + 0.5 - p.y), slope = float(p.slope);
+    const float slack = 2 * kSlack + 4 * kSlackShare * p.reach;
+    const Floats radius2 = larger(all(p.peak - kLog2AlphaMin), Floats{});
+    const Floats none{}, whole = all(float(width)), tip = all(p.tip), rise = all(p.rise);
+    Floats lane;
+    for (int i = 0; i < kLanes; ++i) lane[i] = float(i * kTile);
+    for (int row = 0; row < height; row += kLanes) {
+        const Floats begin = lane + (dy + float(row * kTile));
+        const Floats top = larger(begin, -rise), bottom = smaller(begin + float(kTile - 1), rise);
+        const Floats dy_right = smaller(larger(tip, top), bottom), dy_left = smaller(larger(-tip, top), bottom);
+        const Floats v_right = p.kv * dy_right, v_left = p.kv * dy_left;
+        const Floats half_right = sqrt(larger(radius2 - v_right * v_right, none)) * p.pixels + slack;
+        const Floats half_left = sqrt(larger(radius2 - v_left * v_left, none)) * p.pixels + slack;
+        // From the first pixel centre of the rectangle. What is not a number counts as the whole row.
+        const Floats right = slope * dy_right + half_right - dx, left = slope * dy_left - half_left - dx;
+        const Floats first = smaller(larger((left + 1.0f) * (1.0f / kTile), none), whole);
+        const Floats end = larger(smaller(right * (1.0f / kTile) + 1.0f, whole), first);
+        const Ints firsts = __builtin_convertvector(first, Ints), ends = __builtin_convertvector(end, Ints);
+        for (int i = 0; i < kLanes && row + i < height; ++i)
+            out[row + i] = {uint16_t(rect.x0 + firsts[i]), uint16_t(rect.x0 + ends[i])};
+    }
 }
 
 }  // namespace
 
-const ProjectKernels project_kernels = {project};
+const ProjectKernels project_kernels = {project, spans};
 
 }  // namespace scoup::SCOUP_ISA

@@ -5,24 +5,17 @@
 
 #include "isa.h"
 #include "projected.h"
+#include "scene_kernels.h"
 
 namespace scoup {
 
-struct Scene {
-    int64_t count;
-    const float* means;      // [N, 3]
-    const float* quats;      // [N, 4] w, x, y, z, any norm
-    const float* scales;     // [N, 3]
-    const float* opacities;  // [N]
-    const int64_t* ties;     // [N] numbers that decide between equal depths, or null: the rows themselves
-};
-
 struct ProjectKernels {
-    // Projects rows first .. last - 1 and writes those that can paint a pixel, in the order of the rows, to out,
-    // rects and keys (depth as float). Returns how many; the arrays hold last - first + 1,
-    // of which the last one is scratch.
+    // Projects the scene's blocks first .. last - 1 and writes those Gaussians that can paint a pixel, in an order that
+    // depends on nothing else. Returns how many; the arrays hold one more than there are rows, which is scratch.
     int64_t (*project)(const Scene& scene, const Camera& camera, const Preset& preset, int64_t first, int64_t last,
-                       Projected* out, TileRect* rects, float* keys);
+                       Projected* out, TileRect* rects, float* depths);
+    // Of each row of tiles of `rect`, those that the ellipse alpha >= 1/255, slightly widened, reaches.
+    void (*spans)(const Projected& p, const TileRect& rect, Span* out);
 };
 
 SCOUP_KERNEL_TABLE(ProjectKernels, project_kernels)

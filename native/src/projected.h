@@ -1,7 +1,16 @@
 // What the rasteriser knows of a camera, and of a Gaussian once projected.
 #pragma once
 
+#include <cfloat>
 #include <cstdint>
+
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ != 0)
+#error "the compiled core must be built without -ffast-math: it relies on infinities and on what is not a number"
+#endif
+// 0: floats are worked out as floats; 16: so are they, only numbers of 16 bits differ.
+#if FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16
+#error "the compiled core must be built without excess precision (32-bit x86: -msse2 -mfpmath=sse): its bounds are of floats"
+#endif
 
 namespace scoup {
 
@@ -45,6 +54,11 @@ static_assert(sizeof(Projected) == 64, "one Gaussian is one cache line");
 // Half-open ranges of tiles around a Gaussian's ellipse.
 struct TileRect {
     uint16_t x0, x1, y0, y1;
+};
+
+// A half-open range of tiles in a row of tiles.
+struct Span {
+    uint16_t first, end;
 };
 
 // The ellipse is widened by this many pixels wherever only a bound is wanted, so that the alpha of each pixel alone

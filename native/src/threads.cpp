@@ -3,9 +3,8 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
-#include <mutex>
-#include <system_error>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace scoup {
@@ -19,7 +18,7 @@ class Run {
   public:
     Run(int64_t n_chunks, const std::function<void(int64_t, int)>& body) : n_chunks_(n_chunks), body_(body) {}
 
-    void work(int worker, const Interrupted* interrupted) {
+    void work(int worker, const Interrupted* interrupted) noexcept {
         auto asked = Clock::now();
         while (!stop_.load(std::memory_order_relaxed)) {
             const int64_t chunk = next_.fetch_add(1, std::memory_order_relaxed);
@@ -41,9 +40,9 @@ class Run {
     }
 
   private:
-    void fail(std::exception_ptr error) {
-        const std::lock_guard<std::mutex> lock(mutex_);
-        if (!error_) error_ = error;
+    // The first error is kept; it is read after all workers are done. No lock: taking one may fail, too.
+    void fail(std::exception_ptr error) noexcept {
+        if (!failed_.exchange(true)) error_ = std::move(error);
         stop_ = true;
     }
 
@@ -51,8 +50,33 @@ class Run {
     const std::function<void(int64_t, int)>& body_;
     std::atomic<int64_t> next_{0};
     std::atomic<bool> stop_{false};
-    std::mutex mutex_;
+    std::atomic<bool> failed_{false};
     std::exception_ptr error_;
+};
+
+// Threads that are waited for, whatever happens: std::thread ends the process where one is forgotten.
+class Team {
+  public:
+    explicit Team(int64_t most) { threads_.reserve(static_cast<size_t>(most)); }
+    ~Team() {
+        for (auto& thread : threads_) thread.join();
+    }
+    Team(const Team&) = delete;
+    Team& operator=(const Team&) = delete;
+
+    // False if the system gives no more threads, or no memory for one.
+    template <class Work>
+    bool start(const Work& work) {
+        try {
+            threads_.emplace_back(work);
+            return true;
+        } catch (const std::exception&) {
+            return false;
+        }
+    }
+
+  private:
+    std::vector<std::thread> threads_;
 };
 
 }  // namespace
@@ -62,17 +86,12 @@ void for_chunks(int64_t n_chunks, int n_threads, const Interrupted& interrupted,
     if (n_chunks <= 0) return;
     Run run(n_chunks, body);
     const int64_t workers = std::clamp<int64_t>(n_threads, 1, n_chunks);
-    std::vector<std::thread> others;
-    others.reserve(static_cast<size_t>(workers));
-    for (int worker = 1; worker < workers; ++worker) {
-        try {
-            others.emplace_back([&run, worker] { run.work(worker, nullptr); });
-        } catch (const std::system_error&) {
-            break;  // the system gives no more threads; those there are do the work
-        }
+    {
+        Team others(workers - 1);
+        for (int worker = 1; worker < workers; ++worker)
+            if (!others.start([&run, worker] { run.work(worker, nullptr); })) break;  // those there are do the work
+        run.work(0, &interrupted);
     }
-    run.work(0, &interrupted);
-    for (auto& other : others) other.join();
     run.rethrow();
 }
 

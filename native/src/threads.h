@@ -22,7 +22,8 @@ struct Cancelled : std::exception {
 //
 // Chunks are handed out in rising order to whichever worker is free. So that results do not depend on the number
 // of threads, a body writes only what belongs to its chunk; `worker` is for scratch memory alone.
-// An exception of a body ends the call and is thrown again here.
+// An exception of a body ends the call and is thrown again here. Where the system gives fewer threads, or no memory to
+// start one, those there are do the work.
 void for_chunks(int64_t n_chunks, int n_threads, const Interrupted& interrupted,
                 const std::function<void(int64_t chunk, int worker)>& body);
 

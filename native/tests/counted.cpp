@@ -40,6 +40,7 @@ class Numbers {
 // A cloud in front of the camera, of sizes and opacities as in trained scenes.
 struct Work {
     std::vector<float> means, quats, scales, opacities;
+    scoup::Buffer<scoup::SceneBlock> blocks;
     scoup::Camera camera{};
     scoup::Preset preset{0.2, 0.99f, 1e-4f, false, true};
     std::vector<float> colours, code_weights, region_code_weights, grams, scores;
@@ -60,6 +61,7 @@ struct Work {
             opacities.push_back(float(numbers.uniform(0.05, 1)));
         }
         fill(quats, 4 * kGaussians, -1, 1);
+        blocks = scoup::blocks_of(unprepared(), 1, kNever);
         for (int i = 0; i < 3; ++i) camera.viewmat[5 * i] = 1;
         camera.fx = camera.fy = kWidth / 1.5;
         camera.cx = kWidth / 2.0, camera.cy = kHeight / 2.0;
@@ -81,8 +83,13 @@ struct Work {
     }
 
     scoup::View look() const {
-        return scoup::look({kGaussians, means.data(), quats.data(), scales.data(), opacities.data(), nullptr}, camera, preset, 1,
-                           kNever);
+        scoup::Scene scene = unprepared();
+        scene.blocks = blocks.data();
+        return scoup::look(scene, camera, preset, 1, kNever);
+    }
+
+    scoup::Scene unprepared() const {
+        return {kGaussians, means.data(), quats.data(), scales.data(), opacities.data(), nullptr};
     }
 };
 

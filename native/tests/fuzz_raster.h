@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <map>
 
+#include "binning.h"
 #include "fuzz_scene.h"
 #include "region_weights.h"
 #include "render.h"
@@ -37,6 +38,49 @@ inline void check_view(const View& view, const SceneArrays& scene) {
                   "look: not front to back");
         }
     }
+}
+
+// Lists that are not as long as they were counted to be are refused, and nothing is written outside of them.
+inline void fuzz_binning(Random& random, const SceneArrays& arrays, const Camera& camera, const Preset& preset, int threads) {
+    const auto& kernels = pick(baseline::project_kernels, v3::project_kernels, v4::project_kernels);
+    const int64_t count = arrays.count(), stride = count + 1;
+    const int32_t tiles_x = (camera.width + kTile - 1) / kTile, tiles_y = (camera.height + kTile - 1) / kTile;
+    const int64_t n_tiles = int64_t(tiles_x) * tiles_y;
+    Buffer<Projected> projected(stride);
+    Exact<float> depths(random, stride);
+    Binning binning(tiles_x, tiles_y, 1, stride, 1);
+    const int64_t found =
+        kernels.project(arrays.scene(), camera, preset, 0, arrays.scene().n_blocks(), projected.data(), binning.rects(0), depths.data());
+    std::vector<int64_t> rectangles(size_t(n_tiles), 0);  // without spans, a bound of what is counted
+    for (int64_t i = 0; i < found; ++i) {
+        const TileRect& rect = binning.rects(0)[i];
+        check(rect.x0 <= rect.x1 && rect.y0 <= rect.y1 && rect.x1 <= tiles_x && rect.y1 <= tiles_y, "bin: no rectangle");
+        for (int y = rect.y0; y < rect.y1; ++y)
+            for (int x = rect.x0; x < rect.x1; ++x) ++rectangles[size_t(y) * size_t(tiles_x) + size_t(x)];
+    }
+    binning.count(0, 0, projected.data(), found);
+    Buffer<int64_t> starts = binning.starts();
+    for (int64_t tile = 0; tile < n_tiles; ++tile) {
+        const int64_t length = starts[tile + 1] - starts[tile];
+        check(length >= 0 && length <= rectangles[size_t(tile)], "bin: more than the rectangles hold");
+    }
+    const auto fill = [&] { return binning.lists(starts, {found}, depths.data(), projected.data(), nullptr, threads, never); };
+    check(fill().size() == starts[n_tiles], "bin: lists have holes");
+
+    const int64_t place = random.between(1, n_tiles);
+    const int64_t change = place < n_tiles && random.chance(0.5) ? starts[place - 1] - starts[place] : random.between(1, 5);
+    if (change == 0) return;
+    for (int64_t tile = place; tile <= n_tiles; ++tile) {
+        if (tile == place || random.chance(0.5)) starts[tile] += change;
+        starts[tile] = std::max(starts[tile], starts[tile - 1]);
+    }
+    bool refused = false;
+    try {
+        fill();
+    } catch (const std::logic_error&) {
+        refused = true;
+    }
+    check(refused, "bin: lists of another length than counted");
 }
 
 inline void check_same_view(const View& a, const View& b, const std::string& what) {
@@ -381,7 +425,12 @@ inline void fuzz_raster(Random& random) {
     double seconds = 0;
     seconds = seconds_of([&] { check_same_view(view, see(1, never), "look: threads"); });
     if (random.chance(0.05)) interrupt(random, seconds, [&](const Interrupted& stop) { see(threads, stop); });
+    const Buffer<SceneBlock> blocks = blocks_of(arrays.scene(), threads, never);
+    Scene prepared = arrays.scene();
+    prepared.blocks = blocks.data();
+    check_same_view(view, look(prepared, camera, preset, threads, never), "look: prepared");
 
+    fuzz_binning(random, arrays, camera, preset, threads);
     const Channels alpha = channels_of(random, view, Exact<float>(), 0, threads);
     for (int64_t i = 0; i < alpha.alpha.size(); ++i)
         check(alpha.alpha[i] >= 0 && alpha.alpha[i] <= 1, "alpha: not within 0 .. 1");

@@ -1,6 +1,9 @@
-// Several threads at once in the core, on one view and on their own; made to be run under a sanitizer for threads.
+// Several threads at once in the core, on one view and on their own, and threads for which there is no memory; made to be
+// run under a sanitizer for threads.
+#include <atomic>
 #include <cstdio>
 
+#include "failing_memory.h"
 #include "fuzz_coder.h"
 #include "fuzz_raster.h"
 
@@ -32,9 +35,75 @@ std::vector<float> work(const scoup::SceneArrays& arrays, const scoup::Camera& c
     return answers;
 }
 
+// Memory runs out at the first, the second, ... allocation of the calling thread: either all is done or it is
+// std::bad_alloc, and all threads are at an end.
+template <class Work>
+void until_memory_suffices(const Work& work) {
+    for (int successes = 0;; ++successes) {
+        try {
+            const scoup::FailingMemory failing(successes);
+            work();
+            if (scoup::allocations_left > 0) return;
+        } catch (const std::bad_alloc&) {
+        }
+    }
+}
+
+void threads_without_memory() {
+    constexpr int64_t kChunks = 50;
+    until_memory_suffices([] {
+        std::atomic<int> running{0}, done{0};
+        const auto body = [&](int64_t, int) {
+            ++running;
+            std::this_thread::sleep_for(std::chrono::microseconds(20));
+            ++done;
+            --running;
+        };
+        try {
+            scoup::for_chunks(kChunks, 8, scoup::never, body);
+            scoup::check(done == kChunks, "threads: chunks are left out where memory is scarce");
+        } catch (const std::bad_alloc&) {
+            scoup::check(running == 0 && done == 0, "threads: work was begun without its workers");
+            throw;
+        }
+    });
+    // Errors of bodies in all threads at once: one of them comes out.
+    for (int round = 0; round < 50; ++round) {
+        bool thrown = false;
+        try {
+            scoup::for_chunks(8, 4, scoup::never, [](int64_t chunk, int) { throw std::out_of_range(std::to_string(chunk)); });
+        } catch (const std::out_of_range&) {
+            thrown = true;
+        }
+        scoup::check(thrown, "threads: an error got lost");
+    }
+}
+
+void views_without_memory(const scoup::SceneArrays& arrays, const scoup::Camera& camera) {
+    const scoup::Preset preset{0.2, 0.99f, 1e-4f, false, true};
+    const scoup::View expected = scoup::look(arrays.scene(), camera, preset, 1, scoup::never);
+    until_memory_suffices([&] {
+        const scoup::View view = scoup::look(arrays.scene(), camera, preset, 3, scoup::never);
+        const int left = std::exchange(scoup::allocations_left, -1);  // the comparison may allocate
+        scoup::check_same_view(view, expected, "look: memory is scarce");
+        scoup::allocations_left = left;
+    });
+}
+
+// Large blocks are given back by destructors where there is no memory.
+void blocks_without_memory() {
+    std::vector<scoup::Buffer<char>> blocks;
+    for (int i = 0; i < 200; ++i) blocks.emplace_back(int64_t(4 + i % 5) << 20);
+    const scoup::FailingMemory failing(0);
+    while (!blocks.empty()) blocks.pop_back();
+    for (int i = 0; i < 200; ++i) const scoup::Buffer<char> again(int64_t(4 + i % 5) << 20);
+}
+
 }  // namespace
 
 int main() {
+    threads_without_memory();
+    blocks_without_memory();
     for (const char* isa : scoup::instruction_sets()) {
         scoup::use_isa(isa);
         scoup::Random random(1);
@@ -44,6 +113,8 @@ int main() {
         for (int i = 0; i < 3; ++i) camera.viewmat[5 * i] = 1;
         camera.fx = camera.fy = 100, camera.cx = 65, camera.cy = 35;
         const scoup::View shared = scoup::look(arrays.scene(), camera, {0.2, 0.99f, 1e-4f, false, true}, 3, scoup::never);
+
+        views_without_memory(arrays, camera);
 
         std::vector<std::vector<float>> answers(kCallers);
         std::vector<std::string> errors(kCallers);

@@ -52,8 +52,8 @@ class RegionMap:
 
 
 def resize_labels(labels: Tensor, width: int, height: int) -> Tensor:
-    """Nearest-neighbour resampling of [H, W] labels to [height, width]: the pixel under each new pixel's centre."""
-    rows, columns = labels.shape
+    """Nearest-neighbour resampling of [..., H, W] labels to [..., height, width]: the pixel under each new centre."""
+    rows, columns = labels.shape[-2:]
     if (columns, rows) == (width, height):
         return labels
     take_rows = (
@@ -62,7 +62,7 @@ def resize_labels(labels: Tensor, width: int, height: int) -> Tensor:
     take_columns = (
         ((torch.arange(width, dtype=torch.float64) + 0.5) * (columns / width)).long().clamp_(max=columns - 1)
     )
-    return labels[take_rows][:, take_columns]
+    return labels[..., take_rows, :][..., take_columns]
 
 
 class Regions:
@@ -74,6 +74,8 @@ class Regions:
         load: ``load(view_name, level)`` gives the map; called each time it is needed.
         load_embeddings: ``load_embeddings(view_name, level)`` gives the embeddings [R, D] alone, where that is
             cheaper than the whole map.
+        load_labels: ``load_labels(view_name)`` gives the labels of all levels, [S, H, W] int32, checked against the
+            number of embeddings, where that is cheaper than the whole maps.
     """
 
     def __init__(
@@ -82,12 +84,14 @@ class Regions:
         view_names: Iterable[str],
         load: Callable[[str, str], RegionMap],
         load_embeddings: Callable[[str, str], Tensor] | None = None,
+        load_labels: Callable[[str], Tensor] | None = None,
     ) -> None:
         self.levels = tuple(levels)
         self.view_names = tuple(view_names)
         self._names = frozenset(self.view_names)
         self._load = load
         self._load_embeddings = load_embeddings
+        self._load_labels = load_labels
 
     @classmethod
     def from_maps(cls, maps: Mapping[str, Mapping[str, RegionMap]]) -> Regions:
@@ -115,10 +119,34 @@ class Regions:
         self._check(view_name, level)
         return self._load(view_name, level)
 
+    def load_labels(self, view_name: str, width: int, height: int) -> Tensor:
+        """The labels of all levels of a view at one image size, [S, height, width] int32; not to be changed in place.
+
+        Embeddings are not read where the labels can be had without them.
+
+        Raises:
+            UnknownNameError: there is no such view.
+            InputError: what was loaded is not a stack of label maps, one a level.
+        """
+        self._check(view_name)
+        if self._load_labels is None:
+            maps = (self._load(view_name, level).labels for level in self.levels)
+            return torch.stack([resize_labels(labels, width, height) for labels in maps])
+        labels = self._load_labels(view_name)
+        if labels.dim() != 3 or len(labels) != len(self.levels) or labels.dtype != torch.int32:
+            raise InputError(
+                f"region labels must be int32 [{len(self.levels)}, H, W], got {labels.dtype} {list(labels.shape)}"
+            )
+        return resize_labels(labels, width, height)
+
     def load_view(self, view_name: str, width: int, height: int) -> tuple[Tensor, list[Tensor]]:
         """All levels of a view at one image size: labels [S, height, width] int32, embeddings S x [R_s, D]."""
-        maps = [self.load(view_name, level).resized(width, height) for level in self.levels]
-        return torch.stack([item.labels for item in maps]), [item.embeddings for item in maps]
+        if self._load_labels is None:
+            maps = [self.load(view_name, level) for level in self.levels]
+            labels = torch.stack([resize_labels(item.labels, width, height) for item in maps])
+            return labels, [item.embeddings for item in maps]
+        labels = self.load_labels(view_name, width, height)
+        return labels, [self.load_embeddings(view_name, level) for level in self.levels]
 
     def load_embeddings(self, view_name: str, level: str) -> Tensor:
         """The embeddings [R, D] of one view and level."""
@@ -150,10 +178,10 @@ class Regions:
         for name in names:
             if name not in self:
                 raise UnknownNameError("view with regions", name, self.view_names)
-        return Regions(self.levels, names, self._load, self._load_embeddings)
+        return Regions(self.levels, names, self._load, self._load_embeddings, self._load_labels)
 
-    def _check(self, view_name: str, level: str) -> None:
+    def _check(self, view_name: str, level: str | None = None) -> None:
         if view_name not in self:
             raise UnknownNameError("view with regions", view_name, self.view_names)
-        if level not in self.levels:
+        if level is not None and level not in self.levels:
             raise UnknownNameError("level", level, self.levels)

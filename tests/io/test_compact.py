@@ -27,7 +27,7 @@ from scoup.io.compact import (
     write_compact_view,
 )
 from scoup.io.region_manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
-from scoup.regions import LEVELS
+from scoup.regions import LEVELS, resize_labels
 
 MANIFEST_OF_TESTS = RegionManifest("compact", "some/model", {"segmenter": "random"})
 
@@ -99,6 +99,18 @@ def test_labels_come_at_the_size_of_the_camera(tmp_path: Path) -> None:
     other = Cameras([cameras[0].resized(40, 24)])
     with pytest.raises(FileFormatError, match="of another shape than its image"):
         load_regions(tmp_path, other)
+
+
+def test_labels_of_all_levels_are_those_of_each(tmp_path: Path) -> None:
+    cameras = some_cameras(2)
+    write(tmp_path, cameras)
+    regions = load_regions(tmp_path, cameras)
+    for name in cameras.names:
+        expected = torch.stack([regions.load(name, level).labels for level in LEVELS])
+        assert torch.equal(regions.load_labels(name, cameras[0].width, cameras[0].height), expected)
+        labels, embeddings = regions.load_view(name, 9, 5)
+        assert torch.equal(labels, resize_labels(expected, 9, 5))
+        assert torch.equal(embeddings[1], regions.load_embeddings(name, "m"))
 
 
 def test_views_that_are_missing_or_given_up(tmp_path: Path) -> None:

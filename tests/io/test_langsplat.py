@@ -9,8 +9,16 @@ import torch
 from io_samples import some_cameras, some_regions
 
 from scoup.cameras import Cameras
-from scoup.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
-from scoup.io.langsplat import level_blocks, load_regions, save_regions
+from scoup.errors import (
+    FileFormatError,
+    InputError,
+    MissingFileError,
+    OutputExistsError,
+    ScoupWarning,
+    UnknownNameError,
+)
+from scoup.io.langsplat import load_regions, save_regions
+from scoup.io.langsplat_files import level_blocks
 from scoup.io.undistort import photograph_pixels, sample_nearest
 from scoup.regions import LEVELS, RegionMap, Regions
 
@@ -147,6 +155,49 @@ def test_column_major_files(tmp_path):
     write(tmp_path, "view_00", np.asfortranarray(planes), unit_rows(9))
     labels = load_regions(tmp_path, some_cameras(1)).load("view_00.png", "s").labels
     assert np.array_equal(labels, planes[1])
+
+
+@pytest.mark.parametrize("dtype", ["<f4", "<f2", ">i2", "<i8", "i1"])
+@pytest.mark.parametrize("distortion", [(), (0.1, -0.05)])
+def test_labels_of_all_levels_are_those_of_each(tmp_path, dtype, distortion):
+    planes = planes_of([-1, 0], [1, -1, 2, 3], [-1], [5, 7, -1])
+    write(tmp_path, "view_00", planes.astype(dtype), unit_rows(9))
+    camera = replace(some_cameras(1)[0], distortion=distortion)
+    regions = load_regions(tmp_path, [camera])
+    for width, height in ((camera.width, camera.height), (13, 7)):
+        labels = regions.load_labels("view_00.png", width, height)
+        maps = [regions.load("view_00.png", level).resized(width, height) for level in LEVELS]
+        assert labels.dtype == torch.int32
+        assert torch.equal(labels, torch.stack([item.labels for item in maps]))
+        again, embeddings = regions.select(["view_00.png"]).load_view("view_00.png", width, height)
+        assert torch.equal(again, labels)
+        for item, rows in zip(maps, embeddings, strict=True):
+            assert torch.equal(item.embeddings, rows)
+
+
+def test_labels_alone_do_not_read_embeddings(tmp_path):
+    write(tmp_path, "view_00", planes_of([0], [1, 2], [3], [-1, 4]), unit_rows(5))
+    regions = load_regions(tmp_path, some_cameras(1))
+    regions.embeddings("s")
+    (tmp_path / "view_00_f.npy").unlink()
+    assert regions.load_labels("view_00.png", 32, 24).amax((1, 2)).tolist() == [1, 0, 0]
+    with pytest.raises(UnknownNameError):
+        regions.load_labels("view_01.png", 32, 24)
+
+
+def test_files_that_change_while_they_are_open(tmp_path):
+    planes = planes_of([0], [1, 2], [3], [-1, 4])
+    write(tmp_path, "view_00", planes, unit_rows(5))
+    regions = load_regions(tmp_path, some_cameras(1))
+    regions.embeddings("s")
+    for value in (0, 3, 1e9, -2, np.nan):
+        planes[1, 5, 5] = value
+        write(tmp_path, "view_00", planes, unit_rows(5))
+        with pytest.raises(FileFormatError, match="has changed"):
+            regions.load_labels("view_00.png", 32, 24)
+    write(tmp_path, "view_00", planes, unit_rows(3))
+    with pytest.raises(FileFormatError, match="has changed"):
+        regions.load_embeddings("view_00.png", "m")
 
 
 def test_labels_follow_the_size_of_the_camera(tmp_path):

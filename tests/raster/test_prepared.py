@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
+from hypothesis import given, settings
 
+from raster.hard_scenes import any_scenes
 from raster.parity import BACKENDS
 from scoup import raster
 from scoup.codes import SparseCodes
@@ -23,6 +25,19 @@ def test_views_show_the_same(backend):
     moved = values if scene.order is None else values[scene.order]
     found, _ = raster.render_channels(raster.look(scene, camera), moved)
     assert torch.equal(found, expected)
+
+
+@settings(max_examples=40)
+@given(scene=any_scenes())
+def test_hard_scenes_show_the_same(backend, scene):
+    """Behind the camera, huge, needles, not finite, opacities of 0 and infinity; empty scenes, images of one pixel."""
+    gaussians, camera = scene
+    prepared = raster.prepare(gaussians, backend)
+    values = torch.arange(3.0 * len(gaussians)).reshape(-1, 3)
+    moved = values if prepared.order is None else values[prepared.order]
+    expected = raster.render_channels(raster.look(gaussians, camera, backend=backend), values)
+    found = raster.render_channels(raster.look(prepared, camera), moved)
+    assert all(torch.equal(a, b) for a, b in zip(found, expected, strict=True))
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.uint8, torch.uint16])

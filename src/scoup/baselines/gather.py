@@ -120,7 +120,7 @@ def gathered_sums(
     views: list[ViewSums] = []
     progress("gather", 0, len(chosen))
     for camera in chosen:
-        labels, _ = regions.load_view(camera.name, camera.width, camera.height)
+        labels = regions.load_labels(camera.name, camera.width, camera.height)
         view = raster.look(gaussians, camera, raster_preset, backend)
         centres = centre_pixels(gaussians, camera)
         parts = [_summed(rule(pairs, centres), labels) for pairs in pixel_weights(view)]

@@ -251,7 +251,10 @@ def room_regions(
     def load_embeddings(view_name: str, level: str) -> Tensor:
         return rows[level][position[view_name]]
 
-    return Regions(levels, cameras.names, load, load_embeddings)
+    def load_labels(view_name: str) -> Tensor:
+        return maps[position[view_name] % len(maps)]
+
+    return Regions(levels, cameras.names, load, load_embeddings, load_labels)
 
 
 def codes_in_space(

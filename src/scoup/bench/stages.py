@@ -156,7 +156,9 @@ def room_workload(
     return make_workload("room", gaussians, camera, labels, seed=seed, accumulators=accumulators)
 
 
-def stage_runs(work: Workload, backend: str, names: Iterable[str] = tuple(STAGES)) -> dict[str, Run]:
+def stage_runs(
+    work: Workload, backend: str, names: Iterable[str] = tuple(STAGES), prepared: bool = False
+) -> dict[str, Run]:
     """The stages as callables without arguments; each gives what its function gives.
 
     The view the later stages share is made here, so that its cost is in ``look`` alone.
@@ -165,16 +167,23 @@ def stage_runs(work: Workload, backend: str, names: Iterable[str] = tuple(STAGES
         work: what to work on.
         backend: of the rasteriser.
         names: stages, in the order wanted.
+        prepared: on the scene prepared for many views, as a build has it; what the Gaussians have moves with them.
 
     Raises:
         InputError: there is no such stage.
     """
-    view = raster.look(work.gaussians, work.camera, backend=backend)
+    scene = work.gaussians
+    if prepared:
+        scene = raster.prepare(work.gaussians, backend)
+        if (order := scene.order) is not None:
+            moved = {name: getattr(work, name)[order] for name in ("indices", "weights", "values")}
+            work = replace(work, **moved)
+    view = raster.look(scene, work.camera, backend=backend)
     ones = torch.ones(len(work.gaussians), 1, device=work.gaussians.device)
     keep = work.indices.shape[2]
     # The vote is not a function of a backend's module: where it is compiled, ``top_k`` itself decides so.
     runs: dict[str, Run] = {
-        "look": lambda: raster.look(work.gaussians, work.camera, backend=backend),
+        "look": lambda: raster.look(scene, work.camera, backend=backend),
         "alpha": lambda: raster.render_channels(view, ones),
         "sums": lambda: raster.region_weights(view, work.labels),
         "uplift": lambda: raster.uplift_view(view, work.labels, work.codes, work.accumulators),

@@ -160,8 +160,20 @@ def read_compact_labels(view: CompactView, level: str) -> NDArray[np.int32]:
     Raises:
         FileFormatError: they are damaged.
     """
+    return _read_labels(view, (level,))[0]
+
+
+def _read_labels(view: CompactView, levels: Sequence[str]) -> NDArray[np.int32]:
+    """[levels, H, W] labels as stored; the file is opened once."""
     with _opened(view.path) as stream:
-        packed = stream.get_tensor(f"labels.{level}").tobytes()
+        packed = [stream.get_tensor(f"labels.{level}").tobytes() for level in levels]
+    labels = np.empty((len(levels), view.height, view.width), np.int32)
+    for level, data, out in zip(levels, packed, labels, strict=True):
+        _unpack(view, level, data, out)
+    return labels
+
+
+def _unpack(view: CompactView, level: str, packed: bytes, out: NDArray[np.int32]) -> None:
     kind = _label_type(view.rows[level])
     wanted = view.width * view.height * kind.itemsize
     inflate = zlib.decompressobj()
@@ -174,11 +186,12 @@ def read_compact_labels(view: CompactView, level: str) -> NDArray[np.int32]:
     if len(data) != wanted or rest or not inflate.eof:
         raise FileFormatError(view.path, "has labels of another size than it says", REMEDY)
     steps = np.frombuffer(data, kind).reshape(view.height, view.width)
-    labels = np.bitwise_xor.accumulate(steps, axis=0).astype(np.int64) - 1
-    if labels.max() >= view.rows[level]:
-        problem = f"level {level!r} has labels up to {labels.max()} for {view.rows[level]} embeddings"
+    values = np.bitwise_xor.accumulate(steps, axis=0)  # labels plus one
+    highest = int(values.max()) - 1
+    if highest >= view.rows[level]:
+        problem = f"level {level!r} has labels up to {highest} for {view.rows[level]} embeddings"
         raise FileFormatError(view.path, problem, REMEDY)
-    return labels.astype(np.int32)
+    np.subtract(values, 1, out=out, dtype=np.int32, casting="unsafe")
 
 
 def read_compact_embeddings(view: CompactView, level: str) -> NDArray[np.floating]:
@@ -221,7 +234,11 @@ def load_compact(folder: Path, cameras: Sequence[Camera]) -> Regions:
         view = views[name][1]
         return unit_rows(view.path, read_compact_embeddings(view, level))
 
-    return Regions(LEVELS, views, load, embeddings)
+    def labels(name: str) -> torch.Tensor:
+        camera, view = views[name]
+        return at_camera(torch.from_numpy(_read_labels(view, LEVELS)), camera)
+
+    return Regions(LEVELS, views, load, embeddings, labels)
 
 
 def _label_type(rows: int) -> np.dtype:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,15 @@ from scoup.cameras import Camera, Cameras
 from scoup.errors import FileFormatError, InputError
 from scoup.io.atomic import atomic_file, check_output
 from scoup.io.compact import holds_compact, load_compact
-from scoup.io.npy import open_npy
-from scoup.io.reading import MAX_IMAGE_SIDE, existing_folder
+from scoup.io.langsplat_files import (
+    FILE_LEVELS,
+    copy_labels,
+    level_blocks,
+    open_langsplat_view,
+    open_planes,
+    open_rows,
+)
+from scoup.io.reading import existing_folder
 from scoup.io.region_views import (
     FOLDER_NAME,
     at_camera,
@@ -32,8 +38,6 @@ from scoup.io.region_views import (
 )
 from scoup.io.region_views import REMEDY as _REMEDY
 from scoup.regions import LEVELS, RegionMap, Regions
-
-FILE_LEVELS = ("default", *LEVELS)  # order of the planes and of the row blocks
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,7 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
         views,
         load=lambda name, level: _load_map(views[name], level),
         load_embeddings=lambda name, level: _load_embeddings(views[name], level),
+        load_labels=lambda name: _load_labels(views[name], LEVELS),
     )
 
 
@@ -166,91 +171,6 @@ def write_langsplat_view(
     return sum(array.nbytes for array in arrays.values())
 
 
-def level_blocks(path: Path, planes: np.ndarray, rows: int) -> dict[str, slice]:
-    """Which embedding rows belong to which level, told from the label values.
-
-    Levels are consecutive blocks in the order of ``FILE_LEVELS``. Rows that no pixel names belong to the
-    level before them.
-
-    Args:
-        path: the file, for messages.
-        planes: [4, H, W] labels, global row numbers or -1.
-        rows: M, the number of embeddings.
-
-    Raises:
-        FileFormatError: labels are not whole numbers from -1 to M - 1, or the levels overlap.
-    """
-    starts: list[int] = []
-    end = 0
-    for name, plane in zip(FILE_LEVELS, planes, strict=True):
-        used = _used_range(path, plane, name, rows)
-        if used is None:
-            starts.append(-1)
-            continue
-        if used[0] < end:
-            raise FileFormatError(
-                path,
-                f"level {name!r} starts at row {used[0]}, inside the level before (up to row {end - 1})",
-                "its values must be global row numbers, each level after the one before; " + _REMEDY,
-            )
-        starts.append(used[0])
-        end = used[1] + 1
-    # Rows before the first pixel belong to "default"; an empty level has no rows, those after it decide.
-    starts[0] = 0
-    bounds = [*starts, rows]
-    for position in range(len(starts) - 1, 0, -1):
-        if bounds[position] < 0:
-            bounds[position] = bounds[position + 1]
-    return {name: slice(*block) for name, block in zip(FILE_LEVELS, pairwise(bounds), strict=True)}
-
-
-def _used_range(path: Path, plane: np.ndarray, name: str, rows: int) -> tuple[int, int] | None:
-    values = np.asarray(plane)
-    if values.dtype.kind == "f":
-        with np.errstate(invalid="ignore"):
-            whole = bool((np.floor(values) == values).all())
-        if not whole or not np.isfinite(values).all():
-            raise FileFormatError(path, f"level {name!r} has labels that are not whole numbers", _REMEDY)
-    low, high = int(values.min()), int(values.max())
-    if low < -1 or high >= rows:
-        embeddings = path.name.replace("_s.npy", "_f.npy")
-        raise FileFormatError(
-            path,
-            f"level {name!r} has labels from {low} to {high}, but {embeddings} has {rows} embeddings",
-            "the two files do not belong together; " + _REMEDY,
-        )
-    if high < 0:
-        return None
-    return (low if low >= 0 else int(values[values >= 0].min())), high
-
-
-def open_langsplat_view(stem: Path) -> tuple[Path, np.ndarray, np.ndarray]:
-    """The files of one view, mapped, their headers checked: path of the labels, labels [4, H, W], rows [M, D].
-
-    Args:
-        stem: folder and name without ending.
-
-    Raises:
-        MissingFileError, FileFormatError: a file is not there, or is no such file.
-    """
-    labels, embeddings = stem.with_name(f"{stem.name}_s.npy"), stem.with_name(f"{stem.name}_f.npy")
-    planes, rows = open_npy(labels, "region labels"), open_npy(embeddings, "region embeddings")
-    sides = planes.shape[1:]
-    if (
-        planes.ndim != 3
-        or len(planes) != len(FILE_LEVELS)
-        or not all(1 <= side <= MAX_IMAGE_SIDE for side in sides)
-    ):
-        problem = f"has shape {list(planes.shape)}, expected [4, height, width]"
-        raise FileFormatError(labels, problem, _REMEDY)
-    if rows.ndim != 2 or rows.dtype.kind != "f" or (len(rows) and not rows.shape[1]):
-        problem = (
-            f"has shape {list(rows.shape)} of {rows.dtype}, expected floating point [regions, dimensions]"
-        )
-        raise FileFormatError(embeddings, problem, _REMEDY)
-    return labels, planes, rows
-
-
 def _check_headers(views: list[_Files]) -> None:
     first: tuple[int, Path] | None = None
     for files in views:
@@ -266,28 +186,41 @@ def _check_headers(views: list[_Files]) -> None:
         first = first or (rows.shape[1], files.embeddings)
 
 
-def _blocks(files: _Files, planes: np.ndarray, rows: int) -> dict[str, slice]:
+def _blocks(files: _Files) -> dict[str, slice]:
+    """The row blocks of the levels; both files are read and checked for them, once."""
     with files.lock:
         if not files.blocks:
-            files.blocks.update(level_blocks(files.labels, planes, rows))
+            path, planes, rows = open_langsplat_view(files.stem)
+            files.blocks.update(level_blocks(path, planes, len(rows)))
         return files.blocks
 
 
-def _open(files: _Files) -> tuple[np.ndarray, np.ndarray, dict[str, slice]]:
-    _, planes, rows = open_langsplat_view(files.stem)
-    return planes, rows, _blocks(files, planes, len(rows))
-
-
 def _load_embeddings(files: _Files, level: str) -> Tensor:
-    _, rows, blocks = _open(files)
-    return unit_rows(files.embeddings, rows[blocks[level]])
+    block = _blocks(files)[level]
+    rows = open_rows(files.embeddings)
+    if block.stop > len(rows):
+        raise _changed(files.embeddings)
+    return unit_rows(files.embeddings, rows[block])
+
+
+def _load_labels(files: _Files, levels: Sequence[str]) -> Tensor:
+    """[levels, H, W] int32 labels at the camera's size; embeddings are not read once the blocks are known."""
+    blocks = _blocks(files)
+    planes = open_planes(files.labels)
+    labels = np.empty((len(levels), *planes.shape[1:]), np.int32)
+    for number, level in enumerate(levels):
+        block = blocks[level]
+        if not copy_labels(planes[FILE_LEVELS.index(level)], block, labels[number]):
+            raise _changed(files.labels)
+    return at_camera(torch.from_numpy(labels), files.camera)
+
+
+def _changed(path: Path) -> FileFormatError:
+    return FileFormatError(path, "has changed since it was opened", "open the features again")
 
 
 def _load_map(files: _Files, level: str) -> RegionMap:
-    planes, rows, blocks = _open(files)
-    plane = np.array(planes[FILE_LEVELS.index(level)], dtype=np.int32)
-    labels = torch.from_numpy(np.where(plane >= 0, plane - blocks[level].start, -1).astype(np.int32))
-    return RegionMap(at_camera(labels, files.camera), unit_rows(files.embeddings, rows[blocks[level]]))
+    return RegionMap(_load_labels(files, (level,))[0], _load_embeddings(files, level))
 
 
 def _save_array(array: np.ndarray, path: Path, overwrite: bool) -> None:

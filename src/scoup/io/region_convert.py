@@ -17,7 +17,8 @@ from scoup.io.compact import (
     read_compact_view,
     write_compact_view,
 )
-from scoup.io.langsplat import FILE_LEVELS, level_blocks, open_langsplat_view, write_langsplat_view
+from scoup.io.langsplat import write_langsplat_view
+from scoup.io.langsplat_files import FILE_LEVELS, level_blocks, open_langsplat_view
 from scoup.io.reading import existing_folder
 from scoup.io.region_manifest import MANIFEST, Layout, RegionManifest, read_manifest, write_manifest
 from scoup.io.region_views import FOLDER_NAME, view_files

@@ -88,10 +88,12 @@ def check_aspect(path: Path, width: int, height: int, camera: Camera) -> None:
 
 
 def at_camera(labels: Tensor, camera: Camera) -> Tensor:
-    """Labels [H, W] of the photograph at the camera's size: nearest neighbour, undistorted where it says so."""
+    """Labels [..., H, W] of the photograph at the camera's size: nearest neighbour, undistorted where it says so."""
     if camera.distortion:
-        pixels = photograph_pixels(camera, labels.shape[1], labels.shape[0])
-        return sample_nearest(labels, pixels, outside=-1)
+        pixels = photograph_pixels(camera, labels.shape[-1], labels.shape[-2])
+        maps = labels.reshape(-1, *labels.shape[-2:])
+        found = torch.stack([sample_nearest(item, pixels, outside=-1) for item in maps])
+        return found.reshape(*labels.shape[:-2], *found.shape[-2:])
     return resize_labels(labels, camera.width, camera.height)
 
 

@@ -21,7 +21,7 @@ import os
 import warnings
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, TypeAlias, Union
+from typing import TYPE_CHECKING, Any, TypeAlias, Union
 
 import torch
 from torch import Tensor
@@ -94,11 +94,13 @@ class PreparedScene:
         gaussians: the rows in the order that suits the backend; of their colours only the constant part.
         order: [N] int64, the row of the original scene that each of them is; None where nothing was moved.
         backend: its name.
+        handle: what the backend has worked out for all views, 48 bytes a Gaussian with "native"; None if nothing.
     """
 
     gaussians: Gaussians
     order: Tensor | None
     backend: str
+    handle: Any = None
 
     def restored(self, rows: Tensor) -> Tensor:
         """``rows`` [N, ...], one for each Gaussian of this scene, in the order of the original scene."""
@@ -113,7 +115,8 @@ class PreparedScene:
 
 
 def prepare(gaussians: Gaussians, backend: str | None = None) -> PreparedScene:
-    """Bring the rows of a scene into the order that suits a backend; worth it where many views follow.
+    """Bring the rows of a scene into the order that suits a backend, and work out what all views share; worth it where
+    many views follow.
 
     Views of it know the Gaussians by their new places: accumulators and values given to them are in that order, too.
     They show exactly the same: equal depths go by the original rows.
@@ -127,7 +130,8 @@ def prepare(gaussians: Gaussians, backend: str | None = None) -> PreparedScene:
     if not module.PREPARES:
         return PreparedScene(bare, None, name)
     order = morton_order(gaussians.means)
-    return PreparedScene(bare.select(order), order, name)
+    moved = bare.select(order)
+    return PreparedScene(moved, order, name, module.make_scene(moved, order, many_views=True))
 
 
 def look(
@@ -156,9 +160,9 @@ def look(
         if backend not in (None, gaussians.backend):
             raise InputError(f"the scene was prepared for the backend {gaussians.backend!r}, not {backend!r}")
         module = importlib.import_module(BACKENDS[gaussians.backend])
-        if gaussians.order is None:
+        if gaussians.handle is None:
             return module.look(gaussians.gaussians, camera, constants)
-        return module.look(gaussians.gaussians, camera, constants, gaussians.order)
+        return module.look(gaussians.gaussians, camera, constants, gaussians.handle)
     return _backend(backend, gaussians.device)[1].look(gaussians, camera, constants)
 
 

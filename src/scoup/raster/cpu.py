@@ -48,19 +48,35 @@ class NativeView:
 
 
 MOST_PENDING = 512 << 20  # bytes
-PREPARES = True  # the order of the rows matters to caches
+PREPARES = True  # by ``make_scene``, and the order of the rows matters to caches
 
 
-def look(
-    gaussians: Gaussians, camera: Camera, preset: RasterPreset, ties: Tensor | None = None
-) -> NativeView:
-    """See ``raster.look``. ``ties`` [N] int64 decides between equal depths; by default the rows do."""
+def make_scene(gaussians: Gaussians, ties: Tensor | None = None, many_views: bool = False) -> Any:
+    """What the compiled core looks at. It refers to the tensors; with ``many_views`` it takes 48 bytes a Gaussian more.
+
+    Args:
+        gaussians: N Gaussians. What is changed in them later may or may not be seen.
+        ties: [N] int64, decides between equal depths; by default the rows do.
+        many_views: work out what does not depend on the camera now, not for every view.
+    """
     with _refusals():
-        handle = _core().look(
+        return _core().Scene(
             _array(gaussians.means),
             _array(gaussians.quats),
             _array(gaussians.scales),
             _array(gaussians.opacities),
+            None if ties is None else _array(ties, torch.int64),
+            many_views,
+            torch.get_num_threads(),
+        )
+
+
+def look(gaussians: Gaussians, camera: Camera, preset: RasterPreset, scene: Any | None = None) -> NativeView:
+    """See ``raster.look``. ``scene``: of these Gaussians, where ``make_scene`` has made it already."""
+    scene = make_scene(gaussians) if scene is None else scene
+    with _refusals():
+        handle = _core().look(
+            scene,
             _array(camera.viewmat[:3], torch.float64),
             (camera.fx, camera.fy, camera.cx, camera.cy),
             camera.width,
@@ -68,7 +84,6 @@ def look(
             (preset.near, preset.alpha_max, preset.stop),
             preset.stop_inclusive,
             preset.centred_clamp,
-            None if ties is None else _array(ties, torch.int64),
             torch.get_num_threads(),
         )
     return NativeView(len(gaussians), camera.width, camera.height, preset, handle)
