@@ -32,7 +32,8 @@ from scoup.bench.environment import in_one_line
 from scoup.bench.measure import torch_threads
 from scoup.consensus import ConsensusSettings, consensus_of, covisible
 from scoup.io import check_output
-from scoup.uplifting import RegionSums, ViewSums
+from scoup.raster import ViewSums
+from scoup.uplift.region_sums import RegionSums
 
 FLOATERS = 0.001  # share of the Gaussians
 FLOATER_REGIONS = 12  # of a view
@@ -173,7 +174,7 @@ def surface_sums(
     centres = rng.random((max(1, round(n_regions / n_views / share)), 2))
     cell = len(centres) ** -0.5
     floating = rng.random(n_gaussians) < FLOATERS
-    views: list[ViewSums] = []
+    sums = RegionSums("", torch.arange(n_gaussians), ["s"])
     places: dict[str, slice] = {}
     objects: list[np.ndarray] = []
     start = 0
@@ -198,11 +199,13 @@ def surface_sums(
         parts.append((np.repeat(floaters, many), random.ravel(), rng.random(random.size)))
         gaussian, key, values = (torch.from_numpy(np.concatenate(part)) for part in zip(*parts, strict=True))
         name = f"view {number}"
-        views.append(ViewSums(name, gaussian.long(), key.long(), values.float() + 1e-6, len(cells)))
+        level = torch.zeros_like(key)
+        sums.append(name, ViewSums.of_triplets(gaussian, level, key, values.float() + 1e-6, 1))
         places[name] = slice(start, start + len(cells))
         start += len(cells)
         objects.append(cells)
-    return RegionSums(n_gaussians, ["s"], views, [places]), torch.from_numpy(np.concatenate(objects))
+    sums.rows = [places]
+    return sums, torch.from_numpy(np.concatenate(objects))
 
 
 def _around(middle: np.ndarray, positions: np.ndarray) -> np.ndarray:

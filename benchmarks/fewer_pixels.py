@@ -2,7 +2,7 @@
 
     python -m benchmarks.fewer_pixels [--data DATA] [--repeats 5] [--threads 2] [--out FILE.json]
 
-The accumulators of all views at full size are the truth. Agreement: share of the Gaussians, weighted by how much they
+What all views at full size say is the truth. Agreement: share of the Gaussians, weighted by how much they
 paint, whose strongest atom is the same. Codes come from the "exact" solver, once for all variants.
 """
 
@@ -22,10 +22,11 @@ from torch import Tensor
 
 import scoup
 from benchmarks.kitchen import make_features
-from scoup import raster
-from scoup.cameras import Camera
-from scoup.codes import SparseCodes
+from scoup.cameras import Camera, Cameras
+from scoup.gaussians import Gaussians
 from scoup.regions import Regions
+from scoup.uplift.taking import region_sums
+from scoup.uplift.vote import GaussianCodes, vote
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ VARIANTS = {
 
 
 def main(arguments: Arguments) -> dict[str, dict[str, float]]:
-    """Time every variant and compare its accumulators with the truth."""
+    """Time every variant and compare what it finds with the truth."""
     torch.set_num_threads(arguments.threads)
     kitchen = arguments.data / "kitchen"
     with tempfile.TemporaryDirectory() as folder:
@@ -60,7 +61,7 @@ def main(arguments: Arguments) -> dict[str, dict[str, float]]:
         gaussians = scoup.load_gaussians(kitchen / "scene" / "model.splat")
         cameras = scoup.load_cameras(kitchen)
         regions = scoup.load_regions(features, cameras)
-        found = measure(arguments, raster.prepare(gaussians), list(cameras), regions)
+        found = measure(arguments, gaussians, list(cameras), regions)
     print("| variant | time relative to all | " + " | ".join(f"agreement {s}" for s in regions.levels) + " |")
     print("|---|---|" + "---|" * len(regions.levels))
     for name, row in found.items():
@@ -72,7 +73,7 @@ def main(arguments: Arguments) -> dict[str, dict[str, float]]:
 
 
 def measure(
-    arguments: Arguments, scene: raster.PreparedScene, cameras: list[Camera], regions: Regions
+    arguments: Arguments, gaussians: Gaussians, cameras: list[Camera], regions: Regions
 ) -> dict[str, dict[str, float]]:
     """By variant: time relative to the first, and agreement with it at each level."""
     books, rows = [], []
@@ -80,50 +81,35 @@ def measure(
         embeddings, of_views = regions.embeddings(level)
         books.append(scoup.fit_codes(embeddings, solver="exact"))
         rows.append(of_views)
-    work = {}
-    for name, (step, scale) in VARIANTS.items():
-        views = []
-        for camera in cameras[::step]:
-            smaller = camera.resized(round(camera.width * scale), round(camera.height * scale))
-            labels, _ = regions.load_view(camera.name, smaller.width, smaller.height)
-            views.append(
-                (
-                    smaller,
-                    labels,
-                    [book.codes.rows(of[camera.name]) for book, of in zip(books, rows, strict=True)],
-                )
-            )
-        work[name] = views
-    seconds: dict[str, list[float]] = {name: [] for name in work}
-    accumulators: dict[str, Tensor] = {}
+    codes, codebook = [book.codes for book in books], torch.stack([book.atoms for book in books])
+    seconds: dict[str, list[float]] = {name: [] for name in VARIANTS}
+    strongest: dict[str, GaussianCodes] = {}
+    painted: list[Tensor] = []
     for _ in range(arguments.repeats):
-        for name, views in work.items():
-            out = torch.zeros(len(scene.gaussians), len(books), 64)
+        for name, (step, scale) in VARIANTS.items():
+            views = Cameras(
+                camera.resized(round(camera.width * scale), round(camera.height * scale))
+                for camera in cameras[::step]
+            )
             started = time.perf_counter()
-            lift(scene, views, out)
+            sums = region_sums(gaussians, views, regions)
+            sums.rows = [{name: places[name] for name in views.names} for places in rows]
+            strongest[name] = vote(sums, codes, codebook, keep=1)
             seconds[name].append(time.perf_counter() - started)
-            accumulators[name] = out
-    first = next(iter(work))
-    truth = accumulators[first]
+            if not painted:
+                painted = [torch.from_numpy(sums.matrix(level).sum(1)) for level in range(len(books))]
+    first = next(iter(VARIANTS))
+    truth = strongest[first]
     found = {}
-    for name, out in accumulators.items():
+    for name, codes_found in strongest.items():
         row = {"relative time": median(seconds[name]) / median(seconds[first])}
         for s, level in enumerate(regions.levels):
-            weight = truth[:, s].sum(1)
-            same = (out[:, s].argmax(1) == truth[:, s].argmax(1)) & (out[:, s].amax(1) > 0)
-            row[f"agreement {level}"] = float((weight * same).sum() / weight.sum())
+            same = (codes_found.indices[:, s, 0] == truth.indices[:, s, 0]) & (
+                codes_found.weights[:, s, 0] > 0
+            )
+            row[f"agreement {level}"] = float((painted[s] * same).sum() / painted[s].sum())
         found[name] = row
     return found
-
-
-def lift(
-    scene: raster.PreparedScene, views: list[tuple[Camera, Tensor, list[SparseCodes]]], out: Tensor
-) -> None:
-    """Add all views to the accumulators."""
-    uplift = raster.Uplift(out, scene.backend)
-    for camera, labels, codes in views:
-        uplift.add(raster.look(scene, camera), labels, codes)
-    uplift.flush()
 
 
 if __name__ == "__main__":

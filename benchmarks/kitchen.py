@@ -27,7 +27,8 @@ import scoup
 from scoup.evaluate.lerf_ovs import SceneScore, match_frames, read_labels
 from scoup.evaluate.metrics import bootstrap_interval
 from scoup.evaluate.variants import dense_variant, score_variants, sparse_variant
-from scoup.uplifting import region_sums, uplift
+from scoup.uplift.taking import region_sums
+from scoup.uplift.vote import vote
 
 METHOD, ALL_ATOMS, DENSE = "top-4 vote", "no top-K", "dense 512-d"
 
@@ -85,12 +86,12 @@ def score_kitchen(arguments: Arguments, kitchen: Path, features: Path) -> dict:
                 )
                 for rows in stacked
             ]
-        with timed(seconds, f"sums to codes, seed {seed}"):
-            accumulators = uplift(sums, [book.codes for book in books])
-        codebook = torch.stack([book.atoms for book in books])
+        codebook, codes = torch.stack([book.atoms for book in books]), [book.codes for book in books]
         for name, keep in ((METHOD, 4), (ALL_ATOMS, None)):
+            with timed(seconds, f"vote, {name}, seed {seed}"):
+                found = vote(sums, codes, codebook, 1, keep)
             variants.append(
-                sparse_variant(f"{name}, seed {seed}", gaussians, accumulators, codebook, keep, "inria")
+                sparse_variant(f"{name}, seed {seed}", gaussians, found, codebook, "inria", keep is None)
             )
 
     frames = match_frames(read_labels(kitchen / "label"), cameras)

@@ -23,7 +23,10 @@ from torch import Tensor
 from scoup import raster
 from scoup.codes import SparseCodes
 from scoup.demo import make_demo_scene
+from scoup.gaussians import Gaussians
 from scoup.raster import reference
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.vote import vote
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ def main(arguments: Arguments) -> dict[str, float]:
     stages: dict[str, Callable[[], object]] = {
         "look": lambda: reference.look(gaussians, camera, raster.PRESETS["inria"]),
         "colour render": lambda: raster.render_channels(view, colors),
-        "uplift, region sums": lambda: raster.uplift_view(view, labels, codes, torch.zeros(count, 3, 64)),
+        "uplift, region sums": lambda: vote_of_a_view(view, gaussians, labels, codes, codebook),
         "uplift, codes per pixel": lambda: per_pixel_uplift(view, labels, codes, torch.zeros(count, 192)),
         "uplift, dense 512-d": lambda: dense_uplift(view, labels, embeddings, count),
         "cosines, Gram shortcut": lambda: raster.render_cosines(view, indices, weights, codebook, queries),
@@ -87,6 +90,16 @@ def main(arguments: Arguments) -> dict[str, float]:
     if arguments.out is not None:
         arguments.out.write_text(json.dumps(medians, indent=1))
     return medians
+
+
+def vote_of_a_view(
+    view: raster.View, gaussians: Gaussians, labels: Tensor, codes: list[SparseCodes], codebook: Tensor
+) -> None:
+    """Sums over regions first, then codes."""
+    sums = RegionSums("", torch.arange(len(gaussians)), ["s", "m", "l"])
+    sums.append("view", raster.region_sums(view, labels))
+    sums.rows = [{"view": slice(0, len(level))} for level in codes]
+    vote(sums, codes, codebook, backend="reference")
 
 
 def per_pixel_uplift(

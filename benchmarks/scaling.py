@@ -39,15 +39,17 @@ from scoup.bench import (
 from scoup.bench.environment import in_one_line
 from scoup.bench.report import SPECIFICATION, milliseconds
 from scoup.bench.room import REGIONS
+from scoup.cameras import Cameras
 from scoup.codes import SparseCodes
 from scoup.io import check_output
-from scoup.uplifting import add_view, iterate_region_sums
+from scoup.uplift.taking import region_sums
+from scoup.uplift.vote import vote
 
 Key = tuple[float, str]  # size, stage
 Runs = dict[Key, Callable[[], object]]
-VIEW = ("look", "alpha", "sums", "uplift", "colors", "codes", "cosines")
-LABELS = ("sums", "uplift")
-LEVELS = ("sums", "uplift", "codes", "cosines", "vote")
+VIEW = ("look", "alpha", "sums", "colors", "codes", "cosines")
+LABELS = ("sums",)
+LEVELS = ("sums", "codes", "cosines", "vote")
 
 
 @dataclass(frozen=True)
@@ -166,31 +168,28 @@ def run_sweep(sweep: str, backend: str, arguments: Arguments) -> list[dict[str, 
 
 
 def grow_gaussians(arguments: Arguments, backend: str) -> Runs:
-    shared = torch.zeros(max(arguments.sizes), len(REGIONS), 64)
-    works = (
-        (count, room_workload(count, arguments.width, arguments.height, accumulators=shared))
-        for count in arguments.sizes
-    )
+
+    works = ((count, room_workload(count, arguments.width, arguments.height)) for count in arguments.sizes)
     return _runs(works, backend, (*VIEW, "vote"))
 
 
 def grow_pixels(arguments: Arguments, backend: str) -> Runs:
     room = make_room(arguments.n_gaussians)
-    shared = torch.zeros(arguments.n_gaussians, len(REGIONS), 64)
+
     works = []
     for zoom in arguments.zooms:
         width, height = round(arguments.width * zoom), round(arguments.height * zoom)
-        work = room_workload(len(room), width, height, gaussians=room, accumulators=shared)
+        work = room_workload(len(room), width, height, gaussians=room)
         works.append((width * height, work))
     return _runs(works, backend, VIEW)
 
 
 def grow_regions(arguments: Arguments, backend: str) -> Runs:
     room = make_room(arguments.n_gaussians)
-    shared = torch.zeros(arguments.n_gaussians, len(REGIONS), 64)
+
     size = (arguments.width, arguments.height)
     works = (
-        (count, room_workload(len(room), *size, [count] * len(REGIONS), gaussians=room, accumulators=shared))
+        (count, room_workload(len(room), *size, [count] * len(REGIONS), gaussians=room))
         for count in arguments.regions
     )
     return _runs(works, backend, LABELS)
@@ -211,12 +210,15 @@ def grow_views(arguments: Arguments, backend: str) -> Runs:
     cameras = room_cameras(most, arguments.width, arguments.height)
     regions = room_regions(cameras, dim=8)  # embeddings play no part here
     generator = torch.Generator().manual_seed(0)
-    codes = [SparseCodes.from_dense(torch.rand(count, 64, generator=generator), 4) for count in REGIONS]
-    out = torch.zeros(len(room), len(REGIONS), 64)
+    codebook = torch.randn(len(REGIONS), 64, 8, generator=generator)
 
     def lift(count: int) -> None:
-        for sums in iterate_region_sums(room, list(cameras)[:count], regions, backend=backend):
-            add_view(sums, codes, out)
+        chosen = Cameras(list(cameras)[:count])
+        sums = region_sums(room, chosen, regions.select(chosen.names), backend=backend)
+        codes = [
+            SparseCodes.from_dense(torch.rand(each * count, 64, generator=generator), 4) for each in REGIONS
+        ]
+        vote(sums, codes, codebook, backend=backend)
 
     return {(count, "lift"): lambda count=count: lift(count) for count in arguments.views}
 

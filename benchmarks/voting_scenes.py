@@ -19,7 +19,7 @@ from scoup.evaluate.lerf_ovs import LabelledFrame, match_frames, read_labels
 from scoup.evaluate.perturbations import LevelSums, gaussians_by_name, level_sums
 from scoup.gaussians import Gaussians
 from scoup.regions import Regions
-from scoup.uplifting import region_sums
+from scoup.uplift.taking import region_sums
 
 LEVELS_ASKED = ("m", "l")  # names of objects and of groups
 

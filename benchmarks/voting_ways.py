@@ -14,10 +14,10 @@ from scoup.coding import fit_codes
 from scoup.consensus import consensus_of
 from scoup.errors import InputError, UnknownNameError
 from scoup.evaluate.perturbations import LevelSums
-from scoup.pipeline import BUILD_PRESETS, BuildSettings
 from scoup.query import PRESETS, LevelChoice
-from scoup.rounds import accumulate
-from scoup.uplifting import RegionSums, top_k
+from scoup.uplift import vote as uplift
+from scoup.uplift.build import BUILD_PRESETS, BuildSettings
+from scoup.uplift.region_sums import RegionSums
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Recipe:
         n_atoms, k: L and K.
         keep: atoms of a Gaussian; None keeps all.
         consensus: regions seen by the same Gaussians agree before they are coded (``scoup.consensus``).
-        rounds: of the vote (``scoup.rounds``).
+        rounds: of the vote (``scoup.uplift.reweighting``).
         effort: of "exact".
     """
 
@@ -188,9 +188,8 @@ def vote(
     sums: RegionSums, codes: Sequence[SparseCodes], codebook: Tensor, recipe: Recipe
 ) -> tuple[Tensor, Tensor]:
     """Indices and weights [N, S, K] as a field stores them, from the codes of all regions."""
-    accumulators = accumulate(sums, codes, codebook, recipe.rounds, recipe.keep or recipe.k)
-    indices, weights = top_k(accumulators, recipe.keep)
-    return indices, weights.half()
+    found = uplift.vote(sums, codes, codebook, recipe.rounds, recipe.keep, recipe.keep or recipe.k)
+    return found.indices, found.weights.half()
 
 
 def bytes_per_gaussian(recipe: Recipe, n_levels: int, dim: int) -> float:

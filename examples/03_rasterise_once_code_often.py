@@ -1,4 +1,4 @@
-"""Rasterise a scene once and lift several codebooks with the same region sums.
+"""Rasterise a scene once and let regions vote under several codebooks with the same region sums.
 
     python examples/03_rasterise_once_code_often.py demo/scene
 
@@ -7,8 +7,9 @@ Everything after rasterising needs only the region sums: how much each Gaussian 
 
 import sys
 
+import torch
+
 import scoup
-from scoup.uplifting import top_k
 
 scene = sys.argv[1]
 gaussians = scoup.load_gaussians(scene)
@@ -19,10 +20,12 @@ sums = scoup.region_sums(gaussians, cameras, regions)
 embeddings = [regions.embeddings(level)[0] for level in regions.levels]
 for n_atoms in (32, 64):
     books = [scoup.fit_codes(rows, n_atoms, k=4) for rows in embeddings]
-    accumulators = scoup.uplift(sums, [book.codes for book in books])
-    indices, weights = top_k(accumulators, 4)
+    codebook = torch.stack([book.atoms for book in books])
+    found = scoup.vote(sums, [book.codes for book in books], codebook, rounds=2, keep=4)
     cosines = ", ".join(
         f"{level} {book.report.mean_cosine:.3f}" for level, book in zip(regions.levels, books, strict=True)
     )
-    coded = int((weights > 0).flatten(1).any(1).sum())
-    print(f"{n_atoms} atoms: mean cosine {cosines}; codes {list(indices.shape)}, {coded} Gaussians coded")
+    coded = int((found.weights > 0).flatten(1).any(1).sum())
+    print(
+        f"{n_atoms} atoms: mean cosine {cosines}; codes {list(found.indices.shape)}, {coded} Gaussians coded"
+    )

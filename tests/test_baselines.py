@@ -6,9 +6,11 @@ import torch
 
 from scoup import raster
 from scoup.baselines.dense import dense_features, dense_relevancy
+from scoup.codes import SparseCodes
 from scoup.evaluate.variants import dense_variant, sparse_variant
 from scoup.relevancy import relevancy
-from scoup.uplifting import region_sums
+from scoup.uplift.taking import region_sums
+from scoup.uplift.vote import GaussianCodes
 from support import small_scene, unit
 
 
@@ -39,20 +41,30 @@ def test_dense_relevancy_is_that_of_the_rendered_features():
     assert torch.allclose(dense_relevancy(view, features, queries, canonical), expected[0], atol=1e-6)
 
 
+def whole_codes(accumulators: torch.Tensor) -> GaussianCodes:
+    """Codes that keep every entry of [N, S, L]."""
+    levels = [SparseCodes.from_dense(level, accumulators.shape[2]) for level in accumulators.unbind(1)]
+    indices, weights = ([getattr(level, name) for level in levels] for name in ("indices", "weights"))
+    return GaussianCodes(torch.stack(indices, 1), torch.stack(weights, 1))
+
+
 def test_with_an_atom_for_every_region_sparse_uplift_is_dense_uplift():
     """Codes that are exact and a vote that keeps all lose nothing."""
     gaussians, cameras, regions = small_scene(count=80, views=2, regions=4)
     sums = region_sums(gaussians, cameras, regions)
     stacked = [regions.embeddings(level)[0] for level in regions.levels]
     accumulators = torch.stack([torch.from_numpy(sums.matrix(s).toarray()) for s in range(3)], 1)
-    sparse = sparse_variant("sparse", gaussians, accumulators, torch.stack(stacked), None, "inria")
+    codes = whole_codes(accumulators)
+    sparse = sparse_variant("sparse", gaussians, codes, torch.stack(stacked), "inria", all_kept=True)
     dense = dense_variant("dense", sums, stacked)
     # Per Gaussian the two differ by the length of its mean embedding, which dense uplift normalises away; a scene
     # of one Gaussian has no such weights to differ in.
     one = torch.zeros(80, dtype=torch.bool)
     one[int(accumulators.sum((1, 2)).argmax())] = True
     alone = gaussians.select(one)
-    single = sparse_variant("sparse", alone, accumulators[one], torch.stack(stacked), None, "inria")
+    single = sparse_variant(
+        "sparse", alone, whole_codes(accumulators[one]), torch.stack(stacked), "inria", all_kept=True
+    )
     view = raster.look(alone, cameras[0])
     queries = unit(torch.randn(3, 16))
     image = single.ask(cameras[0], view, queries, queries)

@@ -19,7 +19,7 @@ from scoup.baselines.gather import (
 from scoup.cameras import Camera
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
-from scoup.uplifting import region_sums
+from scoup.uplift.taking import region_sums
 from support import make_camera, random_gaussians, small_scene
 
 

@@ -13,9 +13,9 @@ from scoup.baselines.dense import dense_features
 from scoup.baselines.gather import gathered_sums
 from scoup.baselines.methods import METHODS, MethodSettings, find_method
 from scoup.errors import InputError, UnknownNameError
-from scoup.pipeline import BuildSettings, build
 from scoup.relevancy import relevancy
-from scoup.uplifting import region_sums
+from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.taking import region_sums
 from support import small_scene, unit
 
 SETTINGS = MethodSettings(

@@ -61,8 +61,31 @@ def codes(atom: int = 0, rows: int = 1, dtype: type = np.uint8) -> tuple[np.ndar
     return np.full((rows, 2), atom, dtype), np.ones((rows, 2), np.float32)
 
 
-def labels(levels: int = 1) -> np.ndarray:
-    return np.zeros((levels, HEIGHT, WIDTH), np.int32)
+def combinations() -> np.ndarray:
+    return np.zeros((HEIGHT, WIDTH), np.int32)
+
+
+def vote_arrays(count: int = N, entries: int = 1, seed: int = 0) -> dict[str, Any]:
+    """Arguments of a vote: each Gaussian has so many entries in one view."""
+    numbers = np.random.default_rng(seed)
+    gaussian = np.repeat(np.arange(count), entries)
+    starts = np.searchsorted(gaussian, np.arange(-(-count // 256) + 1) * 256).astype(np.uint32)
+    places = (gaussian % 256).astype(np.uint8)
+    chosen = numbers.integers(0, 5, len(gaussian)).astype(np.uint16)
+    weights = numbers.uniform(size=len(gaussian)).astype(np.float32)
+    view = (starts, places, chosen, weights, np.arange(5, dtype=np.int64)[:, None])
+    return {
+        "n_gaussians": count,
+        "grams": np.eye(8, dtype=np.float32)[None],
+        "views": [view],
+        "codes": [codes(rows=5)],
+    }
+
+
+def round_of(vote: Any, count: int = N, threads: int = 1) -> bytes:
+    indices, weights = np.zeros((count, 1, 2), np.uint8), np.zeros((count, 1, 2), np.float32)
+    vote.round(indices, weights, None, False, 0, vote.n_buckets, threads)
+    return indices.tobytes() + weights.tobytes()
 
 
 # ---- Arrays
@@ -105,10 +128,10 @@ def test_read_only_arrays_are_read_and_not_written():
     for array in read_only.values():
         array.flags.writeable = False
     assert image_of(look(**read_only)) == image_of(look())
-    out = np.zeros((N, 1, 4), np.float32)
-    out.flags.writeable = False
-    with pytest.raises(TypeError, match="out: ndarray"):
-        core.Uplift(out)
+    weights = np.zeros((N, 1, 2), np.float32)
+    weights.flags.writeable = False
+    with pytest.raises(TypeError, match="weights: ndarray"):
+        core.Vote(**vote_arrays()).round(np.zeros((N, 1, 2), np.uint8), weights, None, False, 0, 2, 1)
 
 
 @pytest.mark.parametrize(
@@ -137,13 +160,14 @@ def test_nothing_is_fine():
     image, alpha = core.render_channels(view, np.zeros((0, 3), np.float32), 1)
     assert not image.any()
     assert not alpha.any()
-    assert [len(part) for part in core.region_weights(view, labels(), 1, 1)] == [0, 0, 0]
-    assert [len(part) for part in core.region_weights(look(), labels(0), 1, 1)] == [0, 0, 0]
+    assert [len(part) for part in core.region_sums(view, combinations(), 1)] == [0, 0, 0]
+    assert [len(part) for part in core.region_sums(look(), combinations() - 1, 1)] == [0, 0, 0]
+    map_, table = core.combine(np.zeros((0, HEIGHT, WIDTH), np.int32), 1)
+    assert (map_ == -1).all()
+    assert table.shape == (0, 0)
     assert core.render_channels(look(), np.zeros((N, 0), np.float32), 1)[0].shape == (HEIGHT, WIDTH, 0)
-    uplift = core.Uplift(np.zeros((0, 1, 4), np.float32))
-    uplift.add(view, labels(), [codes()], 1)
-    uplift.flush(1)
-    assert [part.shape for part in core.vote(np.zeros((0, 4), np.float32), 2, 1)] == [(0, 2), (0, 2)]
+    assert round_of(core.Vote(**vote_arrays(0)), 0) == b""
+    assert not any(round_of(core.Vote(**vote_arrays() | {"views": []})))
 
 
 def test_renders_refuse_values_and_codes_of_another_scene():
@@ -162,50 +186,75 @@ def test_renders_refuse_values_and_codes_of_another_scene():
     scores = np.zeros((1, 8, 5), np.float32)
     with pytest.raises(ValueError, match=r"^grams must be"):
         core.render_cosines(view, indices, weights, np.zeros((1, 8, 9), np.float32), scores, 1)
-    with pytest.raises(ValueError, match="k must be"):
-        core.vote(np.zeros((3, 4), np.float32), 5, 1)
 
 
-def test_accumulators_refuse_what_does_not_fit():
-    out = np.zeros((N, 1, 4), np.float32)
-    uplift = core.Uplift(out)
-    with pytest.raises(ValueError, match="out must be"):
-        core.Uplift(np.zeros((N, 4), np.float32))
-    with pytest.raises(ValueError, match="not contiguous"):
-        core.Uplift(np.zeros((4, 1, N), np.float32).T)
-    with pytest.raises(ValueError, match="must fit the accumulators"):
-        uplift.add(look(N - 1), labels(), [codes()], 1)  # another scene
-    with pytest.raises(ValueError, match="must fit the accumulators"):
-        uplift.add(look(), labels(2), [codes(), codes()], 1)
-    with pytest.raises(ValueError, match="must fit the accumulators"):
-        uplift.add(look(), labels(), [codes(), codes()], 1)
+def test_region_sums_refuse_what_does_not_fit():
+    for bad in (combinations()[:-1], combinations().astype(np.int64), combinations()[None]):
+        with pytest.raises(ValueError, match=r"^combinations must be"):
+            core.region_sums(look(), bad, 1)
+    with pytest.raises(ValueError, match="labels must be"):
+        core.combine(combinations(), 1)
     with pytest.raises(ValueError, match=r"^labels must be"):
-        uplift.add(look(), labels()[:, :, :-1].copy(), [codes()], 1)
-    with pytest.raises(ValueError, match=r"^labels must be"):
-        uplift.add(look(), labels().astype(np.int64), [codes()], 1)
-    with pytest.raises(ValueError, match="atom 4 of 4"):
-        uplift.add(look(), labels(), [codes(4)], 1)
-    with pytest.raises(ValueError, match=r"^code indices must be"):
-        uplift.add(look(), labels(), [codes(dtype=np.int32)], 1)
-    with pytest.raises(IndexError, match="label 1 has no code"):
-        uplift.add(look(), labels() + 1, [codes()], 1)
-    uplift.flush(1)
-    assert not out.any()
+        core.combine(np.zeros((2, 3, 4), np.int64), 1)
+
+
+@pytest.mark.parametrize("place", range(5))
+@pytest.mark.parametrize("why", ["another dtype", "dimensions"])
+def test_a_vote_refuses_arrays_that_do_not_fit(place, why):
+    arguments = vote_arrays()
+    view = list(arguments["views"][0])
+    view[place] = view[place].astype(np.float64) if why == "another dtype" else view[place][None]
+    arguments["views"] = [tuple(view)]
+    with pytest.raises(ValueError, match="must be"):
+        core.Vote(**arguments)
+
+
+def test_a_vote_refuses_what_does_not_fit():
+    arguments = vote_arrays()
+    with pytest.raises(ValueError, match=r"^grams must be"):
+        core.Vote(**arguments | {"grams": np.eye(8, dtype=np.float32)[None].repeat(2, 0)})
+    with pytest.raises(ValueError, match="1 to 65536 atoms"):
+        core.Vote(**arguments | {"grams": np.zeros((1, 0, 0), np.float32)})
+    with pytest.raises(ValueError, match="atom 8 of 8"):
+        core.Vote(**arguments | {"codes": [codes(8, rows=5)]})
+    with pytest.raises(ValueError, match="damaged: region 4 has no code"):
+        core.Vote(**arguments | {"codes": [codes(rows=4)]})
+    with pytest.raises(ValueError, match="too many Gaussians"):
+        core.Vote(**arguments | {"n_gaussians": -1})
+    vote = core.Vote(**arguments)
+    indices, weights = np.zeros((N, 1, 2), np.uint8), np.zeros((N, 1, 2), np.float32)
+    for first, last in ((-1, 1), (1, 0), (0, 3), (2**62, 2**62)):
+        with pytest.raises(ValueError, match="no such buckets"):
+            vote.round(indices, weights, None, False, first, last, 1)
+    with pytest.raises(ValueError, match=r"^indices must be"):
+        vote.round(indices.astype(np.uint16), weights, None, False, 0, 2, 1)
+    with pytest.raises(ValueError, match=r"^weights must be"):
+        vote.round(indices, weights[1:], None, False, 0, 2, 1)
+    with pytest.raises(ValueError, match="k at least 1"):
+        vote.round(indices[:, :, :0].copy(), weights[:, :, :0].copy(), None, False, 0, 2, 1)
+    earlier = (indices, weights, np.ones(1, np.float32))
+    for bad in (
+        (indices + 8, *earlier[1:]),
+        (indices[1:], *earlier[1:]),
+        (*earlier[:2], np.ones(2, np.float32)),
+    ):
+        with pytest.raises(ValueError):
+            vote.deviations(bad, 0, 2, 1)
 
 
 def test_memory_outlives_whoever_asked_for_it():
     image, alpha = core.render_channels(look(), np.ones((N, 1), np.float32), 1)
     kept = alpha.copy()
-    uplift = core.Uplift(np.zeros((N, 1, 4), np.float32))  # nobody else holds the accumulators
-    uplift.add(look(), labels(), [codes()], 1)
+    vote = core.Vote(**vote_arrays())  # nobody else holds the arrays
+    expected = round_of(vote)
     gc.collect()
-    uplift.flush(1)
-    del uplift
+    assert round_of(vote) == expected
+    del vote
     assert np.array_equal(alpha, kept)
     np.testing.assert_allclose(image[..., 0], alpha, atol=1e-5)
 
 
-# ---- Long calls: a render of 400 channels in a large image, a flush of 100 views with codes of 64 entries.
+# ---- Long calls: a render of 400 channels in a large image, a vote over millions of entries.
 
 LONG = textwrap.dedent(
     """
@@ -213,21 +262,15 @@ LONG = textwrap.dedent(
     import numpy as np
     signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background ignores it
     sys.path[:0] = [os.environ["TESTS"]]
-    from test_native_safety import core, image_of, look
+    from test_native_safety import core, image_of, look, round_of, vote_arrays
 
     view = look(20000, width=1600, height=1600, intrinsics=(1600.0, 1600.0, 800.0, 800.0))
     values = np.ones((20000, 400), np.float32)
     known = image_of(look())
 
-    small = look(20000, width=320, height=240, intrinsics=(240.0, 240.0, 160.0, 120.0))
-    out = np.zeros((20000, 4, 64), np.float32)
-    uplift = core.Uplift(out)
-    weights = np.random.default_rng(0).uniform(size=(1, 64)).astype(np.float32)
-    tables = [(np.arange(64, dtype=np.uint8)[None], weights)] * 4
-
-    def add(views):
-        for _ in range(views):
-            uplift.add(small, np.zeros((4, 240, 320), np.int32), tables, 1)
+    many = vote_arrays(50_000, 200)
+    vote = core.Vote(**many)
+    voted = round_of(core.Vote(**vote_arrays()))
     """
 )
 
@@ -249,10 +292,9 @@ def test_ctrl_c_ends_a_long_call_and_leaves_the_process_usable(threads):
     script = f"""
     def render():
         core.render_channels(view, values, {threads})
-    def lift():
-        add(30)
-        uplift.flush({threads})
-    for call in (render, lift):
+    def count():
+        round_of(vote, 50_000, {threads})
+    for call in (render, count):
         for delay in (0.02, 0.2, 0.4, 0.6):
             sent = []
             def send():
@@ -265,6 +307,7 @@ def test_ctrl_c_ends_a_long_call_and_leaves_the_process_usable(threads):
             except KeyboardInterrupt:
                 print(time.monotonic() - sent[0])
             assert image_of(look()) == known
+            assert round_of(core.Vote(**vote_arrays())) == voted
     """
     done = run_script(script)
     assert done.returncode == 0, done.stderr
@@ -273,31 +316,6 @@ def test_ctrl_c_ends_a_long_call_and_leaves_the_process_usable(threads):
     # Another program may take the core away for a moment: once late is no fault.
     assert sorted(late)[-2] < 1, late
     assert max(late) < 5, late
-
-
-def test_views_can_be_added_after_an_interrupted_flush():
-    script = """
-    def sums(interrupt):
-        global uplift
-        out[:] = 0
-        uplift = core.Uplift(out)
-        add(40)
-        if interrupt:
-            threading.Timer(0.15, os.kill, (os.getpid(), 2)).start()
-            try:
-                uplift.flush(1)
-                time.sleep(1)  # a fast machine: the signal comes when all is done
-            except KeyboardInterrupt:
-                pass
-        add(1)
-        uplift.flush(1)
-        return out.copy()
-
-    print(abs(sums(True) - sums(False)).max())
-    """
-    done = run_script(script)
-    assert done.returncode == 0, done.stderr
-    assert float(done.stdout) == 0
 
 
 def test_other_python_threads_run_during_a_long_call():
@@ -387,7 +405,7 @@ def test_views_and_images_give_their_memory_back():
     def ask() -> None:
         view = look(60_000, 0, width=400, height=300)
         image_of(view, threads=2)
-        core.region_weights(view, np.zeros((2, 300, 400), np.int32), 1, 2)
+        core.region_sums(view, np.zeros((300, 400), np.int32), 2)
 
     for _ in range(5):
         ask()

@@ -11,10 +11,10 @@ from scoup import raster
 from scoup.errors import InputError
 from scoup.everyday import EVERYDAY_WORDS, LEAST_WORDS, with_everyday
 from scoup.field import LanguageField
-from scoup.pipeline import build
 from scoup.presence import answer_core, mean_embedding, scene_standing, standing, view_standing, vote_entropy
 from scoup.query import PRESETS, segment, select, select_with_level
 from scoup.relevancy import CANONICAL_PHRASES
+from scoup.uplift.build import build
 from support import small_scene, unit
 
 

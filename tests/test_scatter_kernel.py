@@ -28,12 +28,15 @@ def check_scatter(kind: str, levels: int, n_atoms: int, k: int, device: str) -> 
     codes = [SparseCodes.from_dense(torch.rand(7, n_atoms, generator=generator), k) for _ in range(levels)]
     expected = torch.rand(len(gaussians), levels, n_atoms, generator=generator)
     found = expected.to(device, copy=True)
-    raster.uplift_view(reference, labels, codes, expected)
+    sums = raster.region_sums(reference, labels)
+    for level, own in enumerate(codes):
+        gaussian, region, weight = sums.triplets(level)
+        expected[:, level].index_add_(0, gaussian, weight[:, None] * own.to_dense()[region])
     before = found.clone()
     scatter_view(view, labels.to(device), codes, found)
     assert not torch.equal(found, before), "nothing was added: proves little"
     assert_close(found.cpu(), expected, 3.0)
-    with pytest.raises(InputError, match="accumulators must be"):
+    with pytest.raises(InputError, match="sums must be"):
         scatter_view(view, labels, codes, found[:, :, 1:])
     with pytest.raises(InputError, match="labels"):
         scatter_view(view, labels[:, 1:], codes, found)

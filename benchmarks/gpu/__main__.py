@@ -1,10 +1,10 @@
 """The GPU backend measured on this machine's GPU, in one command.
 
-    python -m benchmarks.gpu [--quick] [--budget-seconds 560] [--stages rendering uplift] [--out FILE.json]
+    python -m benchmarks.gpu [--quick] [--budget-seconds 560] [--stages rendering sums] [--out FILE.json]
 
 Runs the parity suite, then times everything side by side and writes docs/benchmarks/gpu-DEVICE.json and .md: our
-relevancy, coefficient maps, features and uplift beside gsplat (`pip install gsplat`, needs nvcc; where it is missing
-the rows say so), the per-pixel scatter and the paper's whole procedure; kernels beside what the device can do;
+relevancy, coefficient maps, features and region sums beside gsplat (`pip install gsplat`, needs nvcc; where it is
+missing the rows say so), the per-pixel scatter and the paper's whole procedure; kernels beside what the device can do;
 precisions; growth. Files are written anew whenever more is known, so that stays when the run is ended. What breaks the
 device or hangs costs its own row. Runs from a checkout in which nothing is installed, with torch, triton and scipy.
 `--smoke` runs everything tiny with interpreted kernels, without a GPU: its times mean nothing.

@@ -14,10 +14,13 @@ import torch
 from torch import Tensor
 
 from benchmarks.gpu.context import PRESET, Context, look
+from benchmarks.gpu.region_sums import added_up, scatter
 from benchmarks.gpu.timing import reason
 from scoup import raster
 from scoup.bench import Workload
 from scoup.bench.room import clip_like
+from scoup.bench.stages import region_sums_of_a_view
+from scoup.uplift.vote import vote
 
 CLOSE = 1e-4  # of the greatest number: what counts as the same
 FLIPS = 2e-3  # share of the numbers that may differ: rounding decides who paints where alpha is near 1/255
@@ -31,7 +34,7 @@ def agreement(context: Context) -> None:
         "works on the CPU"
     )
     for n_atoms in sizes.n_atoms:
-        work = context.work(n_atoms, sizes.check_gaussians, sizes.check_size, accumulators=True)
+        work = context.work(n_atoms, sizes.check_gaussians, sizes.check_size)
         here = work.to("cpu")
         theirs = cache(lambda here=here: raster.look(here.gaussians, here.camera, PRESET, "reference"))
         for name, ask in questions(n_atoms == sizes.n_atoms[0]).items():
@@ -61,7 +64,7 @@ def questions(all_of_them: bool) -> dict[str, Callable[[Workload, raster.View], 
         "features": lambda work, view: raster.render_features(
             view, work.indices, work.weights, work.codebook
         ),
-        "uplift": lifted,
+        "vote on the sums of a view": voted,
         "per-pixel scatter": scattered,
     }
     if all_of_them:
@@ -70,29 +73,25 @@ def questions(all_of_them: bool) -> dict[str, Callable[[Workload, raster.View], 
     return found
 
 
-def lifted(work: Workload, view: raster.View) -> Tensor:
-    out = torch.zeros_like(work.accumulators)
-    raster.uplift_view(view, work.labels, work.codes, out)
-    return out
+def voted(work: Workload, view: raster.View) -> Tensor:
+    """[N, S, L]: all atoms are kept, so that no near tie decides which."""
+    sums = region_sums_of_a_view(work, view)
+    device, n_atoms = work.labels.device, work.codebook.shape[1]
+    found = vote(sums, work.codes, work.codebook, keep=None, backend=view.backend, device=device)
+    out = torch.zeros(len(work.gaussians), len(work.codes), n_atoms)
+    return out.scatter_add_(2, found.indices.long(), found.weights)
 
 
 def scattered(work: Workload, view: raster.View) -> Tensor:
-    """What ``lifted`` gives, by the baseline's kernel where there is one."""
-    if view.backend != "triton":
-        return lifted(work, view)
-    from scoup.baselines.scatter_kernel import scatter_view
-
-    out = torch.zeros_like(work.accumulators)
-    scatter_view(view, work.labels, work.codes, out)  # pyright: ignore[reportArgumentType]
-    return out
+    """[N, S, L] region sums times the codes of the regions, by the baseline's kernel where there is one."""
+    return scatter(work) if view.backend == "triton" else added_up(work, view)
 
 
 def summed(work: Workload, view: raster.View) -> Tensor:
-    """[N, S x regions] region sums."""
-    stride = int(work.labels.max()) + 1
-    gaussian, key, weight = raster.region_weights(view, work.labels)
-    out = torch.zeros(len(work.gaussians), len(work.labels) * stride, device=weight.device)
-    return out.index_put_((gaussian, key), weight)
+    """[N, C] region sums."""
+    found = raster.region_sums(view, work.labels)
+    out = torch.zeros(len(work.gaussians), len(found.table), device=found.weight.device)
+    return out.index_put_((found.gaussian.long(), found.combination.long()), found.weight)
 
 
 def coded(context: Context, n_atoms: int, by_kernel: bool) -> Tensor:

@@ -25,11 +25,11 @@ from scoup.coding import fit_codes
 from scoup.coding.adam import LEARNING_RATE
 from scoup.coding.kmeans import spherical_kmeans
 from scoup.gaussians import Gaussians
-from scoup.pipeline import build_settings
 from scoup.regions import Regions
-from scoup.uplifting import top_k
+from scoup.uplift.build import build_settings
 
 WARM_UP_VIEWS = 4
+ROWS_AT_ONCE = 1 << 16
 PLAIN = "the paper's solver, plain (autograd)"
 GRAM = "the paper's solver, by Gram matrices"
 SCATTER = "per-pixel scatter of all views, level after level, and vote"
@@ -164,8 +164,8 @@ def scatter_all(
     regions: Regions,
     codes: list[SparseCodes],
     places: list[dict[str, slice]],
-) -> list[tuple[Tensor, Tensor]]:
-    """The paper's uplift: per level, its accumulators [N, 1, L], every view looked at anew, then the k largest."""
+) -> list[list[SparseCodes]]:
+    """The paper's uplift: per level, its sums [N, 1, L], every view looked at anew, then the k largest."""
     from scoup.baselines.scatter_kernel import scatter_view
 
     found = []
@@ -177,7 +177,9 @@ def scatter_all(
             view = look(gaussians, camera)
             own = codes[level].rows(places[level][camera.name])
             scatter_view(view, labels[None], [own], out)  # pyright: ignore[reportArgumentType]
-        found.append(top_k(out, context.sizes.k))
+        found.append(
+            [SparseCodes.from_dense(rows, context.sizes.k) for rows in out[:, 0].split(ROWS_AT_ONCE)]
+        )
     return found
 
 

@@ -26,7 +26,7 @@ from scoup.io import write_text
 RESERVE = 15.0  # seconds before the end after which nothing is begun
 QUIET = {"full": 300.0, "quick": 120.0, "smoke": 600.0}  # seconds without a word after which a process hangs
 STARTS = 6  # processes that one stage may use up
-BESIDE_THE_PEER = ("rendering", "uplift", "large", "scaling")
+BESIDE_THE_PEER = ("rendering", "sums", "large", "scaling")
 UNFINISHED = "not finished when this was written"
 SHARE_OF_PARITY = 0.5  # most of the time that is left
 SHARE_OF_PEER = (

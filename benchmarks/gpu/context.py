@@ -146,7 +146,6 @@ class Context:
         n_gaussians: int | None = None,
         size: tuple[int, int] | None = None,
         levels: int = 3,
-        accumulators: bool = False,
     ) -> Workload:
         """The first view of a room with everything the rasteriser takes, on the device: codes in float16, as a field
         has them; a query and the canonical phrases.
@@ -171,7 +170,6 @@ class Context:
             codebook=clip_like(levels * n_atoms, sizes.dim).view(levels, n_atoms, sizes.dim),
             queries=clip_like(5, sizes.dim, 1),  # one query and four canonical phrases
             values=raster.view_colors(gaussians, camera),
-            accumulators=torch.zeros(n_gaussians if accumulators else 0, levels, n_atoms, device=self.device),
         )
         return replace(work.to(self.device), weights=work.weights.to(self.device).half())
 

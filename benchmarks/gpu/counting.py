@@ -19,14 +19,15 @@ from typing import Any
 import torch
 
 from benchmarks.gpu.walking import Walk, walk
+from scoup import raster
 from scoup.bench import Workload
 from scoup.raster.gpu_regions import Columns, columns_of
 from scoup.raster.gpu_view import TILE, GpuView
-from scoup.raster.kernels.blending import RECORD
+from scoup.raster.kernels.blending import PADDING, RECORD
 from scoup.raster.kernels.codes import SLOTS
+from scoup.raster.projection import project as projected
 
 PIXELS = TILE * TILE
-VOTES = "add_few_kernel and add_many_kernel"
 BLEND = 16
 """float32 instructions of a lane in ``blending.blend``: 3 multiply-adds to the ellipse's axes and 2 to the exponent;
 cap, comparison and selection of alpha; 1 - alpha; 2 products of the running ones and 2 with the transmittance;
@@ -65,15 +66,16 @@ class Facts:
 
     def __post_init__(self) -> None:
         self.n = len(self.work.gaussians)
-        self.visible = len(self.view.visible.ids)
-        self.candidates = len(self.view.visible.tiles)
+        self.visible = len(projected(self.work.gaussians, self.work.camera, self.view.preset))
+        self.candidates = len(self.view.records) - PADDING
+        self.tile_bytes = 2.0 if self.view.n_tiles < 2**15 else 4.0
         self.pairs = int(self.view.starts[-1])
         self.reached = len(torch.unique(self.view.pair_ids[: self.pairs]))
         self.pixels = self.view.width * self.view.height
         self.levels, self.k = self.work.indices.shape[1:]
         self.n_atoms, self.dim = self.work.codebook.shape[1:]
         self.code_bytes = self.work.indices.element_size() + self.work.weights.element_size()
-        self.columns: Columns = columns_of(self.view, self.work.labels)
+        self.columns: Columns = columns_of(self.view, raster.combine(self.work.labels).map)
         self.walk: Callable[[int], Walk] = cache(lambda chunk: walk(self.view, chunk))
         # Sums that are kept: each tile's list times its columns.
         self.sums = int((self.view.starts.diff() * self.columns.counts).sum())
@@ -128,17 +130,15 @@ def expand(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Co
     """A rank of 8 bytes in and a tile out for each candidate; of each visible Gaussian order, start, rectangle and
     nine numbers of the ellipse (100 bytes). Some 40 additions and multiply-adds for each candidate.
     """
-    tile_bytes = facts.view.visible.tiles.element_size()
-    moved = (8.0 + tile_bytes) * facts.candidates + 100.0 * facts.visible
+    moved = (8.0 + facts.tile_bytes) * facts.candidates + 100.0 * facts.visible
     return Count(bytes=moved, float64=40.0 * facts.candidates)
 
 
 def lists(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
-    """For each candidate its number, tile and rank in, its place out; a record out for it. Of each visible Gaussian
+    """For each candidate its number, tile and rank in, a record out. Of each visible Gaussian
     order, row and six numbers of the ellipse (64 bytes). Some 10 multiply-adds for each pair.
     """
-    tile_bytes = facts.view.visible.tiles.element_size()
-    moved = (8.0 + tile_bytes + 8.0 + 4.0 + 4.0 * RECORD.value) * facts.candidates + 64.0 * facts.visible
+    moved = (8.0 + facts.tile_bytes + 8.0 + 4.0 * RECORD.value) * facts.candidates + 64.0 * facts.visible
     return Count(bytes=moved, float64=10.0 * facts.pairs)
 
 
@@ -205,15 +205,6 @@ def products(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> 
     )
 
 
-def alike(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
-    """Labels in, a number for each pixel of a tile out; for each pair of pixels of a tile two instructions a level and
-    three to keep the first.
-    """
-    pairs_of_pixels = float(facts.view.n_tiles * PIXELS * PIXELS)
-    moved = 4.0 * facts.pixels * facts.levels + 4.0 * facts.view.n_tiles * PIXELS
-    return Count(bytes=moved, float32=pairs_of_pixels * (2 * facts.levels + 3))
-
-
 def region_sums(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
     """Columns of the pixels in, sums of the Gaussians walked over out. A tile is walked over once for each block of
     columns: lanes are evaluated, and E is multiplied with ones on the tensor cores.
@@ -241,16 +232,6 @@ def region_sums(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) 
     )
 
 
-def votes(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
-    """Both kernels that add votes up together, as if one did all: tile and place of each candidate in, each sum read
-    once for all levels (the other levels find it in the caches), and of the accumulators the 32 bytes around each entry
-    of a code that is added, read and written. For each sum and level some 10 instructions, 2 for each entry of a code.
-    """
-    moved = (4.0 + facts.view.visible.tiles.element_size()) * facts.candidates + 4.0 * facts.sums
-    moved += 2.0 * 32 * facts.reached * facts.levels * facts.k
-    return Count(bytes=moved, float32=float(facts.sums * facts.levels) * (10 + 2 * constants["K"]))
-
-
 FORMULAS: dict[str, Callable[[Facts, tuple[int, ...], dict[str, Any]], Count]] = {
     "sieve_kernel": sieve,
     "project_kernel": project,
@@ -260,9 +241,7 @@ FORMULAS: dict[str, Callable[[Facts, tuple[int, ...], dict[str, Any]], Count]] =
     "pack_kernel": pack,
     "codes_kernel": codes,
     "products_kernel": products,
-    "alike_kernel": alike,
     "region_sums_kernel": region_sums,
-    VOTES: votes,
 }
 
 
@@ -271,7 +250,6 @@ def sorting(facts: Facts) -> Count:
     (depths of 8 bytes: 8 passes of 16 bytes; tiles of 2 or 4 bytes beside places of 8), and a rank of 8 bytes out for
     each candidate.
     """
-    tile_bytes = facts.view.visible.tiles.element_size()
     depths = 8 * 2 * 16.0 * facts.visible
-    tiles = tile_bytes * 2 * (8.0 + tile_bytes) * facts.candidates
+    tiles = facts.tile_bytes * 2 * (8.0 + facts.tile_bytes) * facts.candidates
     return Count(bytes=depths + tiles + 8.0 * facts.candidates)

@@ -75,13 +75,13 @@ def compare(arguments: Arguments, n_atoms: int) -> list[dict[str, Any]]:
 
     sizes = replace(FULL, n_gaussians=arguments.n_gaussians, width=arguments.width, height=arguments.height)
     context = Context(torch.device("cpu"), sizes, float("inf"), lambda result: None)
-    work = context.work(n_atoms, accumulators=True)
+    work = context.work(n_atoms)
     constants = raster.raster_preset(PRESET)
-    exact = answers(work, gpu.look(work.gaussians, work.camera, constants, EXACT), interpreted=True)
+    exact = answers(work, gpu.look(work.gaussians, work.camera, constants, EXACT))
     rows = []
     for name in PRECISIONS[1:]:
         print(f"L = {n_atoms}: {name}", file=sys.stderr)
-        theirs = answers(work, gpu.look(work.gaussians, work.camera, constants, name), interpreted=True)
+        theirs = answers(work, gpu.look(work.gaussians, work.camera, constants, name))
         rows.append({"n_atoms": n_atoms, "name": name, **differences(theirs, exact, sizes.k)})
     return rows
 
@@ -91,14 +91,14 @@ def table(arguments: Arguments, rows: list[dict[str, Any]]) -> str:
         f"Room of {arguments.n_gaussians:,} Gaussians, a view of {arguments.width} x {arguments.height}, three levels; "
         "against plain float32. Interpreted: nothing was run on a GPU.",
         "",
-        "| L | precision | coefficients | cosines | accumulators, relative | pixels of another order "
+        "| L | precision | coefficients | cosines | sums of codes, relative | pixels of another order "
         "| votes of another order |",
         "|--:|---|--:|--:|--:|--:|--:|",
     ]
     for row in rows:
         lines.append(
             f"| {row['n_atoms']} | {row['name']} | {row['coefficients_max']:.1e} | {row['cosines_max']:.1e} | "
-            f"{row['accumulators_max_relative']:.1e} | {row['pixels_of_another_order']:.1e} | "
+            f"{row['sums_max_relative']:.1e} | {row['pixels_of_another_order']:.1e} | "
             f"{row['votes_of_another_order']:.1e} |"
         )
     return "\n".join(lines)

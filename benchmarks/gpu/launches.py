@@ -1,4 +1,4 @@
-"""How the rasteriser's kernels are launched: what it takes to compile them as they are run, without a GPU."""
+"""How the kernels of rasteriser and vote are launched: what it takes to compile them as they are run, without a GPU."""
 
 from __future__ import annotations
 
@@ -11,20 +11,15 @@ SIZE = {"width": "i32", "height": "i32", "across": "i32"}
 BOUNDS = {"alpha_max": "fp32", "stop": "fp32"}
 CODES = {"words": I32, "n_levels": "i32", "n_atoms": "i32", "first_level": "i32", "out": F32}
 TABLES = {"grams": HALF, "tables": HALF, "n_columns": "i32"}
-VOTES = {
-    "chosen": I64, "ids": I64, "firsts": I64, "tiles": I16, "places": I32, "starts": I64, "n_columns": I32,
-    "bases": I64, "sums": F32, "first_columns": I64, "column_regions": I32, "first_rows": I64, "atoms": I32,
-    "weights": F32, "earlier_atoms": U8, "earlier_weights": F32, "region_cosines": F32, "sharpness": F32, "out": F32,
-    "n_levels": "i32", "n_tiles": "i32", "n_atoms": "i32",
-}  # fmt: skip
 SCENE = {"means": F32, "quats": F32, "scales": F32, "opacities": F32, "camera": DOUBLE}
 
 
 def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
-    """By name: kernel, types, constants and warps, as ``scoup.raster.gpu`` launches them."""
+    """By name: kernel, types, constants and warps, as they are launched in ``scoup.raster`` and ``scoup.uplift``."""
     from scoup.raster import gpu, gpu_regions
     from scoup.raster.gpu_view import TILE
-    from scoup.raster.kernels import channels, codes, products, projection, regions, votes
+    from scoup.raster.kernels import channels, codes, products, projection, regions
+    from scoup.uplift import vote_kernel, vote_triton
 
     blended = {"STOP_INCLUSIVE": False, "TILE": TILE}
     found: dict[str, tuple[Any, dict[str, str], dict[str, Any], int]] = {}
@@ -55,14 +50,20 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
     constants = {**blended, "CHUNK": gpu_regions.CHUNK, "COLUMNS": gpu_regions.COLUMNS, "PRECISION": "fp16x3"}
     types = {**types, **SIZE, **BOUNDS, "first_tile": "i32"}
     found["region sums"] = regions.region_sums_kernel, types, constants, gpu_regions.WARPS
-    types = {"labels": I32, "first_alike": I32, **SIZE, "n_levels": "i32"}
-    found["alike"] = regions.alike_kernel, types, {"TILE": TILE, "OTHERS": 32}, 4
-    types = {**VOTES, "n_chosen": "i32"}
-    for earlier_k in (0, 4):
-        sizes = {"K": 4, "EARLIER_K": earlier_k}
-        found[f"few votes, {earlier_k} earlier"] = votes.add_few_kernel, types, {**sizes, "BLOCK": 32}, 1
-        constants = {**sizes, "PAIRS": gpu_regions.pairs_at_once(128), "ATOMS": 128}
-        found[f"many votes, {earlier_k} earlier"] = votes.add_many_kernel, VOTES, constants, 4
+    types = {
+        "starts": I64, "combinations": I32, "shares": F32, "rows": I32, "atoms": I32, "weights": F32,
+        "inverse_norms": F32, "grams": F32, "earlier_atoms": I32, "earlier_weights": F32, "sharpness": F32, "out": F32,
+        "n_levels": "i32", "n_atoms": "i32",
+    }  # fmt: skip
+    for n_atoms, earlier_k in ((64, 0), (128, 4), (1024, 4)):
+        constants = {"K": 4, "EARLIER_K": earlier_k, **vote_triton.blocks(n_atoms)}
+        warps = constants.pop("num_warps")
+        found[f"vote, {n_atoms} atoms, {earlier_k} earlier"] = (
+            vote_kernel.vote_kernel,
+            types,
+            constants,
+            warps,
+        )
     types = {name: SCENE[name] for name in ("means", "scales", "opacities", "camera")}
     found["sieve"] = projection.sieve_kernel, {**types, "keep": I8, "count": "i32"}, {"BLOCK": 128}, 4
     visible = {"rects": I32, "geometry": DOUBLE, "across": "i32", "down": "i32"}
@@ -73,7 +74,7 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
     found["expand"] = projection.expand_kernel, types, {"TILE": TILE, "BLOCK": 128}, 4
     types = {
         **lists, "geometry": DOUBLE, "across": "i32", "down": "i32", "by_tile": I64, "ids": I64, "records": F32,
-        "numbers": I32, "places": I32, "n_records": "i32",
+        "numbers": I32, "n_records": "i32",
     }  # fmt: skip
     found["list"] = projection.list_kernel, types, {"TILE": TILE, "BLOCK": 128}, 4
     return found

@@ -17,7 +17,12 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 LOST = 3  # exit code: the device is lost
-SUITE = ("tests/raster/test_gpu.py", "tests/coding/test_gpu_coder.py", "tests/test_scatter_kernel.py")
+SUITE = (
+    "tests/raster/test_gpu.py",
+    "tests/coding/test_gpu_coder.py",
+    "tests/test_scatter_kernel.py",
+    "tests/uplift/test_vote_triton.py",
+)
 NEEDED = ("pytest", "hypothesis")
 MOST_PROCESSES = 6
 STARTS = 20  # each broken or hanging test costs one, where tests do not run in several processes

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from benchmarks.gpu.context import PRESET, Context
+from benchmarks.gpu.region_sums import added_up
 from benchmarks.gpu.timing import Work, reason
 from scoup import raster
 from scoup.bench import Workload
-from scoup.codes import add_codes
 
 if TYPE_CHECKING:
     from scoup.raster.gpu_view import Precision
@@ -33,7 +33,7 @@ def precision(context: Context) -> None:
 
     sizes = context.sizes
     n_atoms = sizes.n_atoms[0]
-    work = context.work(n_atoms, accumulators=True)
+    work = context.work(n_atoms)
     constants = raster.raster_preset(PRESET)
     context.result["about"] = (
         f"{sizes.n_gaussians:,} Gaussians, a view of {sizes.width} x {sizes.height}, three levels, L = {n_atoms}; the "
@@ -68,7 +68,7 @@ def precision(context: Context) -> None:
 
     def of_reference() -> dict[str, float]:
         size = (max(8, sizes.width // 4), max(8, sizes.height // 4))
-        small = context.work(n_atoms, size=size, accumulators=True)
+        small = context.work(n_atoms, size=size)
         theirs = answers(small, raster.look(small.gaussians, small.camera, constants, "reference"))
         return differences(
             theirs, answers(small, gpu.look(small.gaussians, small.camera, constants, EXACT)), sizes.k
@@ -85,27 +85,19 @@ def runs_of(work: Workload, view: Callable[[], raster.View]) -> dict[str, Callab
     return {
         "coefficient maps": lambda: raster.render_codes(view(), *codes, n_atoms),
         "cosines": lambda: raster.render_cosines(view(), *codes, work.codebook, work.queries),
-        "uplift": lambda: raster.uplift_view(view(), work.labels, work.codes, work.accumulators),
+        "region sums": lambda: raster.region_sums(view(), work.labels),
     }
 
 
-def answers(work: Workload, view: raster.View, interpreted: bool = False) -> dict[str, Tensor]:
-    """Coefficient maps [S, H, W, L], cosines [S, Q, H, W] and one view's accumulators [N, S, L].
-
-    The votes of a Gaussian that reaches many tiles take an interpreter minutes: there torch adds up the region sums,
-    which are all that precision changes.
+def answers(work: Workload, view: raster.View) -> dict[str, Tensor]:
+    """Coefficient maps [S, H, W, L], cosines [S, Q, H, W] and one view's sums of codes [N, S, L], which torch adds up:
+    region sums are all that precision changes.
     """
     n_atoms = work.codebook.shape[1]
-    sums = torch.zeros_like(work.accumulators)
-    if interpreted:
-        gaussian, key, weight = raster.region_weights(view, work.labels)
-        add_codes(gaussian, key, weight, int(work.labels.max()) + 1, work.codes, sums)
-    else:
-        raster.uplift_view(view, work.labels, work.codes, sums)
     return {
         "coefficients": raster.render_codes(view, work.indices, work.weights, n_atoms),
         "cosines": raster.render_cosines(view, work.indices, work.weights, work.codebook, work.queries),
-        "accumulators": sums,
+        "sums": added_up(work, view),
     }
 
 
@@ -114,16 +106,16 @@ def differences(theirs: dict[str, Tensor], exact: dict[str, Tensor], k: int) -> 
     same in the same order.
     """
     off = {name: float((theirs[name] - exact[name]).abs().max()) for name in exact}
-    scale = float(exact["accumulators"].max().clamp(min=1e-30))
+    scale = float(exact["sums"].max().clamp(min=1e-30))
     pixels = torch.stack(
         [changed(a, b, k) for a, b in zip(theirs["coefficients"], exact["coefficients"], strict=True)]
     )
-    painted = (exact["accumulators"] > 0).any(2)
-    votes = changed(theirs["accumulators"], exact["accumulators"], k)[painted]
+    painted = (exact["sums"] > 0).any(2)
+    votes = changed(theirs["sums"], exact["sums"], k)[painted]
     return {
         "coefficients_max": off["coefficients"],
         "cosines_max": off["cosines"],
-        "accumulators_max_relative": off["accumulators"] / scale,
+        "sums_max_relative": off["sums"] / scale,
         "pixels_of_another_order": float(pixels.any(0).float().mean()),
         "votes_of_another_order": float(votes.float().mean()) if len(votes) else 0.0,
     }

@@ -203,7 +203,7 @@ def difference_table(found: Sequence[dict[str, Any]]) -> str:
     keys = {
         "coefficients_max": "coefficients, greatest difference",
         "cosines_max": "cosines, greatest difference",
-        "accumulators_max_relative": "accumulators, greatest difference over greatest number",
+        "sums_max_relative": "sums of codes, greatest difference over greatest number",
         "pixels_of_another_order": "pixels whose first K atoms change",
         "votes_of_another_order": "Gaussians whose vote changes",
     }

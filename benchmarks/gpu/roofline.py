@@ -10,16 +10,15 @@ from typing import Any
 
 from benchmarks.gpu import ceilings
 from benchmarks.gpu.context import Context, look
-from benchmarks.gpu.counting import FORMULAS, VOTES, Count, Facts, sorting
+from benchmarks.gpu.counting import FORMULAS, Count, Facts, sorting
 from benchmarks.gpu.kernel_times import Launches, timed_kernels
+from benchmarks.gpu.region_sums import ours
 from benchmarks.gpu.rendering import ask, coefficients, colors, features
 from benchmarks.gpu.timing import reason
-from benchmarks.gpu.uplift import ours
-from scoup import raster
 from scoup.bench import Workload
 
 ROUNDS = 7
-OF_THE_VIEW = ("region_sums_kernel", VOTES)  # their formulas count all launches together
+OF_THE_VIEW = ("region_sums_kernel",)  # whose formula counts all launches together
 SORTING = "sorts, sums and gathers of torch in look"
 
 
@@ -30,7 +29,7 @@ def roofline(context: Context) -> None:
         f"{sizes.n_gaussians:,} Gaussians, a view of {sizes.width} x {sizes.height}, three levels, L = "
         f"{sizes.n_atoms[0]}; each kernel by itself"
     )
-    work = context.work(sizes.n_atoms[0], accumulators=True)
+    work = context.work(sizes.n_atoms[0])
     view = look(work.gaussians, work.camera)
     facts = Facts(work, view)  # pyright: ignore[reportArgumentType]
     context.result["facts"] = facts.record()
@@ -40,8 +39,7 @@ def roofline(context: Context) -> None:
         "coefficient maps": partial(coefficients, work),
         "relevancy": partial(ask, work),
         "features": partial(features, work),
-        "uplift": partial(ours, work),
-        "region sums": partial(raster.region_weights, view, work.labels),
+        "region sums": partial(ours, work, view),
     }
     seen: set[str] = set()
     for purpose, run in passes.items():
@@ -57,7 +55,7 @@ def roofline(context: Context) -> None:
             continue
         if purpose == "look":
             add_sorting(context, facts, work, launched)
-        for name, rounds in together(launched).items():
+        for name, rounds in launched.items():
             # A kernel is told of once for each thing it is made for; `look` is part of every pass.
             if not rounds[0].seconds or (name in seen and name != "products_kernel"):
                 continue
@@ -105,19 +103,6 @@ def kernel_row(
         return row
     total = counts[0] if name in OF_THE_VIEW else sum_of(counts)
     return add_bound(row, total, context.ceilings)
-
-
-def together(launched: dict[str, list[Launches]]) -> dict[str, list[Launches]]:
-    """The two kernels that add votes up share the work, so they are one row."""
-    both = [launched.get(name, []) for name in ("add_few_kernel", "add_many_kernel")]
-    found = {
-        name: rounds for name, rounds in launched.items() if name not in ("add_few_kernel", "add_many_kernel")
-    }
-    merged = [
-        Launches(few.seconds + many.seconds, few.grids + many.grids, few.constants + many.constants)
-        for few, many in zip(*both, strict=True)
-    ]
-    return {**found, VOTES: merged} if merged else found
 
 
 def sum_of(counts: list[Count]) -> Count:

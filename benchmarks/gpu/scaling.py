@@ -6,12 +6,12 @@ from functools import partial
 from typing import Any
 
 from benchmarks.gpu.context import Context, look
+from benchmarks.gpu.region_sums import ours, peer_rgb
 from benchmarks.gpu.rendering import ask
 from benchmarks.gpu.timing import Row, Work, add_ratios, measure, reason
-from benchmarks.gpu.uplift import ours, peer_rgb
 from scoup.bench import Workload, fit_slope
 
-ASK, UPLIFT, LOOK, PEER = "ours: relevancy of a query", "ours: uplift", "ours: look", "gsplat: RGB"
+ASK, SUMS, LOOK, PEER = "ours: relevancy of a query", "ours: region sums", "ours: look", "gsplat: RGB"
 
 
 def scaling(context: Context) -> None:
@@ -41,7 +41,7 @@ def point(context: Context, grows: str, amount: float, change: dict[str, Any]) -
         context.result["rows"].append({"name": "all", **here, "reason": left_out or "no time was left"})
         return
     try:
-        work = context.work(context.sizes.n_atoms[0], accumulators=True, **change)
+        work = context.work(context.sizes.n_atoms[0], **change)
     except Exception as error:
         context.result["rows"].append({"name": "all", **here, "reason": reason(error)})
         context.clock.recover()
@@ -72,7 +72,7 @@ def works_of(context: Context, work: Workload) -> list[Work]:
     return [
         Work(LOOK, partial(look, work.gaussians, work.camera)),
         Work(ASK, partial(ask, work)),
-        Work(UPLIFT, partial(ours, work)),
+        Work(SUMS, partial(ours, work)),
         Work(PEER, partial(peer_rgb, context, work)),
     ]
 

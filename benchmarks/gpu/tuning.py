@@ -11,9 +11,9 @@ from functools import partial
 from typing import Any
 
 from benchmarks.gpu.context import Context, look
+from benchmarks.gpu.region_sums import ours
 from benchmarks.gpu.rendering import ask, at_hand, colors
 from benchmarks.gpu.timing import Work
-from benchmarks.gpu.uplift import ours
 from scoup import raster
 from scoup.bench import Workload
 
@@ -31,10 +31,10 @@ def tuning(context: Context) -> None:
     )
     works: list[Work] = []
     for n_atoms in reversed(sizes.n_atoms):  # the first comes last: what follows uses it
-        work = context.work(n_atoms, accumulators=True)
+        work = context.work(n_atoms)
         works += variants(f"relevancy, L = {n_atoms}", at_hand(work, ask), of_codes())
-    work = context.work(sizes.n_atoms[0], accumulators=True)
-    works += variants("uplift", at_hand(work, ours), of_regions())
+    work = context.work(sizes.n_atoms[0])
+    works += variants("region sums", at_hand(work, ours), of_regions())
     works += variants("RGB", at_hand(work, rgb), of_channels())
     works += variants("look and RGB", partial(colors, work), {AS_IT_IS: {}})
     works += variants("look", partial(look, work.gaussians, work.camera), {AS_IT_IS: {}})
@@ -71,8 +71,6 @@ def of_regions() -> dict[str, dict[str, Any]]:
     for chunk, warps in ((16, 2), (32, 4), (64, 4)):
         name = f"gpu_regions.CHUNK = {chunk}, WARPS = {warps}"
         found[name] = {"gpu_regions.CHUNK": chunk, "gpu_regions.WARPS": warps}
-    for tiles in (16, 128):
-        found[f"gpu_regions.FEW_TILES = {tiles}"] = {"gpu_regions.FEW_TILES": tiles}
     return found
 
 

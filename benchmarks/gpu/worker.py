@@ -20,7 +20,7 @@ from benchmarks.gpu.sizes import Sizes
 STAGES: dict[str, tuple[str, str]] = {
     "agreement": ("agreement:agreement", "Agreement with the reference on a small view"),
     "rendering": ("rendering:main_view", "Rendering a view"),
-    "uplift": ("uplift:uplift", "Uplift of a view"),
+    "sums": ("region_sums:region_sums", "Region sums and vote"),
     "building": ("building:building", "The whole build"),
     "precision": ("precision:precision", "Precision of the products"),
     "ceilings": ("ceilings:ceilings", "What the device can do"),

@@ -32,6 +32,7 @@ const char* type_name() {
     if constexpr (std::is_same_v<T, int64_t>) return "int64";
     if constexpr (std::is_same_v<T, uint8_t>) return "uint8";
     if constexpr (std::is_same_v<T, uint16_t>) return "uint16";
+    if constexpr (std::is_same_v<T, uint32_t>) return "uint32";
 }
 
 // The data of an array that must have this type and shape (kAnySize: any), be contiguous and aligned.

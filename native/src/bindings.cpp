@@ -10,6 +10,7 @@ namespace nb = nanobind;
 namespace scoup {
 void bind_coder(nb::module_& m);
 void bind_raster(nb::module_& m);
+void bind_sums(nb::module_& m);
 void bind_smoothing(nb::module_& m);
 }  // namespace scoup
 
@@ -22,5 +23,6 @@ NB_MODULE(_native, m) {
     m.def("measure_clock_hz", &scoup::measure_clock_hz, "Cycles a second of this core; 0 where it cannot be told.");
     scoup::bind_coder(m);
     scoup::bind_raster(m);
+    scoup::bind_sums(m);
     scoup::bind_smoothing(m);
 }

@@ -2,7 +2,6 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
-#include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <limits>
@@ -10,12 +9,10 @@
 #include <tuple>
 
 #include "arrays.h"
+#include "code_arrays.h"
 #include "python_signals.h"
-#include "region_weights.h"
 #include "render.h"
-#include "uplift.h"
 #include "view.h"
-#include "vote.h"
 
 namespace nb = nanobind;
 
@@ -70,102 +67,6 @@ View py_look(const PyScene& made, const Array& viewmat, std::tuple<double, doubl
         throw std::invalid_argument("near must be 0 or more, alpha_max and stop within 0 .. 1");
     const Preset preset{near, float(alpha_max), float(stop), stop_inclusive, centred_clamp};
     return without_lock([&] { return look(made.scene, camera, preset, sane(threads), python_signals()); });
-}
-
-LabelMaps label_maps(const View& view, const Array& labels) {
-    const auto levels = int64_t(labels.ndim() > 0 ? labels.shape(0) : 0);
-    return {data_of<int32_t>(labels, "labels", {levels, view.height, view.width}), int32_t(levels), view.width, view.height};
-}
-
-nb::tuple py_region_weights(const View& view, const Array& labels, int64_t stride, int threads) {
-    const LabelMaps maps = label_maps(view, labels);
-    if (stride < 0 || stride > int64_t(1) << 31) throw std::invalid_argument("the stride must be 0 to 2^31");
-    RegionWeights found = without_lock([&] { return region_weights(view, maps, stride, sane(threads), python_signals()); });
-    const auto count = size_t(found.count);
-    return nb::make_tuple(to_numpy(std::move(found.gaussian), {count}), to_numpy(std::move(found.key), {count}),
-                          to_numpy(std::move(found.weight), {count}));
-}
-
-template <class Index>
-void check_indices(const Index* indices, int64_t count, int32_t n_atoms) {
-    Index largest = 0;
-    for (int64_t i = 0; i < count; ++i) largest = std::max(largest, indices[i]);
-    if (count > 0 && int64_t(largest) >= n_atoms)
-        throw std::invalid_argument("a code refers to atom " + std::to_string(largest) + " of " + std::to_string(n_atoms));
-}
-
-// Code indices of one byte, or else of two; the other pointer is null. `n_atoms`: what they are checked against.
-struct Indices {
-    const uint8_t* bytes = nullptr;
-    const uint16_t* wide = nullptr;
-};
-
-Indices code_indices(const Array& indices, const char* name, std::initializer_list<int64_t> shape, int32_t n_atoms) {
-    int64_t count = 1;
-    for (const int64_t size : shape) count *= size;
-    Indices found;
-    if (indices.dtype() == nb::dtype<uint8_t>()) {
-        found.bytes = data_of<uint8_t>(indices, name, shape);
-        if (n_atoms < 256) check_indices(found.bytes, count, n_atoms);
-    } else {
-        found.wide = data_of<uint16_t>(indices, name, shape);
-        if (n_atoms < 65536) check_indices(found.wide, count, n_atoms);
-    }
-    return found;
-}
-
-// Indices, weights and sharpness of an earlier round.
-using EarlierArrays = std::tuple<Array, Array, Array>;
-
-Uplift py_uplift(const WritableArray& out, const std::optional<EarlierArrays>& earlier) {
-    if (out.ndim() != 3 || out.shape(1) > 1024 || out.shape(2) > 65536)
-        throw std::invalid_argument("out must be [N, levels, atoms]");
-    float* sums = data_of<float>(out, "out", {kAnySize, kAnySize, kAnySize});
-    const auto n = int64_t(out.shape(0)), levels = int64_t(out.shape(1)), n_atoms = int64_t(out.shape(2));
-    EarlierVotes votes;
-    if (earlier) {
-        const auto& [indices, weights, sharpness] = *earlier;
-        if (indices.ndim() != 3 || indices.shape(2) > 65536) throw std::invalid_argument("earlier indices must be [N, levels, k]");
-        const auto k = int64_t(indices.shape(2));
-        votes.weights = data_of<float>(weights, "earlier weights", {n, levels, k});
-        votes.sharpness = data_of<float>(sharpness, "sharpness", {levels});
-        votes.k = int32_t(k);
-        const Indices atoms = code_indices(indices, "earlier indices", {n, levels, k}, int32_t(n_atoms));
-        votes.indices8 = atoms.bytes, votes.indices16 = atoms.wide;
-    }
-    return {sums, n, int32_t(levels), int32_t(n_atoms), votes};
-}
-
-void py_add(Uplift& uplift, const View& view, const Array& labels, const std::vector<std::tuple<Array, Array>>& codes,
-            int threads, const std::vector<Array>& cosines) {
-    const LabelMaps maps = label_maps(view, labels);
-    if (view.n_gaussians != uplift.n_gaussians() || maps.levels != uplift.levels() || int64_t(codes.size()) != maps.levels)
-        throw std::invalid_argument("the view's Gaussians, the labels' and the codes' levels must fit the accumulators");
-    std::vector<RegionCodes> levels;
-    for (const auto& [indices, weights] : codes) {
-        if (indices.ndim() != 2) throw std::invalid_argument("code indices must be [regions, k]");
-        const auto rows = int64_t(indices.shape(0)), k = int64_t(indices.shape(1));
-        if (k > 65536) throw std::invalid_argument("codes of too many entries");
-        const auto* parts = data_of<float>(weights, "code weights", {rows, k});
-        const Indices atoms = code_indices(indices, "code indices", {rows, k}, uplift.n_atoms());
-        levels.push_back({atoms.bytes, atoms.wide, parts, rows, int32_t(k)});
-    }
-    if (cosines.size() != (uplift.has_earlier_votes() ? levels.size() : 0))
-        throw std::invalid_argument("there must be cosines of every level's regions after an earlier round, and only then");
-    std::vector<RegionCosines> tables;
-    for (size_t level = 0; level < cosines.size(); ++level) {
-        const int64_t rows = levels[level].rows;
-        tables.push_back({data_of<float>(cosines[level], "cosines", {rows, uplift.n_atoms()}), rows});
-    }
-    without_lock([&] {
-        uplift.add(view, maps, levels, tables, sane(threads), python_signals());
-    });
-}
-
-void py_flush(Uplift& uplift, int threads) {
-    without_lock([&] {
-        uplift.flush(sane(threads), python_signals());
-    });
 }
 
 nb::tuple py_render_channels(const View& view, const Array& values, int threads) {
@@ -246,31 +147,6 @@ nb::object py_code_scores(const Array& indices, const Array& weights, const Arra
     return to_numpy(std::move(out), {size_t(n), size_t(codes.levels), size_t(columns)});
 }
 
-template <class Index>
-nb::tuple voted(Vote task, int threads) {
-    Buffer<Index> indices(task.rows * task.k);
-    Buffer<float> weights(task.rows * task.k);
-    if constexpr (sizeof(Index) == 1)
-        task.indices8 = indices.data();
-    else
-        task.indices16 = indices.data();
-    task.weights = weights.data();
-    without_lock([&] {
-        vote(task, sane(threads), python_signals());
-    });
-    const auto rows = size_t(task.rows), k = size_t(task.k);
-    return nb::make_tuple(to_numpy(std::move(indices), {rows, k}), to_numpy(std::move(weights), {rows, k}));
-}
-
-nb::tuple py_vote(const Array& sums, int64_t k, int threads) {
-    if (sums.ndim() != 2) throw std::invalid_argument("sums must be [rows, atoms]");
-    const auto rows = int64_t(sums.shape(0)), n_atoms = int64_t(sums.shape(1));
-    if (n_atoms > 65536 || k < 1 || k > n_atoms) throw std::invalid_argument("k must be 1 to the number of atoms (65536)");
-    const Vote task{data_of<float>(sums, "sums", {rows, n_atoms}), rows, int32_t(n_atoms), int32_t(k), nullptr, nullptr,
-                    nullptr};
-    return n_atoms <= 256 ? voted<uint8_t>(task, threads) : voted<uint16_t>(task, threads);
-}
-
 nb::dict py_count_work(const View& view, int threads) {
     const ViewCounts counts = without_lock([&] { return count_work(view, sane(threads), python_signals()); });
     nb::dict found;
@@ -302,26 +178,12 @@ void bind_raster(nb::module_& m) {
             nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>());
     m.def("look", &py_look, nb::arg("scene"), nb::arg("viewmat"), nb::arg("intrinsics"), nb::arg("width"), nb::arg("height"),
           nb::arg("near_alpha_max_stop"), nb::arg("stop_inclusive"), nb::arg("centred_clamp"), nb::arg("threads"));
-    m.def("region_weights", &py_region_weights, nb::arg("view"), nb::arg("labels"), nb::arg("stride"), nb::arg("threads"));
-    nb::class_<Uplift>(m, "Uplift", "Adds the codes of many views to accumulators [N, levels, atoms], some views at a time.")
-        .def(
-            "__init__",
-            [](Uplift* self, const WritableArray& out, const std::optional<EarlierArrays>& earlier) {
-                new (self) Uplift(py_uplift(out, earlier));
-            },
-            nb::arg("out"), nb::arg("earlier").none() = nb::none(), nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>())
-        .def("add", &py_add, nb::arg("view"), nb::arg("labels"), nb::arg("codes"), nb::arg("threads"),
-             nb::arg("cosines") = nb::list())
-        .def("flush", &py_flush, nb::arg("threads"))
-        .def_prop_ro("n_taken", &Uplift::n_taken)
-        .def_prop_ro("pending_bytes", &Uplift::pending_bytes);
     m.def("render_channels", &py_render_channels, nb::arg("view"), nb::arg("values"), nb::arg("threads"));
     m.def("render_codes", &py_render_codes, nb::arg("view"), nb::arg("indices"), nb::arg("weights"), nb::arg("n_atoms"),
           nb::arg("threads"));
     m.def("render_cosines", &py_render_cosines, nb::arg("view"), nb::arg("indices"), nb::arg("weights"), nb::arg("grams"),
           nb::arg("scores"), nb::arg("threads"));
     m.def("code_scores", &py_code_scores, nb::arg("indices"), nb::arg("weights"), nb::arg("scores"), nb::arg("threads"));
-    m.def("vote", &py_vote, nb::arg("sums"), nb::arg("k"), nb::arg("threads"));
     m.def("count_work", &py_count_work, nb::arg("view"), nb::arg("threads"));
 }
 

@@ -8,24 +8,26 @@ constexpr int kPixels = kTile * kTile;
 constexpr int kWords = kPixels / 64;
 
 // A set of a tile's combinations: there are at most as many as pixels.
-struct Combinations {
+struct CombinationSet {
     uint64_t words[kWords];
 };
 
 // Where a tile's combinations of regions lie.
 class TileRegions {
   public:
-    int count = 0;  // combinations with any region, numbered in the order of pixels within blocks
+    int count = 0;  // combinations, in the order of pixels within blocks
     int words = 0;  // words of a set of them that are in use
 
     // Each block holds a few combinations, each in some of its lanes.
     uint16_t first_part[kBlocks + 1];
     uint16_t combination[kPixels];
     Ints lanes[kPixels];
-    Combinations in_block[kBlocks];
+    CombinationSet in_block[kBlocks];
     Blocks pure = 0;  // blocks all of whose lanes, or all that lie inside the image, have the same combination
 
-    SCOUP_INLINE TileRegions(const Tile& tile, const LabelMaps& maps, int32_t* combinations) {
+    int32_t numbers[kPixels];  // in the whole view, of each combination of the tile
+
+    SCOUP_INLINE TileRegions(const Tile& tile, const CombinationMap& map) {
         __builtin_memset(table_, 0xff, sizeof table_);
         int parts = 0;
         for (int block = 0; block < kBlocks; ++block) {
@@ -34,8 +36,8 @@ class TileRegions {
             int16_t of_lane[kLanes];
             int empty = 0;
             for (int lane = 0; lane < kLanes; ++lane)
-                of_lane[lane] = number(tile, maps, combinations, tile.x + block_x(block) + lane_x(lane),
-                                       tile.y + block_y(block) + lane_y(lane));
+                of_lane[lane] = place_of(tile, map, tile.x + block_x(block) + lane_x(lane),
+                                         tile.y + block_y(block) + lane_y(lane));
             const int parts_before = parts;
             for (int lane = 0; lane < kLanes; ++lane) {
                 const int16_t here = of_lane[lane];
@@ -60,40 +62,24 @@ class TileRegions {
   private:
     static constexpr int16_t kNone = -1, kOutside = -2, kTaken = -3;
 
-    // The number of the combination at a pixel, entered into `combinations` if it is new; kNone where no level has a
-    // region.
-    SCOUP_INLINE int16_t number(const Tile& tile, const LabelMaps& maps, int32_t* combinations, int x, int y) {
+    // The place of a pixel's combination among the tile's; kNone where no level has a region.
+    SCOUP_INLINE int16_t place_of(const Tile& tile, const CombinationMap& map, int x, int y) {
         if (x >= tile.width || y >= tile.height) return kOutside;
-        const int32_t* at = maps.labels + int64_t(y) * maps.width + x;
-        const int64_t plane = maps.plane();
-        if (last_ >= 0 && equals(combinations + last_ * maps.levels, at, plane, maps.levels)) return int16_t(last_);
-        uint32_t hash = 0;
-        bool any = false;
-        for (int level = 0; level < maps.levels; ++level) {
-            const int32_t label = at[level * plane];
-            any |= label >= 0;
-            hash = (hash ^ uint32_t(label)) * 0x9e3779b1u;
-        }
-        if (!any) return kNone;
-        for (uint32_t place = hash >> 23;; place = (place + 1) % kTable) {
-            int found = table_[place];
+        const int32_t number = map.numbers[int64_t(y) * map.width + x];
+        if (number < 0) return kNone;
+        if (last_ >= 0 && numbers[last_] == number) return int16_t(last_);
+        for (uint32_t slot = uint32_t(number) * 0x9e3779b1u >> 23;; slot = (slot + 1) % kTable) {
+            int found = table_[slot];
             if (found < 0) {
                 found = count++;
-                table_[place] = int16_t(found);
-                for (int level = 0; level < maps.levels; ++level)
-                    combinations[found * maps.levels + level] = at[level * plane];
-            } else if (!equals(combinations + found * maps.levels, at, plane, maps.levels)) {
+                table_[slot] = int16_t(found);
+                numbers[found] = number;
+            } else if (numbers[found] != number) {
                 continue;
             }
             last_ = found;
             return int16_t(found);
         }
-    }
-
-    static SCOUP_INLINE bool equals(const int32_t* combination, const int32_t* at, int64_t plane, int levels) {
-        for (int level = 0; level < levels; ++level)
-            if (combination[level] != at[level * plane]) return false;
-        return true;
     }
 
     static constexpr uint32_t kTable = 512;  // 9 bits of hash, twice as many places as combinations
@@ -105,7 +91,7 @@ class TileRegions {
 class RecordSink {
   public:
     SCOUP_INLINE RecordSink(const TileRegions& regions, const Projected* projected, Records& out)
-        : regions_(regions), projected_(projected), out_(out), offset_(uint32_t(out.n_combinations)) {
+        : regions_(regions), projected_(projected), out_(out) {
         for (int c = 0; c < regions.count; ++c) sums_[c] = Floats{};
     }
 
@@ -118,8 +104,8 @@ class RecordSink {
     }
 
     SCOUP_INLINE void end(const Stage& stage, int count) {
-        if (__builtin_expect(out_.n_records + count * regions_.count > out_.records_capacity, 0))
-            out_.reserve_records(out_, count * regions_.count);
+        if (__builtin_expect(out_.count + count * regions_.count > out_.capacity, 0))
+            out_.reserve(out_, count * regions_.count);
         for (int i = 0; i < count; ++i) {
             if (painted_[i] == 0) continue;
             const uint32_t id = projected_[stage.slot[i]].id;
@@ -162,27 +148,24 @@ class RecordSink {
 
     // Written always, kept only if there is something: cheaper than a branch.
     SCOUP_INLINE void write(uint32_t id, int c, float total) {
-        out_.records[out_.n_records] = {id, offset_ + uint32_t(c), total};
-        out_.n_records += total > 0;
+        out_.records[out_.count] = {id, regions_.numbers[c], total};
+        out_.count += total > 0;
     }
 
     const TileRegions& regions_;
     const Projected* projected_;
     Records& out_;
-    uint32_t offset_;
     Blocks painted_[kStage];
     Floats weights_[kStage][kBlocks];
     Floats sums_[kPixels];
 };
 
-void collect(const Tile& tile, const LabelMaps& maps, Records& out) {
+void collect(const Tile& tile, const CombinationMap& map, Records& out) {
     if (tile.count == 0) return;
-    if (out.n_combinations + kPixels > out.combinations_capacity) out.reserve_combinations(out, kPixels, maps.levels);
-    const TileRegions regions(tile, maps, out.combinations + out.n_combinations * maps.levels);
+    const TileRegions regions(tile, map);
     if (regions.count == 0) return;
     RecordSink sink(regions, tile.projected, out);
     walk_tile(tile, sink);
-    out.n_combinations += regions.count;
 }
 
 }  // namespace

@@ -12,10 +12,11 @@
 #include <cstring>
 #include <vector>
 
-#include "region_weights.h"
+#include "combinations.h"
+#include "region_sums.h"
 #include "render.h"
-#include "uplift.h"
 #include "view.h"
+#include "vote.h"
 
 namespace {
 
@@ -102,14 +103,40 @@ scoup::GaussianCodes codes_of(const Work& work) {
     return {work.code_indices.data(), nullptr, work.code_weights.data(), nullptr, kLevels, kSlots, kAtoms};
 }
 
-scoup::LabelMaps maps_of(const Work& work) { return {work.labels.data(), kLevels, kWidth, kHeight}; }
+scoup::Combinations combined(const Work& work) { return scoup::combine(work.labels.data(), kLevels, kPixels, 1, kNever); }
 
-void uplift(const Work& work, const scoup::View& view) {
-    std::vector<float> sums(size_t(kGaussians) * kLevels * kAtoms);
-    scoup::Uplift all(sums.data(), kGaussians, kLevels, kAtoms);
+scoup::RegionSums sums_of(const Work& work, const scoup::View& view) {
+    const scoup::Combinations all = combined(work);
+    return scoup::region_sums(view, {all.map.data(), kWidth, kHeight}, 1, kNever);
+}
+
+// Two rounds over the sums of one view, as often as a scene has views.
+void vote(const Work& work, const scoup::View& view) {
+    constexpr int kViews = 20;
+    static const scoup::RegionSums sums = sums_of(work, view);
+    static const scoup::Combinations all = combined(work);
+    const int64_t count = sums.weight.size(), buckets = (kGaussians + scoup::kVoteBucket - 1) / scoup::kVoteBucket;
+    std::vector<uint32_t> starts(size_t(buckets + 1), 0);
+    std::vector<uint8_t> places;
+    std::vector<uint16_t> combinations;
+    for (int64_t i = 0; i < count; ++i) {
+        ++starts[size_t((sums.gaussian[i] >> scoup::kVoteBits) + 1)];
+        places.push_back(uint8_t(sums.gaussian[i]));
+        combinations.push_back(uint16_t(sums.combination[i]));
+    }
+    for (size_t b = 0; b < size_t(buckets); ++b) starts[b + 1] += starts[b];
+    const std::vector<int64_t> regions(all.table.begin(), all.table.end());
+    const scoup::ViewSums of_view{starts.data(),  places.data(), combinations.data(), sums.weight.data(),
+                                  nullptr,        count,         regions.data(),      all.count};
     const scoup::RegionCodes codes{work.region_code_indices.data(), nullptr, work.region_code_weights.data(), kRegions, kSlots};
-    all.add(view, maps_of(work), std::vector<scoup::RegionCodes>(kLevels, codes), {}, 1, kNever);
-    all.flush(1, kNever);
+    const std::vector<scoup::RegionCodes> levels(kLevels, codes);
+    const scoup::Vote task(kGaussians, kAtoms, std::vector<scoup::ViewSums>(kViews, of_view), levels, work.grams.data());
+    std::vector<uint8_t> indices(size_t(kGaussians) * kLevels * kSlots), again(indices.size());
+    std::vector<float> weights(indices.size()), others(indices.size());
+    const float sharpness[kLevels] = {5, 5, 5};
+    task.round({indices.data(), nullptr, weights.data(), kSlots}, nullptr, true, 0, buckets, 1, kNever);
+    const scoup::EarlierCodes earlier{indices.data(), nullptr, weights.data(), kSlots, sharpness};
+    task.round({again.data(), nullptr, others.data(), kSlots}, &earlier, false, 0, buckets, 1, kNever);
 }
 
 void codes(const Work& work, const scoup::View& view) {
@@ -130,8 +157,8 @@ constexpr Mode kModes[] = {
     {"look", [](const Work& work, const scoup::View&) { work.look(); }},
     {"alpha", [](const Work& work, const scoup::View& view) { channels(work, view, 0); }},
     {"channels", [](const Work& work, const scoup::View& view) { channels(work, view, 3); }},
-    {"regions", [](const Work& work, const scoup::View& view) { scoup::region_weights(view, maps_of(work), kRegions, 1, kNever); }},
-    {"uplift", uplift},
+    {"regions", [](const Work& work, const scoup::View& view) { sums_of(work, view); }},
+    {"vote", vote},
     {"codes", codes},
     {"cosines", cosines},
 };

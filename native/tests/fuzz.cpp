@@ -7,6 +7,7 @@
 
 #include "fuzz_coder.h"
 #include "fuzz_raster.h"
+#include "fuzz_vote.h"
 #include "fuzz_smoothing.h"
 
 namespace {
@@ -15,7 +16,10 @@ void run_round(uint64_t seed, long long round, const std::vector<const char*>& s
     scoup::Random random(seed * 0x100000001b3u + uint64_t(round));
     scoup::use_isa(sets[size_t(round) % sets.size()]);
     scoup::fuzz_raster(random);
-    scoup::fuzz_vote(random, int(random.between(1, 4)));
+    for (int i = 0; i < 2; ++i) {
+        scoup::fuzz_vote(random, int(random.between(1, 4)));
+        scoup::fuzz_damaged_sums(random, int(random.between(1, 4)));
+    }
     for (int i = 0; i < 4; ++i) scoup::fuzz_coder(random);
     scoup::fuzz_smoothing(random, int(random.between(1, 4)));
 }

@@ -2,15 +2,13 @@
 #pragma once
 
 #include <algorithm>
-#include <map>
 
 #include "binning.h"
 #include "fuzz_scene.h"
-#include "region_weights.h"
+#include "combinations.h"
+#include "region_sums.h"
 #include "render.h"
-#include "uplift.h"
 #include "view.h"
-#include "vote.h"
 
 namespace scoup {
 
@@ -133,40 +131,56 @@ inline Exact<int32_t> random_labels(Random& random, const Seen& seen, int64_t le
     return labels;
 }
 
+inline Combinations combined(const Seen& seen, const Exact<int32_t>& labels, int32_t levels, int threads) {
+    return combine(labels.data(), levels, seen.pixels(), threads, never);
+}
+
 inline void fuzz_regions(Random& random, const Seen& seen) {
     const int32_t levels = int32_t(random.one_of({0, 1, 2, 3, 5}));
     const int32_t most = random.one_of({1, 3, 300, std::numeric_limits<int32_t>::max()});
-    const int64_t stride = int64_t(most) + random.below(3);
     const Exact<int32_t> labels = random_labels(random, seen, levels, most);
-    const LabelMaps maps{labels.data(), levels, seen.view.width, seen.view.height};
+    const Combinations all = combined(seen, labels, levels, seen.threads), alone_of_all = combined(seen, labels, levels, 1);
+    check_same(all.map, alone_of_all.map, "combinations: threads");
+    check(all.table == alone_of_all.table, "combinations: threads");
 
-    struct Region {
-        double pixels = 0, alpha = 0, weight = 0;
+    int64_t known = 0;  // combinations are numbered in the order in which they are met
+    for (int64_t pixel = 0; pixel < seen.pixels(); ++pixel) {
+        bool any = false;
+        for (int32_t level = 0; level < levels; ++level) {
+            const int32_t label = std::max(labels[level * seen.pixels() + pixel], -1);
+            any |= label >= 0;
+            if (all.map[pixel] >= 0)
+                check(all.table[size_t(all.map[pixel] * int64_t(levels) + level)] == label, "combinations: another label");
+        }
+        check(any == (all.map[pixel] >= 0) && all.map[pixel] <= known, "combinations: numbers");
+        known = std::max(known, int64_t(all.map[pixel]) + 1);
+    }
+    check(known == all.count && int64_t(all.table.size()) == all.count * levels, "combinations: count");
+
+    std::vector<double> pixels(size_t(all.count)), alpha(size_t(all.count)), weight(size_t(all.count));
+    for (int64_t pixel = 0; pixel < seen.pixels(); ++pixel) {
+        if (all.map[pixel] < 0) continue;
+        pixels[size_t(all.map[pixel])] += 1;
+        alpha[size_t(all.map[pixel])] += double(seen.alpha[pixel]);
+    }
+    const auto ask = [&](int threads) {
+        return region_sums(seen.view, {all.map.data(), seen.view.width, seen.view.height}, threads, never);
     };
-    std::map<int64_t, Region> regions;
-    for (int64_t i = 0; i < labels.size(); ++i) {
-        if (labels[i] < 0) continue;
-        Region& region = regions[i / seen.pixels() * stride + labels[i]];
-        region.pixels += 1;
-        region.alpha += double(seen.alpha[i % seen.pixels()]);
-    }
-    const auto ask = [&](int threads) { return region_weights(seen.view, maps, stride, threads, never); };
-    const RegionWeights found = ask(seen.threads), alone = ask(1);
-    check(found.count == alone.count, "region weights: threads");
-    for (int64_t i = 0; i < found.count; ++i) {
-        check(found.gaussian[i] == alone.gaussian[i] && found.key[i] == alone.key[i] && found.weight[i] == alone.weight[i],
-              "region weights: threads");
-        check(found.gaussian[i] >= 0 && found.gaussian[i] < seen.view.n_gaussians, "region weights: no such Gaussian");
-        check(found.weight[i] > 0 && std::isfinite(found.weight[i]), "region weights: not positive");
+    const RegionSums found = ask(seen.threads), alone = ask(1);
+    check_same(found.gaussian, alone.gaussian, "region sums: threads");
+    check_same(found.combination, alone.combination, "region sums: threads");
+    check_same(found.weight, alone.weight, "region sums: threads");
+    for (int64_t i = 0; i < found.weight.size(); ++i) {
+        check(found.gaussian[i] >= 0 && found.gaussian[i] < seen.view.n_gaussians, "region sums: no such Gaussian");
+        check(found.combination[i] >= 0 && found.combination[i] < all.count, "region sums: no such combination");
+        check(found.weight[i] > 0 && std::isfinite(found.weight[i]), "region sums: not positive");
         check(i == 0 || found.gaussian[i - 1] < found.gaussian[i] ||
-                  (found.gaussian[i - 1] == found.gaussian[i] && found.key[i - 1] < found.key[i]),
-              "region weights: not in order");
-        const auto region = regions.find(found.key[i]);
-        check(region != regions.end(), "region weights: no such region");
-        region->second.weight += double(found.weight[i]);
+                  (found.gaussian[i - 1] == found.gaussian[i] && found.combination[i - 1] < found.combination[i]),
+              "region sums: not in order");
+        weight[size_t(found.combination[i])] += double(found.weight[i]);
     }
-    for (const auto& [key, region] : regions)
-        check_near(region.weight, region.alpha, 2e-5 * region.pixels + 1e-4 * region.alpha, "region sum");
+    for (size_t c = 0; c < weight.size(); ++c)
+        check_near(weight[c], alpha[c], 2e-5 * pixels[c] + 1e-4 * alpha[c], "region sum");
 }
 
 struct CodeArrays {
@@ -185,90 +199,6 @@ inline CodeArrays random_codes(Random& random, int64_t entries, int32_t n_atoms)
         codes.weights[i] = random.chance(0.2) ? 0.0f : float(random.uniform());
     }
     return codes;
-}
-
-inline void fuzz_uplift(Random& random, const Seen& seen) {
-    const int32_t levels = int32_t(random.between(1, 3)), n_atoms = random.one_of({1, 5, 64, 256, 300});
-    const int64_t n = seen.view.n_gaussians, row = int64_t(levels) * n_atoms;
-    const int32_t rows = int32_t(random.between(1, 20));
-    const int n_views = int(random.between(1, 4));
-    std::vector<CodeArrays> codes;
-    std::vector<RegionCodes> tables;
-    for (int32_t level = 0; level < levels; ++level) {
-        const auto k = int32_t(random.between(0, 4));
-        codes.push_back(random_codes(random, int64_t(rows) * k, n_atoms));
-        const CodeArrays& last = codes.back();
-        tables.push_back({last.bytes ? last.indices8.data() : nullptr, last.bytes ? nullptr : last.indices16.data(),
-                          last.weights.data(), rows, k});
-    }
-    std::vector<Exact<int32_t>> labels;
-    for (int v = 0; v < n_views; ++v) labels.push_back(random_labels(random, seen, levels, rows));
-    const auto maps = [&](int v) { return LabelMaps{labels[size_t(v)].data(), levels, seen.view.width, seen.view.height}; };
-
-    // Sometimes a second round.
-    EarlierVotes earlier;
-    const auto kept = int32_t(random.between(0, 4));
-    const CodeArrays votes = random_codes(random, n * levels * kept, n_atoms);
-    Exact<float> sharpness(random, levels), cosines(random, int64_t(rows) * n_atoms);
-    for (int32_t level = 0; level < levels; ++level) sharpness[level] = float(random.between(0, 100));
-    for (int64_t i = 0; i < cosines.size(); ++i) cosines[i] = float(random.between(-100, 100)) / 100;
-    std::vector<RegionCosines> agreeing;
-    if (random.chance(0.5)) {
-        earlier = {votes.bytes ? votes.indices8.data() : nullptr, votes.bytes ? nullptr : votes.indices16.data(),
-                   votes.weights.data(), sharpness.data(), kept};
-        agreeing.assign(size_t(levels), {cosines.data(), rows});
-    }
-
-    // All in one go on one thread.
-    Exact<float> plain(random, n * row);
-    Uplift simple(plain.data(), n, levels, n_atoms, earlier);
-    for (int v = 0; v < n_views; ++v) simple.add(seen.view, maps(v), tables, agreeing, 1, never);
-    const double seconds = seconds_of([&] { simple.flush(1, never); });
-
-    // With interruptions anywhere, more views after an interrupted flush, and threads.
-    Exact<float> out(random, n * row);
-    Uplift uplift(out.data(), n, levels, n_atoms, earlier);
-    const bool interrupts = random.chance(n > 2048 ? 0.5 : 0.05);
-    for (int v = 0; v < n_views; ++v) {
-        uplift.add(seen.view, maps(v), tables, agreeing, seen.threads, never);
-        if (interrupts)
-            interrupt(random, seconds, [&](const Interrupted& interrupted) { uplift.flush(seen.threads, interrupted); });
-        if (random.chance(0.3)) uplift.flush(seen.threads, never);
-    }
-    uplift.flush(seen.threads, never);
-    check_same(out, plain, interrupts ? "uplift: interruptions" : "uplift: threads and flushes");
-
-    // A label without a code is refused and leaves no trace.
-    Exact<int32_t> beyond = random_labels(random, seen, levels, rows);
-    for (int64_t i = 0; i < beyond.size(); ++i)
-        if (i % 3 == 0) beyond[i] = random.chance(0.5) ? rows : std::numeric_limits<int32_t>::max();
-    try {
-        uplift.add(seen.view, {beyond.data(), levels, seen.view.width, seen.view.height}, tables, agreeing, seen.threads, never);
-    } catch (const std::out_of_range&) {
-        uplift.flush(seen.threads, never);
-        check_same(out, plain, "uplift: after a label without a code");
-    }
-
-    std::vector<double> expected(size_t(n * row), 0.0);
-    for (int v = 0; v < n_views; ++v) {
-        const RegionWeights found = region_weights(seen.view, maps(v), rows, seen.threads, never);
-        for (int64_t i = 0; i < found.count; ++i) {
-            const auto level = size_t(found.key[i] / rows);
-            const int64_t region = found.key[i] % rows, k = tables[level].k;
-            double counts = 1, cosine = 0, total = 0;
-            for (int64_t j = 0; earlier.given() && j < kept; ++j) {
-                const int64_t vote = (found.gaussian[i] * levels + int64_t(level)) * kept + j;
-                cosine += double(votes.weights[vote]) * double(cosines[region * n_atoms + votes.index(vote)]);
-                total += double(votes.weights[vote]);
-            }
-            if (total > 0) counts = std::max(std::exp(double(sharpness[int64_t(level)]) * std::min(cosine - 1, 0.0)), 1e-6);
-            for (int64_t j = region * k; j < (region + 1) * k; ++j)
-                expected[size_t(found.gaussian[i] * row + int64_t(level) * n_atoms + codes[level].index(j))] +=
-                    counts * double(found.weight[i]) * double(codes[level].weights[j]);
-        }
-    }
-    for (int64_t i = 0; i < n * row; ++i)  // single precision, up to a hundred thousand additions
-        check_near(plain[i], expected[size_t(i)], 1e-3 * expected[size_t(i)] + 1e-6, "uplift");
 }
 
 // Rendered codes are channels of the codes written out; cosines follow from them.
@@ -370,45 +300,6 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
     refused([&] { code_scores(n, table, scores.data(), n_queries, worth.data(), seen.threads, never); });
 }
 
-inline void fuzz_vote(Random& random, int threads) {
-    const int64_t rows = random.one_of<int64_t>({0, 1, 100, 4095, 4097});
-    const auto n_atoms = int32_t(random.one_of({1, 2, 64, 256, 257})), k = int32_t(random.between(1, std::min(n_atoms, 9)));
-    const bool hostile = random.chance(0.5);
-    Exact<float> sums(random, rows * n_atoms);
-    for (int64_t i = 0; i < sums.size(); ++i) {
-        if (random.chance(0.5)) sums[i] = float(random.below(5)) / 4;  // many equal ones, and zeros
-        else sums[i] = float(random.uniform(-0.5, 1));
-        if (hostile && random.chance(0.1)) sums[i] = hostile_float(random);
-    }
-    Exact<uint8_t> indices8(random, rows * k);
-    Exact<uint16_t> indices16(random, rows * k);
-    Exact<float> weights(random, rows * k), again(random, rows * k);
-    vote({sums.data(), rows, n_atoms, k, nullptr, indices16.data(), weights.data()}, threads, never);
-    if (n_atoms <= 256) {
-        vote({sums.data(), rows, n_atoms, k, indices8.data(), nullptr, again.data()}, 1, never);
-        check_same(weights, again, "vote: threads");
-        for (int64_t i = 0; i < rows * k; ++i) check(indices8[i] == indices16[i], "vote: bytes");
-    }
-    for (int64_t r = 0; r < rows; ++r) {
-        const float* row = sums.data() + r * n_atoms;
-        std::vector<int32_t> order;
-        for (int32_t atom = 0; atom < n_atoms; ++atom)
-            if (row[atom] > 0) order.push_back(atom);
-        std::stable_sort(order.begin(), order.end(), [&](int32_t a, int32_t b) { return row[a] > row[b]; });
-        order.resize(std::min(order.size(), size_t(k)));
-        double total = 0;
-        for (const int32_t atom : order) total += double(row[atom]);
-        for (int32_t j = 0; j < k; ++j) {
-            const float weight = weights[r * k + j];
-            check(indices16[r * k + j] < n_atoms, "vote: no such atom");
-            if (hostile) continue;
-            const bool used = size_t(j) < order.size();
-            check(indices16[r * k + j] == (used ? order[size_t(j)] : 0), "vote: another atom");
-            check_near(weight, used ? double(row[order[size_t(j)]]) / total : 0, 1e-5, "vote: weight");
-        }
-    }
-}
-
 inline void fuzz_raster(Random& random) {
     const int64_t count = random.one_of<int64_t>({0, 1, 15, 16, 17, 300, 300, 1500, 1500, 3000, 9000});
     const double hostile = random.one_of({0.0, 0.0, 0.01, 0.1, 0.5});
@@ -440,7 +331,6 @@ inline void fuzz_raster(Random& random) {
     const Seen seen{view, alpha.alpha, threads};
     fuzz_channels(random, seen);
     fuzz_regions(random, seen);
-    fuzz_uplift(random, seen);
     fuzz_codes(random, seen);
 }
 

@@ -6,6 +6,7 @@
 #include "failing_memory.h"
 #include "fuzz_coder.h"
 #include "fuzz_raster.h"
+#include "fuzz_vote.h"
 
 namespace {
 
@@ -24,7 +25,6 @@ std::vector<float> work(const scoup::SceneArrays& arrays, const scoup::Camera& c
         const Seen seen{*view, alpha, 2};
         fuzz_channels(random, seen);
         fuzz_regions(random, seen);
-        fuzz_uplift(random, seen);
         fuzz_codes(random, seen);
     }
     fuzz_vote(random, 2);

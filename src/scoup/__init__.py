@@ -25,11 +25,12 @@ _HOMES = {
     "Codebook": "scoup.coding",
     "fit_codes": "scoup.coding",
     "look": "scoup.raster",
-    "RegionSums": "scoup.uplifting",
-    "region_sums": "scoup.uplifting",
-    "uplift": "scoup.uplifting",
+    "RegionSums": "scoup.uplift.region_sums",
+    "region_sums": "scoup.uplift.taking",
+    "vote": "scoup.uplift.vote",
     "LanguageField": "scoup.field",
-    "build": "scoup.pipeline",
+    "build": "scoup.uplift.build",
+    "update": "scoup.uplift.update",
     "TextEncoder": "scoup.text",
     "localize": "scoup.query",
     "segment": "scoup.query",
@@ -52,7 +53,6 @@ if TYPE_CHECKING:
     from scoup.io import load_gaussians as load_gaussians
     from scoup.io import load_regions as load_regions
     from scoup.io import save_gaussians as save_gaussians
-    from scoup.pipeline import build as build
     from scoup.query import localize as localize
     from scoup.query import segment as segment
     from scoup.query import select as select
@@ -60,9 +60,11 @@ if TYPE_CHECKING:
     from scoup.regions import RegionMap as RegionMap
     from scoup.regions import Regions as Regions
     from scoup.text import TextEncoder as TextEncoder
-    from scoup.uplifting import RegionSums as RegionSums
-    from scoup.uplifting import region_sums as region_sums
-    from scoup.uplifting import uplift as uplift
+    from scoup.uplift.build import build as build
+    from scoup.uplift.region_sums import RegionSums as RegionSums
+    from scoup.uplift.taking import region_sums as region_sums
+    from scoup.uplift.update import update as update
+    from scoup.uplift.vote import vote as vote
 
 
 def __getattr__(name: str) -> Any:

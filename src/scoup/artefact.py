@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -49,10 +47,6 @@ class FieldInfo:
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
-Accumulators: TypeAlias = "Tensor | Callable[[], Tensor | None] | None"
-"""Accumulators, or how to read them when they are first needed, or none."""
-
-
 @dataclass(frozen=True, eq=False)
 class FieldParts:
     """Everything a ``.scoup`` file holds; attributes as those of ``LanguageField``.
@@ -66,19 +60,14 @@ class FieldParts:
     info: FieldInfo
     gaussians: Gaussians | None
     geometry_path: Path | None
-    accumulators: Accumulators  # [N, S, L]
     cameras: Cameras | None
 
 
 def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int) -> None:
-    """Write a field, and its accumulators beside it if there are any; see ``LanguageField.save``."""
+    """Write a field; see ``LanguageField.save``."""
     if weight_bits not in (8, 16):
         raise InputError(f"weights are stored with 8 or 16 bits, not {weight_bits}")
-    sibling = accumulators_path(path)
     check_output(path, overwrite)
-    accumulators = parts.accumulators() if callable(parts.accumulators) else parts.accumulators
-    if accumulators is not None:
-        check_output(sibling, overwrite)
     weights = parts.code_weights
     if weight_bits == 8:
         # In steps of each code's largest weight, so that no code is rounded away.
@@ -99,15 +88,10 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
             "path": None if parts.geometry_path is None else _relative(parts.geometry_path, path),
         },
         "cameras": None if parts.cameras is None else list(parts.cameras.names),
-        "accumulators": accumulators is not None,
         "provenance": parts.info.provenance,
     }
-    with ExitStack() as together:  # neither file is replaced before both are written
-        if accumulators is not None:
-            belongs = {"belongs_to": _digest(parts.code_indices, weights)}
-            temporary = together.enter_context(atomic_path(sibling, overwrite))
-            _write(sibling, temporary, {"accumulators": accumulators}, "scoup.accumulators", belongs)
-        _write(path, together.enter_context(atomic_path(path, overwrite)), tensors, SCHEMA, header)
+    with atomic_path(path, overwrite) as temporary:
+        _write(path, temporary, tensors, SCHEMA, header)
 
 
 def read_field(path: Path) -> FieldParts:
@@ -131,7 +115,6 @@ def read_field(path: Path) -> FieldParts:
         if geometry_path is not None:
             geometry_path = Path(os.path.normpath(path.absolute().parent / str(geometry_path)))
         weights = tensors["code_weights"]
-        stored = weights
         if weights.dtype == torch.uint8:
             weights = weights.float() / weights.float().sum(-1, keepdim=True).clamp(min=1)
         elif weights.dtype != torch.float16:
@@ -139,11 +122,6 @@ def read_field(path: Path) -> FieldParts:
         gaussians = None
         if "geometry.means" in tensors:
             gaussians = Gaussians(*(tensors[f"geometry.{name}"] for name in _GEOMETRY))
-        accumulators = None
-        if header["accumulators"]:
-            shape = (*tensors["code_indices"].shape[:2], tensors["codebook"].shape[1])
-            belongs_to = _digest(tensors["code_indices"], stored)
-            accumulators = partial(_read_accumulators, path, belongs_to, shape)
         return FieldParts(
             tensors["code_indices"],
             weights,
@@ -151,7 +129,6 @@ def read_field(path: Path) -> FieldParts:
             info,
             gaussians,
             geometry_path,
-            accumulators,
             _cameras(tensors, header["cameras"]),
         )
 
@@ -166,11 +143,6 @@ def field_damage_named(path: Path) -> Iterator[None]:
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
         raise FileFormatError(path, f"is not a complete language field ({reason})", _REBUILD) from error
-
-
-def accumulators_path(path: Path) -> Path:
-    """The sibling file with the float accumulators."""
-    return path.with_name(path.name + ".accumulators")
 
 
 def read_tensors(path: Path, schema: str, what: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -197,28 +169,6 @@ def read_tensors(path: Path, schema: str, what: str) -> tuple[dict[str, Tensor],
         return {name: stream.get_tensor(name) for name in stream.keys()}, header  # noqa: SIM118
 
 
-def _read_accumulators(path: Path, belongs_to: str, shape: tuple[int, ...]) -> Tensor | None:
-    """The accumulators beside a field; None where the file is gone (the field answers without them)."""
-    sibling = accumulators_path(path)
-    if not sibling.is_file():
-        return None
-    tensors, header = read_tensors(sibling, "scoup.accumulators", "the accumulators of a language field")
-    accumulators = tensors.get("accumulators")
-    if accumulators is None or tuple(accumulators.shape) != shape or header.get("belongs_to") != belongs_to:
-        raise FileFormatError(
-            sibling, f"does not belong to {path.name}", "delete it, or build the field again"
-        )
-    return accumulators
-
-
-def _digest(code_indices: Tensor, code_weights: Tensor) -> str:
-    """SHA-256 of the codes as stored: which field an accumulators file belongs to."""
-    digest = hashlib.sha256()
-    for tensor in (code_indices, code_weights):
-        digest.update(tensor.cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()
-
-
 def _write(
     path: Path, temporary: Path, tensors: dict[str, Tensor], schema: str, header: dict[str, Any]
 ) -> None:
@@ -234,12 +184,6 @@ def _write(
         temporary.chmod(permissions)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
-
-
-def write_tensors(path: Path, tensors: dict[str, Tensor], schema: str, header: dict[str, Any]) -> None:
-    """Write a safetensors file of ours atomically, replacing what is there."""
-    with atomic_path(path, overwrite=True) as temporary:
-        _write(path, temporary, tensors, schema, header)
 
 
 def _camera_tensors(cameras: Cameras) -> dict[str, Tensor]:

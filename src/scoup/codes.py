@@ -229,24 +229,3 @@ def check_atoms(indices: Tensor, n_atoms: int) -> None:
     wide = indices.long()
     if wide.numel() and not 0 <= int(wide.min()) <= int(wide.max()) < n_atoms:
         raise InputError(f"code indices must be 0 to {n_atoms - 1}")
-
-
-def add_codes(
-    gaussian: Tensor, key: Tensor, weight: Tensor, stride: int, codes: list[SparseCodes], out: Tensor
-) -> None:
-    """out[gaussian, level] += weight * code of the region, for triplets with key = level * stride + region.
-
-    One sequential scatter per level: additions happen in the order of the triplets, so the sum is the same
-    whatever the number of threads.
-    """
-    n_atoms = out.shape[2]
-    flat = out.view(-1)
-    for level, level_codes in enumerate(codes):
-        check_atoms(level_codes.indices, n_atoms)
-        chosen = (key >= level * stride) & (key < (level + 1) * stride)
-        rows = key[chosen] - level * stride
-        base = (gaussian[chosen] * len(codes) + level) * n_atoms
-        target = base[:, None] + level_codes.indices[rows].long()
-        flat.scatter_add_(
-            0, target.reshape(-1), (weight[chosen, None] * level_codes.weights[rows]).reshape(-1)
-        )

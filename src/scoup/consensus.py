@@ -33,7 +33,7 @@ from torch import Tensor
 from scoup.coding.rows import unit_rows
 from scoup.errors import InputError
 from scoup.progress import Progress, no_progress
-from scoup.uplifting import RegionSums
+from scoup.uplift.region_sums import RegionSums, Rows
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -83,6 +83,7 @@ DEFAULT = ConsensusSettings()
 def consensus(
     sums: RegionSums,
     embeddings: Sequence[Tensor],
+    rows: Rows | None = None,
     settings: ConsensusSettings = DEFAULT,
     progress: Progress = no_progress,
 ) -> list[Tensor]:
@@ -93,6 +94,7 @@ def consensus(
     Args:
         sums: from ``region_sums``.
         embeddings: per level, [R, D] in the order of ``Regions.embeddings``.
+        rows: of each view in them; by default those that ``sums`` has.
         settings: see ``ConsensusSettings``.
         progress: told of stage "consensus" in regions, each counted once for M and once a round.
 
@@ -105,7 +107,11 @@ def consensus(
     if len(embeddings) != len(sums.levels):
         raise InputError(f"there are {len(sums.levels)} levels, but embeddings of {len(embeddings)}")
     step = _counted(progress, sum(map(len, embeddings)) * (1 + settings.rounds))
-    return [_consensus(sums.matrix(level), rows, settings, step) for level, rows in enumerate(embeddings)]
+    matrices = (sums.matrix(level, None if rows is None else rows[level]) for level in range(len(embeddings)))
+    return [
+        _consensus(matrix, of_level, settings, step)
+        for matrix, of_level in zip(matrices, embeddings, strict=True)
+    ]
 
 
 def consensus_of(

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.artefact import Accumulators, FieldInfo, FieldParts, field_damage_named, read_field, write_field
+from scoup.artefact import FieldInfo, FieldParts, field_damage_named, read_field, write_field
 from scoup.asking import AskedViews, FieldCodes
 from scoup.cameras import Camera, Cameras
 from scoup.codes import cosines_from_codes, index_dtype
-from scoup.errors import GeometryMismatchError, InputError, ScoupWarning
+from scoup.errors import GeometryMismatchError, InputError
 from scoup.gaussians import Gaussians
-from scoup.regions import Regions
 from scoup.relevancy import relevancy
-from scoup.uplifting import top_k
 
 GAUSSIANS_AT_A_TIME = 65536
 
@@ -33,8 +29,6 @@ class LanguageField:
         info: levels, model, fingerprint, provenance.
         gaussians: the geometry; None loads it from ``geometry_path`` when first needed.
         geometry_path: where the geometry lies.
-        accumulators: [N, S, L] float32 sums before the top-K step, needed only to add views later, or a function
-            that reads them.
         cameras: the views it was built from, so that it can be asked without its scene folder.
 
     Raises:
@@ -50,7 +44,6 @@ class LanguageField:
         info: FieldInfo,
         gaussians: Gaussians | None = None,
         geometry_path: Path | None = None,
-        accumulators: Accumulators = None,
         cameras: Cameras | None = None,
     ) -> None:
         self.code_indices = code_indices
@@ -58,7 +51,6 @@ class LanguageField:
         self.codebook = codebook
         self.info = info
         self.geometry_path = geometry_path
-        self._accumulators = accumulators
         self.cameras = cameras
         self._gaussians = None
         self._asked = AskedViews()
@@ -97,22 +89,10 @@ class LanguageField:
             self.codebook.to(device),
             self.info,
             geometry_path=self.geometry_path,
-            accumulators=self._accumulators,
             cameras=self.cameras,
         )
         moved._gaussians = None if self._gaussians is None else self._gaussians.to(device)
         return moved
-
-    @property
-    def accumulators(self) -> Tensor | None:
-        """[N, S, L] float32 sums before the top-K step, read on first use; None if they were not kept.
-
-        Raises:
-            FileFormatError: the file beside the field is damaged or belongs to another field.
-        """
-        if callable(self._accumulators):
-            self._accumulators = self._accumulators()
-        return self._accumulators
 
     def coded(self) -> Tensor:
         """Boolean [N]: Gaussians with a code at any level."""
@@ -237,76 +217,7 @@ class LanguageField:
             raise InputError(f"there is no level {level!r}; levels: {', '.join(self.levels)}")
         return self.levels.index(level)
 
-    # ---- how it changes and lasts
-
-    def update(self, camera: Camera, regions: Regions, new_atoms: int = 0) -> LanguageField:
-        """A new field with one more view added to the vote; atoms and the codes of earlier regions stay.
-
-        Things that no earlier view showed may have no atoms; ``new_atoms`` adds some for the regions that the codebook
-        explains badly (``Codebook.extended``). All levels then have as many places for atoms as the one that needs
-        most; the others are filled up with zeros, which no code uses.
-
-        Args:
-            camera: the new view.
-            regions: ``Regions`` that hold the camera's name, with this field's levels.
-            new_atoms: add at most so many atoms a level. With 0 a warning is given if more than 30 % of the view's
-                regions are badly explained.
-
-        Raises:
-            InputError: the field was loaded or built without its accumulators, the view is in the vote already,
-                levels or embeddings do not fit, ``new_atoms`` is negative or makes more than 65536 atoms, or the field
-                does not record how well its codebook explains regions.
-        """
-        from scoup.growing import (
-            MANY,
-            agreement_of,
-            bars_of,
-            code_view,
-            embeddings_of,
-            provenance_with,
-            widened,
-        )
-
-        provenance = self.info.provenance
-        if camera.name in [*provenance.get("views", []), *provenance.get("added_views", [])]:
-            raise InputError(f"the view {camera.name!r} is in the field already; a view votes once")
-        if self.accumulators is None:
-            raise InputError(
-                "adding a view needs the accumulators; build with keep_accumulators=True (--keep-accumulators)"
-            )
-        rows = embeddings_of(camera.name, regions, self.levels, self.dim)
-        settings = provenance.get("settings", {})
-        keep = self.code_indices.shape[2]
-        k = int(settings.get("k", keep))  # of a region's code
-        coded = code_view(self.codebook.cpu(), rows, k, bars_of(provenance, self.levels), new_atoms)
-        badly_explained = (coded.n_badly_explained or 0) / max(1, coded.n_regions)
-        if not new_atoms and badly_explained > MANY:
-            warnings.warn(
-                f"{badly_explained:.0%} of the regions of {camera.name!r} are badly explained by the field's codebook; "
-                "add atoms for them (new_atoms=8), or build again with this view among the others",
-                ScoupWarning,
-                stacklevel=2,
-            )
-        n_atoms = coded.codebook.shape[1]
-        accumulators = widened(self.accumulators, n_atoms)
-        labels, _ = regions.load_view(camera.name, camera.width, camera.height)
-        view = self.look(camera)
-        agreement = agreement_of(provenance, accumulators, coded.codebook, k)
-        uplift = raster.Uplift(accumulators, view.backend, agreement)
-        uplift.add(view, labels.to(self.gaussians.device), coded.codes)
-        uplift.flush()
-        indices, weights = top_k(accumulators, n_atoms if settings.get("keep", keep) == 0 else keep)
-        info = replace(
-            self.info, provenance=provenance_with(provenance, camera.name, self.levels, coded.n_new)
-        )
-        cameras = self.cameras
-        if cameras is not None and camera.name not in cameras.names:
-            cameras = Cameras([*cameras, camera])
-        grown = LanguageField(
-            indices, weights, coded.codebook, info, None, self.geometry_path, accumulators, cameras
-        ).to(self.codebook.device)
-        grown._gaussians = self._gaussians
-        return grown
+    # ---- how it lasts
 
     def save(
         self,
@@ -314,16 +225,14 @@ class LanguageField:
         overwrite: bool = False,
         embed_geometry: bool = False,
         weight_bits: int = 16,
-        with_accumulators: bool = True,
     ) -> None:
         """Write the field to one ``.scoup`` file (docs/formats.md), atomically.
 
         Args:
-            path: the file. Accumulators, if kept, go to a sibling ``<path>.accumulators``.
+            path: the file.
             overwrite: replace what is there.
             embed_geometry: put the Gaussians into the file too.
             weight_bits: 16 (float16) or 8 (255 steps of each code's largest weight).
-            with_accumulators: write the accumulators too, if the field has them.
 
         Raises:
             OutputExistsError: the file is there and ``overwrite`` is false.
@@ -335,7 +244,6 @@ class LanguageField:
             self.info,
             self.gaussians if embed_geometry else None,
             self.geometry_path,
-            self._accumulators if with_accumulators else None,
             self.cameras,
         )
         write_field(parts, Path(path), overwrite, weight_bits)
@@ -362,7 +270,6 @@ class LanguageField:
                 parts.info,
                 None,
                 parts.geometry_path,
-                parts.accumulators,
                 parts.cameras,
             )
         if gaussians is not None:

@@ -84,11 +84,10 @@ def view_standing(
     for start in range(0, len(cores), _AT_A_TIME):
         part = cores[start : start + _AT_A_TIME]
         labels = torch.stack([core.int() - 1 for _, core in part])
-        gaussian, key, weight = raster.region_weights(view, labels)
-        # One region a map, so the key is the number of the map.
+        sums = raster.region_sums(view, labels)
         for number, (level, _) in enumerate(part):
-            mine = key == number
-            answers[start + number] = mean_embedding(field, level, gaussian[mine], weight[mine])
+            gaussian, _, weight = sums.triplets(number)
+            answers[start + number] = mean_embedding(field, level, gaussian, weight)
     return standing(answers, queries, words)
 
 
@@ -140,7 +139,7 @@ def vote_entropy(weights: Tensor) -> Tensor:
     """[N, S] float32 entropy of votes, 0 (all views agree) to 1; 1 for a Gaussian without a code.
 
     Args:
-        weights: [N, S, K] not negative: code weights as stored, or accumulators.
+        weights: [N, S, K] not negative: those of codes as stored, or of all atoms.
     """
     weights = weights.float()
     total = weights.sum(-1, keepdim=True)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import torch
-from torch import Tensor
 
 from scoup.errors import InputError
 
@@ -37,10 +36,21 @@ class Processes:
         """Every world-th of the items: this process's part."""
         return list(items[self.rank :: self.world])
 
-    def sum(self, tensor: Tensor) -> None:
-        """Add up a tensor of all processes, in place on each."""
+    def share_range(self, count: int) -> range:
+        """This process's part of 0 .. count - 1, one after another; ranks follow each other."""
+        return range(self.rank * count // self.world, (self.rank + 1) * count // self.world)
+
+    def owner(self, position: int) -> int:
+        """The rank to whose ``share`` the item at a position belongs."""
+        return position % self.world
+
+    def from_rank(self, item: Item | None, rank: int) -> Item:
+        """The item of one process, on each."""
+        items = [item]
         if self.world > 1:
-            torch.distributed.all_reduce(tensor)
+            torch.distributed.broadcast_object_list(items, rank)
+        assert items[0] is not None
+        return items[0]
 
     def gather(self, item: Item) -> list[Item]:
         """Everybody's item, on each process, by rank."""
@@ -49,6 +59,9 @@ class Processes:
         items: list[Item] = [item] * self.world
         torch.distributed.all_gather_object(items, item)
         return items
+
+
+ALONE = Processes()
 
 
 def at_work() -> Processes:

@@ -12,7 +12,7 @@ import torch
 
 from scoup.bench import usable_backends
 from scoup.coding.exact import PRESETS
-from scoup.errors import OutputExistsError
+from scoup.errors import InputError, OutputExistsError
 
 ROOT = Path(__file__).resolve().parents[2]
 BACKENDS = usable_backends()[0]
@@ -86,7 +86,7 @@ def test_a_whole_build(script, tmp_path: Path, capsys: pytest.CaptureFixture[str
     record = lerf_sized.main(arguments)
     assert json.loads((tmp_path / "lerf.json").read_text()) == record
     assert record["settings"]["backend"] == backend
-    assert {"coding s", "coding m", "coding l", "uplift", "after uplift"} <= set(record["seconds"])
+    assert {"coding s", "coding m", "coding l", "region sums", "after vote"} <= set(record["seconds"])
     assert sum(record["seconds"].values()) == pytest.approx(record["total_s"], abs=0.1)
     assert record["coded_gaussians"] > 0
     assert "peak memory" in capsys.readouterr().out
@@ -175,3 +175,31 @@ def test_extraction_against_the_literal_rules(script, tmp_path: Path, capsys: py
         extract.Arguments(masks=(8,), height=50, width=60, pairs=5, data=tmp_path / "none")
     )
     assert sampled["rows"][0]["agreement"] == "not compared"
+
+
+def test_kept_sums(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    kept = script("kept_sums")
+    arguments = kept.Arguments(
+        n_gaussians=200, views=2, width=40, height=30, kitchen=False, out=tmp_path / "k.json"
+    )
+    record = kept.main(arguments)
+    assert json.loads((tmp_path / "k.json").read_text()) == record
+    room = record["scenes"]["room"]
+    assert room["sums"]["float16"]["bytes"] < room["sums"]["float32"]["bytes"]
+    assert room["sums"]["float32"]["same_atoms"] == 1
+    assert set(room["builds"]) == {*kept.CHANGES, "other embeddings"}
+    assert "other embeddings" in capsys.readouterr().out
+
+
+def test_two_checkouts_beside_each_other(script, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    beside = script("beside")
+    run = beside.run
+    runs = iter([{"total_s": 4.0}, {"total_s": 2.0}, {"total_s": 5.0}, {"total_s": 1.0}])
+    roots = []
+    monkeypatch.setattr(beside, "run", lambda root, *_: roots.append(root) or next(runs))
+    arguments = beside.Arguments(tmp_path, "benchmarks.raster", figures=("total_s",), out=tmp_path / "b.json")
+    record = beside.main(arguments, ["--threads", "2"])
+    assert roots == [tmp_path, ROOT] * 2  # by turns
+    assert record["figures"]["total_s"] == {"before": 4.0, "now": 1.0, "ratio": 0.25}
+    with pytest.raises(InputError, match=r"no \.venv"):
+        run(tmp_path, "benchmarks.raster", [])

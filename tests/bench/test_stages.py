@@ -33,50 +33,33 @@ def test_every_stage_runs(work, backend):
     image, alpha = results["alpha"]
     assert image.shape == (30, 40, 1)
     assert torch.allclose(image[..., 0], alpha, atol=1e-5)
-    gaussian, key, weight = results["sums"]
-    assert len(gaussian) == len(key) == len(weight) > 0
-    assert int(key.max()) < 3 * 6
-    assert results["uplift"] is None
+    sums = results["sums"]
+    assert len(sums.gaussian) == len(sums.combination) == len(sums.weight) > 0
+    assert int(sums.combination.max()) < len(sums.table)
+    # Every pixel has a region, so what is summed up is what is painted.
+    assert float(sums.weight.sum()) == pytest.approx(float(alpha.sum()), rel=1e-3)
+    assert sums.table.shape[1] == 3
     assert results["colors"][0].shape == (30, 40, 3)
     assert results["codes"].shape == (3, 30, 40, 64)
     assert results["cosines"].shape == (3, 1, 30, 40)
-    indices, weights = results["vote"]
-    assert indices.shape == weights.shape == (300, 3, 4)
+    assert results["vote"].indices.shape == results["vote"].weights.shape == (300, 3, 4)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_uplift_adds_to_the_accumulators(work, backend):
-    before = work.accumulators.clone()
-    stage_runs(work, backend, ["uplift"])["uplift"]()
-    added = work.accumulators - before
-    assert (added >= 0).all()
-    # Codes sum to 1 and every pixel has a region, so what is added at a level is what is painted.
-    _, alpha = raster.render_channels(raster.look(work.gaussians, work.camera), work.values)
-    assert torch.allclose(added.sum((0, 2)), alpha.sum().expand(3), rtol=1e-3)
+def test_the_vote_is_over_what_is_painted(work, backend):
+    runs = stage_runs(work, backend, ["sums", "vote"])
+    painting = runs["sums"]().gaussian.unique().long()
+    weights = runs["vote"]().weights
+    painted = torch.zeros(300, dtype=torch.bool)
+    painted[painting] = True  # every pixel has a region at every level
+    expected = painted[:, None].expand(300, 3).float()
+    torch.testing.assert_close(weights.sum(2), expected)
 
 
 def test_stages_in_the_order_wanted(work):
     assert list(stage_runs(work, "reference", ["vote", "look"])) == ["vote", "look"]
     with pytest.raises(InputError, match="no stage 'paint'; stages: look, alpha"):
         stage_runs(work, "reference", ["paint"])
-
-
-def test_accumulators_are_a_vote_to_decide(work):
-    fresh = room_workload(300, 40, 30, regions=(6, 4, 2))
-    kept = (fresh.accumulators > 0).sum(2)
-    assert kept.min() >= 4
-    assert kept.max() <= 12
-    assert fresh.accumulators.flatten(1).std() > 0
-
-
-def test_workloads_can_share_accumulators():
-    shared = torch.zeros(500, 3, 64)
-    work = room_workload(300, 40, 30, accumulators=shared)
-    assert work.accumulators.shape == (300, 3, 64)
-    assert work.accumulators.is_contiguous()
-    assert work.accumulators.data_ptr() == shared.data_ptr()
-    with pytest.raises(InputError, match="do not fit 600"):
-        room_workload(600, 40, 30, accumulators=shared)
 
 
 def test_a_workload_of_any_scene():

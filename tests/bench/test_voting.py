@@ -16,9 +16,9 @@ from scoup.errors import InputError, UnknownNameError
 from scoup.evaluate.lerf_ovs import score_frame
 from scoup.evaluate.metrics import bootstrap_interval
 from scoup.evaluate.perturbations import as_region_sums
-from scoup.pipeline import BuildSettings
 from scoup.query import PRESETS
 from scoup.relevancy import relevancy
+from scoup.uplift.build import BuildSettings
 
 PARTS = ("_scenes", "_ways", "_scores", "_results")
 ROOT = Path(__file__).resolve().parents[2]

@@ -92,7 +92,7 @@ def test_a_build_checkpoint_that_is_damaged_costs_only_time():
     Path("a.scoup.partial").write_bytes(b"damaged")
     code, _, err = run(*BUILD)
     assert code == 0
-    assert err.startswith("warning: a.scoup.partial: the checkpoint cannot be used")
+    assert err.startswith("warning: a.scoup.partial: cannot be gone on from")
     assert not Path("a.scoup.partial").exists()
 
 
@@ -253,12 +253,25 @@ def test_geometry_of_another_field():
     assert "point_cloud.ply: not the geometry" in refused(*ASK["query"])
 
 
-def test_accumulators_of_another_field():
-    assert run(*BUILD, "--keep-accumulators")[0] == 0
+def test_region_sums_that_do_not_fit():
+    assert run(*BUILD, "--keep-sums")[0] == 0
     write_scene(Path("second"), seed=4)
-    assert run("build", "second", *QUICK, "--out", "b.scoup", "--keep-accumulators")[0] == 0
-    shutil.copy("a.scoup.accumulators", "b.scoup.accumulators")
-    assert "b.scoup.accumulators: does not belong to b.scoup" in refused("info", "b.scoup")
+    build = ("build", "second", *QUICK, "--out", "b.scoup")
+    assert "a.scoup.sums: made with other Gaussians" in refused(*build, "--sums", "a.scoup.sums")
+    assert "no.sums: there is no such file" in refused(*build, "--sums", "no.sums")
+    assert "a.scoup: is not a file of region sums" in refused(*build, "--sums", "a.scoup")
+    assert "do not go together" in refused(*build, "--sums", "a.scoup.sums", "--keep-sums")
+    assert run(*build, "--keep-sums")[0] == 0
+    update = ("update", "a.scoup", "--overwrite", "--remove", "view_00.png")
+    assert "another scene" in refused(*update, "--sums", "b.scoup.sums")
+    damaged = bytearray(Path("a.scoup.sums").read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    Path("a.scoup.sums").write_bytes(damaged)
+    assert "a.scoup.sums: is damaged" in refused(
+        *BUILD[:2], *QUICK, "--out", "c.scoup", "--sums", "a.scoup.sums"
+    )
+    Path("a.scoup.sums").unlink()
+    assert "a.scoup.sums: is not there" in refused(*update)
 
 
 def test_cameras_that_see_nothing():

@@ -7,32 +7,33 @@ import pytest
 import torch
 
 from scoup.baselines.methods import METHODS
-from scoup.coding import fit_codes
 from scoup.errors import UnknownNameError
 from scoup.evaluate.ablation_recipes import ABLATIONS, BASE, find_ablations
-from scoup.evaluate.ablations import _rounded_uplift, _rule, _start, _without
+from scoup.evaluate.ablations import _rule, _start, _without
 from scoup.evaluate.curves import FAULTS, displaced_masks, find_fault
 from scoup.evaluate.prepared import every_nth_pixel, of_views
 from scoup.evaluate.published import ABLATIONS as PUBLISHED
 from scoup.presence import vote_entropy
 from scoup.query import PRESETS
-from scoup.uplifting import region_sums, uplift
+from scoup.uplift.taking import region_sums
+from scoup.uplift.vote import GaussianCodes
 from support import small_scene, unit
 
 
 def test_halves_by_entropy() -> None:
-    accumulators = torch.rand(41, 3, 8, generator=torch.Generator().manual_seed(0)) ** 4
-    accumulators[5:9, 1] = 0  # without votes
-    entropy = vote_entropy(accumulators)
-    calm, torn = _without(accumulators, "highest"), _without(accumulators, "lowest")
+    votes = torch.rand(41, 3, 8, generator=torch.Generator().manual_seed(0)) ** 4
+    votes[5:9, 1] = 0  # without votes
+    entropy = vote_entropy(votes)
+    whole = GaussianCodes(torch.zeros(41, 3, 8, dtype=torch.uint8), votes)
+    calm, torn = (_without(whole, whole, half).weights for half in ("highest", "lowest"))
     for level in range(3):
         kept, dropped = calm[:, level].any(1), torn[:, level].any(1)
-        voted = accumulators[:, level].any(1)
+        voted = votes[:, level].any(1)
         assert torch.equal(kept | dropped, voted)
         assert not (kept & dropped).any()
         assert abs(int(kept.sum()) - int(dropped.sum())) <= 1
         assert entropy[kept, level].max() <= entropy[dropped, level].min()
-        assert torch.equal(calm[kept, level], accumulators[kept, level])
+        assert torch.equal(calm[kept, level], votes[kept, level])
 
 
 def test_starts() -> None:
@@ -45,21 +46,6 @@ def test_starts() -> None:
     assert free is not None
     assert torch.allclose(free.norm(dim=1), torch.ones(4))
     assert not any((rows == atom).all(1).any() for atom in free)
-
-
-def test_sums_rounded_after_every_view() -> None:
-    gaussians, cameras, regions = small_scene(count=60, views=3)
-    sums = region_sums(gaussians, cameras, regions)
-    rows = [regions.embeddings(level)[0] for level in regions.levels]
-    codes = [fit_codes(of_level, 8, 3, "exact", 0).codes for of_level in rows]
-    exact = uplift(sums, codes)
-    assert torch.allclose(_rounded_uplift(sums, codes, torch.float32), exact, rtol=1e-5, atol=1e-6)
-    for dtype, digits in ((torch.float16, 2**-11), (torch.bfloat16, 2**-8)):
-        rounded = _rounded_uplift(sums, codes, dtype)
-        assert torch.equal(rounded, rounded.to(dtype).float())
-        assert not torch.equal(rounded, exact)
-        error = (rounded - exact).abs()
-        assert bool((error <= 3 * digits * exact + 1e-6).all())
 
 
 def test_rules_of_rows() -> None:

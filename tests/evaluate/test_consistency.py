@@ -11,8 +11,8 @@ from scoup.cameras import Cameras
 from scoup.errors import InputError
 from scoup.evaluate.consistency import Matches, consistency, consistency_table, dominant_gaussians
 from scoup.gaussians import Gaussians
-from scoup.pipeline import BuildSettings
 from scoup.regions import RegionMap, Regions
+from scoup.uplift.build import BuildSettings
 from support import make_camera, small_scene, unit
 
 QUICK = AutoencoderSettings(epochs=1, encoder=(8, 3), decoder=(8,))

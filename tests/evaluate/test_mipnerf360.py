@@ -16,8 +16,8 @@ from scoup.baselines.channels import (
 from scoup.errors import InputError
 from scoup.evaluate import mipnerf360
 from scoup.evaluate.lerf_labels import LabelledFrame
-from scoup.pipeline import build
 from scoup.relevancy import relevancy
+from scoup.uplift.build import build
 from support import small_scene, unit
 
 

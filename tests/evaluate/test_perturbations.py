@@ -21,7 +21,7 @@ from scoup.evaluate.perturbations import (
     regions_by_name,
     wrong_embeddings,
 )
-from scoup.uplifting import region_sums
+from scoup.uplift.taking import region_sums
 from support import small_scene, unit
 
 

@@ -15,15 +15,15 @@ from torch import Tensor
 from raster.hard_scenes import HARD_KINDS, hard_scene
 from raster.parity import (
     assert_close,
-    assert_same_triplets,
+    assert_same_sums,
     explained_flips,
+    same_bytes,
     span_of,
     sure_pixels,
 )
 from scoup import raster
-from scoup.agreement import Agreement
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes, index_dtype
+from scoup.codes import index_dtype
 from scoup.gaussians import Gaussians
 from support import KINDS, make_camera, random_gaussians, random_labels, small_scene, unit
 
@@ -51,11 +51,10 @@ def views_of(
     gaussians: Gaussians, camera: Camera, preset: str, device: str, precision: str = "fp16x3"
 ) -> tuple[raster.View, raster.View]:
     """(on the device, reference) views."""
-    from scoup.raster import gpu, gpu_regions
+    from scoup.raster import gpu
 
     if device == "cpu":
         assert os.environ.get("TRITON_INTERPRET") == "1"
-        gpu_regions._LANES = 1024  # a program costs the interpreter as much as a lane does not
     constants = raster.raster_preset(preset)
     view = gpu.look(gaussians.to(device), camera, constants, precision)
     return view, raster.look(gaussians, camera, preset, "reference")
@@ -77,7 +76,12 @@ def check_channels(kind: str, seed: int, preset: str, channels: int, device: str
 
 
 def check_regions(kind: str, seed: int, levels: int, n_regions: int, device: str) -> None:
-    gaussians, camera = scene_of(kind, seed, device == "cpu")
+    check_regions_of(*scene_of(kind, seed, device == "cpu"), seed, levels, n_regions, device)
+
+
+def check_regions_of(
+    gaussians: Gaussians, camera: Camera, seed: int, levels: int, n_regions: int, device: str
+) -> None:
     view, reference = views_of(gaussians, camera, "inria", device)
     if n_regions > camera.width * camera.height:  # every pixel its own
         pixels = camera.width * camera.height
@@ -87,10 +91,9 @@ def check_regions(kind: str, seed: int, levels: int, n_regions: int, device: str
     else:
         labels = random_labels(levels, camera.height, camera.width, n_regions, seed)
     labels[:, ~sure_pixels(gaussians, camera)] = -1
-    found = raster.region_weights(view, labels.to(device))
-    again = raster.region_weights(view, labels.to(device))
-    assert all(torch.equal(one, other) for one, other in zip(found, again, strict=True))
-    assert_same_triplets(tuple(part.cpu() for part in found), raster.region_weights(reference, labels))
+    found = raster.region_sums(view, labels.to(device))
+    assert same_bytes(found, raster.region_sums(view, labels.to(device)))
+    assert_same_sums(found, raster.region_sums(reference, labels))
 
 
 def check_kinds_of_labels(device: str) -> None:
@@ -99,20 +102,18 @@ def check_kinds_of_labels(device: str) -> None:
     camera = make_camera(19, 13, 18.0, 3)
     view, _ = views_of(gaussians, camera, "inria", device)
     labels = random_labels(2, camera.height, camera.width, 5, 3)
-    expected = raster.region_weights(view, labels.to(device))
+    expected = raster.region_sums(view, labels.to(device))
     for dtype in (torch.int8, torch.int16, torch.int64):
-        found = raster.region_weights(view, labels.to(device, dtype))
-        assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True)), dtype
+        assert same_bytes(raster.region_sums(view, labels.to(device, dtype)), expected), dtype
     labels = labels.clamp(min=0, max=1)
-    expected = raster.region_weights(view, labels.to(device))
+    expected = raster.region_sums(view, labels.to(device))
     for dtype in (torch.uint8, torch.bool):
-        found = raster.region_weights(view, labels.to(device, dtype))
-        assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True)), dtype
+        assert same_bytes(raster.region_sums(view, labels.to(device, dtype)), expected), dtype
 
 
 def check_few_sums_at_a_time(device: str) -> None:
-    """Tiles whose sums do not fit at once come one lot after the other, each tile once, however large; the triplets
-    and the accumulators stay the same to the last bit.
+    """Tiles whose sums do not fit at once come one lot after the other, each tile once, however large; the result stays
+    the same to the last bit.
     """
     from scoup.raster import gpu_regions
 
@@ -121,22 +122,18 @@ def check_few_sums_at_a_time(device: str) -> None:
     view, _ = views_of(gaussians, camera, "inria", device)
     labels = random_labels(2, camera.height, camera.width, 9, 3).to(device)
     labels[:, 16:24] = -1  # a row of tiles without a region
-    generator = torch.Generator().manual_seed(3)
-    codes = [SparseCodes.from_dense(torch.rand(9, 6, generator=generator), 2).to(device) for _ in range(2)]
 
-    def found(most: int) -> tuple[list[int], list[Tensor]]:
+    def found(most: int) -> tuple[list[int], raster.ViewSums]:
         before, gpu_regions.MOST_SUMS = gpu_regions.MOST_SUMS, most
         try:
             lots = [sums.bases >= 0 for sums in gpu_regions.tile_sums(view, columns)]
-            out = torch.zeros(len(gaussians), 2, 6, device=device)
-            raster.Uplift(out, "triton").add(view, labels, codes)
-            triplets = raster.region_weights(view, labels)
+            sums = raster.region_sums(view, labels)
         finally:
             gpu_regions.MOST_SUMS = before
         assert int(torch.stack(lots).sum(0).amax()) <= 1, "a tile came twice"
-        return [int(sizes[lot].sum()) for lot in lots], [*triplets, out]
+        return [int(sizes[lot].sum()) for lot in lots], sums
 
-    columns = gpu_regions.columns_of(view, labels)
+    columns = gpu_regions.columns_of(view, raster.combine(labels).map)
     sizes = view.starts.diff() * columns.counts
     total, largest = int(sizes.sum()), int(sizes.max())
     assert bool((sizes == 0).any())
@@ -148,22 +145,23 @@ def check_few_sums_at_a_time(device: str) -> None:
         assert sum(lots) == total
         assert min(lots) > 0
         assert max(lots) <= max(most, largest)
-        assert all(torch.equal(one, other) for one, other in zip(again[:3], expected[:3], strict=True)), most
-        assert_close(again[3].cpu(), expected[3].cpu(), 3.0)
+        assert same_bytes(again, expected), most
 
 
 def check_nothing_painted(device: str) -> None:
-    """Regions of pixels that nobody paints, in tiles that Gaussians do reach."""
+    """Regions of pixels that nobody paints, in tiles that Gaussians do reach; and no region at all."""
     gaussians, camera = scene_of("mixed", 3, device == "cpu")
     view, reference = views_of(gaussians.select(torch.arange(4, 10)), camera, "inria", device)
     _, alpha = raster.render_channels(reference, torch.zeros(6, 1))
     assert bool((alpha > 0).any())
     labels = torch.where(alpha == 0, 0, -1)[None]
     assert bool((labels == 0).any())
-    found = raster.region_weights(view, labels.to(device))
-    assert [(len(part), part.dtype) for part in found] == [
-        (0, torch.int64), (0, torch.int64), (0, torch.float32),
-    ]  # fmt: skip
+    for nothing in (labels, torch.full_like(labels, -1)):
+        found = raster.region_sums(view, nothing.to(device))
+        entries = found.gaussian, found.combination, found.weight
+        assert [(len(part), part.dtype) for part in entries] == [
+            (0, torch.int32), (0, torch.int32), (0, torch.float32),
+        ]  # fmt: skip
 
 
 def check_split(device: str) -> None:
@@ -179,42 +177,6 @@ def check_split(device: str) -> None:
     high, low = (part.double().cpu() for part in parts)
     error = (high + low - values.double()).abs()
     assert bool((error <= (2.0**-22 * values.double()).clamp(min=2.0**-40)).all())
-
-
-def check_votes(kind: str, seed: int, n_atoms: int, k: int, rounds: int, few_tiles: int, device: str) -> None:
-    """Uplift of three levels; ``few_tiles`` decides which of the two kernels adds a Gaussian up."""
-    from scoup.raster import gpu_regions
-
-    gaussians, camera = scene_of(kind, seed, device == "cpu")
-    if device == "cpu" and few_tiles < 100:  # a program for each Gaussian
-        gaussians = gaussians.select(torch.arange(min(12, len(gaussians))))
-    view, reference = views_of(gaussians, camera, "inria", device)
-    generator = torch.Generator().manual_seed(seed)
-    labels = random_labels(3, camera.height, camera.width, 9, seed)
-    labels[:, ~sure_pixels(gaussians, camera)] = -1
-    codes = [SparseCodes.from_dense(torch.rand(9, n_atoms, generator=generator), k) for _ in range(3)]
-    agreement = there = None
-    if rounds > 1:
-        indices, weights = random_codes(len(gaussians), 3, 3, n_atoms, seed)
-        codebook = torch.randn(3, n_atoms, 12, generator=generator).abs()
-        agreement = Agreement.with_codes(indices, weights, codebook, torch.tensor([3.0, 0.0, 20.0]))
-        there = agreement.to(device)
-    expected = torch.rand(len(gaussians), 3, n_atoms, generator=generator)
-    found = [expected.to(device, copy=True) for _ in range(2)]
-    uplift = raster.Uplift(expected, "reference", agreement)
-    uplift.add(reference, labels, codes)
-    before, gpu_regions.FEW_TILES = gpu_regions.FEW_TILES, few_tiles
-    codes = [level.to(device) for level in codes]
-    try:
-        for out in found:
-            uplift = raster.Uplift(out, "triton", there)
-            uplift.add(view, labels.to(device), codes)
-            uplift.flush()
-            assert uplift.n_taken == 1
-    finally:
-        gpu_regions.FEW_TILES = before
-    assert torch.equal(found[0], found[1])
-    assert_close(found[0].cpu(), expected, 3.0)
 
 
 def check_codes(
@@ -284,15 +246,12 @@ def check_repeated_atoms(device: str) -> None:
         assert_close(found.movedim(0, 2), expected.movedim(0, 2), 2.0, sure)
 
 
-def check_build(device: str) -> None:
-    """A whole build of two rounds gives the field that the reference gives."""
-    from scoup.pipeline import build, build_settings
-    from scoup.raster import gpu_regions
+def check_build(rounds: int, device: str) -> None:
+    """A whole build gives the field that the reference gives."""
+    from scoup.uplift.build import build, build_settings
 
-    if device == "cpu":
-        gpu_regions._LANES = 1024
     gaussians, cameras, regions = small_scene(count=60, views=2, width=24, height=17, regions=4, dim=8)
-    settings = build_settings("default", n_atoms=6, k=2)
+    settings = build_settings("default", n_atoms=6, k=2, rounds=rounds)
     fields = [
         build(there, cameras, regions, settings=settings, backend=backend)
         for there, backend in ((gaussians.to(device), "triton"), (gaussians, "reference"))

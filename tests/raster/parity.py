@@ -19,6 +19,7 @@ from scoup.gaussians import Gaussians
 from scoup.native import missing_reason, native_core
 from scoup.raster.presets import raster_preset
 from scoup.raster.projection import project
+from scoup.raster.view_sums import ViewSums
 
 RELATIVE = 1e-5
 # Of a sum of float32 terms, in units of what the values span.
@@ -124,17 +125,27 @@ def explained_flips(
     return Flips(pixels, float(sizes.max()) if len(sizes) else 0.0)
 
 
-def assert_same_triplets(actual: tuple[Tensor, ...], expected: tuple[Tensor, ...], span: float = 1.0) -> None:
-    """Region sums (gaussian, key, weight) agree; a pair that only one side has must weigh next to nothing."""
-    for gaussian, key, weight in (actual, expected):
-        assert (gaussian.dtype, key.dtype, weight.dtype) == (torch.int64, torch.int64, torch.float32)
-        assert (weight > 0).all()
-    n_keys = 1 + max((int(key.max()) for _, key, _ in (actual, expected) if len(key)), default=0)
-    pairs = [gaussian * n_keys + key for gaussian, key, _ in (actual, expected)]
-    for pair in pairs:
+def assert_same_sums(actual: ViewSums, expected: ViewSums, span: float = 1.0) -> None:
+    """Region sums agree; a pair that only one side has must weigh next to nothing."""
+    assert torch.equal(actual.table.cpu(), expected.table.cpu())
+    count = max(1, len(expected.table))
+    pairs = []
+    for sums in (actual, expected):
+        assert [part.dtype for part in (sums.gaussian, sums.combination)] == [torch.int32] * 2
+        assert sums.weight.dtype == torch.float32
+        assert (sums.weight > 0).all()
+        assert ((sums.combination >= 0) & (sums.combination < count)).all()
+        pair = (sums.gaussian.long() * count + sums.combination).cpu()
         assert (pair[1:] > pair[:-1]).all()  # sorted, each once
+        pairs.append(pair)
     union = torch.unique(torch.cat(pairs))
     dense = [torch.zeros(len(union)) for _ in pairs]
-    for side, pair, triplets in zip(dense, pairs, (actual, expected), strict=True):
-        side[torch.searchsorted(union, pair)] = triplets[2]
+    for side, pair, sums in zip(dense, pairs, (actual, expected), strict=True):
+        side[torch.searchsorted(union, pair)] = sums.weight.cpu()
     assert_close(dense[0], dense[1], span)
+
+
+def same_bytes(one: ViewSums, other: ViewSums) -> bool:
+    """Whether region sums are equal to the last bit."""
+    names = ("gaussian", "combination", "weight", "table")
+    return all(torch.equal(getattr(one, name), getattr(other, name)) for name in names)

@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -25,7 +27,7 @@ from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
 from scoup import raster
 from scoup.errors import InputError, ScoupWarning
-from support import make_camera, random_gaussians
+from support import make_camera, random_gaussians, scenes
 
 # Bytes a thread, nearly all of it behind the loop over Gaussians, where the coefficients of one level wait for those of
 # another; ``tests/bench/test_instructions.py`` bounds what is spilled in the loop.
@@ -49,19 +51,21 @@ def test_channels_agree_with_the_reference(interpreted, number, kind):
     interpreted(gpu_checks.check_channels, kind, number, preset, channels)
 
 
-@pytest.mark.parametrize(
-    ("kind", "levels", "n_regions"),
-    [
-        ("mixed", 3, 6),
-        ("wall", 1, 40),
-        ("needles", 2, 5),
-        ("one pixel", 8, 3),
-        ("empty", 3, 2),
-        ("crowd", 3, 10**6),
-    ],
-)
-def test_region_sums_agree_with_the_reference(interpreted, kind, levels, n_regions):
+@pytest.mark.parametrize(("number", "kind"), list(enumerate(KINDS_OF_SCENES)))
+def test_region_sums_agree_with_the_reference(interpreted, number, kind):
+    levels, n_regions = ((3, 6), (1, 40), (8, 3), (2, 10**6))[number % 4]
     interpreted(gpu_checks.check_regions, kind, 3, levels, n_regions)
+
+
+@settings(max_examples=12)
+@given(
+    scene=scenes(25),
+    seed=st.integers(0, 2**31),
+    levels=st.integers(1, 5),
+    n_regions=st.sampled_from([1, 4, 10**6]),
+)
+def test_region_sums_of_any_scene(interpreted, scene, seed, levels, n_regions):
+    interpreted(gpu_checks.check_regions_of, *scene, seed, levels, n_regions)
 
 
 def test_labels_of_any_kind(interpreted):
@@ -78,21 +82,6 @@ def test_regions_that_nobody_paints(interpreted):
 
 def test_products_keep_the_digits_of_small_weights(interpreted):
     interpreted(gpu_checks.check_split)
-
-
-@pytest.mark.parametrize(
-    ("kind", "n_atoms", "k", "rounds", "few_tiles"),
-    [
-        ("mixed", 40, 4, 1, 1000),
-        ("mixed", 40, 4, 2, 0),
-        ("copies", 300, 2, 2, 3),
-        ("giants", 7, 9, 1, 2),
-        ("empty", 5, 1, 2, 2),
-        ("one pixel", 64, 4, 2, 0),
-    ],
-)
-def test_votes_agree_with_the_reference(interpreted, kind, n_atoms, k, rounds, few_tiles):
-    interpreted(gpu_checks.check_votes, kind, 5, n_atoms, k, rounds, few_tiles)
 
 
 @pytest.mark.parametrize(
@@ -115,8 +104,9 @@ def test_atoms_that_a_code_has_twice(interpreted):
     interpreted(gpu_checks.check_repeated_atoms)
 
 
-def test_a_build_agrees_with_the_reference(interpreted):
-    interpreted(gpu_checks.check_build)
+@pytest.mark.parametrize("rounds", [1, 2])
+def test_a_build_agrees_with_the_reference(interpreted, rounds):
+    interpreted(gpu_checks.check_build, rounds)
 
 
 @pytest.mark.parametrize("capability", [80, 90])
@@ -232,14 +222,6 @@ def test_region_sums_on_a_gpu(kind: str, seed: int) -> None:
 @on_a_gpu
 @scenes_on_a_gpu
 @seeds_on_a_gpu
-def test_votes_on_a_gpu(kind: str, seed: int) -> None:
-    for n_atoms, k, rounds, few_tiles in ((64, 4, 1, 48), (128, 4, 2, 48), (300, 16, 2, 0), (7, 9, 2, 1000)):
-        gpu_checks.check_votes(kind, seed, n_atoms, k, rounds, few_tiles, "cuda")
-
-
-@on_a_gpu
-@scenes_on_a_gpu
-@seeds_on_a_gpu
 @pytest.mark.parametrize("halves", [True, False], ids=["float16", "float32"])
 @pytest.mark.parametrize(
     ("levels", "n_atoms", "k"), [(1, 1, 1), (3, 64, 4), (3, 128, 4), (8, 20, 2), (2, 256, 16), (1, 1024, 4)]
@@ -250,7 +232,8 @@ def test_codes_on_a_gpu(kind: str, seed: int, levels: int, n_atoms: int, k: int,
 
 @on_a_gpu
 def test_a_build_on_a_gpu() -> None:
-    gpu_checks.check_build("cuda")
+    for rounds in (1, 2):
+        gpu_checks.check_build(rounds, "cuda")
 
 
 @on_a_gpu

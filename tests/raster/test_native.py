@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from hypothesis import given, settings
@@ -10,18 +12,18 @@ from hypothesis import strategies as st
 from raster.hard_scenes import any_scenes, hard_scene
 from raster.parity import (
     assert_close,
-    assert_same_triplets,
+    assert_same_sums,
     both,
     close_calls,
     explained_flips,
     needs_native,
+    same_bytes,
     span_of,
     sure_pixels,
 )
 from scoup import raster
-from scoup.agreement import Agreement
-from scoup.codes import SparseCodes, index_dtype
-from scoup.uplifting import MOST_VOTED_BY_INSERTION, top_k
+from scoup.codes import index_dtype
+from scoup.raster.combinations import combine_reference
 from support import make_camera, random_gaussians, random_labels, unit
 
 pytestmark = needs_native
@@ -78,13 +80,13 @@ def test_alpha_is_the_sum_of_the_weights(scene, preset):
     dtype=st.sampled_from([torch.int32, torch.int64, torch.int16]),
     seed=SEEDS,
 )
-def test_region_weights(scene, preset, levels, regions, dtype, seed):
+def test_region_sums(scene, preset, levels, regions, dtype, seed):
     gaussians, camera = scene
     native, reference = both(gaussians, camera, preset)
     regions = min(regions, 30_000) if dtype == torch.int16 else regions
     labels = random_labels(levels, camera.height, camera.width, regions, seed % 1000).to(dtype)
     labels[:, ~sure_pixels(gaussians, camera, preset)] = -1
-    assert_same_triplets(raster.region_weights(native, labels), raster.region_weights(reference, labels))
+    assert_same_sums(raster.region_sums(native, labels), raster.region_sums(reference, labels))
 
 
 @pytest.mark.parametrize("levels", [1, 3, 8])
@@ -98,92 +100,55 @@ def test_every_pixel_its_own_region(levels, holes):
     labels[torch.rand(labels.shape, generator=generator) < holes] = -1
     labels = labels.view(levels, camera.height, camera.width).int()
     labels[:, ~sure_pixels(gaussians, camera)] = -1
-    assert_same_triplets(raster.region_weights(native, labels), raster.region_weights(reference, labels))
+    assert_same_sums(raster.region_sums(native, labels), raster.region_sums(reference, labels))
 
 
 @settings(max_examples=30)
 @given(scene=any_scenes(), highest=st.sampled_from([2**16, 2**24 + 1, 2**31 - 2]), levels=st.integers(1, 8))
 def test_label_numbers_may_be_huge(scene, highest, levels):
-    """Only the names of the regions change; the reference cannot hold tables that long."""
+    """Only the names of the regions change."""
     gaussians, camera = scene
     view = raster.look(gaussians, camera, backend="native")
     labels = random_labels(levels, camera.height, camera.width, 3, 5).long()
-    gaussian, key, weight = raster.region_weights(view, labels)
-    small, large = int(labels.max()) + 1, torch.tensor([0, highest // 2, highest])
-    renamed = torch.where(labels >= 0, large[labels.clamp(min=0)], -1)
-    found = raster.region_weights(view, renamed)
-    stride = int(renamed.max()) + 1
-    assert torch.equal(found[0], gaussian)
-    if len(key):
-        assert torch.equal(found[1], key // small * stride + large[key % small])
-    assert torch.equal(found[2], weight)
+    sums, large = raster.region_sums(view, labels), torch.tensor([0, highest // 2, highest])
+    found = raster.region_sums(view, torch.where(labels >= 0, large[labels.clamp(min=0)], -1))
+    renamed = torch.where(sums.table >= 0, large[sums.table.long().clamp(min=0)], -1)
+    assert same_bytes(found, replace(sums, table=renamed.int()))
 
 
-@settings(max_examples=30)
+@settings(max_examples=60)
 @given(
-    scene=any_scenes(),
-    levels=st.integers(1, 8),
-    n_atoms=st.sampled_from([1, 7, 64, 255, 256, 257, 1024]),
-    k=st.integers(1, 16),
+    levels=st.integers(1, 9),
+    width=st.integers(1, 70),
+    height=st.integers(1, 40),
+    regions=st.sampled_from([1, 3, 500]),
+    edge=st.sampled_from([1, 5]),
+    dtype=st.sampled_from([torch.int8, torch.uint8, torch.int16, torch.int32, torch.int64]),
+    threads=st.integers(1, 3),
     seed=SEEDS,
 )
-def test_uplift(scene, levels, n_atoms, k, seed):
-    gaussians, camera = scene
-    native, reference = both(gaussians, camera)
+def test_combinations(levels, width, height, regions, edge, dtype, threads, seed):
     generator = torch.Generator().manual_seed(seed)
-    labels = random_labels(levels, camera.height, camera.width, 9, seed % 1000)
-    labels[:, ~sure_pixels(gaussians, camera)] = -1
-    codes = [SparseCodes.from_dense(torch.rand(9, n_atoms, generator=generator), k) for _ in range(levels)]
-    before = torch.rand(len(gaussians), levels, n_atoms, generator=generator)
-    sums = [before.clone(), before.clone()]
-    for view, out in zip((native, reference), sums, strict=True):
-        raster.uplift_view(view, labels, codes, out)
-    assert_close(sums[0], sums[1])
-
-    # A second round, held to any votes: also of Gaussians without a code.
-    voted = torch.rand(len(gaussians) * levels, n_atoms, generator=generator)
-    voted[torch.rand(len(voted), generator=generator) < 0.2] = 0
-    votes = SparseCodes.from_dense(voted, k)
-    agreement = Agreement.with_codes(
-        votes.indices.view(len(gaussians), levels, k),
-        votes.weights.view(len(gaussians), levels, k),
-        torch.randn(levels, n_atoms, 12, generator=generator),
-        10 * torch.rand(levels, generator=generator),
+    regions = min(regions, 100) if dtype in (torch.int8, torch.uint8) else regions
+    lowest = 0 if dtype == torch.uint8 else -3
+    labels = torch.randint(
+        lowest, regions, (levels, -(-height // edge), -(-width // edge)), generator=generator
     )
-    sums = [before.clone(), before.clone()]
-    for view, out in zip((native, reference), sums, strict=True):
-        uplift = raster.Uplift(out, view.backend, agreement)
-        uplift.add(view, labels, codes)
-        uplift.flush()
-    assert_close(sums[0], sums[1])
-
-
-@pytest.mark.parametrize("n_atoms", [64, 1024])
-def test_it_does_not_matter_when_pending_views_are_added(n_atoms):
-    gaussians = random_gaussians(3000, 1)
-    expected, found = torch.zeros(3000, 3, n_atoms), []
-    generator = torch.Generator().manual_seed(0)
-    views = []
-    for number in range(5):
-        camera = make_camera(60, 45, 50.0, number)
-        codes = [SparseCodes.from_dense(torch.rand(12, n_atoms, generator=generator), 4) for _ in range(3)]
-        labels = random_labels(3, 45, 60, 12, number)
-        labels[:, ~sure_pixels(gaussians, camera)] = -1
-        views.append((both(gaussians, camera), labels, codes))
-    for (_, reference), labels, codes in views:
-        raster.uplift_view(reference, labels, codes, expected)
-    for flush_after in ((0, 1, 2, 3, 4), (1,), ()):
-        out = torch.zeros_like(expected)
-        uplift = raster.Uplift(out, "native")
-        for number, ((native, _), labels, codes) in enumerate(views):
-            uplift.add(native, labels, codes)
-            if number in flush_after:
-                uplift.flush()
-        uplift.flush()
-        uplift.flush()  # nothing is added twice
-        found.append(out)
-    assert all(torch.equal(out, found[0]) for out in found)
-    assert_close(found[0], expected)
+    labels = labels.repeat_interleave(edge, 1).repeat_interleave(edge, 2)[:, :height, :width].to(dtype)
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        found = raster.combine(labels)
+    finally:
+        torch.set_num_threads(before)
+    expected = combine_reference(labels.long())
+    assert torch.equal(found.map, expected.map)
+    assert torch.equal(found.table, expected.table)
+    assert found.digest() == expected.digest()
+    # Labels come back, all numbers below 0 as -1.
+    none = torch.full((1, levels), -1, dtype=torch.int32)
+    known = torch.cat([found.table, none])[found.map.long()].movedim(2, 0)
+    assert torch.equal(known, labels.int().clamp(min=-1))
 
 
 @settings(max_examples=40)
@@ -245,43 +210,6 @@ def test_cosines(scene, preset, levels, n_atoms, k, n_queries, alike, seed):
     assert (actual.movedim(1, 3)[unpainted] == 0).all()
 
 
-@settings(max_examples=60)
-@given(
-    rows=st.integers(1, 50),
-    n_atoms=st.sampled_from([1, 2, 16, 33, 256, 257, 1024]),
-    k=st.integers(1, MOST_VOTED_BY_INSERTION),
-    kind=st.sampled_from(["positive", "mixed", "ties", "sparse", "zero", "large", "small"]),
-    seed=SEEDS,
-)
-def test_vote(rows, n_atoms, k, kind, seed):
-    generator = torch.Generator().manual_seed(seed)
-    k = min(k, n_atoms)
-    sums = torch.rand(rows, 2, n_atoms, generator=generator)
-    if kind == "mixed":
-        sums -= 0.5
-    elif kind == "ties":
-        sums = torch.randint(-1, 3, sums.shape, generator=generator).float()
-    elif kind == "sparse":  # fewer positive entries than k
-        sums *= torch.rand(sums.shape, generator=generator) < 0.1
-    elif kind == "zero":
-        sums *= 0
-    elif kind in ("large", "small"):
-        sums *= 1e30 if kind == "large" else 1e-30
-    indices, weights = top_k(sums, k)
-    for level in range(2):
-        expected = SparseCodes.from_dense(sums[:, level], k)
-        assert indices.dtype == expected.indices.dtype
-        assert torch.equal(indices[:, level].int(), expected.indices.int())
-        # A total of k terms is rounded k - 1 times, in whatever order; the quotient once more.
-        kept = sums[:, level].gather(1, expected.indices.long()) * (expected.weights > 0)
-        exact = kept.double() / kept.double().sum(1, keepdim=True).clamp(min=1e-300)
-        assert ((weights[:, level] - exact).abs() <= k * 2**-24 * exact).all()
-        if k <= 4:
-            ulps = weights[:, level].view(torch.int32) - expected.weights.view(torch.int32)
-            assert (ulps.abs() <= 1).all()
-        assert torch.equal(weights[:, level] > 0, expected.weights > 0)
-
-
 @pytest.mark.parametrize(("width", "height"), SIZES)
 def test_image_sizes(width, height):
     gaussians = random_gaussians(60, width, ("plain", "needle", "huge", "tiny"))
@@ -299,7 +227,7 @@ def test_image_sizes(width, height):
 
     labels = random_labels(2, height, width, 11, 0)
     labels[:, flips.pixels] = -1
-    assert_same_triplets(raster.region_weights(native, labels), raster.region_weights(reference, labels))
+    assert_same_sums(raster.region_sums(native, labels), raster.region_sums(reference, labels))
     codebook, queries = torch.rand(2, 12, 8), unit(torch.rand(2, 8))
     indices, weights = random_codes(60, 2, 3, 12, 0)
     cosines = [

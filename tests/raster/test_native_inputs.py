@@ -5,12 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from raster.parity import BACKENDS, assert_close, assert_same_triplets, needs_native
+from raster.parity import BACKENDS, assert_close, assert_same_sums, needs_native
 from scoup import raster
-from scoup.codes import SparseCodes
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
-from scoup.uplifting import top_k
 from support import make_camera, random_gaussians, random_labels, unit
 
 COUNT, LEVELS, ATOMS, REGIONS = 50, 3, 8, 5
@@ -28,7 +26,6 @@ def inputs() -> dict:
     return {
         "values": torch.rand(COUNT, 3, generator=generator),
         "labels": random_labels(LEVELS, CAMERA.height, CAMERA.width, REGIONS, 0),
-        "codes": [SparseCodes.from_dense(torch.rand(REGIONS, ATOMS), 3) for _ in range(LEVELS)],
         "indices": torch.randint(ATOMS, (COUNT, LEVELS, 4), generator=generator, dtype=torch.uint8),
         "weights": torch.rand(COUNT, LEVELS, 4, generator=generator),
         "codebook": torch.rand(LEVELS, ATOMS, 6, generator=generator),
@@ -56,13 +53,11 @@ FORMS = {
 @pytest.mark.parametrize("form", FORMS)
 def test_other_forms_of_the_same_numbers(form):
     change, view, given = FORMS[form], a_view(), inputs()
-    changed = {name: change(tensor) for name, tensor in given.items() if name != "codes"}
+    changed = {name: change(tensor) for name, tensor in given.items()}
     assert torch.equal(
         raster.render_channels(view, changed["values"])[0], raster.render_channels(view, given["values"])[0]
     )
-    assert_same_triplets(
-        raster.region_weights(view, changed["labels"]), raster.region_weights(view, given["labels"])
-    )
+    assert_same_sums(raster.region_sums(view, changed["labels"]), raster.region_sums(view, given["labels"]))
     codes = [(given["indices"], given["weights"]), (changed["indices"], changed["weights"])]
     maps = [raster.render_codes(view, *pair, ATOMS) for pair in codes]
     assert torch.equal(*maps)
@@ -88,42 +83,11 @@ def test_other_forms_of_the_scene(form):
 
 
 @with_native
-def test_other_forms_of_region_codes():
-    given, sums = inputs(), []
-    strided = [
-        SparseCodes(apart(codes.indices), apart(codes.weights).requires_grad_(), ATOMS)
-        for codes in given["codes"]
-    ]
-    for codes, labels in ((given["codes"], given["labels"]), (strided, apart(given["labels"].long()))):
-        sums.append(torch.zeros(COUNT, LEVELS, ATOMS))
-        raster.uplift_view(a_view(), labels, codes, sums[-1])
-    assert torch.equal(*sums)
-
-
-@with_native
-def test_region_codes_may_change_after_they_were_added():
-    given, sums = inputs(), []
-    for spoil in (False, True):
-        sums.append(torch.zeros(COUNT, LEVELS, ATOMS))
-        codes = [SparseCodes(c.indices.clone(), c.weights.clone(), ATOMS) for c in given["codes"]]
-        labels = given["labels"].clone()
-        uplift = raster.Uplift(sums[-1], "native")
-        uplift.add(a_view(), labels, codes)
-        if spoil:
-            labels[:] = -1
-            for level in codes:
-                level.weights[:] = 0
-                level.indices[:] = 0
-        uplift.flush()
-    assert torch.equal(*sums)
-
-
-@with_native
 def test_nothing_to_do():
     view, given = a_view(), inputs()
     labels = given["labels"]
     assert raster.render_channels(view, torch.zeros(COUNT, 0))[0].shape == (30, 40, 0)
-    assert len(raster.region_weights(view, labels[:0])[0]) == 0
+    assert len(raster.region_sums(view, labels[:0]).gaussian) == 0
     none = given["weights"][..., :0]
     assert not raster.render_codes(view, given["indices"][..., :0], none, ATOMS).any()
     cosines = raster.render_cosines(
@@ -131,57 +95,8 @@ def test_nothing_to_do():
     )
     assert cosines.shape == (LEVELS, 0, 30, 40)
     empty = raster.look(random_gaussians(0, 0), CAMERA, backend="native")
-    out = torch.zeros(0, LEVELS, ATOMS)
-    raster.uplift_view(empty, labels, given["codes"], out)
+    assert len(raster.region_sums(empty, labels).gaussian) == 0
     assert raster.render_codes(empty, given["indices"][:0], given["weights"][:0], ATOMS).sum() == 0
-
-
-@on_every_backend
-def test_accumulators_of_another_form_are_refused(backend):
-    for out in (
-        torch.zeros(COUNT, LEVELS, ATOMS, dtype=torch.float64),
-        torch.zeros(COUNT, ATOMS, LEVELS).transpose(1, 2),
-        torch.zeros(COUNT, ATOMS),
-    ):
-        with pytest.raises(InputError, match="contiguous float32"):
-            raster.Uplift(out, backend)
-
-
-@with_native
-def test_accumulators_that_require_grad():
-    given, out = inputs(), torch.zeros(COUNT, LEVELS, ATOMS, requires_grad=True)
-    try:
-        raster.uplift_view(a_view(), given["labels"], given["codes"], out)
-    except InputError:
-        return
-    assert out.sum() > 0
-
-
-@with_native
-def test_a_vote_over_sums_that_require_grad():
-    sums = torch.rand(20, LEVELS, ATOMS, generator=torch.Generator().manual_seed(0))
-    found = top_k(sums.clone().requires_grad_(), 3)
-    assert all(torch.equal(a, b) for a, b in zip(found, top_k(sums, 3), strict=True))
-
-
-@on_every_backend
-def test_uplift_refuses_what_does_not_fit(backend):
-    view, given = a_view(backend), inputs()
-    labels, codes = given["labels"], given["codes"]
-    out = torch.zeros(COUNT, LEVELS, ATOMS)
-    wrong = [
-        (labels, codes[:2], out, "do not fit"),
-        (labels[:2], codes[:2], out, "do not fit"),
-        (labels, codes, torch.zeros(COUNT + 1, LEVELS, ATOMS), "do not fit"),
-        (labels[..., 1:], codes, out, "labels"),
-        (labels.float(), codes, out, "integers"),
-        (labels, [level.rows(slice(0, 2)) for level in codes], out, "no code"),
-        (labels, codes, torch.zeros(COUNT, LEVELS, ATOMS + 1), "atoms"),
-    ]
-    for bad_labels, bad_codes, bad_out, message in wrong:
-        with pytest.raises(InputError, match=message):
-            raster.uplift_view(view, bad_labels, bad_codes, bad_out)
-    assert not out.any()
 
 
 @on_every_backend
@@ -215,29 +130,19 @@ def test_an_atom_beyond_the_codebook_is_refused(backend, dtype):
         raster.render_cosines(view, indices, given["weights"], given["codebook"], given["queries"])
 
 
-@on_every_backend
-def test_a_region_code_beyond_the_codebook_is_refused(backend):
-    given = inputs()
-    given["codes"][0].indices[2, 0] = ATOMS
-    with pytest.raises(InputError, match=r"atom|indices"):
-        raster.uplift_view(
-            a_view(backend), given["labels"], given["codes"], torch.zeros(COUNT, LEVELS, ATOMS)
-        )
-
-
 @with_native
 @pytest.mark.parametrize("offset", [2**31, 2**32, 2**40])
 def test_labels_beyond_32_bits_are_refused(offset):
     labels = inputs()["labels"].long()
     with pytest.raises(InputError, match="label"):
-        raster.region_weights(a_view(), torch.where(labels >= 0, labels + offset, -1))
+        raster.region_sums(a_view(), torch.where(labels >= 0, labels + offset, -1))
 
 
 @with_native
 def test_any_negative_label_is_no_region():
     labels = inputs()["labels"].long()
-    found = raster.region_weights(a_view(), torch.where(labels >= 0, labels, -(2**32)))
-    assert_same_triplets(found, raster.region_weights(a_view(), labels))
+    found = raster.region_sums(a_view(), torch.where(labels >= 0, labels, -(2**32)))
+    assert_same_sums(found, raster.region_sums(a_view(), labels))
 
 
 @with_native
@@ -260,8 +165,6 @@ def test_native_by_name_without_the_core_names_the_remedy(monkeypatch):
     gaussians = random_gaussians(COUNT, 1)
     with pytest.raises(InputError, match=r"'native' cannot be used: .*install a compiler"):
         raster.look(gaussians, CAMERA, backend="native")
-    with pytest.raises(InputError, match="install a compiler"):
-        raster.Uplift(torch.zeros(COUNT, LEVELS, ATOMS), "native")
 
 
 def test_the_reference_serves_without_the_core(monkeypatch):

@@ -12,7 +12,7 @@ from PIL import Image
 
 from raster.parity import (
     FLIP_SIZE,
-    assert_same_triplets,
+    assert_same_sums,
     beyond,
     both,
     explained_flips,
@@ -117,7 +117,7 @@ def test_flips_are_few_small_and_explained(data_folder, view, preset, downscale)
     labels = load_labels(data_folder, scene, number, camera)
     labels[:, flips.pixels] = -1
     # Flips behind nearly opaque ones are too faint for the image to show, up to 10 times the tolerance here.
-    assert_same_triplets(*(raster.region_weights(looked, labels) for looked in views), span=10.0)
+    assert_same_sums(*(raster.region_sums(looked, labels) for looked in views), span=10.0)
 
 
 @pytest.mark.parametrize(("view", "preset", "downscale"), [VIEWS[2], VIEWS[4], VIEWS[7]])

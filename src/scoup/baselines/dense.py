@@ -13,7 +13,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.relevancy import relevancy
-from scoup.uplifting import RegionSums
+from scoup.uplift.region_sums import RegionSums
 
 ROWS_AT_A_TIME = 128  # image rows normalised and compared together
 

@@ -1,6 +1,6 @@
 """Which pixels tell a Gaussian what it is: region sums that count other weights than the full blending weights.
 
-Dense and sparse uplift count every pixel by its blending weight (``scoup.uplifting.region_sums``). The systems compared
+Dense and sparse uplift count every pixel by its blending weight (``scoup.region_sums``). The systems compared
 with count fewer: the pixel at the projected centre of a Gaussian (``CentrePixel``), the same where the Gaussian is seen
 (``VisibleCentrePixel``), or the Gaussians that paint most of a pixel (``TopContributors``). Each gives region sums of
 the same form, so that whatever comes after can be shared.
@@ -24,8 +24,10 @@ from scoup.cameras import Camera, Cameras
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
 from scoup.progress import Progress, no_progress
+from scoup.raster import ViewSums
 from scoup.regions import Regions
-from scoup.uplifting import RegionSums, ViewSums, cameras_with_regions, digest_of_labels
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.taking import cameras_with_regions
 
 PIXELS_AT_A_TIME = 1 << 17  # a band of rows: some ten million pairs of a Gaussian and a pixel at most
 
@@ -117,18 +119,21 @@ def gathered_sums(
 ) -> RegionSums:
     """Region sums of all views that count only the pairs a rule keeps; arguments otherwise as ``region_sums``."""
     chosen = cameras_with_regions(cameras, regions)
-    views: list[ViewSums] = []
+    sums = RegionSums.of(gaussians, regions.levels, raster_preset)
     progress("gather", 0, len(chosen))
     for camera in chosen:
         labels = regions.load_labels(camera.name, camera.width, camera.height)
         view = raster.look(gaussians, camera, raster_preset, backend)
         centres = centre_pixels(gaussians, camera)
-        parts = [_summed(rule(pairs, centres), labels) for pairs in pixel_weights(view)]
-        gaussian, key, weight = (np.concatenate(each) for each in zip(*parts, strict=True))
-        views.append(_as_view_sums(camera, labels, gaussian, key, weight))
-        progress("gather", len(views), len(chosen))
-    rows = [regions.embeddings(level)[1] for level in regions.levels]
-    return RegionSums(len(gaussians), regions.levels, views, rows, raster_preset)
+        parts = [_of_regions(rule(pairs, centres), labels) for pairs in pixel_weights(view)]
+        gaussian, level, region, weight = (
+            torch.from_numpy(np.concatenate(each)) for each in zip(*parts, strict=True)
+        )
+        found = ViewSums.of_triplets(gaussian, level, region, weight, len(labels))
+        sums.append(camera.name, found, camera)
+        progress("gather", len(sums), len(chosen))
+    sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
+    return sums
 
 
 def pixel_weights(view: raster.View, pixels: int = PIXELS_AT_A_TIME) -> Iterator[PixelWeights]:
@@ -142,8 +147,9 @@ def pixel_weights(view: raster.View, pixels: int = PIXELS_AT_A_TIME) -> Iterator
         labels = torch.full((1, height, width), -1, dtype=torch.int32)
         count = (bottom - top) * width
         labels[0, top:bottom] = torch.arange(count, dtype=torch.int32).view(bottom - top, width)
-        found = raster.region_weights(view, labels)
-        gaussian, pixel, weight = (part.cpu().numpy() for part in found)
+        gaussian, pixel, weight = (
+            part.cpu().numpy() for part in raster.region_sums(view, labels).triplets(0)
+        )
         yield PixelWeights(gaussian, pixel + top * width, weight)
 
 
@@ -166,31 +172,14 @@ def _strongest_first(pairs: PixelWeights) -> tuple[np.ndarray, np.ndarray]:
     return order, np.diff(pairs.pixel[order], prepend=-1) != 0
 
 
-def _summed(pairs: PixelWeights, labels: Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(gaussian, key, weight) of the pairs added up by region, key = level * stride + region."""
-    stride = max(1, int(labels.max()) + 1)
-    gaussians, keys, weights = [], [], []
+def _of_regions(pairs: PixelWeights, labels: Tensor) -> tuple[np.ndarray, ...]:
+    """(gaussian, level, region, weight) of the pairs whose pixels have a region."""
+    gaussians, levels, found, weights = [], [], [], []
     for level, of_level in enumerate(labels.reshape(len(labels), -1).numpy()):
         region = of_level[pairs.pixel].astype(np.int64)
         has = region >= 0
         gaussians.append(pairs.gaussian[has])
-        keys.append(region[has] + level * stride)
+        levels.append(np.full(int(has.sum()), level))
+        found.append(region[has])
         weights.append(pairs.weight[has])
-    return np.concatenate(gaussians), np.concatenate(keys), np.concatenate(weights)
-
-
-def _as_view_sums(
-    camera: Camera, labels: Tensor, gaussian: np.ndarray, key: np.ndarray, weight: np.ndarray
-) -> ViewSums:
-    stride = max(1, int(labels.max()) + 1)
-    joint, inverse = np.unique(gaussian * (stride * len(labels)) + key, return_inverse=True)
-    total = np.bincount(inverse, weight, minlength=len(joint)).astype(np.float32)
-    places, keys = np.divmod(joint, stride * len(labels))
-    return ViewSums(
-        camera.name,
-        torch.from_numpy(places),
-        torch.from_numpy(keys),
-        torch.from_numpy(total),
-        stride,
-        digest_of_labels(labels),
-    )
+    return tuple(np.concatenate(parts) for parts in (gaussians, levels, found, weights))

@@ -21,10 +21,10 @@ from scoup.baselines.gather import CentrePixel, Gather, TopContributors, Visible
 from scoup.baselines.product_quantisation import fit_product_quantiser
 from scoup.codes import SparseCodes
 from scoup.errors import InputError, looked_up
-from scoup.pipeline import BUILD_PRESETS, BuildSettings, learn_codebook
 from scoup.progress import Progress, no_progress
-from scoup.rounds import accumulate
-from scoup.uplifting import RegionSums, top_k
+from scoup.uplift.build import BUILD_PRESETS, BuildSettings, learn_codebook
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.vote import GaussianCodes, vote
 
 Make = Callable[[RegionSums, Sequence[Tensor], "MethodSettings"], ChannelField]
 """``make(sums, embeddings, settings)``: region sums of the method's own gathering, embeddings [R, D] of each level."""
@@ -112,12 +112,12 @@ def autoencoded_field(
 
 def sparse_field(sums: RegionSums, embeddings: Sequence[Tensor], settings: MethodSettings) -> ChannelField:
     """Sparse codes by the settings of a build, as ``scoup.build`` makes them."""
-    accumulators, codebook = votes(sums, embeddings, replace(settings.build, seed=settings.seed))
-    return voted_field(accumulators, codebook, settings.build.keep or None)
+    codes, codebook = learn_codes(embeddings, replace(settings.build, seed=settings.seed))
+    return voted_field(voted(sums, codes, codebook, settings.build), codebook, not settings.build.keep)
 
 
-def votes(sums: RegionSums, embeddings: Sequence[Tensor], settings: BuildSettings) -> tuple[Tensor, Tensor]:
-    """Accumulators [N, S, L] after all rounds, and codebook [S, L, D], by the settings of a build.
+def learn_codes(embeddings: Sequence[Tensor], settings: BuildSettings) -> tuple[list[SparseCodes], Tensor]:
+    """Codes of the regions of each level, and codebook [S, L, D], by the settings of a build.
 
     Raises:
         InputError: the settings ask for consensus.
@@ -125,15 +125,24 @@ def votes(sums: RegionSums, embeddings: Sequence[Tensor], settings: BuildSetting
     if settings.consensus:
         raise InputError("consensus is not compared here; build without it")
     books = [learn_codebook(rows, settings) for rows in embeddings]
-    codebook = torch.stack([book.atoms for book in books])
-    codes = [book.codes for book in books]
-    return accumulate(sums, codes, codebook, settings.rounds, settings.keep or settings.k), codebook
+    return [book.codes for book in books], torch.stack([book.atoms for book in books])
 
 
-def voted_field(accumulators: Tensor, codebook: Tensor, keep: int | None) -> ChannelField:
-    """Accumulators [N, S, L] after the vote, over a codebook [S, L, D]; half precision as on disk."""
-    indices, weights = top_k(accumulators, keep)
-    return coded_field(indices, weights.half(), codebook, all_kept=keep is None)
+def voted(
+    sums: RegionSums,
+    codes: Sequence[SparseCodes],
+    codebook: Tensor,
+    settings: BuildSettings,
+    all_kept: bool = False,
+) -> GaussianCodes:
+    """The vote by the settings of a build; ``all_kept`` keeps every atom whatever they say."""
+    keep = None if all_kept else settings.keep or None
+    return vote(sums, codes, codebook, settings.rounds, keep, settings.keep or settings.k)
+
+
+def voted_field(found: GaussianCodes, codebook: Tensor, all_kept: bool) -> ChannelField:
+    """What a vote has found, over a codebook [S, L, D]; half precision as on disk."""
+    return coded_field(found.indices, found.weights.half(), codebook, all_kept)
 
 
 def coded_field(indices: Tensor, weights: Tensor, codebook: Tensor, all_kept: bool = False) -> ChannelField:

@@ -1,8 +1,8 @@
 """The uplift as the paper describes it: every pixel adds its code to every Gaussian that paints it.
 
-One atomic addition for each pixel, Gaussian and entry of the pixel's code, in no fixed order: what ``raster.Uplift``
-saves by summing over regions first. To be compared with, and for nothing else. Imports triton: import this module only
-where tensors are on a GPU.
+One atomic addition for each pixel, Gaussian and entry of the pixel's code, in no fixed order: what summing over regions
+first saves. To be compared with, and for nothing else. Imports triton: import this module only where tensors are on a
+GPU.
 """
 
 # Triton's annotations are for its own compiler: to it a tensor may be indexed with None, and is no tuple. A launch
@@ -21,7 +21,7 @@ from torch import Tensor
 
 from scoup.codes import SparseCodes
 from scoup.errors import InputError
-from scoup.raster.gpu_regions import CodeTables, with_sign
+from scoup.raster.combinations import check_labels
 from scoup.raster.gpu_view import FUSED, TILE, GpuView
 from scoup.raster.kernels.blending import blend, gaussians_of, is_lit, pixels_of
 
@@ -30,13 +30,12 @@ _WARPS = 2  # a thread a pixel
 
 
 def scatter_view(view: GpuView, labels: Tensor, codes: Sequence[SparseCodes], out: Tensor) -> None:
-    """Add a view's codes to accumulators pixel by pixel; what ``raster.uplift_view`` gives, but for the order in which
-    numbers are added up.
+    """Add a view's codes to sums pixel by pixel: w_i = sum of e_i times the code of each pixel (method.md, stage 2).
 
     Args:
         view: from ``raster.look`` on a GPU.
         labels: [S, H, W] integer regions, -1 for none.
-        codes: one SparseCodes a level, row r for region r.
+        codes: one SparseCodes a level, row r for region r, all with as many atoms.
         out: [N, S, L] float32, contiguous, on the view's device; added to in place.
 
     Raises:
@@ -45,20 +44,27 @@ def scatter_view(view: GpuView, labels: Tensor, codes: Sequence[SparseCodes], ou
     expected = (view.n_gaussians, len(codes), codes[0].n_atoms)
     if tuple(out.shape) != expected or not out.is_contiguous() or out.dtype != torch.float32:
         raise InputError(
-            f"accumulators must be contiguous float32 {list(expected)}, not {out.dtype} {list(out.shape)}"
+            f"sums must be contiguous float32 {list(expected)}, not {out.dtype} {list(out.shape)}"
         )
     if tuple(labels.shape) != (len(codes), view.height, view.width):
         raise InputError(
             f"labels {list(labels.shape)} do not fit {len(codes)} levels of {view.height} x {view.width} pixels"
         )
-    tables = CodeTables.of(codes, None, view.device)
-    labels = with_sign(labels.to(view.device)).contiguous()
+    check_labels(labels)
+    labels = labels.to(view.device).long().clamp(min=-1).int().contiguous()
+    k = max(level.k for level in codes)
+    counts = torch.tensor([len(level) for level in codes])
+    first_rows = (counts.cumsum(0) - counts).to(view.device)
+    atoms, weights = (
+        torch.cat([torch.nn.functional.pad(part, (0, k - part.shape[1])) for part in parts]).to(view.device)
+        for parts in ([level.indices.int() for level in codes], [level.weights for level in codes])
+    )
     with torch.cuda.device_of(out):
         scatter_kernel[(view.n_tiles,)](
-            view.records, view.numbers, view.starts, labels, tables.firsts, tables.atoms, tables.weights, out,
+            view.records, view.numbers, view.starts, labels, first_rows, atoms, weights, out,
             view.width, view.height, view.across, len(codes), codes[0].n_atoms, view.preset.alpha_max,
             view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive, TILE=TILE, CHUNK=_CHUNK,
-            K=tables.atoms.shape[1], num_warps=_WARPS, **FUSED,
+            K=k, num_warps=_WARPS, **FUSED,
         )  # fmt: skip
 
 
@@ -67,7 +73,7 @@ def scatter_kernel(
     records,  # [., RECORD] float32
     numbers,  # the same memory as int32
     starts,  # [tiles + 1] int64
-    labels,  # [S, H, W] integers
+    labels,  # [S, H, W] int32
     first_rows,  # [S] int64: where the regions of a level begin in the tables
     atoms,  # [R, K] int32
     weights,  # [R, K] float32

@@ -26,17 +26,18 @@ from scoup.cameras import Camera
 from scoup.codes import SparseCodes
 from scoup.errors import InputError, ScoupError
 from scoup.gaussians import Gaussians
-from scoup.uplifting import top_k
+from scoup.raster import morton_order
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.vote import GaussianCodes, vote
 
 STAGES = {
     "look": "project, bin and sort",
     "alpha": "render one channel of ones: blending and little else",
     "sums": "region sums, all levels",
-    "uplift": "region sums and codes into the accumulators, all levels",
     "colors": "render 3 channels",
     "codes": "render the coefficient maps, all levels",
     "cosines": "cosines with the queries, all levels, no coefficient map kept",
-    "vote": "the K largest of every accumulator",
+    "vote": "from region sums to codes of the Gaussians, one round",
 }
 
 Run: TypeAlias = Callable[[], Any]
@@ -56,7 +57,6 @@ class Workload:
         codebook: [S, L, D] float32.
         queries: [Q, D] float32, unit norm.
         values: [N, 3] float32, to render as channels.
-        accumulators: [N, S, L] float32; ``uplift`` adds to it, ``vote`` reads it.
     """
 
     name: str
@@ -69,11 +69,10 @@ class Workload:
     codebook: Tensor
     queries: Tensor
     values: Tensor
-    accumulators: Tensor
 
     def to(self, device: str | torch.device) -> Workload:
         """The same on another device."""
-        names = ("labels", "indices", "weights", "codebook", "queries", "values", "accumulators")
+        names = ("labels", "indices", "weights", "codebook", "queries", "values")
         moved = {name: getattr(self, name).to(device) for name in names}
         codes = [
             SparseCodes(item.indices.to(device), item.weights.to(device), item.n_atoms) for item in self.codes
@@ -91,26 +90,15 @@ def make_workload(
     dim: int = 512,
     n_queries: int = 1,
     seed: int = 0,
-    accumulators: Tensor | None = None,
 ) -> Workload:
-    """Made-up codes, codebook and queries for a scene and its labels [S, H, W].
-
-    Args:
-        accumulators: [at least N, S, L] float32 to work on, so that several workloads can share the memory.
-    """
-    count, levels = len(gaussians), len(labels)
+    """Made-up codes, codebook and queries for a scene and its labels [S, H, W]."""
+    levels = len(labels)
     generator = torch.Generator().manual_seed(seed)
     codes = [
         SparseCodes.from_dense(torch.rand(max(0, int(level.max())) + 1, n_atoms, generator=generator), k)
         for level in labels
     ]
     indices, weights = codes_in_space(gaussians.means, levels, n_atoms, k, seed)
-    if accumulators is None:
-        accumulators = torch.zeros(count, levels, n_atoms)
-    accumulators = accumulators[:count]
-    if accumulators.shape != (count, levels, n_atoms):
-        raise InputError(f"accumulators {list(accumulators.shape)} do not fit {count} Gaussians")
-    _fill(accumulators, indices, weights)
     return Workload(
         name,
         gaussians,
@@ -122,16 +110,7 @@ def make_workload(
         codebook=clip_like(levels * n_atoms, dim, seed).view(levels, n_atoms, dim),
         queries=clip_like(n_queries, dim, seed + 1),
         values=raster.view_colors(gaussians, camera),
-        accumulators=accumulators,
     )
-
-
-def _fill(accumulators: Tensor, indices: Tensor, weights: Tensor) -> None:
-    """A vote as many views leave it: the atoms of a Gaussian's own code lead, those of two other codes follow."""
-    accumulators.zero_()
-    for share, shift in ((8.0, 0), (2.0, 1), (1.0, 2)):
-        others = torch.roll(indices, shift, 0).long()
-        accumulators.scatter_add_(2, others, torch.roll(weights, shift, 0) * share)
 
 
 def room_workload(
@@ -142,18 +121,16 @@ def room_workload(
     seed: int = 0,
     order: Order = "random",
     gaussians: Gaussians | None = None,
-    accumulators: Tensor | None = None,
 ) -> Workload:
     """The first view of the synthetic room; ``regions`` counts those of each level.
 
     Args:
         gaussians: the room of that size, seed and order if it is at hand.
-        accumulators: see ``make_workload``.
     """
     gaussians = make_room(n_gaussians, seed, order) if gaussians is None else gaussians
     camera = room_cameras(1, width, height)[0]
     labels = voronoi_labels(regions, width, height, seed)
-    return make_workload("room", gaussians, camera, labels, seed=seed, accumulators=accumulators)
+    return make_workload("room", gaussians, camera, labels, seed=seed)
 
 
 def stage_runs(
@@ -172,6 +149,7 @@ def stage_runs(
     Raises:
         InputError: there is no such stage.
     """
+    names = tuple(names)
     scene = work.gaussians
     if prepared:
         scene = raster.prepare(work.gaussians, backend)
@@ -180,25 +158,40 @@ def stage_runs(
             work = replace(work, **moved)
     view = raster.look(scene, work.camera, backend=backend)
     ones = torch.ones(len(work.gaussians), 1, device=work.gaussians.device)
-    keep = work.indices.shape[2]
-    # The vote is not a function of a backend's module: where it is compiled, ``top_k`` itself decides so.
+    moved_by = scene.order if isinstance(scene, raster.PreparedScene) else None
+    sums = region_sums_of_a_view(work, view, moved_by) if "vote" in names else None
     runs: dict[str, Run] = {
         "look": lambda: raster.look(scene, work.camera, backend=backend),
         "alpha": lambda: raster.render_channels(view, ones),
-        "sums": lambda: raster.region_weights(view, work.labels),
-        "uplift": lambda: raster.uplift_view(view, work.labels, work.codes, work.accumulators),
+        "sums": lambda: raster.region_sums(view, work.labels),
         "colors": lambda: raster.render_channels(view, work.values),
         "codes": lambda: raster.render_codes(view, work.indices, work.weights, work.codebook.shape[1]),
         "cosines": lambda: raster.render_cosines(
             view, work.indices, work.weights, work.codebook, work.queries
         ),
-        "vote": lambda: top_k(work.accumulators, keep),
+        "vote": lambda: vote_of_a_view(work, sums, backend),
     }
-    names = tuple(names)
     for name in names:
         if name not in runs:
             raise InputError(f"there is no stage {name!r}; stages: {', '.join(runs)}")
     return {name: runs[name] for name in names}
+
+
+def region_sums_of_a_view(work: Workload, view: raster.View, order: Tensor | None = None) -> RegionSums:
+    """The sums of one view, ready for the vote."""
+    sums = RegionSums(
+        "", morton_order(work.gaussians.means), [str(level) for level in range(len(work.labels))]
+    )
+    sums.append("view", raster.region_sums(view, work.labels), order=order)
+    sums.rows = [{"view": slice(0, len(codes))} for codes in work.codes]
+    return sums
+
+
+def vote_of_a_view(work: Workload, sums: RegionSums | None, backend: str) -> GaussianCodes:
+    """One round over one view; most of it is what does not depend on the number of views."""
+    assert sums is not None
+    keep, device = work.indices.shape[2], work.gaussians.device
+    return vote(sums, work.codes, work.codebook, 1, keep, backend=backend, device=device)
 
 
 def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[list[str], dict[str, str]]:

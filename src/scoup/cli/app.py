@@ -23,6 +23,7 @@ from scoup.cli.query import Query
 from scoup.cli.regions import ShowRegions
 from scoup.cli.render import Render
 from scoup.cli.select import Select
+from scoup.cli.update import Update
 
 Verb = (
     Annotated[Demo, tyro.conf.subcommand("demo")]
@@ -30,6 +31,7 @@ Verb = (
     | Annotated[ShowRegions, tyro.conf.subcommand("regions")]
     | Annotated[Convert, tyro.conf.subcommand("convert")]
     | Annotated[Build, tyro.conf.subcommand("build")]
+    | Annotated[Update, tyro.conf.subcommand("update")]
     | Annotated[Query, tyro.conf.subcommand("query")]
     | Annotated[Select, tyro.conf.subcommand("select")]
     | Annotated[Render, tyro.conf.subcommand("render")]
@@ -43,6 +45,7 @@ DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, an
 Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of your own:
   scoup extract SCENE
   scoup build SCENE --gaussians point_cloud.ply --out scene.scoup
+  scoup update scene.scoup --scene SCENE --add all
   scoup query scene.scoup "kettle" "wooden table" --camera all
   scoup select scene.scoup "kettle" --out kettle.ply
   scoup render scene.scoup --what codes --camera all

@@ -39,7 +39,7 @@ class Bench(WritesCommon):
     backends: Names = ()
     """Rasterisers. Default: all that work here."""
     stages: Names = ()
-    """Among look, alpha, sums, uplift, colors, codes, cosines, vote. Default: all."""
+    """Among look, alpha, sums, colors, codes, cosines, vote. Default: all."""
     quick: Flag = False
     """A tenth of the Gaussians and a third of the width and height: to see that everything runs."""
     out: OptionalPath = None

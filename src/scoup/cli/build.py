@@ -21,7 +21,10 @@ from scoup.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from scoup.gaussians import Gaussians
+    from scoup.processes import Processes
     from scoup.regions import Regions
+    from scoup.uplift.region_sums import RegionSums
 
 CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 
@@ -66,7 +69,7 @@ class Build(WritesCommon):
     rounds: OptionalInteger = None
     """Rounds of the vote; in each after the first, regions count by their agreement with the outcome so far."""
     consensus: Flag = False
-    """Bring regions that the same Gaussians see closer together before coding; keeps all region sums in memory."""
+    """Bring regions that the same Gaussians see closer together before coding."""
     solver: OptionalText = None
     """How codes are learned: adam is the paper's; exact takes a second where that takes minutes."""
     effort: OptionalText = None
@@ -83,12 +86,19 @@ class Build(WritesCommon):
     """Bits of a stored code weight."""
     embed_geometry: Flag = False
     """Put the Gaussians into the field's file, so that it stands alone."""
-    keep_accumulators: Flag = False
-    """Also write the sums before the vote, needed to add views later."""
+    keep_sums: Flag = False
+    """Also keep the region sums, in <out>.sums: with them scoup update adds and removes views, and --sums builds again
+    (other embeddings, codes or rounds) without rasterising."""
+    sums: OptionalPath = None
+    """Take the region sums from this file, as --keep-sums has left it; nothing is rasterised. It is not changed."""
+    sums_weights: Literal["float32", "float16"] = "float32"
+    """How region sums are kept: float16 takes 5 bytes an entry instead of 7."""
+    least_weight: float = 0.0
+    """Leave out entries of the region sums below this, for less space. 0.01 leaves out a quarter to a half of them;
+    Gaussians that paint hardly anything lose their codes with them."""
 
     def run(self, console: Console) -> None:
         """Build, save and report."""
-        from scoup.artefact import accumulators_path
         from scoup.errors import InputError
         from scoup.io import (
             check_output,
@@ -97,16 +107,19 @@ class Build(WritesCommon):
             load_gaussians,
             load_regions,
         )
-        from scoup.pipeline import build, build_settings
         from scoup.processes import device_of_process, process_group
+        from scoup.uplift.build import build, build_settings
+        from scoup.uplift.region_sums import sums_path
 
         device = device_of_process(self.device)
         out = self.out or Path(f"{self.scene.resolve().name}.scoup")
         if out.suffix.lower() != ".scoup":
             raise InputError(f"{out}: give a name that ends in .scoup")
         check_output(out, self.overwrite)
-        if self.keep_accumulators:
-            check_output(accumulators_path(out), self.overwrite)
+        if self.keep_sums:
+            if self.sums is not None:
+                raise InputError("--sums and --keep-sums do not go together: the sums are kept already")
+            check_output(sums_path(out), self.overwrite)
         source = self._splat()
         settings = build_settings(
             self.preset,
@@ -131,24 +144,36 @@ class Build(WritesCommon):
             f"{len(gaussians):,} Gaussians, {len(regions)} views with regions of {len(cameras)} cameras"
         )
 
-        checkpoint = out.with_name(out.name + ".partial")
         started = time.perf_counter()
-        with process_group(device) as processes, console.progress() as progress:
-            field = build(
-                gaussians,
-                cameras,
-                regions,
-                settings=settings,
-                embedding_model=model,
-                geometry_path=source,
-                keep_accumulators=self.keep_accumulators,
-                checkpoint=checkpoint,
-                progress=progress,
-            )
+        with process_group(device) as processes:
+            sums = self._region_sums(out, gaussians, regions, settings.raster_preset, processes, console)
+            try:
+                with console.progress() as progress:
+                    field = build(
+                        gaussians,
+                        cameras,
+                        regions,
+                        settings=settings,
+                        embedding_model=model,
+                        geometry_path=source,
+                        sums=sums,
+                        progress=progress,
+                    )
+            except InputError:
+                if self.sums is None and sums.path is not None and sums.is_empty:
+                    sums.path.unlink(missing_ok=True)  # there is nothing to go on from
+                raise
+        if processes.first:
+            field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)
+        bytes_of_sums = sums.bytes
+        sums.close()
+        if self.sums is None and sums.path is not None:
+            if self.keep_sums:
+                sums.path.replace(sums_path(out))
+            else:
+                sums.path.unlink(missing_ok=True)
         if not processes.first:
             return
-        field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)
-        checkpoint.unlink(missing_ok=True)
         seconds = time.perf_counter() - started
         coded = int(field.coded().sum())
         for level, report in field.info.provenance["coding"].items():
@@ -161,12 +186,17 @@ class Build(WritesCommon):
             f"{out}: {size / 1e6:.1f} MB ({size / max(1, len(field)):.0f} bytes a Gaussian), "
             f"{coded:,} of {len(field):,} Gaussians have a code, built in {seconds:.0f} s"
         )
+        if self.keep_sums:
+            console.say(
+                f"{sums_path(out)}: {bytes_of_sums / 1e6:.1f} MB of region sums, {len(regions)} views"
+            )
         peak = _peak_gpu_memory(device)
         if peak is not None:
             console.say(f"peak memory on {device}: {peak / 1e9:.2f} GB")
         console.result(
             {
                 "field": out,
+                **({"sums": sums_path(out), "sums_bytes": bytes_of_sums} if self.keep_sums else {}),
                 **({} if peak is None else {"peak_gpu_bytes": peak}),
                 "bytes": size,
                 "gaussians": len(field),
@@ -176,6 +206,35 @@ class Build(WritesCommon):
                 "coding": field.info.provenance["coding"],
             }
         )
+
+    def _region_sums(
+        self,
+        out: Path,
+        gaussians: Gaussians,
+        regions: Regions,
+        raster_preset: str,
+        processes: Processes,
+        console: Console,
+    ) -> RegionSums:
+        """The sums named, or those in the file beside the output in which a build keeps what it has done."""
+        from scoup.errors import InputError
+        from scoup.uplift.region_sums import RegionSums
+        from scoup.uplift.taking import resumed
+
+        if self.sums is not None:
+            return RegionSums.open(self.sums)
+        if self.keep_sums and processes.world > 1:
+            raise InputError("--keep-sums works in one process; run without torchrun")
+        name = out.name + ".partial" + (f".{processes.rank}" if processes.world > 1 else "")
+        more = {"weights": self.sums_weights, "least_weight": self.least_weight}
+        sums = resumed(out.with_name(name), gaussians, regions, raster_preset, **more)
+        if processes.first and (len(sums) or sums.codes is not None):
+            known = "the codes are kept" if sums.codes is not None else "codes are learned anew"
+            console.say(
+                f"{sums.path}: goes on from an interrupted build: {len(sums)} of {len(regions)} views are taken "
+                f"in, {known}"
+            )
+        return sums
 
     def _splat(self) -> Path:
         from scoup.errors import FileFormatError

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from scoup.evaluate.run import Asked
     from scoup.evaluate.scores import PairScore, SceneScore
     from scoup.field import LanguageField
-    from scoup.pipeline import BuildSettings
+    from scoup.uplift.build import BuildSettings
 
 Names = tyro.conf.UseAppendAction[tuple[str, ...]]
 
@@ -85,7 +85,7 @@ class Scored(DataSetOptions):
         from scoup.evaluate.datasets import data_set_preset, find_data_set, find_scenes, open_scene
         from scoup.evaluate.predictions import PredictionCache
         from scoup.evaluate.run import build_field, encode_labels, score_field, score_selection, text_source
-        from scoup.pipeline import build_settings
+        from scoup.uplift.build import build_settings
 
         data_set = find_data_set(self.data_set_name)
         rules = data_set_preset(data_set, self.rules)

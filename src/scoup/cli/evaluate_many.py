@@ -167,7 +167,7 @@ class Presence(ManyOptions):
         from scoup.errors import InputError
         from scoup.evaluate.presence_study import absent_words, ask_scene, presence_tables
         from scoup.evaluate.run import encode_words, text_source
-        from scoup.pipeline import build_settings
+        from scoup.uplift.build import build_settings
 
         self.check("presence")
         scenes = self.prepared(console)

@@ -155,6 +155,7 @@ def _cameras(path: Path) -> Cameras:
 
 def _describe_field(path: Path) -> dict[str, Any]:
     from scoup.field import LanguageField
+    from scoup.uplift.region_sums import sums_path
 
     field = LanguageField.load(path)
     size = path.stat().st_size
@@ -173,7 +174,7 @@ def _describe_field(path: Path) -> dict[str, Any]:
         "cameras": 0 if field.cameras is None else len(field.cameras),
         "geometry": _where(field),
         "fingerprint": field.info.fingerprint,
-        "accumulators": field.accumulators is not None,
+        "region_sums": sums.stat().st_size if (sums := sums_path(path)).is_file() else None,
         "provenance": field.info.provenance,
     }
 

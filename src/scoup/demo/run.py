@@ -14,13 +14,16 @@ from scoup.demo.folder import write_demo_scene
 from scoup.demo.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
 from scoup.evaluate.lerf_ovs import PairScore, SceneScore
 from scoup.evaluate.metrics import bootstrap_interval
-from scoup.evaluate.variants import dense_variant, score_variants, sparse_variant
+from scoup.evaluate.variants import Variant, dense_variant, score_variants, sparse_variant
 from scoup.field import LanguageField
 from scoup.io import check_output, load_cameras, load_gaussians, load_regions
-from scoup.pipeline import BuildSettings, build
 from scoup.progress import Progress, no_progress
 from scoup.query import PRESETS
-from scoup.uplifting import region_sums
+from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.region_codes import RegionCodes
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.taking import region_sums
+from scoup.uplift.vote import GaussianCodes, vote
 
 METHOD, ALL_ATOMS, DENSE = "sparse, top-K vote", "sparse, no top-K", "dense 512-d"
 LEVELS_ASKED = ("m", "l")  # names of objects and of groups
@@ -116,7 +119,7 @@ def run_demo(
         regions = load_regions(folder, cameras)
     with _timed(seconds, "rasterise: region sums of all views"):
         sums = region_sums(gaussians, cameras, regions, progress=progress)
-    with _timed(seconds, "build the field: coding, uplift, vote"):
+    with _timed(seconds, "build the field: coding and vote"):
         field = build(
             gaussians,
             cameras,
@@ -124,21 +127,13 @@ def run_demo(
             settings=BuildSettings(seed=settings.seed),
             embedding_model=EMBEDDING_MODEL,
             geometry_path=splat,
-            keep_accumulators=True,
             sums=sums,
             progress=progress,
         )
-    assert field.accumulators is not None
-    accumulators = field.accumulators
-    field.save(path, overwrite, with_accumulators=False)
+    field.save(path, overwrite)
     with _timed(seconds, "dense 512-d uplift, to compare"):
         dense = dense_variant(DENSE, sums, [regions.embeddings(level)[0] for level in regions.levels])
-    keep = field.code_indices.shape[2]
-    variants = [
-        sparse_variant(METHOD, gaussians, accumulators, field.codebook, keep, field.info.raster_preset),
-        sparse_variant(ALL_ATOMS, gaussians, accumulators, field.codebook, None, field.info.raster_preset),
-        dense,
-    ]
+    variants = [*_sparse_variants(field, sums), dense]
     frames = [(scene.labelled_frame(camera.name, LEVELS_ASKED), camera) for camera in scene.held_out]
     labels = sorted({label for frame, _ in frames for label in frame.labels})
     vectors = dict(zip(labels, scene.text_vectors(labels), strict=True))
@@ -154,6 +149,22 @@ def run_demo(
         )
     sizes = {variant.name: variant.bytes_per_gaussian for variant in variants}
     return DemoResult(scene, field, path, scores, sizes, seconds)
+
+
+def _sparse_variants(field: LanguageField, sums: RegionSums) -> list[Variant]:
+    """The field, and the same without the top-K step."""
+    coded = RegionCodes.kept(sums)
+    assert coded is not None  # the build has kept them there
+    settings = field.info.provenance["settings"]
+    everything = vote(
+        sums, coded.codes, coded.codebook, settings["rounds"], None, settings["keep"], coded.rows
+    )
+    preset = field.info.raster_preset
+    of_field = GaussianCodes(field.code_indices, field.code_weights.float())
+    return [
+        sparse_variant(METHOD, field.gaussians, of_field, field.codebook, preset),
+        sparse_variant(ALL_ATOMS, field.gaussians, everything, field.codebook, preset, all_kept=True),
+    ]
 
 
 def rows_by_name(result: DemoResult) -> list[NameRow]:

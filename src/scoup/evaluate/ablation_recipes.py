@@ -28,7 +28,6 @@ class Recipe:
         dropped: Gaussians whose votes' entropy is in that half lose their code.
         views: share of the views, spread evenly.
         stride: every so manyth pixel of every so manyth row counts.
-        accumulators: what sums are rounded to after every view; one round only.
     """
 
     coding: Literal["dense", "exact", "adam"] = "exact"
@@ -41,12 +40,11 @@ class Recipe:
     dropped: Literal["highest", "lowest"] | None = None
     views: float = 1.0
     stride: int = 1
-    accumulators: Literal["float32", "float16", "bfloat16"] = "float32"
 
     @property
     def coded_once(self) -> Recipe:
         """The recipe up to the vote: recipes that share it share their codes."""
-        return replace(self, keep=4, rounds=1, dropped=None, stride=1, accumulators="float32")
+        return replace(self, keep=4, rounds=1, dropped=None, stride=1)
 
 
 @dataclass(frozen=True)
@@ -113,8 +111,6 @@ ABLATIONS: tuple[Ablation, ...] = (
     Ablation("every 2nd pixel", "pixels", replace(BASE, stride=2)),
     Ablation("every 4th pixel", "pixels", replace(BASE, stride=4)),
     Ablation("every 8th pixel", "pixels", replace(BASE, stride=8)),
-    Ablation("float16", "accumulators", replace(BASE, accumulators="float16")),
-    Ablation("bfloat16", "accumulators", replace(BASE, accumulators="bfloat16")),
 )
 
 

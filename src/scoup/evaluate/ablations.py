@@ -30,8 +30,9 @@ from scoup.presence import vote_entropy
 from scoup.progress import Progress, no_progress
 from scoup.query import QueryPreset
 from scoup.regions import Regions
-from scoup.rounds import accumulate
-from scoup.uplifting import RegionSums, add_view, codes_of_view, region_sums
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.taking import region_sums
+from scoup.uplift.vote import GaussianCodes, vote
 
 
 @dataclass(frozen=True)
@@ -138,13 +139,12 @@ class _Workshop:
         if key not in self._codes:
             self._codes[key] = _code(rows, recipe, seed, self._epochs)
         codes, codebook = self._codes[key]
-        if recipe.accumulators == "float32":
-            accumulators = accumulate(sums, codes, codebook, recipe.rounds, recipe.keep or recipe.k)
-        else:
-            accumulators = _rounded_uplift(sums, codes, getattr(torch, recipe.accumulators))
+        handed_on = recipe.keep or recipe.k
+        found = vote(sums, codes, codebook, recipe.rounds, recipe.keep, handed_on)
         if recipe.dropped is not None:
-            accumulators = _without(accumulators, recipe.dropped)
-        return voted_field(accumulators, codebook, recipe.keep)
+            whole = vote(sums, codes, codebook, recipe.rounds, None, handed_on)
+            found = _without(found, whole, recipe.dropped)
+        return voted_field(found, codebook, recipe.keep is None)
 
     def _regions(self, recipe: Recipe) -> Regions:
         regions = self._scene.regions
@@ -164,9 +164,8 @@ class _Workshop:
                 made = region_sums(scene.gaussians, scene.cameras, thinned, scene.raster_preset)
                 self._strided[recipe.stride] = made
             sums = self._strided[recipe.stride]
-        kept = [view for view in sums.views if view.view_name in regions]
         rows = [regions.embeddings(level)[1] for level in regions.levels]
-        return RegionSums(sums.n_gaussians, sums.levels, kept, rows, sums.raster_preset)
+        return sums.of_views([name for name in sums.views if name in regions], rows)
 
 
 def _code(rows: Sequence[Tensor], recipe: Recipe, seed: int, epochs: int) -> tuple[list[SparseCodes], Tensor]:
@@ -184,15 +183,6 @@ def _code(rows: Sequence[Tensor], recipe: Recipe, seed: int, epochs: int) -> tup
     return codes, torch.stack(atoms)
 
 
-def _rounded_uplift(sums: RegionSums, codes: Sequence[SparseCodes], dtype: torch.dtype) -> Tensor:
-    """Accumulators [N, S, L] float32 that were kept in ``dtype`` between views."""
-    total = torch.zeros(sums.n_gaussians, len(codes), codes[0].n_atoms, device=codes[0].weights.device)
-    for view in sums.views:
-        add_view(view, codes_of_view(codes, sums.rows, view.view_name), total)
-        total = total.to(dtype).float()
-    return total
-
-
 def _start(rows: Tensor, n_atoms: int, start: Start, seed: int) -> Tensor | None:
     """[L, D] first atoms; None for the solver's own k-means."""
     random = torch.Generator().manual_seed(seed)
@@ -203,18 +193,18 @@ def _start(rows: Tensor, n_atoms: int, start: Start, seed: int) -> Tensor | None
     return None
 
 
-def _without(accumulators: Tensor, half: str) -> Tensor:
-    """Accumulators [N, S, L] without the Gaussians of the half with the highest (or lowest) entropy of their votes.
+def _without(found: GaussianCodes, whole: GaussianCodes, half: str) -> GaussianCodes:
+    """Codes without those of the Gaussians in the half with the highest (or lowest) entropy of their whole votes.
     *Choice*: halves are taken at each level, among Gaussians that have votes there."""
-    entropy = vote_entropy(accumulators)
-    voted = accumulators.any(-1)
+    entropy = vote_entropy(whole.weights)
+    voted = whole.weights.any(-1)
     kept = torch.zeros_like(voted)
-    for level in range(accumulators.shape[1]):
+    for level in range(voted.shape[1]):
         members = voted[:, level].nonzero()[:, 0]
         order = members[torch.argsort(entropy[members, level], stable=True)]
         middle = len(order) // 2
         kept[order[:middle] if half == "highest" else order[middle:], level] = True
-    return torch.where(kept[..., None], accumulators, 0.0)
+    return replace(found, weights=torch.where(kept[..., None], found.weights, 0.0))
 
 
 def _rule(ablation: Ablation, preset: QueryPreset) -> Rule:

@@ -29,8 +29,8 @@ from scoup.gaussians import Gaussians
 from scoup.io import read_tracks
 from scoup.pictures.colors import Picture
 from scoup.pictures.plots import interval_plot
-from scoup.pipeline import BuildSettings, learn_codebook
 from scoup.regions import Regions
+from scoup.uplift.build import BuildSettings, learn_codebook
 
 DOMINANT = 0.5  # of a pixel's weight: a Gaussian that paints this much is what one sees there
 MOST_PAIRS = 40_000  # of matched observations, drawn at random beyond

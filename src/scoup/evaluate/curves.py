@@ -24,7 +24,7 @@ from scoup.pictures.plots import Series, line_plot
 from scoup.progress import Progress, no_progress
 from scoup.query import QueryPreset
 from scoup.regions import RegionMap, Regions
-from scoup.uplifting import RegionSums
+from scoup.uplift.region_sums import RegionSums
 
 SMOOTHNESS = 6.0  # pixels of an image 480 wide: how far displacements of neighbouring pixels go together
 

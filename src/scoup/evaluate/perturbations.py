@@ -20,8 +20,9 @@ from scoup.cameras import Camera
 from scoup.errors import InputError, UnknownNameError
 from scoup.evaluate.lerf_labels import LabelledFrame
 from scoup.gaussians import Gaussians
+from scoup.raster import ViewSums
 from scoup.regions import Regions
-from scoup.uplifting import RegionSums, ViewSums
+from scoup.uplift.region_sums import RegionSums
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -83,24 +84,26 @@ def as_region_sums(levels: Sequence[LevelSums]) -> RegionSums:
     n_views = max(int(level.views.max(initial=-1)) for level in levels) + 1
     columns = [level.matrix.tocsc() for level in levels]
     starts = [np.searchsorted(level.views, np.arange(n_views + 1)) for level in levels]
-    views = []
+    count = levels[0].n_gaussians
+    sums = RegionSums("", torch.arange(count), [str(position) for position in range(len(levels))])
     for view in range(n_views):
-        stride = max(int(of_level[view + 1] - of_level[view]) for of_level in starts)
         parts = []
         for position, (matrix, of_level) in enumerate(zip(columns, starts, strict=True)):
             first, last = of_level[view], of_level[view + 1]
             entries = slice(matrix.indptr[first], matrix.indptr[last])
             counts = np.diff(matrix.indptr[first : last + 1])
-            key = np.repeat(position * stride + np.arange(last - first), counts)
-            parts.append((matrix.indices[entries], key, matrix.data[entries]))
-        gaussian, key, weight = (torch.from_numpy(np.concatenate(each)) for each in zip(*parts, strict=True))
-        views.append(ViewSums(str(view), gaussian.long(), key, weight, stride))
-    rows = [
+            region = np.repeat(np.arange(last - first), counts)
+            of_entries = np.full(len(region), position)
+            parts.append((matrix.indices[entries], of_entries, region, matrix.data[entries]))
+        gaussian, level, region, weight = (
+            torch.from_numpy(np.concatenate(each)) for each in zip(*parts, strict=True)
+        )
+        sums.append(str(view), ViewSums.of_triplets(gaussian, level, region, weight, len(levels)))
+    sums.rows = [
         {str(view): slice(int(of_level[view]), int(of_level[view + 1])) for view in range(n_views)}
         for of_level in starts
     ]
-    names = [str(position) for position in range(len(levels))]
-    return RegionSums(levels[0].n_gaussians, names, views, rows)
+    return sums
 
 
 def wrong_embeddings(level: LevelSums, share: float, rng: np.random.Generator) -> LevelSums:
@@ -173,12 +176,11 @@ def gaussians_by_name(
         view = raster.look(gaussians, camera, raster_preset)
         everything = torch.ones(1, camera.height, camera.width, dtype=torch.bool)
         masks = torch.cat([everything, *(mask[None] for mask in frame.masks.values())])
-        gaussian, key, weight = (part.cpu().numpy() for part in raster.region_weights(view, masks.int() - 1))
-        # One region a map, so the key is the number of the map.
+        sums = raster.region_sums(view, masks.int() - 1)
         for number, name in enumerate(("", *frame.labels)):
-            mine = key == number
+            gaussian, _, weight = (part.cpu().numpy() for part in sums.triplets(number))
             total = seen if not name else on.setdefault(name, np.zeros(len(gaussians)))
-            np.add.at(total, gaussian[mine], weight[mine])
+            total[gaussian] += weight
     with np.errstate(invalid="ignore"):
         return {name: (on[name] / np.where(seen > 0, seen, np.nan)).astype(np.float32) for name in sorted(on)}
 

@@ -23,7 +23,8 @@ from scoup.io import default_preset, load_gaussians, load_regions
 from scoup.progress import Progress, no_progress
 from scoup.query import QueryPreset
 from scoup.regions import RegionMap, Regions
-from scoup.uplifting import RegionSums, region_sums
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.taking import region_sums
 
 
 @dataclass(frozen=True)

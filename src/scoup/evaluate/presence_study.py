@@ -17,23 +17,22 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.baselines.methods import votes
+from scoup.baselines.methods import learn_codes, voted
 from scoup.errors import InputError
 from scoup.evaluate.datasets import EvalScene
 from scoup.evaluate.prepared import PreparedScene
 from scoup.evaluate.tables import Table
 from scoup.everyday import with_everyday
 from scoup.field import FieldInfo, LanguageField
-from scoup.pipeline import BuildSettings
 from scoup.presence import PRESENT_FROM, scene_standing, view_standing, vote_entropy
 from scoup.progress import Progress, no_progress
 from scoup.query import PRESETS, QueryPreset, choose_level, level_masks, select_with_level
-from scoup.uplifting import top_k
+from scoup.uplift.build import BuildSettings
 
 SIGNALS = ("standing", "peak", "inside", "contrast", "entropy", "vote entropy", "vote weight")
 """All signals measured: how far the query stands above everyday words (``scoup.presence``); the largest smoothed
 relevancy; its mean inside the mask; how far that lies above the mean outside; the mean inside the mask of the entropy
-of the stored codes, of that of the whole votes, and of the logarithm of their weight."""
+of the stored codes, of that of the whole votes, and of the logarithm of the weight painted."""
 PRESENT, OUT_OF_VIEW, ABSENT, IN_SCENE = "present", "out of view", "absent", "in the scene"
 _WORDS = "absent.txt"
 _LOWEST = -1e3  # of a standing, where nothing was found: tables and JSON know no infinity
@@ -117,9 +116,10 @@ def ask_scene(
 
 
 def _build(scene: PreparedScene, settings: BuildSettings) -> tuple[LanguageField, list[Tensor]]:
-    """The field, and what its votes say [N, S] each: entropy of the codes, entropy of the votes, their weight."""
-    accumulators, codebook = votes(scene.gathered(), scene.embeddings(), settings)
-    indices, weights = top_k(accumulators, settings.keep or None)
+    """The field, and what its votes say [N, S] each: entropy of the codes, of the votes, and the weight painted."""
+    sums = scene.gathered()
+    codes, codebook = learn_codes(scene.embeddings(), settings)
+    found = voted(sums, codes, codebook, settings)
     info = FieldInfo(
         tuple(scene.regions.levels),
         "",
@@ -127,8 +127,14 @@ def _build(scene: PreparedScene, settings: BuildSettings) -> tuple[LanguageField
         len(scene.gaussians),
         scene.raster_preset,
     )
-    field = LanguageField(indices, weights, codebook, info, scene.gaussians)
-    told = [vote_entropy(field.code_weights), vote_entropy(accumulators), torch.log1p(accumulators.sum(-1))]
+    field = LanguageField(found.indices, found.weights, codebook, info, scene.gaussians)
+    whole = voted(sums, codes, codebook, settings, all_kept=True)
+    painted = [torch.from_numpy(sums.matrix(level).sum(1)) for level in range(len(codes))]
+    told = [
+        vote_entropy(field.code_weights),
+        vote_entropy(whole.weights),
+        torch.log1p(torch.stack(painted, 1)),
+    ]
     return field, told
 
 

@@ -20,11 +20,12 @@ from scoup.evaluate.predictions import PredictionCache, file_digest, prediction_
 from scoup.evaluate.scores import SceneScore
 from scoup.field import LanguageField
 from scoup.io import default_preset, load_gaussians, load_regions
-from scoup.pipeline import BuildSettings, build
 from scoup.progress import Progress, no_progress
 from scoup.query import QueryPreset, select
 from scoup.regions import LEVELS
 from scoup.text import TextEncoder
+from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.taking import resumed
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +110,7 @@ def build_field(
     regions = load_regions(scene.features, scene.cameras)
     checkpoint = path.with_name(path.name + ".partial")
     path.parent.mkdir(parents=True, exist_ok=True)
+    sums = resumed(checkpoint, gaussians, regions, settings.raster_preset)
     field = build(
         gaussians,
         scene.cameras,
@@ -116,10 +118,11 @@ def build_field(
         settings=settings,
         embedding_model=model,
         geometry_path=scene.splat,
-        checkpoint=checkpoint,
+        sums=sums,
         progress=progress,
     )
     field.save(path, overwrite=True)
+    sums.close()
     checkpoint.unlink(missing_ok=True)
     # What is scored is what is stored, half precision included.
     return LanguageField.load(path, gaussians).to(device)

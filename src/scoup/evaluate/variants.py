@@ -20,7 +20,8 @@ from scoup.field import FieldInfo, LanguageField
 from scoup.gaussians import Gaussians
 from scoup.progress import Progress, no_progress
 from scoup.query import PRESETS, QueryPreset
-from scoup.uplifting import RegionSums, top_k
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.vote import GaussianCodes
 
 Ask = Callable[[Camera, raster.View, Tensor, Tensor], Tensor]
 """``ask(camera, view, queries [Q, D], canonical [P, D])`` gives relevancy [S, Q, H, W]."""
@@ -44,19 +45,19 @@ class Variant:
 def sparse_variant(
     name: str,
     gaussians: Gaussians,
-    accumulators: Tensor,
+    codes: GaussianCodes,
     codebook: Tensor,
-    keep: int | None,
     raster_preset: str,
+    all_kept: bool = False,
 ) -> Variant:
-    """Codes with the ``keep`` largest atoms of each accumulator [N, S, L] (all, for None) over codebook [S, L, D]."""
-    indices, weights = top_k(accumulators, keep)
+    """Codes over a codebook [S, L, D]; ``all_kept`` says that they have every atom."""
+    indices, weights = codes.indices, codes.weights
     levels = tuple(str(level) for level in range(codebook.shape[0]))
     info = FieldInfo(levels, name, gaussians.fingerprint(), len(gaussians), raster_preset)
     field = LanguageField(indices, weights, codebook, info, gaussians)
     stored = indices.element_size() + field.code_weights.element_size()
     # All atoms kept: their indices need not be stored.
-    each = weights.element_size() / 2 if keep is None else stored
+    each = weights.element_size() / 2 if all_kept else stored
     return Variant(
         name,
         each * indices.shape[1] * indices.shape[2],

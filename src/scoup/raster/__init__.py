@@ -26,12 +26,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Union
 import torch
 from torch import Tensor
 
-from scoup.agreement import Agreement
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes
 from scoup.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.gaussians import Gaussians
 from scoup.native import missing_reason, native_core, warn_once_if_missing
+from scoup.raster.combinations import CombinedLabels as CombinedLabels
+from scoup.raster.combinations import combine as combine
 from scoup.raster.cpu import NativeView
 from scoup.raster.ordering import morton_order as morton_order
 from scoup.raster.presets import PRESETS as PRESETS
@@ -40,6 +40,7 @@ from scoup.raster.presets import raster_preset
 from scoup.raster.reference import ReferenceView
 from scoup.raster.spherical_harmonics import view_colors as view_colors
 from scoup.raster.triton_at_hand import why_not
+from scoup.raster.view_sums import ViewSums as ViewSums
 
 if TYPE_CHECKING:
     from scoup.raster.gpu_view import GpuView
@@ -118,7 +119,7 @@ def prepare(gaussians: Gaussians, backend: str | None = None) -> PreparedScene:
     """Bring the rows of a scene into the order that suits a backend, and work out what all views share; worth it where
     many views follow.
 
-    Views of it know the Gaussians by their new places: accumulators and values given to them are in that order, too.
+    Views of it know the Gaussians by their new places: region sums, and values given to them, are in that order, too.
     They show exactly the same: equal depths go by the original rows.
 
     Args:
@@ -166,109 +167,28 @@ def look(
     return _backend(backend, gaussians.device)[1].look(gaussians, camera, constants)
 
 
-def region_weights(view: View, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def region_sums(view: View, labels: Tensor | CombinedLabels) -> ViewSums:
     """How much each Gaussian paints of each region: A[i, r] = sum of e_i over the pixels of r (method.md, stage 2).
 
     Args:
         view: from ``look``.
-        labels: [S, H, W] integer region of each pixel at each level, -1 for none.
+        labels: [S, H, W] integer region of each pixel at each level, -1 for none; or what ``combine`` made of them.
 
     Returns:
-        Triplets (gaussian [T] int64, key [T] int64, weight [T] float32), sorted by Gaussian, then key, each pair
-        once; key = level * stride + region with stride = labels.max() + 1. Pairs of weight zero are left out.
+        Entries (Gaussian, combination of regions over all levels, weight), and the table of combinations, on the
+        view's device. Gaussians that paint no region have none.
 
     Raises:
         InputError: the labels do not have the view's size.
     """
-    _check_labels(view, labels)
-    return _backend_of(view).region_weights(view, labels)
-
-
-class Uplift:
-    """Adds the weighted region codes of views to accumulators: w_i += sum of e_i(p) * W(p) (method.md, stage 2).
-
-    A backend may keep views pending and add several at once, in the order they came: what is in the accumulators is
-    complete after ``flush`` only. The result does not depend on how often that is called.
-
-    Args:
-        out: [N, S, L] float32, contiguous; added to in place.
-        backend: as for ``look``; the views must come from the same one.
-        agreement: outcome of an earlier round, with which the regions' codes must agree to count in full.
-
-    Raises:
-        InputError: the accumulators are of another form, or the earlier round had another.
-    """
-
-    def __init__(self, out: Tensor, backend: str | None = None, agreement: Agreement | None = None) -> None:
-        if out.dim() != 3 or not out.is_contiguous() or out.dtype != torch.float32:
-            raise InputError(
-                f"accumulators must be contiguous float32 [N, S, L], not {out.dtype} {list(out.shape)}"
-            )
-        if agreement is not None:
-            earlier = (*agreement.indices.shape[:2], agreement.n_atoms)
-            if earlier != tuple(out.shape):
-                raise InputError(
-                    f"accumulators {list(out.shape)} do not fit an earlier round of {list(earlier)}"
-                )
-        self.out = out
-        if backend == "triton" and out.device.type == "cpu":
-            # Accumulators may be too large for the GPU on which views are rasterised.
-            self.backend, module = backend, importlib.import_module(BACKENDS[backend])
-        else:
-            self.backend, module = _backend(backend, out.device)
-        self._uplift = module.Uplift(out, agreement)
-
-    @property
-    def n_taken(self) -> int:
-        """Views taken in so far."""
-        return self._uplift.n_taken
-
-    @property
-    def intact(self) -> bool:
-        """Whether, after an interrupted call and then ``flush``, the accumulators hold just the views taken in."""
-        return self._uplift.intact
-
-    def add(self, view: View, labels: Tensor, codes: list[SparseCodes]) -> None:
-        """Take in a view.
-
-        Args:
-            view: from ``look``.
-            labels: [S, H, W] integer regions, -1 for none.
-            codes: one SparseCodes a level, row r for region r.
-
-        Raises:
-            InputError: shapes disagree, or a label has no code.
-        """
-        if view.backend != self.backend:
-            raise InputError(
-                f"a view of the backend {view.backend!r} was given to an uplift of {self.backend!r}"
-            )
-        _check_labels(view, labels)
-        if len(codes) != len(labels) or tuple(self.out.shape[:2]) != (view.n_gaussians, len(labels)):
-            raise InputError(
-                f"accumulators {list(self.out.shape)} and {len(codes)} levels of codes do not fit "
-                f"{view.n_gaussians} Gaussians and {len(labels)} levels of labels"
-            )
-        highest_labels = labels.flatten(1).amax(1).tolist() if labels.numel() else [-1] * len(labels)
-        for level, (level_codes, highest) in enumerate(zip(codes, highest_labels, strict=True)):
-            if highest >= len(level_codes):
-                raise InputError(f"level {level}: label {highest} has no code, there are {len(level_codes)}")
-            if level_codes.n_atoms != self.out.shape[2]:
-                raise InputError(
-                    f"level {level}: codes over {level_codes.n_atoms} atoms, accumulators {self.out.shape[2]}"
-                )
-        self._uplift.add(view, labels, codes)
-
-    def flush(self) -> None:
-        """Add what is pending."""
-        self._uplift.flush()
-
-
-def uplift_view(view: View, labels: Tensor, codes: list[SparseCodes], out: Tensor) -> None:
-    """``Uplift`` of one view: arguments as there."""
-    uplift = Uplift(out, view.backend)
-    uplift.add(view, labels, codes)
-    uplift.flush()
+    combined = combine(labels) if isinstance(labels, Tensor) else labels
+    if tuple(combined.map.shape) != (view.height, view.width):
+        raise InputError(
+            f"labels of {' x '.join(map(str, combined.map.shape))} pixels do not fit a view of {view.height} x "
+            f"{view.width} (H x W)"
+        )
+    gaussian, combination, weight = _backend_of(view).region_sums(view, combined.map)
+    return ViewSums(gaussian, combination, weight, combined.table.to(weight.device))
 
 
 def render_channels(view: View, values: Tensor) -> tuple[Tensor, Tensor]:
@@ -386,17 +306,6 @@ def _backend(name: str | None, device: torch.device) -> tuple[str, ModuleType]:
 
 def _backend_of(view: View) -> ModuleType:
     return importlib.import_module(BACKENDS[view.backend])
-
-
-def _check_labels(view: View, labels: Tensor) -> None:
-    if labels.dim() != 3 or tuple(labels.shape[1:]) != (view.height, view.width):
-        raise InputError(
-            f"labels {list(labels.shape)} do not fit a view of {view.height} x {view.width} (H x W)"
-        )
-    if labels.is_floating_point():
-        raise InputError(f"labels must be integers, got {labels.dtype}")
-    if labels.dtype == torch.int64 and labels.numel() and int(labels.max()) >= 2**31:
-        raise InputError(f"label {int(labels.max())} is beyond 32 bits; number the regions from 0")
 
 
 def _check_rows(view: View, values: Tensor, dims: int, name: str) -> None:

@@ -14,9 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.agreement import Agreement
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes, check_atoms, code_arrays, decoded, index_dtype, row_products
+from scoup.codes import check_atoms, code_arrays, decoded, index_dtype, row_products
 from scoup.errors import InputError
 from scoup.gaussians import Gaussians
 from scoup.native import native_core
@@ -47,7 +46,6 @@ class NativeView:
     backend = "native"
 
 
-MOST_PENDING = 512 << 20  # bytes
 PREPARES = True  # by ``make_scene``, and the order of the rows matters to caches
 
 
@@ -89,46 +87,12 @@ def look(gaussians: Gaussians, camera: Camera, preset: RasterPreset, scene: Any 
     return NativeView(len(gaussians), camera.width, camera.height, preset, handle)
 
 
-def region_weights(view: NativeView, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """See ``raster.region_weights``."""
-    stride = int(labels.max()) + 1 if labels.numel() else 0
+def region_sums(view: NativeView, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
     with _refusals():
-        found = _core().region_weights(view.handle, _labels(labels), stride, torch.get_num_threads())
-    gaussian, key, weight = (torch.from_numpy(part) for part in found)
-    return gaussian, key, weight
-
-
-class Uplift:
-    """See ``raster.Uplift``. Views are pending until they take ``MOST_PENDING`` bytes, so that each part of the
-    accumulators comes into the cache once for all of them.
-    """
-
-    intact = True  # an interrupted call changes nothing, or can be taken up again by ``flush``
-
-    def __init__(self, out: Tensor, agreement: Agreement | None = None) -> None:
-        self._agreement = agreement
-        earlier = None
-        if agreement is not None:
-            indices = _array(agreement.indices, agreement.indices.dtype)
-            earlier = (indices, _array(agreement.weights), _array(agreement.sharpness))
-        with _refusals():
-            self._handle = _core().Uplift(out.detach().numpy(), earlier)
-
-    @property
-    def n_taken(self) -> int:
-        return self._handle.n_taken
-
-    def add(self, view: NativeView, labels: Tensor, codes: list[SparseCodes]) -> None:
-        tables = [(_array(level.indices, level.indices.dtype), _array(level.weights)) for level in codes]
-        known = [] if self._agreement is None else self._agreement.region_cosines(codes)
-        with _refusals():
-            cosines = [_array(table) for table in known]
-            self._handle.add(view.handle, _labels(labels), tables, torch.get_num_threads(), cosines)
-        if self._handle.pending_bytes > MOST_PENDING:
-            self.flush()
-
-    def flush(self) -> None:
-        self._handle.flush(torch.get_num_threads())
+        found = _core().region_sums(view.handle, _array(combinations, torch.int32), torch.get_num_threads())
+    gaussian, combination, weight = (torch.from_numpy(part) for part in found)
+    return gaussian, combination, weight
 
 
 def render_channels(view: NativeView, values: Tensor) -> tuple[Tensor, Tensor]:
@@ -203,13 +167,6 @@ def _refusals() -> Iterator[None]:
         yield
     except (ValueError, IndexError) as error:
         raise InputError(str(error)) from None
-
-
-def _labels(labels: Tensor) -> np.ndarray:
-    """[S, H, W] int32; cutting must not turn a negative label into a region."""
-    if labels.dtype == torch.int64:
-        labels = labels.clamp(min=-1)
-    return _array(labels, torch.int32)
 
 
 def _code_table(indices: Tensor, weights: Tensor, n_atoms: int) -> tuple[np.ndarray, np.ndarray]:

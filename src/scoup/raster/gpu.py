@@ -17,9 +17,8 @@ import torch
 import triton
 from torch import Tensor
 
-from scoup.agreement import Agreement
-from scoup.codes import SparseCodes, add_codes, cosines_from_products, full_products
-from scoup.raster.gpu_regions import add_votes, triplets
+from scoup.codes import cosines_from_products, full_products
+from scoup.raster import gpu_regions
 from scoup.raster.gpu_view import FUSED, TILE, GpuView, Precision
 from scoup.raster.gpu_view import look as look
 from scoup.raster.kernels.blending import LOW_SCALE
@@ -37,49 +36,10 @@ _COEFFICIENTS = 128 * 32 * WARPS  # of a program: 128 registers of each thread
 _BLOCK = 128
 
 
-def region_weights(view: GpuView, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """See ``raster.region_weights``."""
+def region_sums(view: GpuView, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
     with torch.cuda.device_of(view.records):
-        return triplets(view, labels.to(view.device))
-
-
-class Uplift:
-    """See ``raster.Uplift``. Nothing is ever pending.
-
-    Accumulators may also be on the CPU, where they are too large for the GPU: region sums are then brought there.
-    """
-
-    def __init__(self, out: Tensor, agreement: Agreement | None = None) -> None:
-        self._out = out
-        self._agreement = agreement
-        self.intact = True
-        self.n_taken = 0
-
-    def add(self, view: GpuView, labels: Tensor, codes: list[SparseCodes]) -> None:
-        labels = labels.to(view.device)
-        if self._out.device != view.device:
-            self._add_triplets(view, labels, codes)
-            return
-        self.intact = False
-        with torch.cuda.device_of(view.records):
-            add_votes(view, labels, codes, self._agreement, self._out)
-        self.n_taken += 1
-        self.intact = True
-
-    def _add_triplets(self, view: GpuView, labels: Tensor, codes: list[SparseCodes]) -> None:
-        stride = int(labels.max()) + 1 if labels.numel() else 0
-        device = self._out.device
-        gaussian, key, weight = (part.to(device) for part in region_weights(view, labels))
-        here = [level.to(device) for level in codes]
-        if self._agreement is not None:
-            weight = weight * self._agreement.factors(gaussian, key, stride, here)
-        self.intact = False
-        add_codes(gaussian, key, weight, stride, here, self._out)
-        self.n_taken += 1
-        self.intact = True
-
-    def flush(self) -> None:
-        pass
+        return gpu_regions.region_sums(view, combinations.to(view.device))
 
 
 def render_channels(view: GpuView, values: Tensor) -> tuple[Tensor, Tensor]:

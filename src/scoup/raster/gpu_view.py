@@ -50,7 +50,6 @@ class GpuView:
         records: [., RECORD] float32, for each tile what it knows of the Gaussians that reach it, nearest first, see
             ``kernels.blending``; PADDING more rows at the end.
         starts: [tiles + 1] int64, where each tile begins in these.
-        visible: of the Gaussians, with the way back from them to their pairs.
         precision: of matrix products. "fp16x3" splits float32 into two float16 and multiplies these on tensor cores,
             where numbers are known to fit, and is "tf32x3" elsewhere; "tf32x3" does the same with tf32; "ieee" is
             plain float32; "tf32" keeps 11 bits.
@@ -62,7 +61,6 @@ class GpuView:
     preset: RasterPreset
     records: Tensor
     starts: Tensor
-    visible: Visible
     precision: Precision = "fp16x3"
 
     backend = "triton"
@@ -97,23 +95,6 @@ class GpuView:
         """
         chosen = "tf32x3" if wide and self.precision == "fp16x3" else self.precision
         return "ieee" if torch.version.hip and chosen != "fp16x3" else chosen
-
-
-@dataclass(frozen=True, eq=False)
-class Visible:
-    """The Gaussians a camera may see, nearest first, and their candidate pairs with tiles, Gaussian after Gaussian.
-
-    Attributes:
-        ids: [M] int64 rows of the scene.
-        firsts: [M + 1] int64, where the candidates of each begin.
-        tiles: [C] int16 or int32 tile of each candidate; the number of tiles where the ellipse misses it.
-        places: [C] int32, where the candidate is in the lists of the tiles.
-    """
-
-    ids: Tensor
-    firsts: Tensor
-    tiles: Tensor
-    places: Tensor
 
 
 def look(
@@ -188,9 +169,8 @@ def _bin(
     starts = torch.searchsorted(in_order, torch.arange(n_tiles + 1, dtype=tile_type, device=device))
     n_records = n_candidates + PADDING
     records = torch.empty(n_records, RECORD.value, device=device)
-    places = torch.empty(n_candidates, dtype=torch.int32, device=device)
     list_kernel[(triton.cdiv(n_records, _BLOCK),)](
-        by_tile, in_order, ranks, order, ids, geometry, table, records, records.view(torch.int32), places,
+        by_tile, in_order, ranks, order, ids, geometry, table, records, records.view(torch.int32),
         n_candidates, n_records, across, down, TILE=TILE, BLOCK=_BLOCK, **FUSED,
     )  # fmt: skip
     return GpuView(
@@ -200,7 +180,6 @@ def _bin(
         preset,
         records,
         starts,
-        Visible(ids[order], firsts, tiles, places),
         precision,
     )
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.agreement import Agreement
 from scoup.cameras import Camera
-from scoup.codes import SparseCodes, add_codes, check_atoms, cosines_and_norms, decoded
+from scoup.codes import check_atoms, cosines_and_norms, decoded
 from scoup.gaussians import Gaussians
 from scoup.raster.binning import Bins, bin_to_tiles
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
 from scoup.raster.projection import Projection, project
+from scoup.raster.view_sums import merge
 
 PREPARES = False  # the order of the rows makes no difference to the speed
 TILE = 16  # edge of a tile in pixels
@@ -73,52 +73,24 @@ def look(gaussians: Gaussians, camera: Camera, preset: RasterPreset, tile: int =
     return ReferenceView(len(gaussians), camera.width, camera.height, preset, projection, bins, ellipses)
 
 
-def region_weights(view: ReferenceView, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """See ``raster.region_weights``."""
-    levels = labels.shape[0]
-    stride = int(labels.max()) + 1 if labels.numel() else 0
+def region_sums(view: ReferenceView, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
+    n_combinations = int(combinations.max()) + 1 if combinations.numel() else 0
     found: list[tuple[Tensor, Tensor, Tensor]] = []
-    tiled = to_tiles(labels.long(), view.bins, fill=-1)  # [tiles, S, P]
-    offsets = torch.arange(levels, device=labels.device)[:, None] * stride
+    tiled = to_tiles(combinations[None].long(), view.bins, fill=-1)[:, 0]  # [tiles, P]
     for batch in _batches(view):
-        keys = torch.where(tiled[batch.tiles] >= 0, tiled[batch.tiles] + offsets, -1)  # [T, S, P]
-        one_hot, keys_of_column = _one_hot_columns(keys, levels * stride)
+        one_hot, number_of_column = _one_hot_columns(tiled[batch.tiles], n_combinations)
         for slots, ranks, weights in _blend(view, batch):
             sums = torch.bmm(weights, one_hot[slots])  # [t, G, C]
             at = torch.nonzero(sums, as_tuple=True)
             found.append(
-                (view.projection.ids[ranks[at[0], at[1]]], keys_of_column[slots[at[0]], at[2]], sums[at])
+                (view.projection.ids[ranks[at[0], at[1]]], number_of_column[slots[at[0]], at[2]], sums[at])
             )
     if not found:
-        empty = torch.zeros(0, dtype=torch.int64, device=labels.device)
-        return empty, empty, torch.zeros(0, device=labels.device)
-    gaussian, key, weight = (torch.cat(parts) for parts in zip(*found, strict=True))
-    return _merge(gaussian, key, weight, max(1, levels * stride))
-
-
-class Uplift:
-    """See ``raster.Uplift``. Nothing is ever pending."""
-
-    def __init__(self, out: Tensor, agreement: Agreement | None = None) -> None:
-        self._out = out
-        self._agreement = agreement
-        self.intact = True
-        self.n_taken = 0
-
-    def add(self, view: ReferenceView, labels: Tensor, codes: list[SparseCodes]) -> None:
-        stride = int(labels.max()) + 1 if labels.numel() else 0
-        # The sums of a view are small; the accumulators may be too large for the device it was rasterised on.
-        sums = (part.to(self._out.device) for part in region_weights(view, labels))
-        gaussian, key, weight = sums
-        if self._agreement is not None:
-            weight = weight * self._agreement.factors(gaussian, key, stride, codes)
-        self.intact = False
-        add_codes(gaussian, key, weight, stride, codes, self._out)
-        self.n_taken += 1
-        self.intact = True
-
-    def flush(self) -> None:
-        pass
+        empty = torch.zeros(0, dtype=torch.int32, device=combinations.device)
+        return empty, empty, torch.zeros(0, device=combinations.device)
+    gaussian, number, weight = (torch.cat(parts) for parts in zip(*found, strict=True))
+    return merge(gaussian, number, weight, max(1, n_combinations))
 
 
 def render_channels(view: ReferenceView, values: Tensor) -> tuple[Tensor, Tensor]:
@@ -287,39 +259,30 @@ def _dense_codes(indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     return dense.scatter_add_(1, (indices.long() + offsets).flatten(1), weights.float().flatten(1))
 
 
-def _one_hot_columns(keys: Tensor, n_keys: int) -> tuple[Tensor, Tensor]:
-    """One column for each distinct key >= 0 of a tile.
+def _one_hot_columns(numbers: Tensor, n_numbers: int) -> tuple[Tensor, Tensor]:
+    """One column for each distinct number >= 0 of a tile.
 
     Args:
-        keys: [T, S, P].
-        n_keys: number of possible keys.
+        numbers: [T, P].
+        n_numbers: number of possible ones.
 
     Returns:
-        one_hot [T, P, C] float32 and the key of each column [T, C]; C is the largest count of distinct keys.
+        one_hot [T, P, C] float32 and the number of each column [T, C]; C is the largest count of distinct ones.
     """
-    tiles, _, pixels = keys.shape
-    flat = keys.flatten(1)
-    present = torch.zeros(tiles, n_keys + 1, dtype=torch.bool, device=keys.device)
-    present.scatter_(1, torch.where(flat >= 0, flat, n_keys), True)
-    present[:, n_keys] = False
+    tiles, pixels = numbers.shape
+    present = torch.zeros(tiles, n_numbers + 1, dtype=torch.bool, device=numbers.device)
+    present.scatter_(1, torch.where(numbers >= 0, numbers, n_numbers), True)
+    present[:, n_numbers] = False
     column = torch.cumsum(present, 1) - 1
     columns = int(column[:, -1].max()) + 1
-    keys_of_column = torch.zeros(tiles, columns, dtype=torch.int64, device=keys.device)
+    number_of_column = torch.zeros(tiles, columns, dtype=torch.int64, device=numbers.device)
     at = torch.nonzero(present, as_tuple=True)
-    keys_of_column[at[0], column[at]] = at[1]
+    number_of_column[at[0], column[at]] = at[1]
     # Pixels without a region go to a column of their own, which is then cut off.
-    place = torch.where(keys >= 0, column.gather(1, flat.clamp(min=0)).view_as(keys), columns)
-    one_hot = torch.zeros(tiles, pixels, columns + 1, device=keys.device)
-    one_hot.scatter_(2, place.transpose(1, 2), 1.0)
-    return one_hot[..., :columns].contiguous(), keys_of_column
-
-
-def _merge(gaussian: Tensor, key: Tensor, weight: Tensor, n_keys: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Add up triplets of the same Gaussian and key (a Gaussian reaches several tiles); sorted by both."""
-    merged, inverse = torch.unique(gaussian * n_keys + key, sorted=True, return_inverse=True)
-    total = torch.zeros(len(merged), dtype=torch.float64, device=weight.device)
-    total.scatter_add_(0, inverse, weight.double())
-    return torch.div(merged, n_keys, rounding_mode="floor"), merged % n_keys, total.float()
+    place = torch.where(numbers >= 0, column.gather(1, numbers.clamp(min=0)), columns)
+    one_hot = torch.zeros(tiles, pixels, columns + 1, device=numbers.device)
+    one_hot.scatter_(2, place[:, :, None], 1.0)
+    return one_hot[..., :columns].contiguous(), number_of_column
 
 
 def _empty_tiles(view: ReferenceView, channels: int, device: torch.device) -> Tensor:

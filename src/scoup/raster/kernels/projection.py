@@ -215,7 +215,6 @@ def list_kernel(
     camera,  # [TABLE] float64
     records,  # [R, RECORD] float32: out, see ``blending.RECORD``; zeros behind the last tile
     numbers,  # the same memory as int32
-    places,  # [C] int32: out, where each candidate is
     n_candidates,
     n_records,
     across,
@@ -226,7 +225,6 @@ def list_kernel(
     pair = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     there = pair < n_candidates
     candidate = tl.load(by_tile + pair, mask=there, other=0)
-    tl.store(places + candidate, pair.to(tl.int32), mask=there)
     tile = tl.load(tiles + pair, mask=there, other=0).to(tl.int32)
     listed = there & (tile < across * down)
     slot = tl.load(order + tl.load(ranks + candidate, mask=listed, other=0), mask=listed, other=0)

@@ -1,7 +1,7 @@
-"""Region sums of a view: how much each Gaussian paints of each region, tile by tile.
+"""Region sums of a view: how much each Gaussian paints of each combination of regions, tile by tile.
 
-The pixels of a tile that have the same region at every level are one column. A Gaussian's sums over the columns of a
-tile are a row of E @ one-hot(columns), which serves all levels at once.
+The pixels of a tile that have the same combination are one column. A Gaussian's sums over the columns of a tile are a
+row of E @ one-hot(columns), which serves all levels at once.
 """
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false
@@ -20,42 +20,6 @@ from scoup.raster.kernels.blending import (
     is_lit,
     pixels_of,
 )
-
-
-@triton.jit(do_not_specialize=["width", "height", "across", "n_levels"])
-def alike_kernel(
-    labels,  # [S, H, W] integers
-    first_alike,  # [tiles, P] int32: out
-    width,
-    height,
-    across,
-    n_levels,
-    TILE: tl.constexpr,
-    OTHERS: tl.constexpr,
-):
-    """The first pixel of the tile that has the same region as a pixel at every level; P for pixels without any."""
-    tile = tl.program_id(0)
-    PIXELS: tl.constexpr = TILE * TILE
-    _, _, pixel, inside = pixels_of(tile, across, width, height, TILE)
-    plane = height.to(tl.int64) * width
-    has_region = tl.zeros([PIXELS], tl.int1)
-    for level in range(n_levels):
-        own = tl.load(labels + level * plane + pixel, mask=inside, other=-1)
-        has_region |= own >= 0
-    found = tl.full([PIXELS], PIXELS, tl.int32)
-    for first in range(0, PIXELS, OTHERS):
-        other = first + tl.arange(0, OTHERS)
-        x, y = other % TILE, other // TILE
-        column, row = tile % across * TILE + x, tile // across * TILE + y
-        other_inside = (column < width) & (row < height)
-        alike = has_region[:, None] & other_inside[None, :]
-        for level in range(n_levels):
-            own = tl.load(labels + level * plane + pixel, mask=inside, other=-1)
-            their = tl.load(labels + level * plane + row * width + column, mask=other_inside, other=-1)
-            # Every number below 0 means that there is no region.
-            alike &= tl.maximum(own, -1)[:, None] == tl.maximum(their, -1)[None, :]
-        found = tl.minimum(found, tl.min(tl.where(alike, other[None, :], PIXELS), axis=1))
-    tl.store(first_alike + tile * PIXELS + tl.arange(0, PIXELS), found)
 
 
 @triton.jit(do_not_specialize=["width", "height", "across", "first_tile"])

@@ -1,4 +1,4 @@
-"""Views added to a field later, with atoms for what its codebook has never seen."""
+"""Views added to a field, removed from it, or changed, with atoms for what its codebook has never seen."""
 
 from __future__ import annotations
 
@@ -11,17 +11,22 @@ from torch import Tensor
 
 import scoup
 from scoup import raster
-from scoup.artefact import accumulators_path
 from scoup.cameras import Camera, Cameras
+from scoup.codes import SparseCodes
 from scoup.coding.encode import encode
+from scoup.coding.rows import unit_rows
 from scoup.errors import InputError, ScoupWarning
 from scoup.field import LanguageField
 from scoup.gaussians import Gaussians
-from scoup.growing import append_atoms, bars_of, code_view, provenance_with, widened
 from scoup.native import native_core
 from scoup.pictures.colors import code_picture
-from scoup.pipeline import BuildSettings, build
 from scoup.regions import RegionMap, Regions
+from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.region_codes import RegionCodes, joined
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.taking import region_sums
+from scoup.uplift.update import update
+from scoup.uplift.vote import vote
 from support import make_camera, random_labels, small_scene, unit
 
 DIM = 32
@@ -92,14 +97,39 @@ def wall() -> Wall:
     return Wall()
 
 
-@pytest.fixture(scope="module")
-def field(wall: Wall) -> LanguageField:
-    return build(wall.gaussians, wall.early, wall.regions, settings=SETTINGS, keep_accumulators=True)
+Kept = tuple[LanguageField, RegionSums]
+
+
+def built(wall: Wall, settings: BuildSettings = SETTINGS) -> Kept:
+    """The field of the early views, with its region sums."""
+    sums = RegionSums.of(wall.gaussians, LEVELS)
+    return build(wall.gaussians, wall.early, wall.regions, settings=settings, sums=sums), sums
+
+
+@pytest.fixture
+def kept(wall: Wall) -> Kept:
+    return built(wall)
+
+
+def grow(wall: Wall, kept: Kept, number: int = 0, new_atoms: int = 4) -> LanguageField:
+    return update(*kept, wall.late[number : number + 1], wall.regions, new_atoms=new_atoms)
 
 
 @pytest.fixture(scope="module")
-def grown(wall: Wall, field: LanguageField) -> LanguageField:
-    return field.update(wall.late[0], wall.regions, new_atoms=4)
+def grown_and_sums(wall: Wall) -> Kept:
+    field, sums = built(wall)
+    return grow(wall, (field, sums)), sums
+
+
+@pytest.fixture(scope="module")
+def grown(grown_and_sums: Kept) -> LanguageField:
+    return grown_and_sums[0]
+
+
+def assert_same(one: LanguageField, other: LanguageField) -> None:
+    assert one.code_indices.equal(other.code_indices)
+    assert one.code_weights.equal(other.code_weights)
+    assert one.codebook.equal(other.codebook)
 
 
 def answer(wall: Wall, field: LanguageField) -> tuple[bool, float]:
@@ -112,14 +142,14 @@ def answer(wall: Wall, field: LanguageField) -> tuple[bool, float]:
 
 
 def test_a_thing_seen_only_later_is_found_with_new_atoms(
-    wall: Wall, field: LanguageField, grown: LanguageField
+    wall: Wall, kept: Kept, grown: LanguageField
 ) -> None:
     with pytest.warns(
         ScoupWarning, match=r"% of the regions of 'late_0.png' are badly explained .*new_atoms"
     ):
-        without = field.update(wall.late[0], wall.regions)
+        without = grow(wall, kept, new_atoms=0)
     assert without.n_atoms == 6
-    assert "added_atoms" not in without.info.provenance
+    assert without.info.provenance["updates"] == [{"added": ["late_0.png"], "removed": []}]
     found, contrast = answer(wall, grown)
     _, contrast_without = answer(wall, without)
     print(f"contrast with new atoms {contrast:.3f}, without {contrast_without:.3f}")
@@ -133,8 +163,11 @@ def test_a_thing_seen_only_later_is_found_with_new_atoms(
     assert int(chosen.sum()) > 100
 
 
-def test_what_grows_and_what_stays(wall: Wall, field: LanguageField, grown: LanguageField) -> None:
-    new = grown.info.provenance["added_atoms"]["late_0.png"]
+def test_what_grows_and_what_stays(wall: Wall, kept: Kept, grown: LanguageField) -> None:
+    field = kept[0]
+    (done,) = grown.info.provenance["updates"]
+    assert (done["added"], done["removed"]) == (["late_0.png"], [])
+    new = done["new_atoms"]["late_0.png"]
     assert 1 <= new["s"] <= 4
     assert new["m"] == 0
     count = 6 + new["s"]
@@ -142,51 +175,103 @@ def test_what_grows_and_what_stays(wall: Wall, field: LanguageField, grown: Lang
     assert grown.codebook[:, :6].equal(field.codebook)
     torch.testing.assert_close(torch.linalg.vector_norm(grown.codebook[0, 6:], dim=1), torch.ones(new["s"]))
     assert not grown.codebook[1, 6:].any()
-    assert grown.accumulators is not None
-    assert field.accumulators is not None
-    assert grown.accumulators.shape == (len(field), 2, count)
-    assert field.accumulators.shape == (len(field), 2, 6)
-    assert not grown.accumulators[:, 1, 6:].any()
-    # Gaussians that the view does not see keep their codes; the sums of the others only gain.
-    unseen = wall.gaussians.means[:, 0] < 0
-    assert grown.code_indices[unseen].equal(field.code_indices[unseen])
-    assert grown.code_weights[unseen].equal(field.code_weights[unseen])
-    assert bool((grown.accumulators[..., :6] >= field.accumulators).all())
-    assert grown.info.provenance["added_views"] == ["late_0.png"]
+    assert int(grown.code_indices[:, 1][grown.code_weights[:, 1] > 0].max()) < 6
+    assert grown.info.provenance["views"] == [*wall.early.names, "late_0.png"]
     assert grown.info.provenance["coding"] == field.info.provenance["coding"]
     assert grown.cameras is not None
     assert grown.cameras.names[-1] == "late_0.png"
-    again = field.update(wall.late[0], wall.regions, new_atoms=4)
-    assert again.codebook.equal(grown.codebook)
-    assert again.code_weights.equal(grown.code_weights)
+    assert_same(grow(wall, kept), grown)
 
 
-def test_what_is_explained_now_brings_no_more_atoms(wall: Wall, grown: LanguageField) -> None:
+def test_gaussians_that_a_view_does_not_see_keep_their_codes(wall: Wall) -> None:
+    """With one round: later rounds learn anew how strictly regions are held to the first."""
+    field, sums = built(wall, replace(SETTINGS, rounds=1))
+    grown = grow(wall, (field, sums))
+    unseen = wall.gaussians.means[:, 0] < 0
+    assert grown.code_indices[unseen].equal(field.code_indices[unseen])
+    assert grown.code_weights[unseen].equal(field.code_weights[unseen])
+    assert not grown.code_weights[~unseen].equal(field.code_weights[~unseen])
+
+
+@pytest.mark.parametrize("rounds", [1, 2])
+def test_an_update_equals_the_vote_of_all_views(wall: Wall, rounds: int) -> None:
+    """Views added, removed and changed: bytes as of sums and codes made from nothing."""
+    field, sums = built(wall, replace(SETTINGS, rounds=rounds))
+    coded = RegionCodes.kept(sums)
+    assert coded is not None
+    changed = Regions.from_maps(
+        {
+            **{
+                name: {level: wall.regions.load(name, level) for level in LEVELS}
+                for name in wall.regions.view_names
+            },
+            "early_3.png": {level: wall.regions.load("early_5.png", level) for level in LEVELS},
+        }
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScoupWarning)
+        after = update(
+            field, sums, [wall.late[0], wall.early[3]], changed, remove=["early_1.png"], new_atoms=0
+        )
+    views = [camera for camera in [*wall.early, wall.late[0]] if camera.name != "early_1.png"]
+    whole = region_sums(wall.gaussians, Cameras(views), changed.select(camera.name for camera in views))
+    codes = []
+    for s, level in enumerate(LEVELS):
+        parts = []
+        for camera in views:
+            rows = changed.load_embeddings(camera.name, level)
+            known = coded.codes[s].rows(coded.rows[s].get(camera.name, slice(0, 0)))
+            new = camera.name in ("late_0.png", "early_3.png")
+            parts.append(encode(unit_rows(rows), field.codebook[s], 2) if new else known)
+        of_level = parts[0]
+        for part in parts[1:]:
+            of_level = joined(of_level, part)
+        codes.append(of_level)
+    rows = [changed.select(camera.name for camera in views).embeddings(level)[1] for level in LEVELS]
+    expected = vote(whole, codes, field.codebook, rounds, 2, rows=rows)
+    assert after.code_indices.equal(expected.indices)
+    assert after.code_weights.equal(expected.weights.half())
+    assert after.info.provenance["views"] == [camera.name for camera in views]
+    assert after.cameras is not None
+    assert list(after.cameras.names) == [camera.name for camera in views]
+
+
+def test_a_view_that_goes_again_leaves_no_trace(wall: Wall) -> None:
+    field, sums = built(wall)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScoupWarning)
+        grown = grow(wall, (field, sums), new_atoms=0)
+    assert_same(update(grown, sums, remove=["late_0.png"]), field)
+    assert "late_0.png" not in sums
+
+
+def test_what_is_explained_now_brings_no_more_atoms(wall: Wall) -> None:
     for new_atoms in (0, 4):
-        further = grown.update(wall.late[1], wall.regions, new_atoms)
+        field, sums = built(wall)
+        grown = grow(wall, (field, sums))
+        further = grow(wall, (grown, sums), 1, new_atoms)
         assert further.codebook.equal(grown.codebook)
-        assert further.info.provenance["added_views"] == ["late_0.png", "late_1.png"]
-        assert list(further.info.provenance["added_atoms"]) == ["late_0.png"]
+        first, second = further.info.provenance["updates"]
+        assert "new_atoms" in first
+        assert second == {"added": ["late_1.png"], "removed": []}
 
 
 @pytest.mark.parametrize("weight_bits", [16, 8])
-def test_a_grown_field_lasts_and_goes_on_growing(
-    wall: Wall, grown: LanguageField, tmp_path, weight_bits
-) -> None:
+def test_a_grown_field_lasts_and_goes_on_growing(wall: Wall, tmp_path, weight_bits) -> None:
+    sums = RegionSums.of(wall.gaussians, LEVELS, path=tmp_path / "f.sums")
+    field = build(wall.gaussians, wall.early, wall.regions, settings=SETTINGS, sums=sums)
+    grown = grow(wall, (field, sums))
+    sums.close()
     path = tmp_path / "grown.scoup"
     grown.save(path, embed_geometry=True, weight_bits=weight_bits)
     back = LanguageField.load(path)
     assert back.info == grown.info
-    for name in ("code_indices", "codebook", "accumulators"):
-        assert torch.equal(getattr(back, name), getattr(grown, name))
+    assert torch.equal(back.code_indices, grown.code_indices)
+    assert torch.equal(back.codebook, grown.codebook)
     assert answer(wall, back)[0]
-    further = back.update(wall.late[1], wall.regions, new_atoms=4)
-    expected = grown.update(wall.late[1], wall.regions, new_atoms=4)
-    assert further.code_indices.equal(expected.code_indices)
-    assert further.code_weights.equal(expected.code_weights)
-    further.save(path, overwrite=True, weight_bits=weight_bits)
-    assert accumulators_path(path).exists()
-    assert torch.equal(LanguageField.load(path).accumulators, further.accumulators)  # type: ignore[arg-type]
+    further = grow(wall, (back, RegionSums.open(tmp_path / "f.sums", writable=True)), 1)
+    both, sums = built(wall)
+    assert_same(further, grow(wall, (grow(wall, (both, sums)), sums), 1))
 
 
 def test_places_without_an_atom_do_no_harm(wall: Wall, grown: LanguageField) -> None:
@@ -231,9 +316,10 @@ def scene_with_a_crowded_view() -> tuple[Gaussians, Cameras, Regions]:
 def test_past_256_atoms(tmp_path, keep: int) -> None:
     gaussians, cameras, regions = scene_with_a_crowded_view()
     wide = BuildSettings(n_atoms=250, k=3, keep=keep, solver="exact")
-    field = build(gaussians, cameras[:3], regions, settings=wide, keep_accumulators=True)
+    sums = RegionSums.of(gaussians, regions.levels)
+    field = build(gaussians, cameras[:3], regions, settings=wide, sums=sums)
     assert field.code_indices.dtype == torch.uint8
-    grown = field.update(cameras[3], regions, new_atoms=10)
+    grown = update(field, sums, cameras[3:], regions, new_atoms=10)
     assert grown.n_atoms == 260
     assert grown.code_indices.dtype == torch.uint16
     assert grown.code_indices.shape[2] == (260 if keep == 0 else 3)
@@ -242,95 +328,54 @@ def test_past_256_atoms(tmp_path, keep: int) -> None:
     back = LanguageField.load(tmp_path / "f.scoup", gaussians)
     assert back.code_indices.dtype == torch.uint16
     assert torch.equal(back.code_indices, grown.code_indices)
-    assert torch.equal(back.accumulators, grown.accumulators)  # type: ignore[arg-type]
     queries = unit(torch.randn(2, 16))
     expected = grown.relevancy(cameras[3], queries, queries)
     assert torch.allclose(back.relevancy(cameras[3], queries, queries), expected, atol=0.05)
 
 
-def test_append_atoms_fills_empty_places_first() -> None:
-    codebook = torch.arange(1.0, 13).view(2, 2, 3)
-    once = append_atoms(codebook, [torch.ones(2, 3), torch.ones(0, 3)])
-    assert once.shape == (2, 4, 3)
-    assert once[:, :2].equal(codebook)
-    assert once[0, 2:].equal(torch.ones(2, 3))
-    assert not once[1, 2:].any()
-    twice = append_atoms(once, [torch.ones(0, 3), 2 * torch.ones(3, 3)])
-    assert twice.shape == (2, 5, 3)
-    assert twice[0].equal(torch.cat([once[0], torch.zeros(1, 3)]))
-    assert twice[1].equal(torch.cat([codebook[1], 2 * torch.ones(3, 3)]))
-    assert append_atoms(once, [torch.ones(0, 3)] * 2).equal(once)
-    assert append_atoms(torch.zeros(1, 2, 3), [torch.ones(1, 3)])[0, :, 0].tolist() == [1.0, 0.0]
-
-
-def test_widened_is_a_copy() -> None:
-    sums = torch.rand(3, 2, 4)
-    wide = widened(sums, 6)
-    assert wide[..., :4].equal(sums)
-    assert not wide[..., 4:].any()
-    same = widened(sums, 4)
-    same += 1
-    assert bool((sums < 1).all())
-
-
-def test_view_coded_level_by_level() -> None:
-    codebook = torch.eye(5)[None, :2].repeat(2, 1, 1)
-    embeddings = [
-        torch.tensor([[3.0, 1, 0, 0, 0], [0, 0, 0, 2, 0], [0, 0, 0, 0, 1], [0, 0, 0, 0, 0]]),
-        torch.zeros(0, 5),
-    ]
-    plain = code_view(codebook, embeddings, 2, [0.5, 0.5])
-    assert (plain.n_regions, plain.n_badly_explained, plain.n_new) == (3, 2, [0, 0])
-    assert plain.codebook is codebook
-    more = code_view(codebook, embeddings, 2, [0.5, 0.5], new_atoms=8)
-    assert (more.n_new, more.n_badly_explained) == ([2, 0], 2)
-    assert more.codebook.shape == (2, 4, 5)
-    decoded = unit(more.codes[0].to_dense() @ more.codebook[0])
-    torch.testing.assert_close(decoded, unit(embeddings[0]))
-    assert [len(codes) for codes in more.codes] == [4, 0]
-    assert code_view(codebook, embeddings, 2, None).n_badly_explained is None
-
-
-def test_refusals(wall: Wall, field: LanguageField) -> None:
+def test_refusals(wall: Wall, kept: Kept) -> None:
+    field, sums = kept
+    late = wall.late[:1]
     with pytest.raises(InputError, match="negative"):
-        field.update(wall.late[0], wall.regions, new_atoms=-1)
+        update(field, sums, late, wall.regions, new_atoms=-1)
     with pytest.raises(InputError, match="1 to 65536 atoms, not 65537"):
-        field.update(wall.late[0], wall.regions, new_atoms=65531)
+        update(field, sums, late, wall.regions, new_atoms=65531)
     with pytest.raises(InputError, match="levels"):
-        field.update(wall.late[0], Regions(("s",), wall.regions.view_names, wall.regions.load))
+        update(field, sums, late, Regions(("s",), wall.regions.view_names, wall.regions.load))
     blank = torch.full((24, 40), -1, dtype=torch.int32)
     other = {level: RegionMap(blank, torch.zeros(1, 9)) for level in LEVELS}
     with pytest.raises(InputError, match="9 dimensions, the field 32"):
-        field.update(wall.late[0], Regions.from_maps({"late_0.png": other}))
+        update(field, sums, late, Regions.from_maps({"late_0.png": other}))
     broken = Regions(LEVELS, ["late_0.png"], wall.regions.load, lambda *_: torch.full((3, DIM), float("nan")))
     with pytest.raises(InputError, match="not finite"):
-        field.update(wall.late[0], broken, new_atoms=2)
+        update(field, sums, late, broken, new_atoms=2)
+    with pytest.raises(InputError, match="say what the regions"):
+        update(field, sums, late)
+    with pytest.raises(InputError, match=r"'late_0\.png' is not in the field"):
+        update(field, sums, remove=["late_0.png"])
+    with pytest.raises(InputError, match="no view would be left"):
+        update(field, sums, remove=wall.early.names)
+    with pytest.raises(InputError, match="another scene"):
+        update(field, RegionSums.of(small_scene()[0], LEVELS), remove=["early_0.png"])
+    with pytest.raises(InputError, match="--keep-sums"):
+        update(field, RegionSums.of(wall.gaussians, LEVELS), remove=["early_0.png"])
+    assert list(sums.views) == list(wall.early.names)  # nothing was changed
 
 
-def test_a_field_that_does_not_tell_what_to_expect(wall: Wall, field: LanguageField) -> None:
+def test_a_field_that_does_not_tell_what_to_expect(wall: Wall, kept: Kept) -> None:
     """Without coding reports nothing is called badly explained, and no atoms are added on a guess."""
-    assert bars_of({}, LEVELS) is None
-    assert bars_of({"coding": {"s": {}, "m": 3}}, LEVELS) is None
-    provenance = {**field.info.provenance, "coding": {}}
-    silent = LanguageField(
-        field.code_indices,
-        field.code_weights,
-        field.codebook,
-        replace(field.info, provenance=provenance),
-        wall.gaussians,
-        accumulators=field.accumulators,
-    )
-    with pytest.raises(InputError, match="build it again"):
-        silent.update(wall.late[0], wall.regions, new_atoms=2)
+    field, sums = kept
+    field.info = replace(field.info, provenance={**field.info.provenance, "coding": {}})
+    with pytest.raises(InputError, match="does not tell how well"):
+        grow(wall, kept, new_atoms=2)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert silent.update(wall.late[0], wall.regions).n_atoms == 6
+        assert grow(wall, (field, sums), new_atoms=0).n_atoms == 6
 
 
-def test_provenance_of_several_views() -> None:
-    first = provenance_with({"views": ["a"]}, "b", LEVELS, [3, 0])
-    second = provenance_with(first, "c", LEVELS, [0, 0])
-    assert first == {"views": ["a"], "added_views": ["b"], "added_atoms": {"b": {"s": 3, "m": 0}}}
-    assert second == {**first, "added_views": ["b", "c"]}
-    third = provenance_with(second, "d", LEVELS, [0, 2])
-    assert third["added_atoms"] == {"b": {"s": 3, "m": 0}, "d": {"s": 0, "m": 2}}
+def test_codes_of_other_lengths_are_joined() -> None:
+    short, long = (SparseCodes.from_dense(torch.eye(300)[:2, :n], k) for n, k in ((4, 1), (300, 3)))
+    both = joined(short, long)
+    assert (len(both), both.k, both.n_atoms) == (4, 3, 300)
+    assert both.to_dense()[:2, :4].equal(short.to_dense())
+    assert both.to_dense()[2:].equal(long.to_dense())

@@ -15,7 +15,9 @@ from torch import Tensor
 from scoup import consensus as module
 from scoup.consensus import ConsensusSettings, consensus, consensus_of, covisible
 from scoup.errors import InputError
-from scoup.uplifting import RegionSums, ViewSums
+from scoup.raster import ViewSums
+from scoup.uplift.matrices import triplets
+from scoup.uplift.region_sums import RegionSums
 
 EXACT = ConsensusSettings(least=0.0, most=10_000)
 
@@ -261,7 +263,8 @@ def sums_of_views(seed: int = 0) -> tuple[RegionSums, list[Tensor]]:
     rng = np.random.default_rng(seed)
     n, stride = 40, 6
     counts = {"a": (6, 3), "b": (4, 0), "c": (5, 2)}
-    views, rows, start = [], [{}, {}], [0, 0]
+    rows, start = [{}, {}], [0, 0]
+    sums = RegionSums("", torch.from_numpy(rng.permutation(n)), ("s", "m"))
     for name, count in counts.items():
         keys = []
         for level in (0, 1):
@@ -270,28 +273,25 @@ def sums_of_views(seed: int = 0) -> tuple[RegionSums, list[Tensor]]:
             keys.append(level * stride + np.arange(count[level]))
         gaussian, key = np.meshgrid(np.arange(n), np.concatenate(keys))
         chosen = rng.permutation(gaussian.size)[: gaussian.size // 3]
-        views.append(
-            ViewSums(
-                name,
-                torch.from_numpy(gaussian.ravel()[chosen]),
-                torch.from_numpy(key.ravel()[chosen]),
-                torch.from_numpy(rng.random(len(chosen)).astype(np.float32)),
-                stride,
-            )
-        )
-    return RegionSums(n, ("s", "m"), views, rows), [random_rows(total, seed) for total in start]
+        level, region = np.divmod(key.ravel()[chosen], stride)
+        weight = rng.random(len(chosen)).astype(np.float32)
+        parts = [torch.from_numpy(part) for part in (gaussian.ravel()[chosen], level, region, weight)]
+        sums.append(name, ViewSums.of_triplets(parts[0], parts[1], parts[2], parts[3], 2))
+    sums.rows = rows
+    return sums, [random_rows(total, seed) for total in start]
 
 
 def all_at_once(sums: RegionSums, level: int) -> csr_array:
     """The matrix from all triplets together, by scipy."""
     gaussians, regions, weights = [], [], []
-    for view in sums.views:
-        gaussian, region, weight = view.level(level)
+    assert sums.rows is not None
+    for name in sums.views:
+        gaussian, region, weight = triplets(sums, name, level)
         gaussians.append(gaussian)
-        regions.append(region + sums.rows[level][view.view_name].start)
+        regions.append(region + sums.rows[level][name].start)
         weights.append(weight)
     total = max(rows.stop for rows in sums.rows[level].values())
-    parts = torch.cat(weights).numpy(), (torch.cat(gaussians).numpy(), torch.cat(regions).numpy())
+    parts = np.concatenate(weights), (np.concatenate(gaussians), np.concatenate(regions))
     return coo_array(parts, shape=(sums.n_gaussians, total)).tocsr()
 
 

@@ -1,4 +1,4 @@
-"""What a language field needs in order to take in a view that its codebook was not learned from."""
+"""Regions of a view that a codebook was not learned from: their codes, and atoms for what it explains badly."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.agreement import Agreement
 from scoup.codes import SparseCodes
 from scoup.coding.codebook import check_new_atoms, encode_rows, learn_atoms
 from scoup.coding.encode import encode
 from scoup.coding.rows import unit_rows
 from scoup.errors import InputError
 from scoup.regions import Regions
-from scoup.rounds import outcome
 
 MANY = 0.3  # share of a view's regions; about a tenth are badly explained where nothing is new
 
@@ -121,46 +119,9 @@ def append_atoms(codebook: Tensor, new: Sequence[Tensor]) -> Tensor:
     return grown
 
 
-def widened(accumulators: Tensor, n_atoms: int) -> Tensor:
-    """A copy [N, S, L'] of accumulators [N, S, L], zero for the atoms that were not there."""
-    wide = accumulators.new_zeros(*accumulators.shape[:2], n_atoms)
-    wide[..., : accumulators.shape[2]] = accumulators
-    return wide
-
-
 def bars_of(provenance: dict[str, Any], levels: Sequence[str]) -> list[float] | None:
     """Per level, the cosine below which its codebook explains a region badly; None where it is not recorded."""
     try:
         return [float(provenance["coding"][level]["explained_from"]) for level in levels]
     except (KeyError, TypeError, ValueError):
         return None
-
-
-def agreement_of(
-    provenance: dict[str, Any], accumulators: Tensor, codebook: Tensor, k: int
-) -> Agreement | None:
-    """What a new view must agree with to count in full: the vote so far, if it took several rounds.
-
-    Args:
-        provenance: of the field.
-        accumulators: [N, S, L] before the view.
-        codebook: [S, L, D].
-        k: atoms of a Gaussian that it must agree with.
-    """
-    sharpness = provenance.get("sharpness")
-    if sharpness is None:
-        return None
-    return outcome(accumulators, codebook, k, torch.tensor(sharpness, dtype=torch.float32))
-
-
-def provenance_with(
-    provenance: dict[str, Any], view_name: str, levels: Sequence[str], n_new: Sequence[int]
-) -> dict[str, Any]:
-    """A field's provenance after a view was added: ``added_views`` lists it, ``added_atoms`` says how many atoms came
-    with it at each level, if any did.
-    """
-    changed = {**provenance, "added_views": [*provenance.get("added_views", []), view_name]}
-    if any(n_new):
-        atoms = dict(zip(levels, n_new, strict=True))
-        changed["added_atoms"] = {**provenance.get("added_atoms", {}), view_name: atoms}
-    return changed

@@ -5,33 +5,42 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
 
-from scoup import __version__, raster
+from scoup import __version__
 from scoup.cameras import Camera, Cameras
-from scoup.checkpoint import BuildState, Checkpoint, Embeddings, build_key
 from scoup.codes import SparseCodes
 from scoup.coding import Codebook, fit_codes
 from scoup.consensus import consensus
 from scoup.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.field import FieldInfo, LanguageField
 from scoup.gaussians import Gaussians
-from scoup.lifting import Lift, Source
 from scoup.processes import Processes, at_work
 from scoup.progress import Progress, no_progress
+from scoup.raster import morton_order
 from scoup.regions import Regions
-from scoup.uplifting import RegionSums, cameras_with_regions, digest_of_labels, region_sums, top_k
+from scoup.uplift.region_codes import RegionCodes
+from scoup.uplift.region_sums import RegionSums, camera_digest
+from scoup.uplift.taking import cameras_with_regions, check_fits, exchanged, take_in
+from scoup.uplift.vote import vote
 
-MOST_OF_MEMORY = 0.5  # of a GPU's free memory, for accumulators
 FEW_GAUSSIANS = 0.01  # share of coded Gaussians under which the frames of splat and cameras are doubted
+_OF_CODES = (
+    "n_atoms",
+    "k",
+    "solver",
+    "effort",
+    "epochs",
+    "tolerance",
+    "seed",
+)  # settings that decide the codes
 
 
 @dataclass(frozen=True)
@@ -43,10 +52,9 @@ class BuildSettings:
         n_atoms: L, atoms in each level's codebook.
         k: K, atoms in the code of a region.
         keep: atoms kept for each Gaussian by the vote; None (default) keeps k, 0 keeps all (no top-K step).
-        rounds: of the vote, 1 or more. One is the paper's; each further one lifts all views again and counts regions by
-            their agreement with the outcome so far (``scoup.agreement``).
+        rounds: of the vote, 1 or more. One is the paper's; in each further one regions count by their agreement with
+            the outcome so far (``scoup.uplift.reweighting``).
         consensus: give regions that the same Gaussians see similar embeddings before coding (``scoup.consensus``).
-            The region sums of all views are then kept in memory.
         solver: how codes are learned, see ``fit_codes``.
         effort: of the "exact" solver, "fast" or "best".
         epochs: epochs of the "adam" solver.
@@ -101,19 +109,17 @@ def build(
     *,
     embedding_model: str = "",
     geometry_path: str | Path | None = None,
-    keep_accumulators: bool = False,
     backend: str | None = None,
-    checkpoint: str | Path | None = None,
     sums: RegionSums | None = None,
     progress: Progress = no_progress,
 ) -> LanguageField:
-    """Build a language field (method.md, stages 1 and 2): learn codes per level, lift them view by view, vote.
+    """Build a language field (method.md, stages 1 and 2): learn codes per level, rasterise each view once, vote.
 
-    The parts can be called one by one: ``fit_codes``, ``region_sums``, ``uplift``, ``top_k``, ``LanguageField``.
-    Beyond the embeddings, and then the codes, of all regions, memory does not grow with the number of views.
+    The parts can be called one by one: ``fit_codes``, ``region_sums``, ``vote``, ``LanguageField``. Beyond the
+    embeddings and codes of all regions, memory does not grow with the number of views.
 
-    Where torch's process group is set up (torchrun), each process learns the codes of some levels and lifts its share
-    of the views; all of them return the same field. Sums are then rounded in another order than by one process.
+    Where torch's process group is set up (torchrun), each process learns the codes of some levels, rasterises its share
+    of the views and votes for its share of the Gaussians; all of them return the field that one process makes.
 
     Args:
         gaussians: the trained scene; never changed.
@@ -123,13 +129,9 @@ def build(
         settings: everything that decides the result, or the name of one of ``BUILD_PRESETS``.
         embedding_model: id of the model the embeddings come from, kept in the field.
         geometry_path: file of the Gaussians, kept in the field as a reference.
-        keep_accumulators: keep the float sums, so that views can be added later (N x S x L x 4 bytes).
-        backend: rasteriser backend by name.
-        checkpoint: file where the codes, and now and then the sums, are kept while building; an interrupted build
-            with the same inputs goes on from it. It stays, so that the codes are not lost if the field cannot be
-            saved; delete it afterwards.
-        sums: region sums of these very Gaussians, cameras and regions (``region_sums``), if they are at hand;
-            nothing is rasterised then.
+        backend: rasteriser backend by name; the vote takes the same.
+        sums: region sums of these Gaussians, to go on from and to keep: views that are in them are not rasterised, the
+            others are appended, and the codes are kept beside them. By default they are made and forgotten.
         progress: called as ``progress(stage, done, total)``.
 
     Raises:
@@ -137,81 +139,55 @@ def build(
     """
     settings = build_settings(settings, n_atoms=n_atoms, k=k)
     views = cameras_with_regions(cameras, regions)
-    regions = regions.select(camera.name for camera in views)
+    names = [camera.name for camera in views]
+    regions = regions.select(names)
     embeddings = {level: regions.embeddings(level) for level in regions.levels}
     _check_embeddings(embeddings)
-    rows = [of_views for _, of_views in embeddings.values()]
-    if sums is not None:
-        _check_sums(sums, views, rows, len(gaussians), settings.raster_preset)
     fingerprint = gaussians.fingerprint()
-    key = build_key(fingerprint, views, embeddings, dataclasses.asdict(settings))
-    if settings.consensus and sums is None:
-        chosen = Cameras(views)
-        sums = region_sums(gaussians, chosen, regions, settings.raster_preset, backend, progress)
-
-    scene = None if sums is not None else raster.prepare(gaussians, backend)
-    # Region sums are kept on the CPU, and added there in a fixed order.
-    device = gaussians.device if sums is None else torch.device("cpu")
-    rows_order = "original" if scene is None or scene.order is None else "moved"
-    keeper = Checkpoint(None if checkpoint is None else Path(checkpoint), key, rows_order)
+    if sums is None:
+        sums = RegionSums(fingerprint, morton_order(gaussians.means), regions.levels, settings.raster_preset)
+    check_fits(sums, fingerprint, regions, settings.raster_preset)
     processes = at_work()
-    state = keeper.read((len(gaussians), len(embeddings), settings.n_atoms))
-    if None in processes.gather(None if state is None else len(state.views_done)):
-        state = None  # one of the processes cannot go on from it
-    if state is None:
-        if settings.consensus and sums is not None:
-            agreed = consensus(sums, [rows for rows, _ in embeddings.values()], progress=progress)
-            embeddings = {
-                level: (rows, of_views)
-                for (level, (_, of_views)), rows in zip(embeddings.items(), agreed, strict=True)
-            }
-        state = _learn_codes(embeddings, settings, len(gaussians), device, processes, progress)
-        if processes.first:
-            keeper.write(state)
-    else:
-        state = state.to(device, _place_of_accumulators(device, state.accumulators.shape))
-        _forget_other_maps(state, views, regions)
-    del embeddings  # the uplift needs the codes only
-    source = Source(views, regions, settings.raster_preset, scene, sums)
-    lift = Lift(state, rows, len(views), keeper, progress, processes)
-    while state.rounds_done + 1 < settings.rounds:
-        lift.add_round(source)
-        lift.end_round(source, settings.keep or settings.k)
-    lift.add_round(source)
-    accumulators = state.accumulators
-    indices, weights = top_k(accumulators, settings.keep or None)
-    if scene is not None:
-        indices, weights = scene.restored(indices), scene.restored(weights)
-        accumulators = scene.restored(accumulators) if keep_accumulators else accumulators
-    try:
-        _check_seen(weights)
-    except InputError:
-        keeper.remove()  # going on from it would end here again
-        raise
-    maps = hashlib.sha256(json.dumps(state.views_done, sort_keys=True).encode())
+    device = gaussians.device
+
+    if settings.consensus:  # each process needs all sums, before there are codes
+        take_in(sums, gaussians, views, regions, backend, progress)
+        embeddings = _agreed(sums, embeddings, progress)
+    coded = _region_codes(sums, embeddings, settings, device, processes, progress)
+    inputs = inputs_digest(fingerprint, views, embeddings, dataclasses.asdict(settings))
+    del embeddings  # the vote needs the codes only
+    if not settings.consensus:
+        take_in(sums, gaussians, views, regions, backend, progress, processes)
+        sums = exchanged(sums, names, processes)
+    found = vote(
+        sums, coded.codes, coded.codebook, settings.rounds, settings.keep or None, settings.keep or settings.k,
+        coded.rows, backend, device, processes, progress,
+    )  # fmt: skip
+    _check_seen(found.weights)
     provenance: dict[str, Any] = {
         "software": f"scoup {__version__}",
         "settings": dataclasses.asdict(settings),
-        "inputs": key,
-        "label_maps": maps.hexdigest(),
-        "views": [camera.name for camera in views],
-        "coding": dict(zip(regions.levels, state.reports, strict=True)),
+        "inputs": inputs,
+        "label_maps": labels_digest(sums, names),
+        "views": names,
+        "coding": dict(zip(regions.levels, coded.reports, strict=True)),
     }
-    if state.agreement is not None:
-        provenance["sharpness"] = state.agreement.sharpness.tolist()
+    if found.sharpness is not None:
+        provenance["sharpness"] = found.sharpness.tolist()
+    if (sums.weights, sums.least_weight) != ("float32", 0):
+        provenance["region_sums"] = {"weights": sums.weights, "least_weight": sums.least_weight}
     info = FieldInfo(
         regions.levels, embedding_model, fingerprint, len(gaussians), settings.raster_preset, provenance
     )
     field = LanguageField(
-        indices,
-        weights,
-        torch.stack(state.atoms),
+        found.indices,
+        found.weights,
+        coded.codebook,
         info,
         None,
         None if geometry_path is None else Path(geometry_path),
-        accumulators if keep_accumulators else None,
         Cameras(views),
-    ).to(gaussians.device)
+    ).to(device)
     field.attach(gaussians, known=True)
     return field
 
@@ -234,6 +210,10 @@ def build_settings(settings: BuildSettings | str = "default", **changes: Any) ->
     return dataclasses.replace(settings, **changes)
 
 
+Embeddings: TypeAlias = "tuple[Tensor, dict[str, slice]]"
+"""All embeddings of a level [R, D], and the rows of each view in them."""
+
+
 def _check_embeddings(embeddings: dict[str, Embeddings]) -> None:
     dimensions = {level: rows.shape[1] for level, (rows, _) in embeddings.items()}
     if len(set(dimensions.values())) > 1:
@@ -245,41 +225,11 @@ def _check_embeddings(embeddings: dict[str, Embeddings]) -> None:
             raise InputError(f"level {level!r} has only zero embeddings; make the region features again")
 
 
-def _check_sums(
-    sums: RegionSums, views: list[Camera], rows: list[dict[str, slice]], n_gaussians: int, raster_preset: str
-) -> None:
-    """Refuse region sums of another scene."""
-    known = {view.view_name for view in sums.views}
-    missing = sum(camera.name not in known for camera in views)
-    same_rows = len(sums.rows) == len(rows) and all(
-        kept.get(name) == part
-        for kept, own in zip(sums.rows, rows, strict=True)
-        for name, part in own.items()
-    )
-    if missing or not same_rows or sums.n_gaussians != n_gaussians or sums.raster_preset != raster_preset:
-        raise InputError(
-            f"the region sums given do not fit: {sums.n_gaussians} Gaussians (the scene has {n_gaussians}), preset "
-            f"{sums.raster_preset} (wanted {raster_preset}), they lack {missing} of the views"
-            f"{'' if same_rows else ', and their regions are others'}; make them with region_sums from the same "
-            "Gaussians, cameras and regions"
-        )
-
-
-def _forget_other_maps(state: BuildState, views: list[Camera], regions: Regions) -> None:
-    """Start the uplift over if label maps have changed since views were added to a checkpoint."""
-    known = state.earlier_views | state.views_done
-    for camera in views:
-        if camera.name in known:
-            labels, _ = regions.load_view(camera.name, camera.width, camera.height)
-            if digest_of_labels(labels) != known[camera.name]:
-                warnings.warn(
-                    f"the label maps of {camera.name!r} have changed since the build was interrupted; "
-                    "all views are lifted again",
-                    ScoupWarning,
-                    stacklevel=3,
-                )
-                state.start_over()
-                return
+def _agreed(sums: RegionSums, embeddings: dict[str, Embeddings], progress: Progress) -> dict[str, Embeddings]:
+    """The embeddings after consensus."""
+    rows = [of_views for _, of_views in embeddings.values()]
+    agreed = consensus(sums, [of_level for of_level, _ in embeddings.values()], rows, progress=progress)
+    return dict(zip(embeddings, zip(agreed, rows, strict=True), strict=True))
 
 
 def learn_codebook(rows: Tensor, settings: BuildSettings, progress: Progress = no_progress) -> Codebook:
@@ -297,15 +247,20 @@ def learn_codebook(rows: Tensor, settings: BuildSettings, progress: Progress = n
     )
 
 
-def _learn_codes(
+def _region_codes(
+    sums: RegionSums,
     embeddings: dict[str, Embeddings],
     settings: BuildSettings,
-    n_gaussians: int,
     device: torch.device,
     processes: Processes,
     progress: Progress,
-) -> BuildState:
-    """Codes of every level, each learned by one of the processes, and empty accumulators."""
+) -> RegionCodes:
+    """Codes of every level, each learned by one of the processes; kept beside the sums as soon as they are known."""
+    solver = {name: getattr(settings, name) for name in _OF_CODES}
+    key = inputs_digest("", [], embeddings, solver)
+    kept = processes.gather(RegionCodes.kept(sums, key) if processes.first else None)[0]
+    if kept is not None:
+        return kept
     learned: dict[str, tuple[Tensor, SparseCodes, dict[str, Any]]] = {}
     for level in processes.share(list(embeddings)):
         rows, _ = embeddings[level]
@@ -317,20 +272,43 @@ def _learn_codes(
         report = {key: value for key, value in dataclasses.asdict(book.report).items() if key != "seconds"}
         learned[level] = book.atoms.cpu(), book.codes.to("cpu"), report
     everything = {level: found for part in processes.gather(learned) for level, found in part.items()}
-    atoms = [everything[level][0].to(device) for level in embeddings]
-    codes = [everything[level][1].to(device) for level in embeddings]
-    reports = [everything[level][2] for level in embeddings]
-    shape = (n_gaussians, len(embeddings), settings.n_atoms)
-    accumulators = torch.zeros(shape, device=_place_of_accumulators(device, shape))
-    return BuildState(atoms, codes, reports, accumulators, {})
+    found = [everything[level] for level in embeddings]
+    coded = RegionCodes(
+        torch.stack([atoms for atoms, _, _ in found]),
+        [codes for _, codes, _ in found],
+        [of_views for _, of_views in embeddings.values()],
+        [report for _, _, report in found],
+    )
+    if processes.first and sums.writable:
+        coded.keep(sums, key)
+    return coded
 
 
-def _place_of_accumulators(device: torch.device, shape: Sequence[int]) -> torch.device:
-    """Where the work is done, unless that is a GPU whose free memory they would fill."""
-    if device.type != "cuda":
-        return device
-    free, _ = torch.cuda.mem_get_info(device)
-    return device if 4 * math.prod(shape) <= MOST_OF_MEMORY * free else torch.device("cpu")
+def inputs_digest(
+    fingerprint: str, cameras: Sequence[Camera], embeddings: dict[str, Embeddings], settings: dict[str, Any]
+) -> str:
+    """SHA-256 over everything a result depends on but the label maps, which are told apart view by view.
+
+    Args:
+        fingerprint: of the Gaussians.
+        cameras: the views.
+        embeddings: per level, as from ``Regions.embeddings``.
+        settings: plain JSON values.
+    """
+    digest = hashlib.sha256(json.dumps([__version__, fingerprint, settings], sort_keys=True).encode())
+    for camera in cameras:
+        digest.update(json.dumps([camera.name, camera_digest(camera)]).encode())
+    for level, (rows, of_views) in embeddings.items():
+        ends = {name: of_view.stop for name, of_view in of_views.items()}
+        digest.update(json.dumps([level, list(rows.shape), ends]).encode())
+        digest.update(rows.contiguous().numpy().data)
+    return digest.hexdigest()
+
+
+def labels_digest(sums: RegionSums, view_names: Sequence[str]) -> str:
+    """SHA-256 of the label maps of views."""
+    digests = {name: sums.views[name].labels_digest for name in view_names}
+    return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
 
 
 def _check_seen(weights: Tensor) -> None:

@@ -1,9 +1,11 @@
-"""Uplift of one view, beside dense uplift through the peer's backward and the paper's per-pixel scatter."""
+"""Region sums of one view and the vote on them, beside dense uplift through the peer's backward and the paper's
+per-pixel scatter.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 
 import torch
 from torch import Tensor
@@ -15,21 +17,26 @@ from benchmarks.gpu.timing import Work
 from scoup import raster
 from scoup.bench import Workload
 from scoup.bench.room import clip_like
+from scoup.bench.stages import region_sums_of_a_view, vote_of_a_view
 
+OURS = "ours: region sums of all levels"
 DENSE = "dense uplift of all levels, D channels, by gsplat's backward"
 DENSE_BY_PARTS = f"{DENSE}, 32 channels a call"
 DENSE_NOTE = (
     "gsplat's backward also makes the gradients of positions, shapes and opacities: it has no other form"
 )
 SCATTER = "per-pixel scatter, level after level (the paper's)"
+ENTRIES_AT_ONCE = 1 << 20
 
 
-def ours_name(n_atoms: int) -> str:
-    return f"ours: uplift of all levels, L = {n_atoms}"
+def vote_name(n_atoms: int) -> str:
+    return f"ours: vote on the sums of one view, one round, L = {n_atoms}"
 
 
-def uplift(context: Context) -> None:
-    """Each row includes projection and sort, unless it says that the view is at hand."""
+def region_sums(context: Context) -> None:
+    """Each row of a view includes projection and sort, unless it says that the view is at hand. The vote has sums in
+    the host's memory, and leaves codes there.
+    """
     sizes = context.sizes
     context.result["about"] = (
         f"{sizes.n_gaussians:,} Gaussians, a view of {sizes.width} x {sizes.height}, three levels of "
@@ -37,15 +44,11 @@ def uplift(context: Context) -> None:
     )
     works: list[Work] = []
     for n_atoms in reversed(sizes.n_atoms):  # the first comes last: what follows uses it
-        work = context.work(n_atoms, accumulators=True)
-        works.append(Work(ours_name(n_atoms), partial(ours, work)))
-    work = context.work(sizes.n_atoms[0], accumulators=True)
+        works.append(Work(vote_name(n_atoms), vote_run(context.work(n_atoms))))
+    work = context.work(sizes.n_atoms[0])
     works += [
-        Work(f"{ours_name(sizes.n_atoms[0])}, view at hand", at_hand(work, ours)),
-        Work(
-            "ours: region sums as triplets, view at hand",
-            at_hand(work, lambda work, view: raster.region_weights(view, work.labels)),
-        ),
+        Work(OURS, partial(ours, work)),
+        Work(f"{OURS}, view at hand", at_hand(work, ours)),
         Work(RGB, partial(peer_rgb, context, work)),
         Work(f"{RGB}, packed", partial(peer_rgb, context, work, packed=True)),
         Work("per-pixel scatter, all levels in one pass", partial(scatter, work)),
@@ -63,33 +66,56 @@ def uplift(context: Context) -> None:
     context.save(context.result)
 
 
-def ours(work: Workload, view: raster.View | None = None) -> None:
-    view = view or look(work.gaussians, work.camera)
-    raster.uplift_view(view, work.labels, work.codes, work.accumulators)
+def ours(work: Workload, view: raster.View | None = None) -> object:
+    return raster.region_sums(view or look(work.gaussians, work.camera), work.labels)
 
 
-def scatter(work: Workload, out: Tensor | None = None) -> None:
+def vote_run(work: Workload) -> Callable[[], object]:
+    """The vote; its sums are made when it is first run: that may fail, too."""
+    sums = cache(lambda: region_sums_of_a_view(work, look(work.gaussians, work.camera)))
+    return lambda: vote_of_a_view(work, sums(), "triton")
+
+
+def empty_sums(work: Workload) -> Tensor:
+    """[N, S, L] zeros, to add codes to."""
+    shape = len(work.gaussians), len(work.codes), work.codes[0].n_atoms
+    return torch.zeros(shape, device=work.labels.device)
+
+
+def added_up(work: Workload, view: raster.View) -> Tensor:
+    """[N, S, L] region sums of a view times the codes of the regions, by torch."""
+    out = empty_sums(work)
+    found = raster.region_sums(view, work.labels)
+    for level, codes in enumerate(work.codes):
+        dense = codes.to_dense()
+        for gaussian, region, weight in zip(
+            *(part.split(ENTRIES_AT_ONCE) for part in found.triplets(level)), strict=True
+        ):
+            out[:, level].index_add_(0, gaussian, weight[:, None] * dense[region])
+    return out
+
+
+def scatter(work: Workload) -> Tensor:
     """All levels with one look."""
     from scoup.baselines.scatter_kernel import scatter_view
 
-    view = look(work.gaussians, work.camera)
-    scatter_view(view, work.labels, work.codes, work.accumulators if out is None else out)  # pyright: ignore[reportArgumentType]
+    view, out = look(work.gaussians, work.camera), empty_sums(work)
+    scatter_view(view, work.labels, work.codes, out)  # pyright: ignore[reportArgumentType]
+    return out
 
 
 def scatter_by_level(work: Workload) -> None:
-    """As the paper does it: the levels know nothing of each other. Accumulators [N, L] lie level after level."""
+    """As the paper does it: the levels know nothing of each other."""
     from scoup.baselines.scatter_kernel import scatter_view
 
-    count, _, n_atoms = work.accumulators.shape
-    flat = work.accumulators.view(-1)
     for level, codes in enumerate(work.codes):
-        out = flat[level * count * n_atoms : (level + 1) * count * n_atoms].view(count, 1, n_atoms)
+        out = torch.zeros(len(work.gaussians), 1, codes.n_atoms, device=work.labels.device)
         view = look(work.gaussians, work.camera)
         scatter_view(view, work.labels[level : level + 1], [codes], out)  # pyright: ignore[reportArgumentType]
 
 
 def dense_run(context: Context, work: Workload, channels: int) -> Callable[[], None]:
-    """Dense uplift by so many channels a call; given its accumulators for as long as it runs: they are large."""
+    """Dense uplift by so many channels a call; given its sums for as long as it runs: they are large."""
     embeddings = [clip_like(len(codes), context.sizes.dim).to(context.device) for codes in work.codes]
 
     def run() -> None:
@@ -108,8 +134,5 @@ def peer_rgb(context: Context, work: Workload, packed: bool = False) -> object:
 
 def disagreement(work: Workload) -> float:
     """Of the two ways to add a view up; the order of additions is not the same."""
-    sums = [torch.zeros_like(work.accumulators) for _ in range(2)]
-    view = look(work.gaussians, work.camera)
-    raster.uplift_view(view, work.labels, work.codes, sums[0])
-    scatter(work, sums[1])
-    return float((sums[0] - sums[1]).abs().max() / sums[1].max().clamp(min=1e-30))
+    one, other = added_up(work, look(work.gaussians, work.camera)), scatter(work)
+    return float((one - other).abs().max() / other.max().clamp(min=1e-30))

@@ -1,0 +1,42 @@
+// Arrays of code indices that come from Python. For bindings*.cpp files only.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <initializer_list>
+#include <stdexcept>
+#include <string>
+
+#include "arrays.h"
+
+namespace scoup {
+
+template <class Index>
+void check_indices(const Index* indices, int64_t count, int32_t n_atoms) {
+    Index largest = 0;
+    for (int64_t i = 0; i < count; ++i) largest = std::max(largest, indices[i]);
+    if (count > 0 && int64_t(largest) >= n_atoms)
+        throw std::invalid_argument("a code refers to atom " + std::to_string(largest) + " of " + std::to_string(n_atoms));
+}
+
+// Code indices of one byte, or else of two; the other pointer is null. `n_atoms`: what they are checked against.
+struct Indices {
+    const uint8_t* bytes = nullptr;
+    const uint16_t* wide = nullptr;
+};
+
+inline Indices code_indices(const Array& indices, const char* name, std::initializer_list<int64_t> shape, int32_t n_atoms) {
+    int64_t count = 1;
+    for (const int64_t size : shape) count *= size;
+    Indices found;
+    if (indices.dtype() == nanobind::dtype<uint8_t>()) {
+        found.bytes = data_of<uint8_t>(indices, name, shape);
+        if (n_atoms < 256) check_indices(found.bytes, count, n_atoms);
+    } else {
+        found.wide = data_of<uint16_t>(indices, name, shape);
+        if (n_atoms < 65536) check_indices(found.wide, count, n_atoms);
+    }
+    return found;
+}
+
+}  // namespace scoup

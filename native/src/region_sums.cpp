@@ -1,0 +1,150 @@
+#include "region_sums.h"
+
+#include <algorithm>
+#include <cstdlib>
+#include <vector>
+
+#include "view_tile.h"
+
+namespace scoup {
+namespace {
+
+constexpr int64_t kMostGroups = 256;
+constexpr int kBucketBits = 10;  // Gaussians whose records are merged together: they fit into the first-level cache
+constexpr int64_t kBucket = 1 << kBucketBits;
+
+// Records of a group of neighbouring tiles.
+struct Group : Records {
+    Group() {
+        reserve = [](Records& r, int64_t more) {
+            const int64_t capacity = std::max<int64_t>({r.count + more, r.capacity + r.capacity / 2, 4096});
+            void* larger = std::realloc(r.records, size_t(capacity) * sizeof(Record));
+            if (larger == nullptr) throw std::bad_alloc();
+            r.records = static_cast<Record*>(larger);
+            r.capacity = capacity;
+        };
+    }
+    Group(const Group&) = delete;
+    Group& operator=(const Group&) = delete;
+    ~Group() { std::free(records); }
+};
+
+// The records of a view by bucket of Gaussians, then by tile, then front to back.
+struct Bucketed {
+    Buffer<Record> records;
+    std::vector<int64_t> starts;  // [buckets + 1]
+};
+
+Bucketed collect(const View& view, const CombinationMap& map, int n_threads, const Interrupted& interrupted) {
+    const int64_t n_buckets = (view.n_gaussians + kBucket - 1) / kBucket;
+    const int64_t tiles = view.n_tiles();
+    const int64_t tiles_at_once = std::max<int64_t>(16, (tiles + kMostGroups - 1) / kMostGroups);
+    const int64_t n_groups = (tiles + tiles_at_once - 1) / tiles_at_once;
+    std::vector<Group> groups(static_cast<size_t>(n_groups));
+    std::vector<int64_t> places(size_t(n_groups * n_buckets), 0);
+    const auto& kernels = pick(baseline::region_kernels, v3::region_kernels, v4::region_kernels);
+    for_chunks(n_groups, n_threads, interrupted, [&](int64_t g, int) {
+        Group& group = groups[size_t(g)];
+        const int64_t first = g * tiles_at_once, last = std::min(first + tiles_at_once, tiles);
+        group.reserve(group, (view.starts[last] - view.starts[first]) * 5 / 4);
+        for (int64_t t = first; t < last; ++t) kernels.collect(tile_of(view, t), map, group);
+        int64_t* count = places.data() + g * n_buckets;
+        for (int64_t r = 0; r < group.count; ++r) ++count[group.records[r].id >> kBucketBits];
+    });
+
+    Bucketed all;
+    all.starts.assign(size_t(n_buckets + 1), 0);
+    int64_t total = 0;
+    for (int64_t b = 0; b < n_buckets; ++b) {
+        all.starts[size_t(b)] = total;
+        for (int64_t g = 0; g < n_groups; ++g) total += std::exchange(places[size_t(g * n_buckets + b)], total);
+    }
+    all.starts[size_t(n_buckets)] = total;
+    all.records = Buffer<Record>(total);
+    for_chunks(n_groups, n_threads, interrupted, [&](int64_t g, int) {
+        int64_t* next = places.data() + g * n_buckets;
+        const Group& group = groups[size_t(g)];
+        for (int64_t r = 0; r < group.count; ++r) all.records[next[group.records[r].id >> kBucketBits]++] = group.records[r];
+    });
+    return all;
+}
+
+// Merges the records of a bucket in place; the order in which equal ones are added is the order they came in.
+class Merger {
+  public:
+    // Returns how many are left, from the first on.
+    int64_t operator()(Record* records, int64_t count) {
+        starts_.assign(kBucket + 1, 0);
+        for (int64_t r = 0; r < count; ++r) ++starts_[(records[r].id & (kBucket - 1)) + 1];
+        for (size_t g = 0; g < size_t(kBucket); ++g) starts_[g + 1] += starts_[g];
+        sorted_.resize(size_t(count));
+        for (int64_t r = 0; r < count; ++r) {
+            const Record& record = records[r];
+            sorted_[starts_[record.id & (kBucket - 1)]++] = {record.combination, record.weight};
+        }
+        const uint32_t first_id = count > 0 ? records[0].id & ~uint32_t(kBucket - 1) : 0;
+        int64_t written = 0;
+        uint32_t at = 0;
+        for (uint32_t g = 0; g < uint32_t(kBucket); ++g) {
+            const uint32_t until = starts_[g];
+            sort(at, until);
+            while (at < until) {
+                const int32_t combination = sorted_[at].combination;
+                double weight = 0;
+                for (; at < until && sorted_[at].combination == combination; ++at) weight += double(sorted_[at].weight);
+                records[written++] = {first_id + g, combination, float(weight)};
+            }
+        }
+        return written;
+    }
+
+  private:
+    struct Entry {
+        int32_t combination;
+        float weight;
+    };
+
+    void sort(uint32_t first, uint32_t last) {
+        const auto before = [](const Entry& a, const Entry& b) { return a.combination < b.combination; };
+        if (last - first > 32) {
+            std::stable_sort(sorted_.begin() + first, sorted_.begin() + last, before);
+            return;
+        }
+        for (uint32_t e = first + 1; e < last; ++e) {  // the usual handful
+            const Entry entry = sorted_[e];
+            uint32_t at = e;
+            for (; at > first && before(entry, sorted_[at - 1]); --at) sorted_[at] = sorted_[at - 1];
+            sorted_[at] = entry;
+        }
+    }
+
+    std::vector<uint32_t> starts_;
+    std::vector<Entry> sorted_;
+};
+
+}  // namespace
+
+RegionSums region_sums(const View& view, const CombinationMap& map, int n_threads, const Interrupted& interrupted) {
+    Bucketed all = collect(view, map, n_threads, interrupted);
+    const int64_t n_buckets = int64_t(all.starts.size()) - 1;
+    std::vector<int64_t> firsts(size_t(n_buckets + 1), 0);
+    std::vector<Merger> mergers(static_cast<size_t>(std::max(n_threads, 1)));
+    for_chunks(n_buckets, n_threads, interrupted, [&](int64_t b, int worker) {
+        const int64_t start = all.starts[size_t(b)];
+        firsts[size_t(b + 1)] = mergers[size_t(worker)](all.records.data() + start, all.starts[size_t(b + 1)] - start);
+    });
+    for (int64_t b = 0; b < n_buckets; ++b) firsts[size_t(b + 1)] += firsts[size_t(b)];
+    const int64_t count = firsts.back();
+    RegionSums out{Buffer<int32_t>(count), Buffer<int32_t>(count), Buffer<float>(count)};
+    for_chunks(n_buckets, n_threads, interrupted, [&](int64_t b, int) {
+        const Record* record = all.records.data() + all.starts[size_t(b)];
+        for (int64_t at = firsts[size_t(b)]; at < firsts[size_t(b + 1)]; ++at, ++record) {
+            out.gaussian[at] = int32_t(record->id);
+            out.combination[at] = record->combination;
+            out.weight[at] = record->weight;
+        }
+    });
+    return out;
+}
+
+}  // namespace scoup

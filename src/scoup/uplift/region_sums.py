@@ -1,0 +1,376 @@
+"""The region sums of all views: how much each Gaussian paints of each region, made once (method.md, stage 2).
+
+Everything after rasterising reads only these: codes, rounds of the vote, other embeddings, more or fewer views. They
+grow view by view, in memory or in a file, and a view that was taken in stays: a file is the checkpoint of a build.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.cameras import Camera
+from scoup.errors import FileFormatError, InputError
+from scoup.gaussians import Gaussians
+from scoup.raster import ViewSums, morton_order
+from scoup.uplift.entries import BUCKET, Entries, pack
+from scoup.uplift.record_file import RecordFile, bytes_of
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+MOST_IN_MEMORY = 256 << 20  # bytes; views beyond go to a temporary file
+VERSION = 1
+SUMS, VIEW, REMOVED, CODES = "region sums", "view", "removed", "codes"
+
+Rows = Sequence[Mapping[str, slice]]
+"""Per level, the rows of each view in the stacked embeddings (``Regions.embeddings``)."""
+
+
+@dataclass(frozen=True, eq=False)
+class TakenView:
+    """A view whose sums are kept.
+
+    Attributes:
+        camera_digest: of everything about the camera that decides the sums.
+        labels_digest: of its label maps.
+        parts: its entries; one part, but for views of very many combinations.
+    """
+
+    camera_digest: str
+    labels_digest: str
+    parts: tuple[Entries, ...]
+
+
+class RegionSums:
+    """The region sums of views of one scene, appended one after another.
+
+    Gaussians are kept in Morton order, whatever backend made the sums.
+
+    Args:
+        fingerprint: of the Gaussians.
+        order: [N] int64, the row of the scene that each Gaussian here is.
+        levels: level names.
+        raster_preset: rasteriser constants.
+        path: keep them in this new file, which must not exist; None keeps them in memory, beyond ``most_in_memory``
+            bytes in a temporary file.
+        weights: "float32", or "float16" for less space.
+        least_weight: entries below are left out; 0 keeps all.
+
+    Attributes:
+        views: those taken in, by name, in the order in which they came.
+        rows: see ``Rows``; known where ``region_sums`` made them. ``matrix`` needs them.
+        codes: what ``keep_codes`` was given last, None before.
+    """
+
+    def __init__(
+        self,
+        fingerprint: str,
+        order: Tensor,
+        levels: Sequence[str],
+        raster_preset: str = "inria",
+        path: Path | None = None,
+        weights: str = "float32",
+        least_weight: float = 0.0,
+        most_in_memory: int = MOST_IN_MEMORY,
+    ) -> None:
+        if weights not in ("float32", "float16"):
+            raise InputError(f"weights of region sums are float32 or float16, not {weights!r}")
+        if not 0 <= least_weight < 1:
+            raise InputError(f"the least weight of an entry must be 0 to 1, got {least_weight}")
+        self.fingerprint = fingerprint
+        self.order = order.cpu()
+        self.levels = tuple(levels)
+        self.raster_preset = raster_preset
+        self.weights = weights
+        self.least_weight = least_weight
+        self.views: dict[str, TakenView] = {}
+        self.rows: Rows | None = None
+        self.codes: dict[str, Any] | None = None
+        self._place_of: dict[torch.device, Tensor] = {}
+        self._same_order: Tensor | None = None
+        self._most_in_memory = most_in_memory
+        self._in_memory = 0
+        self._file: RecordFile | None = None
+        self._new_path = path  # no file is made before there is something to keep
+        if path is not None and path.exists():
+            raise InputError(f"{path}: is there already; open it, or name another file")
+
+    @classmethod
+    def of(
+        cls, gaussians: Gaussians, levels: Sequence[str], raster_preset: str = "inria", **more: Any
+    ) -> RegionSums:
+        """Empty sums of a scene; further arguments as above."""
+        return cls(gaussians.fingerprint(), morton_order(gaussians.means), levels, raster_preset, **more)
+
+    @classmethod
+    def open(cls, path: str | Path, writable: bool = False) -> RegionSums:
+        """Sums that were kept in a file. All of it is read once, to compare checksums.
+
+        Args:
+            path: the file.
+            writable: views can be appended to the file; what an interruption had cut short is cut off.
+
+        Raises:
+            MissingFileError, FileFormatError: there is no such file, it is another one, damaged, or of a newer version.
+        """
+        path = Path(path)
+        file = RecordFile.open(path, writable)
+        first = file.records[0]
+        try:
+            if first.kind != SUMS or int(first.header["version"]) > VERSION:
+                raise FileFormatError(path, "was written by a newer SCOUP", "pip install -U scoup")
+            order = torch.from_numpy(first.arrays["order"].astype(np.int64))
+            if not torch.equal(order.sort().values, torch.arange(len(order))):
+                raise ValueError("an order that lacks Gaussians")
+            sums = cls(
+                str(first.header["fingerprint"]),
+                order,
+                [str(level) for level in first.header["levels"]],
+                str(first.header["raster_preset"]),
+                weights=str(first.header["weights"]),
+                least_weight=float(first.header["least_weight"]),
+            )
+            sums._file = file
+            for record in file.records[1:]:
+                sums._replay(record.kind, record.header, record.arrays)
+        except (KeyError, TypeError, ValueError, InputError) as error:
+            file.close()
+            if isinstance(error, FileFormatError):
+                raise
+            reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+            raise FileFormatError(path, f"makes no sense ({reason})", "make the region sums again") from error
+        return sums
+
+    # ---- what they are
+
+    @property
+    def n_gaussians(self) -> int:
+        return len(self.order)
+
+    @property
+    def n_buckets(self) -> int:
+        return -(-self.n_gaussians // BUCKET)
+
+    @property
+    def path(self) -> Path | None:
+        """The file they are, or will be, kept in; None in memory."""
+        return self._new_path if self._file is None else self._file.path
+
+    @property
+    def writable(self) -> bool:
+        """Whether views can be appended."""
+        return self._file is None or self._file.writable
+
+    @property
+    def bytes(self) -> int:
+        """What they take, in memory and on disk."""
+        return self._in_memory + (0 if self._file is None else self._file.size)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no Gaussian paints a region in any view."""
+        return not any(len(part.places) for view in self.views.values() for part in view.parts)
+
+    def __contains__(self, view_name: str) -> bool:
+        return view_name in self.views
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def n_regions(self, view_name: str) -> list[int]:
+        """[S]: one more than the highest region that an entry of a view can have at each level."""
+        tables = [part.table for part in self.views[view_name].parts]
+        highest = np.max([table.max(0, initial=-1) for table in tables], axis=0)
+        return (highest + 1).tolist()
+
+    # ---- how they grow
+
+    def append(
+        self, view_name: str, sums: ViewSums, camera: Camera | None = None, order: Tensor | None = None
+    ) -> None:
+        """Take in a view, or what it has become: the last one of a name counts.
+
+        Args:
+            view_name: its name.
+            sums: from ``raster.region_sums``.
+            camera: its camera, to tell later whether it is the same.
+            order: the row of the scene that each of the Gaussians rasterised is; None where none was moved.
+
+        Raises:
+            InputError: the sums are of another scene, or the file cannot be written.
+        """
+        if sums.table.shape[1] != len(self.levels):
+            raise InputError(
+                f"{view_name!r}: sums of {sums.table.shape[1]} levels, not of {list(self.levels)}"
+            )
+        parts = self._packed(sums, order)
+        header = {
+            "name": view_name,
+            "camera": "" if camera is None else camera_digest(camera),
+            "labels": sums.labels_digest,
+        }
+        arrays = {
+            f"{name}.{i}": array for i, part in enumerate(parts) for name, array in part.arrays().items()
+        }
+        size = bytes_of(arrays.values())
+        if self.path is None and self._file is None and self._in_memory + size > self._most_in_memory:
+            self._file = RecordFile.temporary()
+        if self.path is not None or self._file is not None:
+            self._keep(VIEW, header, arrays)
+        else:
+            self._in_memory += size
+            self._replay(VIEW, header, arrays)
+
+    def remove(self, view_name: str) -> None:
+        """Forget a view."""
+        if view_name not in self.views:
+            raise InputError(f"there are no region sums of the view {view_name!r}")
+        if self.path is not None:
+            self._keep(REMOVED, {"name": view_name}, {})
+        else:
+            del self.views[view_name]
+
+    def keep_codes(self, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
+        """Keep the codes of the regions beside the sums, as JSON values and tensors."""
+        arrays = {name: tensor.cpu().contiguous().numpy() for name, tensor in tensors.items()}
+        if self.path is not None:
+            self._keep(CODES, header, arrays)
+        else:
+            self._replay(CODES, header, arrays)
+
+    def of_views(self, view_names: Iterable[str], rows: Rows) -> RegionSums:
+        """The same sums of some views only, sharing memory, with the rows of these views."""
+        part = copy.copy(self)
+        part.views = {name: self.views[name] for name in view_names}
+        part.rows = rows
+        return part
+
+    def forget_pages(self) -> None:
+        """See ``RecordFile.forget_pages``."""
+        if self._file is not None:
+            self._file.forget_pages()
+
+    def close(self) -> None:
+        """Close the file, if there is one."""
+        if self._file is not None:
+            self._file.close()
+
+    def matrix(self, level: int, rows: Mapping[str, slice] | None = None) -> csr_array:
+        """A [N, R] of one level as a scipy CSR matrix, float32; R counts the regions of all views.
+
+        Args:
+            level: position of the level.
+            rows: of each view among all regions; by default those that ``region_sums`` has kept.
+        """
+        from scoup.uplift.matrices import matrix
+
+        if rows is None:
+            if self.rows is None:
+                raise InputError("say which rows the regions of each view have (Regions.embeddings)")
+            rows = self.rows[level]
+        return matrix(self, level, rows)
+
+    # ---- within
+
+    def _header(self) -> dict[str, Any]:
+        return {
+            "version": VERSION,
+            "fingerprint": self.fingerprint,
+            "levels": list(self.levels),
+            "raster_preset": self.raster_preset,
+            "weights": self.weights,
+            "least_weight": self.least_weight,
+        }
+
+    def _keep(self, kind: str, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+        if self._file is None:
+            assert self._new_path is not None
+            self._file = RecordFile.create(self._new_path)
+            self._file.append(SUMS, self._header(), {"order": self.order.int().numpy()})
+        record = self._file.append(kind, header, arrays)
+        self._replay(kind, record.header, record.arrays)
+
+    def _replay(self, kind: str, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+        """What a record changes."""
+        if kind == VIEW:
+            name = str(header["name"])
+            parts = []
+            while f"places.{len(parts)}" in arrays:
+                number = len(parts)
+                part = Entries(*(arrays[f"{field}.{number}"] for field in Entries.__annotations__))
+                self._check(part)
+                parts.append(part)
+            if not parts:
+                raise ValueError(f"the view {name!r} has no entries")
+            self.views.pop(name, None)
+            self.views[name] = TakenView(str(header["camera"]), str(header["labels"]), tuple(parts))
+        elif kind == REMOVED:
+            self.views.pop(str(header["name"]), None)
+        elif kind == CODES:
+            self.codes = {
+                "header": header,
+                "tensors": {name: torch.from_numpy(np.array(part)) for name, part in arrays.items()},
+            }
+        else:
+            raise ValueError(f"a record of the kind {kind!r}")
+
+    def _check(self, part: Entries) -> None:
+        """Refuse arrays that do not fit; their numbers are checked where they are used."""
+        types = (np.uint32, np.uint8, np.uint16, np.dtype(self.weights), np.int32)
+        if [array.dtype for array in part.arrays().values()] != [np.dtype(kind) for kind in types]:
+            raise ValueError("arrays of other types")
+        if not (
+            part.starts.shape == (self.n_buckets + 1,)
+            and part.places.ndim == 1
+            and part.places.shape == part.combinations.shape == part.weights.shape
+            and part.table.ndim == 2
+            and part.table.shape[1] == len(self.levels)
+        ):
+            raise ValueError("arrays of other shapes")
+
+    def _packed(self, sums: ViewSums, order: Tensor | None) -> list[Entries]:
+        gaussian, combination, weight = sums.gaussian, sums.combination, sums.weight
+        if self.least_weight > 0:
+            kept = weight >= self.least_weight
+            gaussian, combination, weight = gaussian[kept], combination[kept], weight[kept]
+        if not self._is_order(order):
+            place = self._places(gaussian.device)
+            row = gaussian.long() if order is None else order.to(gaussian.device)[gaussian.long()]
+            gaussian, by_place = torch.sort(place[row], stable=True)
+            combination, weight = combination[by_place], weight[by_place]
+        parts = [part.cpu().numpy() for part in (gaussian, combination, weight, sums.table)]
+        return pack(parts[0], parts[1], parts[2], parts[3], self.n_buckets, np.dtype(self.weights))
+
+    def _is_order(self, order: Tensor | None) -> bool:
+        if order is not None and order is not self._same_order and torch.equal(order.cpu(), self.order):
+            self._same_order = order  # asked again for each view
+        return order is not None and order is self._same_order
+
+    def _places(self, device: torch.device) -> Tensor:
+        """[N] int64: the place here of each row of the scene."""
+        if device not in self._place_of:
+            self._place_of[device] = torch.argsort(self.order).to(device)
+        return self._place_of[device]
+
+
+def sums_path(field: Path) -> Path:
+    """Where the region sums of a field are kept: beside it."""
+    return field.with_name(field.name + ".sums")
+
+
+def camera_digest(camera: Camera) -> str:
+    """SHA-256 of everything about a camera that decides what it sees."""
+    digest = hashlib.sha256(json.dumps([camera.width, camera.height, camera.distortion]).encode())
+    digest.update(torch.cat([camera.viewmat.flatten(), camera.K.flatten()]).double().numpy().data)
+    return digest.hexdigest()

@@ -1,0 +1,156 @@
+"""A field whose region sums are kept takes in views, lets them go, and follows what has changed in them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from scoup.cameras import Camera, Cameras
+from scoup.errors import InputError, ScoupWarning
+from scoup.field import LanguageField
+from scoup.progress import Progress, no_progress
+from scoup.regions import Regions
+from scoup.uplift.new_views import MANY, CodedView, bars_of, code_view, embeddings_of
+from scoup.uplift.region_codes import RegionCodes
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.taking import take_in
+from scoup.uplift.vote import vote
+
+
+def update(
+    field: LanguageField,
+    sums: RegionSums,
+    add: Sequence[Camera] = (),
+    regions: Regions | None = None,
+    remove: Sequence[str] = (),
+    new_atoms: int = 0,
+    *,
+    backend: str | None = None,
+    progress: Progress = no_progress,
+) -> LanguageField:
+    """A new field after views were added, changed or removed: only these are rasterised, then all views vote again.
+
+    The field's atoms and the codes of the other views' regions stay. Things that no earlier view showed may have no
+    atoms; ``new_atoms`` adds some for the regions that the codebook explains badly (``Codebook.extended``). All levels
+    then have as many places for atoms as the one that needs most; the others are filled up with zeros, which no code
+    uses.
+
+    Args:
+        field: built with these sums; not changed. Its geometry is read only if a view is added.
+        sums: kept region sums of the field; changed.
+        add: cameras of new views, and of views whose regions have changed since.
+        regions: ``Regions`` that hold the names of these cameras, with the field's levels.
+        remove: names of views to leave out from now on.
+        new_atoms: add at most so many atoms a level and view. With 0 a warning is given if more than 30 % of a view's
+            regions are badly explained.
+        backend: of rasteriser and vote.
+        progress: told of stages "region sums" and "vote".
+
+    Raises:
+        InputError: the sums are not those of the field, a view to remove is not there, none would be left, levels or
+            embeddings do not fit, ``new_atoms`` is negative or makes more than 65536 atoms, or the field does not
+            record how well its codebook explains regions.
+    """
+    coded = codes_of(field, sums)
+    missing = [name for name in remove if name not in coded.rows[0]]
+    if missing:
+        raise InputError(
+            f"the view {missing[0]!r} is not in the field; there are {', '.join(list(coded.rows[0])[:5])}, ..."
+        )
+    if add and regions is None:
+        raise InputError("say what the regions of the new views are")
+    provenance = dict(field.info.provenance)
+    settings = provenance.get("settings", {})
+    kept = field.code_indices.shape[2]
+    k = int(settings.get("k", kept))  # of a region's code
+    changed: list[CodedView] = []
+    for camera in add:
+        assert regions is not None
+        rows = embeddings_of(camera.name, regions, field.levels, field.dim)
+        changed.append(code_view(coded.codebook, rows, k, bars_of(provenance, field.levels), new_atoms))
+        _warn_of_badly_explained(camera.name, changed[-1], new_atoms)
+        coded = coded.with_view(camera.name, changed[-1].codes, changed[-1].codebook)
+    for name in remove:
+        coded = coded.without(name)
+    if not coded.rows[0]:
+        raise InputError("no view would be left to vote")
+
+    if add and regions is not None:
+        take_in(sums, field.gaussians, add, regions, backend, progress)
+    for name in remove:
+        sums.remove(name)
+    keep = int(settings.get("keep", kept))
+    found = vote(
+        sums, coded.codes, coded.codebook, int(settings.get("rounds", 1)), keep or None, keep or k, coded.rows, backend,
+        field.codebook.device, progress=progress,
+    )  # fmt: skip
+    coded.keep(sums, "")
+    provenance["views"] = list(coded.rows[0])
+    provenance["updates"] = [*provenance.get("updates", []), _record(add, changed, remove, field.levels)]
+    if found.sharpness is not None:
+        provenance["sharpness"] = found.sharpness.tolist()
+    grown = LanguageField(
+        found.indices,
+        found.weights,
+        coded.codebook,
+        replace(field.info, provenance=provenance),
+        None,
+        field.geometry_path,
+        _cameras(field.cameras, add, remove),
+    ).to(field.codebook.device)
+    if field.has_geometry:
+        grown.attach(field.gaussians, known=True)
+    return grown
+
+
+def codes_of(field: LanguageField, sums: RegionSums) -> RegionCodes:
+    """The codes of a field's regions, kept beside its region sums.
+
+    Raises:
+        InputError: the sums are not those of the field.
+    """
+    coded = RegionCodes.kept(sums)
+    if sums.fingerprint != field.info.fingerprint or sums.levels != field.levels:
+        raise InputError(f"{sums.path or 'the region sums'}: are of another scene than the field")
+    if coded is None or not torch.equal(coded.codebook, field.codebook.cpu()):
+        raise InputError(
+            f"{sums.path or 'the region sums'}: hold no codes of this field; build it with --keep-sums, and give the "
+            "sums written beside it"
+        )
+    return coded
+
+
+def _warn_of_badly_explained(view_name: str, coded: CodedView, new_atoms: int) -> None:
+    share = (coded.n_badly_explained or 0) / max(1, coded.n_regions)
+    if not new_atoms and share > MANY:
+        warnings.warn(
+            f"{share:.0%} of the regions of {view_name!r} are badly explained by the field's codebook; add atoms for "
+            "them (new_atoms=8, --new-atoms 8), or build again with this view among the others",
+            ScoupWarning,
+            stacklevel=3,
+        )
+
+
+def _record(
+    add: Sequence[Camera], coded: Sequence[CodedView], remove: Sequence[str], levels: Sequence[str]
+) -> dict[str, Any]:
+    """What an update did, for the field's provenance."""
+    atoms = {
+        camera.name: dict(zip(levels, view.n_new, strict=True))
+        for camera, view in zip(add, coded, strict=True)
+        if any(view.n_new)
+    }
+    record: dict[str, Any] = {"added": [camera.name for camera in add], "removed": list(remove)}
+    return {**record, "new_atoms": atoms} if atoms else record
+
+
+def _cameras(cameras: Cameras | None, add: Sequence[Camera], remove: Sequence[str]) -> Cameras | None:
+    if cameras is None:
+        return None
+    new = {camera.name: camera for camera in add}
+    kept = [new.pop(camera.name, camera) for camera in cameras if camera.name not in remove]
+    return Cameras([*kept, *(camera for name, camera in new.items() if name not in remove)])

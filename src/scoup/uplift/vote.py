@@ -1,0 +1,243 @@
+"""The vote: region sums and the codes of the regions to one code a Gaussian (method.md, stage 2).
+
+It goes bucket by bucket of Gaussians through all views, so that what is summed up, [N, S, L] numbers, is never in
+memory as a whole. The order of all additions is fixed: the same bytes for any number of threads or processes.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.codes import SparseCodes, index_dtype, row_products
+from scoup.errors import InputError
+from scoup.native import native_core
+from scoup.processes import ALONE, Processes
+from scoup.progress import Progress, no_progress
+from scoup.uplift.entries import Entries
+from scoup.uplift.region_sums import RegionSums, Rows
+from scoup.uplift.reweighting import EarlierRound, sampled, sharpness_from
+
+BATCHES = 16  # between which progress is reported and memory of a file is given back
+BACKENDS = {
+    "native": "scoup.uplift.vote_native",
+    "reference": "scoup.uplift.vote_reference",
+    "triton": "scoup.uplift.vote_triton",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class VotedEntries:
+    """Entries of a view, and the rows of the codes that its combinations stand for.
+
+    Attributes:
+        entries: see there.
+        regions: [C, S] int64, row of the region at each level among those of all views; -1 for none.
+    """
+
+    entries: Entries
+    regions: NDArray[np.int64]
+
+
+class Ballot(Protocol):
+    """Sums and codes, ready to be added up. One class a backend, made with (n_gaussians, views, codes, grams)."""
+
+    def round(
+        self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
+    ) -> tuple[Tensor, Tensor]:
+        """The ``keep`` largest of w_i = sum over regions of A[i, r] W_r, for the Gaussians of some buckets.
+
+        Args:
+            keep: atoms kept of each Gaussian and level.
+            earlier: the round before, by which regions count; None counts them by A alone. Of all Gaussians.
+            unit_norm: scale weights so that a decoded code has norm 1, instead of to sum 1.
+            buckets: one after another.
+
+        Returns:
+            indices [n, S, keep] uint8 (uint16 beyond 256 atoms), weights [n, S, keep] float32; on the CPU.
+        """
+        ...
+
+    def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
+        """Per level: 1 - cosine of each region and each Gaussian of some buckets that meet in a view."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianCodes:
+    """What a vote has found; Gaussians as in the scene.
+
+    Attributes:
+        indices: [N, S, K] uint8 (uint16 beyond 256 atoms).
+        weights: [N, S, K] float32, largest first, summing to 1; zeros where no region was seen.
+        sharpness: [S] float32, how strictly regions were held to the first round; None after a single round.
+    """
+
+    indices: Tensor
+    weights: Tensor
+    sharpness: Tensor | None = None
+
+
+def vote(
+    sums: RegionSums,
+    codes: Sequence[SparseCodes],
+    codebook: Tensor,  # [S, L, D]
+    rounds: int = 1,
+    keep: int | None = 4,
+    handed_on: int | None = None,
+    rows: Rows | None = None,
+    backend: str | None = None,
+    device: torch.device | str = "cpu",
+    processes: Processes = ALONE,
+    progress: Progress = no_progress,
+) -> GaussianCodes:
+    """The code of every Gaussian: the ``keep`` largest entries of w_i = sum of A[i, r] W_r, scaled to sum 1.
+
+    In the first round all regions count by their blending weights alone (method.md, stage 2); see
+    ``scoup.uplift.reweighting`` for the others.
+
+    Args:
+        sums: of the views.
+        codes: per level, of the regions of all views.
+        codebook: [S, L, D] float32; only its inner products are used, and only after the first round.
+        rounds: 1 or more.
+        keep: atoms of a Gaussian; None keeps all.
+        handed_on: atoms of a Gaussian that a round hands on to the next; by default ``keep``, or the codes' own.
+        rows: of each view in the codes, the views that vote in their order; by default those that ``sums`` has.
+        backend: "native", "reference" or "triton"; by default what suits the device.
+        device: where it is worked out; the result is on the CPU.
+        processes: each votes for its share of the Gaussians; all of them must have the same sums.
+        progress: told of stage "vote".
+
+    Raises:
+        InputError: a view has no sums or a region no code, or numbers make no sense.
+    """
+    rows = sums.rows if rows is None else rows
+    if rows is None:
+        raise InputError("say which rows the regions of each view have among the codes (Regions.embeddings)")
+    _check(sums, codes, codebook, rounds, keep, rows)
+    n_atoms = codes[0].n_atoms
+    kept = n_atoms if keep is None else keep
+    grams = torch.stack([row_products(atoms, atoms) for atoms in codebook.float().cpu()])
+    names = list(rows[0])
+    views = {name: _views_of(sums, name, rows) for name in names}
+    ballot = _ballot(
+        backend, device, sums.n_gaussians, [part for name in names for part in views[name]], codes, grams
+    )
+    share = processes.share_range(sums.n_buckets)
+    done, total = 0, rounds * len(_batches(share))
+
+    def one_round(kept: int, earlier: EarlierRound | None, last: bool) -> tuple[Tensor, Tensor]:
+        nonlocal done
+        found = []
+        for batch in _batches(share):
+            progress("vote", done, total)
+            found.append(ballot.round(kept, earlier, not last, batch))
+            sums.forget_pages()
+            done += 1
+        parts = [part for of_process in processes.gather(found) for part in of_process]
+        return torch.cat([indices for indices, _ in parts]), torch.cat([weights for _, weights in parts])
+
+    earlier = None
+    for _ in range(1, rounds):
+        indices, weights = one_round(handed_on or keep or codes[0].k, earlier, last=False)
+        if earlier is None:
+            earlier = EarlierRound(indices, weights, torch.zeros(len(codes)))
+            of_sample = [part for name in sampled(names) for part in views[name]]
+            sample = _ballot(backend, device, sums.n_gaussians, of_sample, codes, grams)
+            found = processes.gather(sample.deviations(earlier, share))
+            sharpness = sharpness_from([torch.cat(of_level) for of_level in zip(*found, strict=True)])
+            earlier = replace(earlier, sharpness=sharpness)
+        earlier = replace(earlier, indices=indices, weights=weights)
+    indices, weights = one_round(kept, earlier, last=True)
+    progress("vote", done, total)
+    return GaussianCodes(
+        _restored(indices, sums.order),
+        _restored(weights, sums.order),
+        None if earlier is None else earlier.sharpness,
+    )
+
+
+def _views_of(sums: RegionSums, name: str, rows: Rows) -> list[VotedEntries]:
+    firsts = np.array([of_level[name].start for of_level in rows], np.int64)
+    return [
+        VotedEntries(part, np.where(part.table >= 0, part.table + firsts, -1))
+        for part in sums.views[name].parts
+    ]
+
+
+def _ballot(
+    backend: str | None,
+    device: torch.device | str,
+    n_gaussians: int,
+    views: list[VotedEntries],
+    codes: Sequence[SparseCodes],
+    grams: Tensor,
+) -> Ballot:
+    device = torch.device(device)
+    if backend is None:
+        from scoup.raster import default_backend
+
+        backend = default_backend(device)
+    if backend not in BACKENDS:
+        raise InputError(f"there is no backend {backend!r} of the vote; there are {', '.join(BACKENDS)}")
+    if backend == "native" and native_core() is None:
+        backend = "reference"
+    return importlib.import_module(BACKENDS[backend]).Ballot(n_gaussians, views, codes, grams, device)
+
+
+def _batches(buckets: range) -> list[range]:
+    size = -(-len(buckets) // BATCHES) or 1
+    return [buckets[first : first + size] for first in range(0, len(buckets), size)] or [buckets]
+
+
+def _restored(rows: Tensor, order: Tensor) -> Tensor:
+    """Rows in the order of the scene."""
+    out = torch.empty_like(rows)
+    if rows.dtype == torch.uint16:  # torch moves rows of its signed twin only
+        out.view(torch.int16)[order] = rows.view(torch.int16)
+    else:
+        out[order] = rows
+    return out
+
+
+def _check(
+    sums: RegionSums,
+    codes: Sequence[SparseCodes],
+    codebook: Tensor,
+    rounds: int,
+    keep: int | None,
+    rows: Sequence[Mapping[str, slice]],
+) -> None:
+    if rounds < 1:
+        raise InputError(f"the vote takes at least one round, not {rounds}")
+    if keep is not None and keep < 1:
+        raise InputError(f"the vote keeps at least one atom, not {keep}; None keeps all")
+    shapes = {level.n_atoms for level in codes} | {codebook.shape[1]}
+    if (
+        len(codes) != len(sums.levels)
+        or len(codebook) != len(codes)
+        or len(rows) != len(codes)
+        or len(shapes) != 1
+    ):
+        raise InputError(
+            f"{len(codes)} levels of codes and a codebook {list(codebook.shape)} do not fit sums of the levels "
+            f"{list(sums.levels)}"
+        )
+    index_dtype(codes[0].n_atoms)
+    for name in rows[0]:
+        if name not in sums:
+            raise InputError(f"there are no region sums of the view {name!r}")
+        for level, (of_level, highest) in enumerate(zip(rows, sums.n_regions(name), strict=True)):
+            if highest > len(range(*of_level[name].indices(len(codes[level])))):
+                raise InputError(
+                    f"{name!r}, level {sums.levels[level]!r}: the label maps have {highest} regions, but there are "
+                    f"codes of {of_level[name].stop - of_level[name].start}; the embeddings are of other regions"
+                )

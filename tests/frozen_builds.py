@@ -1,0 +1,92 @@
+"""Builds whose results were frozen before region sums were made once, and what is kept of them.
+
+    python tests/frozen_builds.py FOLDER    # writes room.npz, and kitchen.npz where the real data are at hand
+
+Both files of tests/frozen were written with the code of commit e966596. Run it only to freeze the present state on
+purpose: the tests then hold later code to it.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import torch
+
+import scoup
+from scoup.bench import make_room, room_cameras, room_regions
+from scoup.uplift.build import build_settings
+
+EPOCHS = 30  # of the paper preset's solver, which is not what is frozen
+BUILDS = {
+    "default, two rounds": {"settings": "default", "rounds": 2},
+    "default, one round": {"settings": "default", "rounds": 1},
+    "paper, one round": {"settings": "paper", "rounds": 1, "epochs": EPOCHS},
+    "paper, two rounds": {"settings": "paper", "rounds": 2, "epochs": EPOCHS},
+}
+
+
+def build(name: str, gaussians, cameras, regions, **more) -> scoup.LanguageField:
+    """One of ``BUILDS``."""
+    settings = build_settings(**BUILDS[name])
+    return scoup.build(gaussians, cameras, regions, settings=settings, **more)
+
+
+def room():
+    """(gaussians, cameras, regions) of a small synthetic room."""
+    cameras = room_cameras(6, 96, 72)
+    return make_room(800, seed=3), cameras, room_regions(cameras, (14, 9, 5), dim=48, seed=3)
+
+
+def kitchen(folder: Path, features: Path):
+    """(gaussians, cameras, regions) of the real kitchen at half size; ``features`` is a folder to write to."""
+    script = [sys.executable, folder / "make_langsplat_features.py", folder, "--out", features]
+    subprocess.run([str(part) for part in script], check=True, capture_output=True)
+    cameras = scoup.load_cameras(folder).scaled(0.5)
+    return (
+        scoup.load_gaussians(folder / "scene" / "model.splat"),
+        cameras,
+        scoup.load_regions(features, cameras),
+    )
+
+
+def codes_of(field: scoup.LanguageField) -> dict[str, np.ndarray]:
+    """All codes, for a small scene."""
+    return {"indices": field.code_indices.numpy(), "weights": field.code_weights.float().numpy()}
+
+
+def projections_of(field: scoup.LanguageField) -> dict[str, np.ndarray]:
+    """[S, L] sums of the dense codes with random signs: tells changes of a large scene without keeping its codes."""
+    count, levels, _ = field.code_indices.shape
+    signs = torch.randint(0, 2, (count,), generator=torch.Generator().manual_seed(0)).double() * 2 - 1
+    sums = torch.zeros(levels, field.n_atoms, dtype=torch.float64)
+    for level in range(levels):
+        weights = field.code_weights[:, level].double() * signs[:, None]
+        sums[level].scatter_add_(0, field.code_indices[:, level].long().flatten(), weights.flatten())
+    return {"projections": sums.numpy(), "coded": np.array(int(field.coded().sum()))}
+
+
+def main(folder: Path) -> None:
+    frozen = {}
+    for name in BUILDS:
+        for part, values in codes_of(build(name, *room())).items():
+            frozen[f"{name}/{part}"] = values
+    np.savez_compressed(folder / "room.npz", **frozen)
+    data = Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")) / "kitchen"
+    if not data.is_dir():
+        return
+    with tempfile.TemporaryDirectory() as features:
+        scene = kitchen(data, Path(features))
+        frozen = {}
+        for name in BUILDS:
+            for part, values in projections_of(build(name, *scene)).items():
+                frozen[f"{name}/{part}"] = values
+    np.savez_compressed(folder / "kitchen.npz", **frozen)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,295 @@
+"""Region sums of all views, in memory and in a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import scoup
+from scoup import raster
+from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupError
+from scoup.raster import ViewSums
+from scoup.uplift import entries
+from scoup.uplift.matrices import triplets
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.taking import read_labels, region_sums
+from support import KINDS, random_gaussians, small_scene
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return small_scene(count=600)
+
+
+@pytest.fixture(scope="module")
+def kept(scene) -> RegionSums:
+    gaussians, cameras, regions = scene
+    return region_sums(gaussians, cameras, regions)
+
+
+def assert_same(one: RegionSums, other: RegionSums) -> None:
+    assert list(one.views) == list(other.views)
+    for name, view in one.views.items():
+        assert view.labels_digest == other.views[name].labels_digest
+        assert view.camera_digest == other.views[name].camera_digest
+        for mine, theirs in zip(view.parts, other.views[name].parts, strict=True):
+            for field, array in mine.arrays().items():
+                np.testing.assert_array_equal(array, theirs.arrays()[field])
+
+
+def test_the_matrix_holds_what_each_gaussian_paints_of_each_region(scene, kept):
+    """Against the blending weights of single pixels."""
+    gaussians, cameras, regions = scene
+    for level, name in enumerate(regions.levels):
+        matrix = kept.matrix(level).toarray()
+        assert matrix.shape == (len(gaussians), len(regions.embeddings(name)[0]))
+        for camera in cameras:
+            labels, _ = regions.load_view(camera.name, camera.width, camera.height)
+            view = raster.look(gaussians, camera, backend="reference")
+            part = regions.embeddings(name)[1][camera.name]
+            for region in range(part.stop - part.start):
+                chosen = (labels[level] == region).float()
+                # What a Gaussian paints of a region is what a picture of it alone gains there.
+                weight = torch.zeros(len(gaussians))
+                for tile, ids, weights in raster.reference.tile_weights(view):
+                    tiled = raster.reference.to_tiles(chosen[None], view.bins, fill=0)[tile, 0]
+                    weight[ids] += weights @ tiled
+                np.testing.assert_allclose(
+                    matrix[:, part.start + region], weight.numpy(), rtol=1e-3, atol=1e-4
+                )
+
+
+@pytest.mark.parametrize("backend", ["native", "reference"])
+def test_every_backend_keeps_the_same_layout(scene, kept, backend):
+    gaussians, cameras, regions = scene
+    other = region_sums(gaussians, cameras, regions, backend=backend)
+    for name, view in kept.views.items():
+        mine, theirs = view.parts[0], other.views[name].parts[0]
+        np.testing.assert_array_equal(mine.table, theirs.table)
+        assert abs(len(mine.places) - len(theirs.places)) <= 0.01 * len(mine.places)
+        for level in range(3):
+            dense = [np.zeros((len(gaussians), 40)) for _ in range(2)]
+            for out, sums in zip(dense, (kept, other), strict=True):
+                gaussian, region, weight = triplets(sums, name, level)
+                out[gaussian, region] = weight
+            np.testing.assert_allclose(dense[0], dense[1], rtol=1e-3, atol=1e-3)
+
+
+def test_a_file_gives_back_what_it_was_given(scene, kept, tmp_path):
+    gaussians, cameras, regions = scene
+    made = region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")
+    assert_same(made, kept)
+    made.close()
+    back = RegionSums.open(tmp_path / "f.sums")
+    assert_same(back, kept)
+    assert torch.equal(back.order, kept.order)
+    assert (back.fingerprint, back.levels, back.raster_preset) == (kept.fingerprint, kept.levels, "inria")
+    assert back.bytes == (tmp_path / "f.sums").stat().st_size
+    back.forget_pages()
+    assert_same(back, kept)  # read again
+    assert RegionSums.open(tmp_path / "f.sums").matrix(0, kept.rows[0]).nnz == kept.matrix(0).nnz
+    with pytest.raises(InputError, match="reading only"):
+        back.remove(cameras.names[0])
+
+
+def test_same_input_same_bytes(scene, tmp_path):
+    gaussians, cameras, regions = scene
+    for name in ("a", "b"):
+        region_sums(gaussians, cameras, regions, path=tmp_path / name).close()
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_views_come_and_go(scene, kept, tmp_path):
+    gaussians, cameras, regions = scene
+    first, second = cameras.names[:2]
+    sums = region_sums(gaussians, cameras[:2], regions, path=tmp_path / "f.sums")
+    sums.remove(first)
+    assert list(sums.views) == [second]
+    with pytest.raises(InputError, match="no region sums of the view"):
+        sums.remove(first)
+    sums.close()
+    sums = RegionSums.open(tmp_path / "f.sums", writable=True)
+    assert list(sums.views) == [second]
+    sums.append(second, ViewSums(*(torch.zeros(0, dtype=kind) for kind in (torch.int32, torch.int32, torch.float32)),
+                                 torch.zeros(0, 3, dtype=torch.int32)))  # fmt: skip
+    assert len(sums.views[second].parts[0].places) == 0  # the last one counts
+    sums.close()
+    again = region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")
+    assert set(again.views) == set(kept.views)
+    for name in kept.views:
+        np.testing.assert_array_equal(again.views[name].parts[0].weights, kept.views[name].parts[0].weights)
+
+
+def test_beyond_the_limit_views_go_to_a_temporary_file(scene, kept):
+    gaussians, cameras, regions = scene
+    half = sum(
+        part.nbytes for view in list(kept.views.values())[:2] for part in view.parts[0].arrays().values()
+    )
+    sums = region_sums(gaussians, cameras, regions, most_in_memory=half)
+    assert sums.path is None
+    assert_same(sums, kept)
+    sums.forget_pages()
+    assert_same(sums, kept)
+    assert sums._in_memory <= half < sums.bytes
+    sums.remove(cameras.names[0])
+    assert len(sums) == 3
+
+
+def test_many_combinations_are_kept_in_parts(scene, kept, monkeypatch):
+    gaussians, cameras, regions = scene
+    monkeypatch.setattr(entries, "MOST_COMBINATIONS", 7)
+    sums = region_sums(gaussians, cameras, regions)
+    assert all(len(view.parts) > 1 for view in sums.views.values())
+    for level in range(3):
+        np.testing.assert_array_equal(sums.matrix(level).toarray(), kept.matrix(level).toarray())
+    generator = torch.Generator().manual_seed(0)
+    codes = [
+        scoup.SparseCodes.from_dense(torch.rand(len(regions.embeddings(level)[0]), 9, generator=generator), 3)
+        for level in regions.levels
+    ]
+    codebook = torch.randn(3, 9, 16, generator=generator)
+    for backend in ("native", "reference"):
+        found, expected = (scoup.vote(each, codes, codebook, 2, 3, backend=backend) for each in (sums, kept))
+        torch.testing.assert_close(found.weights, expected.weights, atol=1e-5, rtol=0)
+
+
+def test_half_precision_and_least_weight(scene, kept, tmp_path):
+    gaussians, cameras, regions = scene
+    half = region_sums(gaussians, cameras, regions, path=tmp_path / "h", weights="float16")
+    assert half.views[cameras.names[0]].parts[0].weights.dtype == np.float16
+    np.testing.assert_allclose(half.matrix(0).toarray(), kept.matrix(0).toarray(), rtol=2e-3, atol=1e-6)
+    half.close()
+    assert RegionSums.open(tmp_path / "h").weights == "float16"
+    fewer = region_sums(gaussians, cameras, regions, least_weight=0.1)
+    every = [view.parts[0].weights for view in kept.views.values()]
+    left = [view.parts[0].weights for view in fewer.views.values()]
+    for before, after in zip(every, left, strict=True):
+        np.testing.assert_array_equal(before[before >= 0.1], after)
+    with pytest.raises(InputError, match="float32 or float16"):
+        RegionSums.of(gaussians, regions.levels, weights="float64")
+    with pytest.raises(InputError, match="least weight"):
+        RegionSums.of(gaussians, regions.levels, least_weight=1.0)
+
+
+def test_gaussians_that_cannot_be_drawn_have_no_entries(scene):
+    _, cameras, regions = scene
+    gaussians = random_gaussians(80, 4, KINDS)
+    sums = region_sums(gaussians, cameras, regions)
+    for level in range(3):
+        matrix = sums.matrix(level).toarray()
+        assert np.isfinite(matrix).all()
+        assert not matrix[(gaussians.opacities == 0).numpy()].any()
+        assert not matrix[~torch.isfinite(gaussians.means).all(1).numpy()].any()
+
+
+def test_what_was_complete_stays_when_the_file_is_cut(scene, kept, tmp_path):
+    gaussians, cameras, regions = scene
+    region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums").close()
+    whole = (tmp_path / "f.sums").read_bytes()
+    path = tmp_path / "cut.sums"
+    for cut in range(1, 12):
+        path.write_bytes(whole[: len(whole) - cut * len(whole) // 16])
+        sums = RegionSums.open(path, writable=True)
+        names = list(sums.views)
+        assert names == list(kept.views)[: len(names)]
+        assert path.stat().st_size == sums.bytes  # the rest is cut off
+        sums.close()
+    again = region_sums(gaussians, cameras, regions, path=path)
+    assert_same(again, kept)
+    again.close()
+    assert path.read_bytes() == whole
+
+
+def test_zeros_behind_the_last_record_are_not_a_record(scene, kept, tmp_path):
+    gaussians, cameras, regions = scene
+    path = tmp_path / "f.sums"
+    region_sums(gaussians, cameras, regions, path=path).close()
+    path.write_bytes(path.read_bytes() + bytes(5000))
+    assert_same(RegionSums.open(path), kept)
+
+
+def test_damage_is_told(scene, tmp_path):
+    gaussians, cameras, regions = scene
+    path = tmp_path / "f.sums"
+    region_sums(gaussians, cameras, regions, path=path).close()
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 3] + b"?" + whole[len(whole) // 3 + 1 :])
+    with pytest.raises(FileFormatError, match=r"f\.sums.*damaged"):
+        RegionSums.open(path)
+    path.write_bytes(b"a picture, or the like" * 9)
+    with pytest.raises(FileFormatError, match="not a file of region sums"):
+        RegionSums.open(path)
+    path.write_bytes(whole[:10])
+    with pytest.raises(FileFormatError, match="no complete record"):
+        RegionSums.open(path)
+    with pytest.raises(MissingFileError, match="no such file"):
+        RegionSums.open(tmp_path / "g.sums")
+    with pytest.raises(InputError, match="there already"):
+        RegionSums.of(gaussians, regions.levels, path=path)
+
+
+@pytest.fixture(scope="module")
+def sums_bytes(tmp_path_factory) -> bytes:
+    gaussians, cameras, regions = small_scene(count=40, views=2)
+    path = tmp_path_factory.mktemp("sums") / "f.sums"
+    region_sums(gaussians, cameras, regions, path=path).close()
+    return path.read_bytes()
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(data=st.data())
+def test_damaged_files_never_crash(sums_bytes: bytes, tmp_path: Path, data):
+    """Whatever the bytes: an error that names the file, or what was complete."""
+    damaged = bytearray(sums_bytes)
+    for _ in range(data.draw(st.integers(1, 6))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    if data.draw(st.booleans()):
+        del damaged[data.draw(st.integers(0, len(damaged))) :]
+    path = tmp_path / "damaged.sums"
+    path.write_bytes(damaged)
+    message = "damaged.sums"
+    try:
+        RegionSums.open(path).close()
+    except ScoupError as error:
+        message = str(error)
+    assert "damaged.sums" in message
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(data=st.data())
+def test_arrays_that_make_no_sense_never_crash_a_vote(data):
+    """As a file may hold them whose checksums fit."""
+    gaussians, cameras, regions = small_scene(count=40, views=1)
+    sums = region_sums(gaussians, cameras, regions)
+    part = sums.views[cameras.names[0]].parts[0]
+    for array in part.arrays().values():
+        if len(array) and data.draw(st.booleans()):
+            array.setflags(write=True)
+            flat = array.reshape(-1).view(np.uint8)
+            flat[data.draw(st.integers(0, len(flat) - 1))] = data.draw(st.integers(0, 255))
+    codes = [
+        scoup.SparseCodes.from_dense(torch.rand(len(regions.embeddings(level)[0]), 5), 2)
+        for level in regions.levels
+    ]
+    try:
+        found = scoup.vote(sums, codes, torch.randn(3, 5, 4), 2, 2, backend="native")
+    except InputError:
+        return
+    assert found.weights.shape == (40, 3, 2)
+
+
+def test_views_are_read_ahead_in_order(scene):
+    _, cameras, regions = scene
+    read = list(read_labels(regions, list(cameras), torch.device("cpu")))
+    assert [camera.name for camera, _ in read] == list(cameras.names)
+    for camera, combined in read:
+        labels, _ = regions.load_view(camera.name, camera.width, camera.height)
+        assert combined.digest() == raster.combine(labels).digest()
+    views = read_labels(regions, list(cameras), torch.device("cpu"))
+    next(views)
+    views.close()  # the rest is given up
