@@ -30,9 +30,9 @@ from benchmarks.raster import report
 from scoup.bench import describe_environment, markdown, write_json
 from scoup.bench.environment import in_one_line
 from scoup.bench.measure import torch_threads
-from scoup.consensus import ConsensusSettings, consensus_of, covisible
 from scoup.io import check_output
 from scoup.raster import ViewSums
+from scoup.uplift.consensus import ConsensusSettings, consensus_of, covisible
 from scoup.uplift.region_sums import RegionSums
 
 FLOATERS = 0.001  # share of the Gaussians

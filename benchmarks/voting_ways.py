@@ -11,12 +11,12 @@ from torch import Tensor
 
 from scoup.codes import SparseCodes
 from scoup.coding import fit_codes
-from scoup.consensus import consensus_of
 from scoup.errors import InputError, UnknownNameError
 from scoup.evaluate.perturbations import LevelSums
 from scoup.query import PRESETS, LevelChoice
 from scoup.uplift import vote as uplift
 from scoup.uplift.build import BUILD_PRESETS, BuildSettings
+from scoup.uplift.consensus import consensus_of
 from scoup.uplift.region_sums import RegionSums
 
 
@@ -29,7 +29,7 @@ class Recipe:
         epochs: of "adam"; 0 for the others.
         n_atoms, k: L and K.
         keep: atoms of a Gaussian; None keeps all.
-        consensus: regions seen by the same Gaussians agree before they are coded (``scoup.consensus``).
+        consensus: regions seen by the same Gaussians agree before they are coded (``scoup.uplift.consensus``).
         rounds: of the vote (``scoup.uplift.reweighting``).
         effort: of "exact".
     """

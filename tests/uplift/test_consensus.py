@@ -13,10 +13,9 @@ from scipy.sparse import coo_array, csr_array
 from torch import Tensor
 
 from scoup import consensus as module
-from scoup.consensus import ConsensusSettings, consensus, consensus_of, covisible
 from scoup.errors import InputError
 from scoup.raster import ViewSums
-from scoup.uplift.matrices import triplets
+from scoup.uplift.consensus import ConsensusSettings, consensus, consensus_of, covisible
 from scoup.uplift.region_sums import RegionSums
 
 EXACT = ConsensusSettings(least=0.0, most=10_000)
@@ -286,7 +285,7 @@ def all_at_once(sums: RegionSums, level: int) -> csr_array:
     gaussians, regions, weights = [], [], []
     assert sums.rows is not None
     for name in sums.views:
-        gaussian, region, weight = triplets(sums, name, level)
+        gaussian, region, weight = sums.triplets(name, level)
         gaussians.append(gaussian)
         regions.append(region + sums.rows[level][name].start)
         weights.append(weight)

@@ -15,7 +15,6 @@ from scoup import raster
 from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupError
 from scoup.raster import ViewSums
 from scoup.uplift import entries
-from scoup.uplift.matrices import triplets
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.taking import read_labels, region_sums
 from support import KINDS, random_gaussians, small_scene
@@ -75,7 +74,7 @@ def test_every_backend_keeps_the_same_layout(scene, kept, backend):
         for level in range(3):
             dense = [np.zeros((len(gaussians), 40)) for _ in range(2)]
             for out, sums in zip(dense, (kept, other), strict=True):
-                gaussian, region, weight = triplets(sums, name, level)
+                gaussian, region, weight = sums.triplets(name, level)
                 out[gaussian, region] = weight
             np.testing.assert_allclose(dense[0], dense[1], rtol=1e-3, atol=1e-3)
 

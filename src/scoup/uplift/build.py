@@ -18,7 +18,6 @@ from scoup import __version__
 from scoup.cameras import Camera, Cameras
 from scoup.codes import SparseCodes
 from scoup.coding import Codebook, fit_codes
-from scoup.consensus import consensus
 from scoup.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.field import FieldInfo, LanguageField
 from scoup.gaussians import Gaussians
@@ -26,6 +25,7 @@ from scoup.processes import Processes, at_work
 from scoup.progress import Progress, no_progress
 from scoup.raster import morton_order
 from scoup.regions import Regions
+from scoup.uplift.consensus import consensus
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums, camera_digest
 from scoup.uplift.taking import cameras_with_regions, check_fits, exchanged, take_in
@@ -54,7 +54,7 @@ class BuildSettings:
         keep: atoms kept for each Gaussian by the vote; None (default) keeps k, 0 keeps all (no top-K step).
         rounds: of the vote, 1 or more. One is the paper's; in each further one regions count by their agreement with
             the outcome so far (``scoup.uplift.reweighting``).
-        consensus: give regions that the same Gaussians see similar embeddings before coding (``scoup.consensus``).
+        consensus: give regions that the same Gaussians see similar embeddings before coding (``scoup.uplift.consensus``).
         solver: how codes are learned, see ``fit_codes``.
         effort: of the "exact" solver, "fast" or "best".
         epochs: epochs of the "adam" solver.

@@ -46,6 +46,21 @@ class Entries:
         return Entries(starts, places, combinations, self.weights[begin:end].copy(), self.table)
 
 
+@dataclass(frozen=True, eq=False)
+class TakenView:
+    """A view whose sums are kept.
+
+    Attributes:
+        camera_digest: of everything about the camera that decides the sums.
+        labels_digest: of its label maps.
+        parts: its entries; one part, but for views of very many combinations.
+    """
+
+    camera_digest: str
+    labels_digest: str
+    parts: tuple[Entries, ...]
+
+
 def pack(
     gaussians: NDArray[np.integer],  # [E] rising
     combinations: NDArray[np.integer],  # [E]

@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from scoup.uplift.entries import TakenView
+
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-    from scoup.uplift.region_sums import RegionSums
 
-
-def triplets(
-    sums: RegionSums, view_name: str, level: int
+def triplets_of(
+    view: TakenView, order: NDArray[np.int64], level: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-    """(gaussian, region, weight) [T] of a view and level: rows of the scene, sorted, each pair once."""
+    """(gaussian, region, weight) [T] of a view and level, sorted, each pair once; ``order`` [N] names the Gaussians."""
     gaussians, regions, weights = [], [], []
-    order = sums.order.numpy()
-    for part in sums.views[view_name].parts:
+    for part in view.parts:
         region = part.table[:, level][part.combinations].astype(np.int64)
         there = region >= 0
         gaussians.append(order[part.gaussians()[there]])
@@ -33,21 +32,22 @@ def triplets(
     return keys // stride, keys % stride, total
 
 
-def matrix(sums: RegionSums, level: int, rows: Mapping[str, slice]) -> csr_array:
+def csr_matrix(
+    views: Mapping[str, TakenView], order: NDArray[np.int64], level: int, rows: Mapping[str, slice]
+) -> csr_array:
     """See ``RegionSums.matrix``. Entries are placed view by view: 8 bytes a non-zero in all."""
     from scipy.sparse import csr_array
 
-    names = [name for name in rows if name in sums.views]
-    total = max((part.stop for part in rows.values()), default=0)
-    ends = np.zeros(sums.n_gaussians + 1, np.int64)
-    for name in names:
-        ends[1:] += np.bincount(triplets(sums, name, level)[0], minlength=sums.n_gaussians)
+    count, total = len(order), max((part.stop for part in rows.values()), default=0)
+    ends = np.zeros(count + 1, np.int64)
+    for view in views.values():
+        ends[1:] += np.bincount(triplets_of(view, order, level)[0], minlength=count)
     np.cumsum(ends, out=ends)
     columns = np.empty(ends[-1], np.int32)
     weights = np.empty(ends[-1], np.float32)
     free = ends[:-1].copy()  # the next place of each Gaussian
-    for name in names:
-        gaussian, region, weight = triplets(sums, name, level)
+    for name, view in views.items():
+        gaussian, region, weight = triplets_of(view, order, level)
         # Where a Gaussian paints several regions of the view, they follow each other.
         first = np.flatnonzero(np.diff(gaussian, prepend=-1))
         repeats = np.diff(first, append=len(gaussian))
@@ -55,4 +55,4 @@ def matrix(sums: RegionSums, level: int, rows: Mapping[str, slice]) -> csr_array
         columns[at] = region + rows[name].start
         weights[at] = weight
         free[gaussian[first]] += repeats
-    return csr_array((weights, columns, ends), shape=(sums.n_gaussians, total))
+    return csr_array((weights, columns, ends), shape=(count, total))

@@ -10,7 +10,6 @@ import copy
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,8 @@ from scoup.cameras import Camera
 from scoup.errors import FileFormatError, InputError
 from scoup.gaussians import Gaussians
 from scoup.raster import ViewSums, morton_order
-from scoup.uplift.entries import BUCKET, Entries, pack
+from scoup.uplift.entries import BUCKET, Entries, TakenView, pack
+from scoup.uplift.matrices import csr_matrix, triplets_of
 from scoup.uplift.record_file import RecordFile, bytes_of
 
 if TYPE_CHECKING:
@@ -35,21 +35,6 @@ SUMS, VIEW, REMOVED, CODES = "region sums", "view", "removed", "codes"
 
 Rows = Sequence[Mapping[str, slice]]
 """Per level, the rows of each view in the stacked embeddings (``Regions.embeddings``)."""
-
-
-@dataclass(frozen=True, eq=False)
-class TakenView:
-    """A view whose sums are kept.
-
-    Attributes:
-        camera_digest: of everything about the camera that decides the sums.
-        labels_digest: of its label maps.
-        parts: its entries; one part, but for views of very many combinations.
-    """
-
-    camera_digest: str
-    labels_digest: str
-    parts: tuple[Entries, ...]
 
 
 class RegionSums:
@@ -273,13 +258,18 @@ class RegionSums:
             level: position of the level.
             rows: of each view among all regions; by default those that ``region_sums`` has kept.
         """
-        from scoup.uplift.matrices import matrix
-
         if rows is None:
             if self.rows is None:
                 raise InputError("say which rows the regions of each view have (Regions.embeddings)")
             rows = self.rows[level]
-        return matrix(self, level, rows)
+        views = {name: self.views[name] for name in rows if name in self.views}
+        return csr_matrix(views, self.order.numpy(), level, rows)
+
+    def triplets(
+        self, view_name: str, level: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
+        """(gaussian, region, weight) [T] of a view and level: rows of the scene, sorted, each pair once."""
+        return triplets_of(self.views[view_name], self.order.numpy(), level)
 
     # ---- within
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from scoup import raster
 from scoup.cameras import Camera, Cameras
@@ -18,7 +19,7 @@ from scoup.errors import FileFormatError, InputError, ScoupWarning
 from scoup.gaussians import Gaussians
 from scoup.processes import ALONE, Processes
 from scoup.progress import Progress, no_progress
-from scoup.raster import CombinedLabels
+from scoup.raster import CombinedLabels, ViewSums
 from scoup.regions import Regions
 from scoup.uplift.region_sums import RegionSums, camera_digest
 
@@ -110,8 +111,16 @@ def take_in(
     mine = processes.share(cameras)
     scene: raster.PreparedScene | None = None
     progress(STAGE, 0, len(mine))
-    for done, (camera, combined) in enumerate(read_labels(regions, mine, gaussians.device), start=1):
-        if not is_taken(sums, camera, combined):
+
+    def keep(camera: Camera, combined: CombinedLabels, found: ViewSums, order: Tensor | None) -> None:
+        sums.append(camera.name, replace(found, labels_digest=combined.digest()), camera, order)
+
+    with ThreadPoolExecutor(1) as keeper:  # a view is kept while the next one is rasterised
+        kept: Future[None] | None = None
+        for done, (camera, combined) in enumerate(read_labels(regions, mine, gaussians.device), start=1):
+            if is_taken(sums, camera, combined):
+                progress(STAGE, done, len(mine))
+                continue
             if not sums.writable:
                 raise InputError(
                     f"{sums.path}: lacks the view {camera.name!r}, or it has changed since (camera or label maps); "
@@ -119,9 +128,13 @@ def take_in(
                 )
             scene = scene or raster.prepare(gaussians, backend)
             view = raster.look(scene, camera, sums.raster_preset)
-            found = replace(raster.region_sums(view, combined), labels_digest=combined.digest())
-            sums.append(camera.name, found, camera, scene.order)
-        progress(STAGE, done, len(mine))
+            found = raster.region_sums(view, combined)
+            if kept is not None:
+                kept.result()
+            kept = keeper.submit(keep, camera, combined, found, scene.order)
+            progress(STAGE, done, len(mine))
+        if kept is not None:
+            kept.result()
 
 
 def is_taken(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:
