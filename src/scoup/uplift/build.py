@@ -54,7 +54,8 @@ class BuildSettings:
         keep: atoms kept for each Gaussian by the vote; None (default) keeps k, 0 keeps all (no top-K step).
         rounds: of the vote, 1 or more. One is the paper's; in each further one regions count by their agreement with
             the outcome so far (``scoup.uplift.reweighting``).
-        consensus: give regions that the same Gaussians see similar embeddings before coding (``scoup.uplift.consensus``).
+        consensus: give regions that the same Gaussians see similar embeddings before coding
+            (``scoup.uplift.consensus``).
         solver: how codes are learned, see ``fit_codes``.
         effort: of the "exact" solver, "fast" or "best".
         epochs: epochs of the "adam" solver.
