@@ -22,8 +22,8 @@ class Ablations(ManyOptions):
     """
 
     groups: Annotated[Names, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = ()
-    """Groups of rows: vote, atoms, non-zeros, entropy, "solver and start", levels, phrases, views, pixels,
-    accumulators; repeat it for several. Default: all. The base is always run."""
+    """Groups of rows: vote, atoms, non-zeros, entropy, "solver and start", levels, phrases, views, pixels;
+    repeat it for several. Default: all. The base is always run."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Of the codebook; scores are means over them."""
     epochs: int = 4000
