@@ -34,6 +34,7 @@ from scoup.raster.combinations import CombinedLabels as CombinedLabels
 from scoup.raster.combinations import combine as combine
 from scoup.raster.cpu import NativeView
 from scoup.raster.ordering import morton_order as morton_order
+from scoup.raster.ordering import restored as restored
 from scoup.raster.presets import PRESETS as PRESETS
 from scoup.raster.presets import RasterPreset as RasterPreset
 from scoup.raster.presets import raster_preset
@@ -105,14 +106,7 @@ class PreparedScene:
 
     def restored(self, rows: Tensor) -> Tensor:
         """``rows`` [N, ...], one for each Gaussian of this scene, in the order of the original scene."""
-        if self.order is None:
-            return rows
-        out = torch.empty_like(rows)
-        if rows.dtype == torch.uint16:  # torch moves rows of its signed twin only
-            out.view(torch.int16)[self.order] = rows.view(torch.int16)
-        else:
-            out[self.order] = rows
-        return out
+        return rows if self.order is None else restored(rows, self.order)
 
 
 def prepare(gaussians: Gaussians, backend: str | None = None) -> PreparedScene:

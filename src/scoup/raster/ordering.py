@@ -27,6 +27,21 @@ def morton_order(means: Tensor) -> Tensor:
     return torch.argsort(code, stable=True)
 
 
+def restored(rows: Tensor, order: Tensor) -> Tensor:
+    """Rows moved back: row ``i`` to place ``order[i]``.
+
+    Args:
+        rows: [N, ...], any dtype.
+        order: [N] int64 permutation.
+    """
+    out = torch.empty_like(rows)
+    if rows.dtype == torch.uint16:  # torch moves rows of its signed twin only
+        out.view(torch.int16)[order] = rows.view(torch.int16)
+    else:
+        out[order] = rows
+    return out
+
+
 def _spread(cells: Tensor) -> Tensor:
     """Two zero bits between every two bits of 21-bit numbers."""
     for shift, mask in (

@@ -21,6 +21,7 @@ from scoup.errors import InputError
 from scoup.native import native_core
 from scoup.processes import ALONE, Processes
 from scoup.progress import Progress, no_progress
+from scoup.raster import restored
 from scoup.uplift.entries import Entries
 from scoup.uplift.region_sums import RegionSums, Rows
 from scoup.uplift.reweighting import EarlierRound, sampled, sharpness_from
@@ -159,8 +160,8 @@ def vote(
     indices, weights = one_round(kept, earlier, last=True)
     progress("vote", done, total)
     return GaussianCodes(
-        _restored(indices, sums.order),
-        _restored(weights, sums.order),
+        restored(indices, sums.order),
+        restored(weights, sums.order),
         None if earlier is None else earlier.sharpness,
     )
 
@@ -196,16 +197,6 @@ def _ballot(
 def _batches(buckets: range) -> list[range]:
     size = -(-len(buckets) // BATCHES) or 1
     return [buckets[first : first + size] for first in range(0, len(buckets), size)] or [buckets]
-
-
-def _restored(rows: Tensor, order: Tensor) -> Tensor:
-    """Rows in the order of the scene."""
-    out = torch.empty_like(rows)
-    if rows.dtype == torch.uint16:  # torch moves rows of its signed twin only
-        out.view(torch.int16)[order] = rows.view(torch.int16)
-    else:
-        out[order] = rows
-    return out
 
 
 def _check(
