@@ -20,9 +20,9 @@ from typing import Any
 
 import tyro
 
+from scoup.base.errors import InputError
 from scoup.bench import describe_environment, markdown, write_json
 from scoup.bench.environment import in_one_line
-from scoup.errors import InputError
 from scoup.io import check_output
 
 ROOT = Path(__file__).resolve().parent.parent

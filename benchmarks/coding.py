@@ -51,10 +51,10 @@ from benchmarks.raster import report
 from scoup.baselines.autoencoder import LANGSPLAT
 from scoup.bench import describe_environment, write_json
 from scoup.bench.measure import torch_threads
-from scoup.bench.room import clip_like_objects
 from scoup.coding.arithmetic import arithmetic_at_hand
 from scoup.coding.exact import solve_exact
 from scoup.io import check_output
+from scoup.synthetic.room import clip_like_objects
 
 AUTOENCODER = "autoencoder"
 _WARM_ROWS = 500
@@ -114,7 +114,7 @@ def main(arguments: Arguments) -> Record:
             "exact_with": type(arithmetic_at_hand()).__name__,
             "schedules": {name: vars(settings) for name, settings in EXACT.items()},
         },
-        "data": f"scoup.bench.room.clip_like, seed {arguments.seed}: unit rows, 300 objects, the i-th as often as 1/i",
+        "data": f"scoup.synthetic.room.clip_like, seed {arguments.seed}: unit, 300 objects, the i-th as often as 1/i",
         "extrapolated": extrapolated(sizes),
         "sizes": sizes,
         "seconds": time.perf_counter() - started,

@@ -19,15 +19,15 @@ import torch
 from tests.coding.plain_adam import plain_adam
 from torch import Tensor
 
+from scoup.base.progress import Progress, no_progress
 from scoup.baselines.autoencoder import LANGSPLAT, fit_autoencoder
 from scoup.bench.measure import torch_threads
-from scoup.codes import SparseCodes
 from scoup.coding.adam import LEARNING_RATE, LOGIT_SCALE, AdamSettings, solve_adam
 from scoup.coding.encode import encode
-from scoup.coding.exact import PRESETS, ExactSettings, solve_exact
+from scoup.coding.exact import EFFORTS, ExactSettings, solve_exact
 from scoup.coding.kmeans import spherical_kmeans
 from scoup.coding.report import code_cosines, report_on
-from scoup.progress import Progress, no_progress
+from scoup.scene.codes import SparseCodes
 
 Record = dict[str, Any]
 
@@ -36,9 +36,9 @@ EXACT = {
     "10 steps": ExactSettings(steps=10, passes=0),
     "25 steps": ExactSettings(steps=25, passes=0),
     "50 steps": ExactSettings(steps=50, passes=0),
-    "fast": PRESETS["fast"],
+    "fast": EFFORTS["fast"],
     "200 steps": ExactSettings(steps=200, passes=0),
-    "best": PRESETS["best"],
+    "best": EFFORTS["best"],
 }
 """Schedules of the exact solver by rising cost, the presets among them."""
 PAPER_EPOCHS = 4000

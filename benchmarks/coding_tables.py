@@ -8,7 +8,7 @@ from benchmarks.coding_forms import GRAM, PAPER_EPOCHS, PARTS, QUALITY, Record, 
 from scoup.bench import markdown
 from scoup.bench.environment import in_one_line
 from scoup.bench.report import milliseconds
-from scoup.coding.exact import PRESETS
+from scoup.coding.exact import EFFORTS
 
 
 def print_tables(record: Record) -> None:
@@ -59,7 +59,7 @@ def print_exact(sizes: list[Record]) -> None:
             ),
         ]
         for size in sizes
-        for name in PRESETS
+        for name in EFFORTS
     ]
     print(markdown(headers, body, left=2))
     for size in sizes:

@@ -258,7 +258,7 @@ def _models(image: np.ndarray) -> list[dict[str, Any]]:
     """Seconds of the models at their real sizes."""
     import transformers
 
-    from scoup.extract.sam import _IMAGENET, SamPoints
+    from scoup.models.sam import _IMAGENET, SamPoints
 
     sam = SamPoints(
         transformers.SamModel(transformers.SamConfig()).eval(), "random", "", 1024, False, _IMAGENET

@@ -22,10 +22,10 @@ from torch import Tensor
 
 import scoup
 from benchmarks.kitchen import make_features
-from scoup.cameras import Camera, Cameras
-from scoup.gaussians import Gaussians
-from scoup.regions import Regions
-from scoup.uplift.taking import region_sums
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
+from scoup.uplift.rasterise import region_sums
 from scoup.uplift.vote import GaussianCodes, vote
 
 

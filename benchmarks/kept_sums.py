@@ -29,11 +29,11 @@ from benchmarks.raster import report
 from scoup.bench import describe_environment, make_room, markdown, room_cameras, room_regions, write_json
 from scoup.bench.environment import in_one_line
 from scoup.bench.measure import torch_threads
-from scoup.bench.room import HEIGHT, REGIONS, WIDTH
-from scoup.cameras import Cameras
-from scoup.gaussians import Gaussians
 from scoup.io import check_output
-from scoup.regions import Regions
+from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
+from scoup.synthetic.room import HEIGHT, REGIONS, WIDTH
 from scoup.uplift.build import BuildSettings, build
 from scoup.uplift.region_sums import RegionSums
 

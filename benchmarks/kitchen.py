@@ -24,10 +24,10 @@ import torch
 import tyro
 
 import scoup
-from scoup.evaluate.lerf_ovs import SceneScore, match_frames, read_labels
 from scoup.evaluate.metrics import bootstrap_interval
+from scoup.evaluate.protocols.lerf_ovs import SceneScore, match_frames, read_labels
 from scoup.evaluate.variants import dense_variant, score_variants, sparse_variant
-from scoup.uplift.taking import region_sums
+from scoup.uplift.rasterise import region_sums
 from scoup.uplift.vote import vote
 
 METHOD, ALL_ATOMS, DENSE = "top-4 vote", "no top-K", "dense 512-d"

@@ -32,8 +32,8 @@ from scoup.bench import (
 )
 from scoup.bench.environment import in_one_line
 from scoup.bench.measure import torch_threads
-from scoup.bench.room import HEIGHT, REGIONS, WIDTH, Order
 from scoup.io import check_output
+from scoup.synthetic.room import HEIGHT, REGIONS, WIDTH, Order
 from scoup.uplift.build import build_settings
 
 PAPER_SECONDS = 42.0
@@ -89,7 +89,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
     cameras = room_cameras(arguments.views, arguments.width, arguments.height)
     regions = room_regions(cameras, arguments.regions, seed=arguments.seed)
     preparing = time.perf_counter() - started
-    backend = scoup.raster.look(make_room(8), cameras[0], backend=arguments.backend).backend
+    backend = scoup.raster.project(make_room(8), cameras[0], backend=arguments.backend).backend
     before = peak_memory()
 
     settings = build_settings(

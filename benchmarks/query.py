@@ -34,17 +34,16 @@ from scoup.bench import (
 )
 from scoup.bench.environment import in_one_line
 from scoup.bench.measure import torch_threads
-from scoup.bench.room import HEIGHT, WIDTH, clip_like, codes_in_space
-from scoup.cameras import Camera
-from scoup.everyday import EVERYDAY_WORDS
-from scoup.field import FieldInfo, LanguageField
+from scoup.field.language_field import FieldInfo, LanguageField
 from scoup.io import check_output
-from scoup.query import localize_and_segment
-from scoup.relevancy import CANONICAL_PHRASES
-from scoup.text import save_table
+from scoup.models.text import save_table
+from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.query.answers import localize_and_segment
+from scoup.scene.cameras import Camera
+from scoup.synthetic.room import HEIGHT, WIDTH, clip_like, codes_in_space
 
 STAGES = {
-    "look": "project, bin and sort",
+    "project": "project, bin and sort",
     "first relevancy": "relevancy through a view that was not asked before",
     "further relevancy": "relevancy to another query through the same view",
     "place and mask": "localize and segment",
@@ -121,7 +120,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
             "width": arguments.width,
             "height": arguments.height,
             "threads": arguments.threads,
-            "backend": field.look(cameras[2], arguments.backend).backend,
+            "backend": field.project(cameras[2], arguments.backend).backend,
         },
         "stages": STAGES,
         "processor_seconds": seconds,
@@ -157,7 +156,7 @@ def stage_seconds(field: LanguageField, camera: Camera, arguments: Arguments) ->
 
     for number in range(arguments.repeats + 1):
         query, other = queries[number][None], queries[number - 1][None]
-        view = timed("look", field.look, camera, arguments.backend)
+        view = timed("project", field.project, camera, arguments.backend)
         timed("first relevancy", field.relevancy, camera, other, canonical, view)
         maps = timed("further relevancy", field.relevancy, camera, query, canonical, view)
         timed("place and mask", localize_and_segment, maps[:, 0])
@@ -166,7 +165,7 @@ def stage_seconds(field: LanguageField, camera: Camera, arguments: Arguments) ->
     def sums(*stages: str) -> list[float]:
         return [sum(parts) for parts in zip(*(kept[stage] for stage in stages), strict=True)]
 
-    new = sums("look", "first relevancy", "place and mask")
+    new = sums("project", "first relevancy", "place and mask")
     return kept | {
         "query, new camera": new,
         "query, same camera": sums("further relevancy", "place and mask"),

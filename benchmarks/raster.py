@@ -45,9 +45,9 @@ from scoup.bench import (
 )
 from scoup.bench.environment import in_one_line
 from scoup.bench.report import SPECIFICATION, milliseconds, ratios
-from scoup.bench.room import Order
 from scoup.bench.stages import make_workload
 from scoup.io import check_output
+from scoup.synthetic.room import Order
 
 Setting = tuple[str, str, int]  # stage, backend, threads
 

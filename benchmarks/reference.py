@@ -21,10 +21,10 @@ import tyro
 from torch import Tensor
 
 from scoup import raster
-from scoup.codes import SparseCodes
-from scoup.demo import make_demo_scene
-from scoup.gaussians import Gaussians
 from scoup.raster import reference
+from scoup.scene.codes import SparseCodes
+from scoup.scene.gaussians import Gaussians
+from scoup.synthetic import make_demo_scene
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import vote
 
@@ -55,11 +55,11 @@ def main(arguments: Arguments) -> dict[str, float]:
     weights = torch.rand(count, 3, 4, generator=generator)
     codebook = torch.randn(3, 64, 512, generator=generator)
     queries = torch.nn.functional.normalize(torch.randn(5, 512, generator=generator), dim=1)
-    view = reference.look(gaussians, camera, raster.PRESETS["inria"])
+    view = reference.project(gaussians, camera, raster.RASTER_PRESETS["inria"])
     colors = raster.view_colors(gaussians, camera)
 
     stages: dict[str, Callable[[], object]] = {
-        "look": lambda: reference.look(gaussians, camera, raster.PRESETS["inria"]),
+        "project": lambda: reference.project(gaussians, camera, raster.RASTER_PRESETS["inria"]),
         "colour render": lambda: raster.render_channels(view, colors),
         "uplift, region sums": lambda: vote_of_a_view(view, gaussians, labels, codes, codebook),
         "uplift, codes per pixel": lambda: per_pixel_uplift(view, labels, codes, torch.zeros(count, 192)),
@@ -93,7 +93,7 @@ def main(arguments: Arguments) -> dict[str, float]:
 
 
 def vote_of_a_view(
-    view: raster.View, gaussians: Gaussians, labels: Tensor, codes: list[SparseCodes], codebook: Tensor
+    view: raster.Projection, gaussians: Gaussians, labels: Tensor, codes: list[SparseCodes], codebook: Tensor
 ) -> None:
     """Sums over regions first, then codes."""
     sums = RegionSums("", torch.arange(len(gaussians)), ["s", "m", "l"])
@@ -103,7 +103,7 @@ def vote_of_a_view(
 
 
 def per_pixel_uplift(
-    view: reference.ReferenceView, labels: Tensor, codes: list[SparseCodes], out: Tensor
+    view: reference.ReferenceProjection, labels: Tensor, codes: list[SparseCodes], out: Tensor
 ) -> None:
     """The plain form: the code of every pixel, times the weight of every Gaussian there."""
     dense = [
@@ -113,14 +113,16 @@ def per_pixel_uplift(
     _add_image(view, image, out)
 
 
-def dense_uplift(view: reference.ReferenceView, labels: Tensor, embeddings: list[Tensor], count: int) -> None:
+def dense_uplift(
+    view: reference.ReferenceProjection, labels: Tensor, embeddings: list[Tensor], count: int
+) -> None:
     """The same with full embeddings instead of codes, level by level."""
     for rows, level in zip(embeddings, labels, strict=True):
         image = torch.cat([rows, torch.zeros(1, rows.shape[1])])[level.long()]
         _add_image(view, image, torch.zeros(count, rows.shape[1]))
 
 
-def _add_image(view: reference.ReferenceView, image: Tensor, out: Tensor) -> None:
+def _add_image(view: reference.ReferenceProjection, image: Tensor, out: Tensor) -> None:
     """out [N, C] += sum over pixels of e_i(p) * image [H, W, C]."""
     tiled = reference.to_tiles(image.permute(2, 0, 1), view.bins, fill=0)  # [tiles, C, P]
     for tile, ids, weights in reference.tile_weights(view):
@@ -128,7 +130,7 @@ def _add_image(view: reference.ReferenceView, image: Tensor, out: Tensor) -> Non
 
 
 def decoded_cosines(
-    view: raster.View, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+    view: raster.Projection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> list[Tensor]:
     """Coefficient maps written out, decoded to 512 channels, normalised, compared."""
     maps = raster.render_codes(view, indices, weights, codebook.shape[1])

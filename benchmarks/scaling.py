@@ -38,16 +38,16 @@ from scoup.bench import (
 )
 from scoup.bench.environment import in_one_line
 from scoup.bench.report import SPECIFICATION, milliseconds
-from scoup.bench.room import REGIONS
-from scoup.cameras import Cameras
-from scoup.codes import SparseCodes
 from scoup.io import check_output
-from scoup.uplift.taking import region_sums
+from scoup.scene.cameras import Cameras
+from scoup.scene.codes import SparseCodes
+from scoup.synthetic.room import REGIONS
+from scoup.uplift.rasterise import region_sums
 from scoup.uplift.vote import vote
 
 Key = tuple[float, str]  # size, stage
 Runs = dict[Key, Callable[[], object]]
-VIEW = ("look", "alpha", "sums", "colors", "codes", "cosines")
+VIEW = ("project", "alpha", "sums", "colors", "codes", "cosines")
 LABELS = ("sums",)
 LEVELS = ("sums", "codes", "cosines", "vote")
 

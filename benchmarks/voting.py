@@ -3,7 +3,7 @@
     python -m benchmarks.voting [--scenes kitchen table-0 shelves-0 ...] [--cases clean wrong20 noise60 ...]
         [--ways dense paper exact ... default] [--seeds 0 1 2 3 4] [--out docs/benchmarks/voting.json]
 
-Scenes are rasterised once, faults are put into their region sums (``scoup.evaluate.perturbations``), and every way
+Scenes are rasterised once, faults are put into their region sums (``scoup.synthetic.faults``), and every way
 codes, votes and answers on the same sums, views and words. Masks and embeddings are simulated everywhere, geometry
 and text vectors of kitchen (--data, as in benchmarks/kitchen.py) are real: figures compare ways with each other and
 cannot be set against published ones. Faults are drawn once a case; seeds are those of the codebook.
@@ -34,7 +34,7 @@ from benchmarks.voting_ways import (
     find_way,
     vote,
 )
-from scoup.evaluate.perturbations import LevelSums, as_region_sums, perturbed
+from scoup.synthetic.faults import LevelSums, as_region_sums, perturbed
 
 SCENES = ("kitchen", "table-0", "shelves-0", "hall-0", "yard-0")
 CASES = ("clean", "wrong20", "noise60", "wrong20+noise60", "missing40", "rare")
@@ -45,7 +45,7 @@ class Arguments:
     scenes: tuple[str, ...] = SCENES
     """kitchen, or a layout of the demo and its seed."""
     cases: tuple[str, ...] = CASES
-    """Faults joined by "+", see scoup.evaluate.perturbations."""
+    """Faults joined by "+", see scoup.synthetic.faults."""
     ways: tuple[str, ...] = tuple(WAYS)
     """Names from benchmarks.voting_ways."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)

@@ -11,8 +11,8 @@ from typing import Any
 
 from benchmarks.voting_scores import Scores
 from benchmarks.voting_ways import COMPARISONS, Way
+from scoup.base.errors import InputError
 from scoup.bench.environment import describe_environment
-from scoup.errors import InputError
 from scoup.evaluate.metrics import Interval, bootstrap_interval
 from scoup.io import write_text
 

@@ -13,13 +13,13 @@ from torch import Tensor
 import scoup
 from benchmarks.kitchen import make_features
 from scoup import raster
-from scoup.cameras import Camera, Cameras
-from scoup.demo.scene import make_demo_scene
-from scoup.evaluate.lerf_ovs import LabelledFrame, match_frames, read_labels
-from scoup.evaluate.perturbations import LevelSums, gaussians_by_name, level_sums
-from scoup.gaussians import Gaussians
-from scoup.regions import Regions
-from scoup.uplift.taking import region_sums
+from scoup.evaluate.protocols.lerf_ovs import LabelledFrame, match_frames, read_labels
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
+from scoup.synthetic.faults import LevelSums, gaussians_by_name, level_sums
+from scoup.synthetic.scene import make_demo_scene
+from scoup.uplift.rasterise import region_sums
 
 LEVELS_ASKED = ("m", "l")  # names of objects and of groups
 
@@ -58,7 +58,7 @@ class VotingScene:
     name: str
     gaussians: Gaussians
     levels: list[LevelSums]
-    frames: list[tuple[LabelledFrame, raster.View]]
+    frames: list[tuple[LabelledFrame, raster.Projection]]
     queries: dict[str, Tensor]
     canonical: Tensor
     shares: dict[str, np.ndarray]
@@ -121,7 +121,7 @@ def _prepared(
         name,
         gaussians,
         levels,
-        [(frame, raster.look(gaussians, camera)) for frame, camera in frames],
+        [(frame, raster.project(gaussians, camera)) for frame, camera in frames],
         {label: torch.nn.functional.normalize(vector, dim=0) for label, vector in queries.items()},
         canonical,
         gaussians_by_name(gaussians, frames),

@@ -11,13 +11,13 @@ from torch import Tensor
 from benchmarks.voting_scenes import VotingScene
 from scoup import raster
 from scoup.baselines.dense import dense_relevancy
-from scoup.evaluate.lerf_ovs import LabelledFrame
 from scoup.evaluate.metrics import any_inside, iou
-from scoup.evaluate.perturbations import LevelSums
-from scoup.query import PRESETS, choose_level, level_masks, localize
-from scoup.relevancy import relevancy
+from scoup.evaluate.protocols.lerf_ovs import LabelledFrame
+from scoup.field.relevancy import relevancy
+from scoup.query.answers import QUERY_PRESETS, choose_level, level_masks, localize
+from scoup.synthetic.faults import LevelSums
 
-PRESET = PRESETS["scoup"]
+PRESET = QUERY_PRESETS["scoup"]
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes
+from scoup.base.errors import InputError, UnknownNameError
 from scoup.coding import fit_codes
-from scoup.errors import InputError, UnknownNameError
-from scoup.evaluate.perturbations import LevelSums
-from scoup.query import PRESETS, LevelChoice
+from scoup.query.answers import QUERY_PRESETS, LevelChoice
+from scoup.scene.codes import SparseCodes
+from scoup.synthetic.faults import LevelSums
 from scoup.uplift import vote as uplift
 from scoup.uplift.build import BUILD_PRESETS, BuildSettings
 from scoup.uplift.consensus import consensus_of
@@ -120,7 +120,7 @@ WAYS: dict[str, Way] = {
     "exact-128-k1-keep-4-rounds-mask": Way(replace(EXACT_128, k=1, keep=4, rounds=2), "mask"),
     "exact-consensus": Way(replace(EXACT, consensus=True)),
     "exact-consensus-mask": Way(replace(EXACT, consensus=True), "mask"),
-    "default": Way(Recipe.of(BUILD_PRESETS["default"]), PRESETS["default"].level_choice),
+    "default": Way(Recipe.of(BUILD_PRESETS["default"]), QUERY_PRESETS["default"].level_choice),
 }
 """By name. "paper" is the published method; "default" is what ``scoup build`` and ``scoup query`` do unasked."""
 

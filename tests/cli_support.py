@@ -12,8 +12,8 @@ import torch
 
 from scoup.cli import main
 from scoup.io import save_gaussians, save_png, save_regions, write_colmap
-from scoup.relevancy import CANONICAL_PHRASES
-from scoup.text_table import save_table
+from scoup.models.word_table import save_table
+from scoup.models.words import CANONICAL_PHRASES
 from support import small_scene, unit
 
 WORDS = ("kettle", "mug", "wooden table")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import os
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from scoup import native
+from scoup.base import native
 
 # Times vary with the load of the machine: a slow example is no failure.
 settings.register_profile("scoup", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -36,3 +37,17 @@ def needs_triton() -> None:
     """Tests that compile or interpret kernels are skipped where triton is not installed."""
     if importlib.util.find_spec("triton") is None:
         pytest.skip("triton is not installed")
+
+
+@pytest.fixture(scope="session")
+def synthetic_data_sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a small synthetic version of each data set, named after it; read-only."""
+    from scoup.synthetic.data_sets import DataSetSize, write_data_set
+
+    size = DataSetSize(n_gaussians=4000, width=96, height=72, n_views=6, n_labelled=2)
+    folder = tmp_path_factory.mktemp("data_sets")
+    for name in ("lerf-ovs", "3d-ovs"):
+        write_data_set(name, folder / name, ("table", "shelves"), size)
+    half = dataclasses.replace(size, label_scale=0.5)
+    write_data_set("mipnerf360", folder / "mipnerf360", ("table", "shelves"), half)
+    return folder

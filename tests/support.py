@@ -7,9 +7,9 @@ import math
 import torch
 from hypothesis import strategies as st
 
-from scoup.cameras import Camera, Cameras
-from scoup.gaussians import Gaussians
-from scoup.regions import LEVELS, RegionMap, Regions
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import LEVELS, RegionMap, Regions
 
 KINDS = (
     "plain",

@@ -21,7 +21,7 @@ PYTHON = VENV / ("Scripts/python.exe" if platform.system() == "Windows" else "bi
 TORCH = "2.13.0"
 # Kept in .venv: with build tools in a new place every time, pip would compile everything every time.
 BUILD_TOOLS = ("scikit-build-core>=0.10", "nanobind>=2.2", "cmake>=3.26", "ninja")
-WHY_NO_CORE = "import scoup.native, sys; sys.exit(scoup.native.missing_reason())"
+WHY_NO_CORE = "import scoup.base.native, sys; sys.exit(scoup.base.native.missing_reason())"
 
 
 def main(extras: list[str]) -> int:

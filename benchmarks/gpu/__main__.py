@@ -24,7 +24,7 @@ from benchmarks.gpu.conduct import conduct
 from benchmarks.gpu.machine import slug
 from benchmarks.gpu.sizes import FULL, QUICK, SMOKE
 from benchmarks.gpu.worker import STAGES
-from scoup.errors import InputError, ScoupError, UnknownNameError
+from scoup.base.errors import InputError, ScoupError, UnknownNameError
 from scoup.io import check_output
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "benchmarks"

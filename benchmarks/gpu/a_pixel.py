@@ -7,8 +7,8 @@ from typing import Any
 
 from benchmarks.gpu.lanes import WHAT
 from benchmarks.gpu.timing import Row
+from scoup.base.errors import FileFormatError
 from scoup.bench import markdown
-from scoup.errors import FileFormatError
 from scoup.io.reading import number, read_json
 
 HINT = "give the file that python -m benchmarks.gpu.lanes --json FILE writes"

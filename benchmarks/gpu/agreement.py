@@ -13,13 +13,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from benchmarks.gpu.context import PRESET, Context, look
+from benchmarks.gpu.context import PRESET, Context, project
 from benchmarks.gpu.region_sums import added_up, scatter
 from benchmarks.gpu.timing import reason
 from scoup import raster
 from scoup.bench import Workload
-from scoup.bench.room import clip_like
 from scoup.bench.stages import region_sums_of_a_view
+from scoup.synthetic.room import clip_like
 from scoup.uplift.vote import vote
 
 CLOSE = 1e-4  # of the greatest number: what counts as the same
@@ -36,12 +36,12 @@ def agreement(context: Context) -> None:
     for n_atoms in sizes.n_atoms:
         work = context.work(n_atoms, sizes.check_gaussians, sizes.check_size)
         here = work.to("cpu")
-        theirs = cache(lambda here=here: raster.look(here.gaussians, here.camera, PRESET, "reference"))
+        theirs = cache(lambda here=here: raster.project(here.gaussians, here.camera, PRESET, "reference"))
         for name, ask in questions(n_atoms == sizes.n_atoms[0]).items():
             compare(
                 context,
                 f"{name}, L = {n_atoms}",
-                lambda ask=ask, work=work: ask(work, look(work.gaussians, work.camera)),
+                lambda ask=ask, work=work: ask(work, project(work.gaussians, work.camera)),
                 lambda ask=ask, here=here, theirs=theirs: ask(here, theirs()),
             )
         compare(
@@ -52,9 +52,9 @@ def agreement(context: Context) -> None:
         )
 
 
-def questions(all_of_them: bool) -> dict[str, Callable[[Workload, raster.View], Tensor]]:
+def questions(all_of_them: bool) -> dict[str, Callable[[Workload, raster.Projection], Tensor]]:
     """By name, what is asked of a view; those that know nothing of the codebook's size only once."""
-    found: dict[str, Callable[[Workload, raster.View], Tensor]] = {
+    found: dict[str, Callable[[Workload, raster.Projection], Tensor]] = {
         "coefficient maps": lambda work, view: raster.render_codes(
             view, work.indices, work.weights, work.codebook.shape[1]
         ),
@@ -73,7 +73,7 @@ def questions(all_of_them: bool) -> dict[str, Callable[[Workload, raster.View], 
     return found
 
 
-def voted(work: Workload, view: raster.View) -> Tensor:
+def voted(work: Workload, view: raster.Projection) -> Tensor:
     """[N, S, L]: all atoms are kept, so that no near tie decides which."""
     sums = region_sums_of_a_view(work, view)
     device, n_atoms = work.labels.device, work.codebook.shape[1]
@@ -82,12 +82,12 @@ def voted(work: Workload, view: raster.View) -> Tensor:
     return out.scatter_add_(2, found.indices.long(), found.weights)
 
 
-def scattered(work: Workload, view: raster.View) -> Tensor:
+def scattered(work: Workload, view: raster.Projection) -> Tensor:
     """[N, S, L] region sums times the codes of the regions, by the baseline's kernel where there is one."""
     return scatter(work) if view.backend == "triton" else added_up(work, view)
 
 
-def summed(work: Workload, view: raster.View) -> Tensor:
+def summed(work: Workload, view: raster.Projection) -> Tensor:
     """[N, C] region sums."""
     found = raster.region_sums(view, work.labels)
     out = torch.zeros(len(work.gaussians), len(found.table), device=found.weight.device)

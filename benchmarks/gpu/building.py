@@ -15,17 +15,17 @@ import torch
 from torch import Tensor
 
 import scoup
-from benchmarks.gpu.context import PRESET, Context, look
+from benchmarks.gpu.context import PRESET, Context, project
 from benchmarks.gpu.peers import plain_adam
 from benchmarks.gpu.timing import Row, Unavailable, Work
 from scoup.bench import StageClock, room_cameras, room_regions
-from scoup.cameras import Cameras
-from scoup.codes import SparseCodes
 from scoup.coding import fit_codes
 from scoup.coding.adam import LEARNING_RATE
 from scoup.coding.kmeans import spherical_kmeans
-from scoup.gaussians import Gaussians
-from scoup.regions import Regions
+from scoup.scene.cameras import Cameras
+from scoup.scene.codes import SparseCodes
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
 from scoup.uplift.build import build_settings
 
 WARM_UP_VIEWS = 4
@@ -174,7 +174,7 @@ def scatter_all(
         for camera in cameras:
             context.heartbeat(SCATTER)
             labels = regions.load(camera.name, name).labels.to(gaussians.device)
-            view = look(gaussians, camera)
+            view = project(gaussians, camera)
             own = codes[level].rows(places[level][camera.name])
             scatter_view(view, labels[None], [own], out)  # pyright: ignore[reportArgumentType]
         found.append(

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from benchmarks.gpu.context import Context
 from benchmarks.gpu.timing import Work
-from scoup.raster.gpu_view import FUSED
+from scoup.raster.triton.projection import FUSED
 
 COPY = "copied bytes (read and written)"
 FLOAT32, FLOAT64, POWERS = "float32 instructions", "float64 instructions", "powers of two (float32)"

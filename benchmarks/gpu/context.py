@@ -16,10 +16,10 @@ from benchmarks.gpu.sizes import Sizes
 from benchmarks.gpu.timing import Clock, Row, Unavailable, Work, add_ratios, measure, measure_once, reason
 from scoup import raster
 from scoup.bench import Workload, make_room, room_cameras
-from scoup.bench.room import CELLS, clip_like, voronoi_labels
-from scoup.cameras import Camera
-from scoup.codes import SparseCodes, index_dtype
-from scoup.gaussians import Gaussians
+from scoup.scene.cameras import Camera
+from scoup.scene.codes import SparseCodes, index_dtype
+from scoup.scene.gaussians import Gaussians
+from scoup.synthetic.room import CELLS, clip_like, voronoi_labels
 
 PRESET = "gsplat"  # of both rasterisers, so that they draw the same picture
 
@@ -174,9 +174,9 @@ class Context:
         return replace(work.to(self.device), weights=work.weights.to(self.device).half())
 
 
-def look(gaussians: Gaussians, camera: Camera) -> raster.View:
+def project(gaussians: Gaussians, camera: Camera) -> raster.Projection:
     """What all stages look with."""
-    return raster.look(gaussians, camera, PRESET, "triton")
+    return raster.project(gaussians, camera, PRESET, "triton")
 
 
 def codes_nearby(means: Tensor, n_levels: int, n_atoms: int, k: int) -> tuple[Tensor, Tensor]:

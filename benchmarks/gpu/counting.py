@@ -21,11 +21,11 @@ import torch
 from benchmarks.gpu.walking import Walk, walk
 from scoup import raster
 from scoup.bench import Workload
-from scoup.raster.gpu_regions import Columns, columns_of
-from scoup.raster.gpu_view import TILE, GpuView
-from scoup.raster.kernels.blending import PADDING, RECORD
-from scoup.raster.kernels.codes import SLOTS
-from scoup.raster.projection import project as projected
+from scoup.raster.projection import project_gaussians as projected
+from scoup.raster.triton.kernels.blending import PADDING, RECORD
+from scoup.raster.triton.kernels.codes import SLOTS
+from scoup.raster.triton.projection import TILE, TritonProjection
+from scoup.raster.triton.region_sums import Columns, columns_of
 
 PIXELS = TILE * TILE
 BLEND = 16
@@ -62,7 +62,7 @@ class Facts:
     """
 
     work: Workload
-    view: GpuView
+    view: TritonProjection
 
     def __post_init__(self) -> None:
         self.n = len(self.work.gaussians)
@@ -118,7 +118,7 @@ def sieve(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Cou
     return Count(bytes=29.0 * facts.n, float64=40.0 * facts.n)
 
 
-def project(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
+def project_gaussians(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) -> Count:
     """In: row 8, geometry 44 bytes. Out: depth 8, ellipse 104, rectangle and count 16 bytes. Some 190 multiply-adds (9
     to the frame, 93 of the rotation and its two rows, 30 of covariance and determinant, the rest bounds and spans) and
     17 divisions, roots and logarithms at 10.
@@ -234,7 +234,7 @@ def region_sums(facts: Facts, grid: tuple[int, ...], constants: dict[str, Any]) 
 
 FORMULAS: dict[str, Callable[[Facts, tuple[int, ...], dict[str, Any]], Count]] = {
     "sieve_kernel": sieve,
-    "project_kernel": project,
+    "project_kernel": project_gaussians,
     "expand_kernel": expand,
     "list_kernel": lists,
     "channels_kernel": channels,

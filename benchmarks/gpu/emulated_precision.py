@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.gpu.sizes import FULL
+from scoup.base.errors import InputError, ScoupError
 from scoup.bench import write_json
-from scoup.errors import InputError, ScoupError
 from scoup.io import check_output
 
 
@@ -71,17 +71,17 @@ def compare(arguments: Arguments, n_atoms: int) -> list[dict[str, Any]]:
     from benchmarks.gpu.context import PRESET, Context
     from benchmarks.gpu.precision import EXACT, PRECISIONS, answers, differences
     from scoup import raster
-    from scoup.raster import gpu
+    from scoup.raster.triton import rendering as gpu
 
     sizes = replace(FULL, n_gaussians=arguments.n_gaussians, width=arguments.width, height=arguments.height)
     context = Context(torch.device("cpu"), sizes, float("inf"), lambda result: None)
     work = context.work(n_atoms)
     constants = raster.raster_preset(PRESET)
-    exact = answers(work, gpu.look(work.gaussians, work.camera, constants, EXACT))
+    exact = answers(work, gpu.project(work.gaussians, work.camera, constants, EXACT))
     rows = []
     for name in PRECISIONS[1:]:
         print(f"L = {n_atoms}: {name}", file=sys.stderr)
-        theirs = answers(work, gpu.look(work.gaussians, work.camera, constants, name))
+        theirs = answers(work, gpu.project(work.gaussians, work.camera, constants, name))
         rows.append({"n_atoms": n_atoms, "name": name, **differences(theirs, exact, sizes.k)})
     return rows
 

@@ -63,8 +63,8 @@ from benchmarks.gpu.gsplat_kernels import PEERS, SOURCES, WARPS, Peer, channels_
 from benchmarks.gpu.launches import launches
 from benchmarks.gpu.machine import version_of
 from benchmarks.gpu.timing import Row, Unavailable, reason
+from scoup.base.errors import InputError, ScoupError
 from scoup.bench import markdown, write_json
-from scoup.errors import InputError, ScoupError
 from scoup.io import check_output
 
 NOT_ASKED = (

@@ -13,7 +13,11 @@ import torch
 
 from benchmarks.gpu.timing import Clock
 
-MODULES = ("scoup.raster.gpu", "scoup.raster.gpu_regions", "scoup.raster.gpu_view")
+MODULES = (
+    "scoup.raster.triton.rendering",
+    "scoup.raster.triton.region_sums",
+    "scoup.raster.triton.projection",
+)
 _SLEEP = 2_000_000  # cycles, about a millisecond: longer than a launch takes
 
 

@@ -51,14 +51,14 @@ from benchmarks.gpu.tile_walks import (
     warp_steps,
 )
 from benchmarks.gpu.timing import Row
+from scoup.base.errors import InputError, ScoupError
 from scoup.bench import make_room, markdown, room_cameras, write_json
-from scoup.cameras import Camera
-from scoup.errors import InputError, ScoupError
-from scoup.gaussians import Gaussians
 from scoup.io import check_output
 from scoup.raster.binning import Bins, bin_to_tiles
-from scoup.raster.presets import PRESETS, RasterPreset
-from scoup.raster.projection import Projection, project, tile_counts
+from scoup.raster.presets import RASTER_PRESETS, RasterPreset
+from scoup.raster.projection import ProjectedGaussians, project_gaussians, tile_counts
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
 
 BLOCK = 16  # pixels along a block that is counted: a whole number of all tiles here
 CHUNKS = (16, 32)
@@ -112,12 +112,12 @@ def count_view(gaussians: Gaussians, camera: Camera, n_blocks: int, seed: int = 
     )
     pixels = int((wide * high).sum())
 
-    def walk_all(projection: Projection, bins: Bins, preset: RasterPreset) -> list[Walk]:
+    def walk_all(projection: ProjectedGaussians, bins: Bins, preset: RasterPreset) -> list[Walk]:
         return [walk(projection, bins, tile, *size, preset) for tile in tiles_of(blocks, bins, across)]
 
     found: list[Row] = []
-    preset = PRESETS["inria"]
-    projection = project(gaussians, camera, preset)
+    preset = RASTER_PRESETS["inria"]
+    projection = project_gaussians(gaussians, camera, preset)
     for tile in TILES:
         bins = bin_to_tiles(projection, *size, tile)
         walks = walk_all(projection, bins, preset)
@@ -130,7 +130,7 @@ def count_view(gaussians: Gaussians, camera: Camera, n_blocks: int, seed: int = 
                 "lanes": chunked(walks, chunk) / pixels,
             }
             found.append({"name": f"tile {tile}, chunk {chunk}", **row, "painting": painting})
-    projection = project(gaussians, camera, GSPLAT)
+    projection = project_gaussians(gaussians, camera, GSPLAT)
     bins = rectangles(projection, *size)
     walks = walk_all(projection, bins, GSPLAT)
     paint, skip = (WARP * steps / pixels for steps in warp_steps(walks))

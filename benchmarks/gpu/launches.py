@@ -16,10 +16,12 @@ SCENE = {"means": F32, "quats": F32, "scales": F32, "opacities": F32, "camera": 
 
 def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
     """By name: kernel, types, constants and warps, as they are launched in ``scoup.raster`` and ``scoup.uplift``."""
-    from scoup.raster import gpu, gpu_regions
-    from scoup.raster.gpu_view import TILE
-    from scoup.raster.kernels import channels, codes, products, projection, regions
-    from scoup.uplift import vote_kernel, vote_triton
+    from scoup.raster.triton import region_sums as gpu_regions
+    from scoup.raster.triton import rendering as gpu
+    from scoup.raster.triton.kernels import channels, codes, products, projection, regions
+    from scoup.raster.triton.projection import TILE
+    from scoup.uplift.vote_backends import kernels as vote_kernel
+    from scoup.uplift.vote_backends import triton as vote_triton
 
     blended = {"STOP_INCLUSIVE": False, "TILE": TILE}
     found: dict[str, tuple[Any, dict[str, str], dict[str, Any], int]] = {}
@@ -81,7 +83,7 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
 
 
 def _of_codes(levels: int, n_atoms: int, precision: Any = "fp16x3") -> dict[str, Any]:
-    from scoup.raster import gpu
+    from scoup.raster.triton import rendering as gpu
 
     blocks = gpu.code_blocks(levels, n_atoms, precision)
     assert blocks.levels == levels, "more than a program renders"
@@ -90,7 +92,7 @@ def _of_codes(levels: int, n_atoms: int, precision: Any = "fp16x3") -> dict[str,
 
 
 def _table(n_atoms: int, pixels_last: bool) -> dict[str, Any]:
-    from scoup.raster import gpu
+    from scoup.raster.triton import rendering as gpu
 
     columns = gpu.product_columns(gpu.code_blocks(1, n_atoms), pixels_last)
     return {"COLUMNS": columns, "PIXELS_LAST": pixels_last, "TABLE_PRECISION": "fp16x3"}

@@ -14,10 +14,10 @@ from torch import Tensor
 from benchmarks.gpu.timing import Unavailable
 from scoup import raster
 from scoup.bench import Workload, make_room, room_cameras
-from scoup.cameras import Camera
-from scoup.gaussians import Gaussians
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
 
-NEAR = raster.PRESETS["gsplat"].near
+NEAR = raster.RASTER_PRESETS["gsplat"].near
 
 
 class Gsplat:

@@ -16,7 +16,7 @@ from scoup import raster
 from scoup.bench import Workload
 
 if TYPE_CHECKING:
-    from scoup.raster.gpu_view import Precision
+    from scoup.raster.triton.projection import Precision
 
 EXACT = "ieee"
 PRECISIONS = ("ieee", "fp16x3", "tf32x3", "tf32")
@@ -29,7 +29,7 @@ def precision(context: Context) -> None:
     The reference backend is the same in plain float32 with sums in another order: what differs between it and "ieee"
     is no matter of precision. It takes long, and looks at a smaller view.
     """
-    from scoup.raster import gpu
+    from scoup.raster.triton import rendering as gpu
 
     sizes = context.sizes
     n_atoms = sizes.n_atoms[0]
@@ -41,14 +41,14 @@ def precision(context: Context) -> None:
     )
     works: list[Work] = []
     for name in PRECISIONS:
-        view = cache(partial(gpu.look, work.gaussians, work.camera, constants, name))
+        view = cache(partial(gpu.project, work.gaussians, work.camera, constants, name))
         for what, run in runs_of(work, view).items():
             works.append(Work(f"{what}, {name}", run))
     context.rows(works)
     context.result["differences"] = found = []
     if context.about_to(f"answers of {EXACT}") is not None or context.time_is_up():
         return
-    exact = answers(work, gpu.look(work.gaussians, work.camera, constants, EXACT))
+    exact = answers(work, gpu.project(work.gaussians, work.camera, constants, EXACT))
 
     def compare(name: str, find: Callable[[], dict[str, float]]) -> None:
         left_out = context.about_to(f"answers of {name}")
@@ -63,15 +63,15 @@ def precision(context: Context) -> None:
         context.save(context.result)
 
     def of_precision(name: Precision, exact: dict[str, Tensor]) -> dict[str, float]:
-        theirs = answers(work, gpu.look(work.gaussians, work.camera, constants, name))
+        theirs = answers(work, gpu.project(work.gaussians, work.camera, constants, name))
         return differences(theirs, exact, sizes.k)
 
     def of_reference() -> dict[str, float]:
         size = (max(8, sizes.width // 4), max(8, sizes.height // 4))
         small = context.work(n_atoms, size=size)
-        theirs = answers(small, raster.look(small.gaussians, small.camera, constants, "reference"))
+        theirs = answers(small, raster.project(small.gaussians, small.camera, constants, "reference"))
         return differences(
-            theirs, answers(small, gpu.look(small.gaussians, small.camera, constants, EXACT)), sizes.k
+            theirs, answers(small, gpu.project(small.gaussians, small.camera, constants, EXACT)), sizes.k
         )
 
     for name in PRECISIONS[1:]:
@@ -80,7 +80,7 @@ def precision(context: Context) -> None:
     compare(REFERENCE, of_reference)
 
 
-def runs_of(work: Workload, view: Callable[[], raster.View]) -> dict[str, Callable[[], object]]:
+def runs_of(work: Workload, view: Callable[[], raster.Projection]) -> dict[str, Callable[[], object]]:
     n_atoms, codes = work.codebook.shape[1], (work.indices, work.weights)
     return {
         "coefficient maps": lambda: raster.render_codes(view(), *codes, n_atoms),
@@ -89,7 +89,7 @@ def runs_of(work: Workload, view: Callable[[], raster.View]) -> dict[str, Callab
     }
 
 
-def answers(work: Workload, view: raster.View) -> dict[str, Tensor]:
+def answers(work: Workload, view: raster.Projection) -> dict[str, Tensor]:
     """Coefficient maps [S, H, W, L], cosines [S, Q, H, W] and one view's sums of codes [N, S, L], which torch adds up:
     region sums are all that precision changes.
     """

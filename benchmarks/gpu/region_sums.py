@@ -10,14 +10,14 @@ from functools import cache, partial
 import torch
 from torch import Tensor
 
-from benchmarks.gpu.context import Context, look
+from benchmarks.gpu.context import Context, project
 from benchmarks.gpu.peers import dense_uplift
 from benchmarks.gpu.rendering import RGB, at_hand
 from benchmarks.gpu.timing import Work
 from scoup import raster
 from scoup.bench import Workload
-from scoup.bench.room import clip_like
 from scoup.bench.stages import region_sums_of_a_view, vote_of_a_view
+from scoup.synthetic.room import clip_like
 
 OURS = "ours: region sums of all levels"
 DENSE = "dense uplift of all levels, D channels, by gsplat's backward"
@@ -66,13 +66,13 @@ def region_sums(context: Context) -> None:
     context.save(context.result)
 
 
-def ours(work: Workload, view: raster.View | None = None) -> object:
-    return raster.region_sums(view or look(work.gaussians, work.camera), work.labels)
+def ours(work: Workload, view: raster.Projection | None = None) -> object:
+    return raster.region_sums(view or project(work.gaussians, work.camera), work.labels)
 
 
 def vote_run(work: Workload) -> Callable[[], object]:
     """The vote; its sums are made when it is first run: that may fail, too."""
-    sums = cache(lambda: region_sums_of_a_view(work, look(work.gaussians, work.camera)))
+    sums = cache(lambda: region_sums_of_a_view(work, project(work.gaussians, work.camera)))
     return lambda: vote_of_a_view(work, sums(), "triton")
 
 
@@ -82,7 +82,7 @@ def empty_sums(work: Workload) -> Tensor:
     return torch.zeros(shape, device=work.labels.device)
 
 
-def added_up(work: Workload, view: raster.View) -> Tensor:
+def added_up(work: Workload, view: raster.Projection) -> Tensor:
     """[N, S, L] region sums of a view times the codes of the regions, by torch."""
     out = empty_sums(work)
     found = raster.region_sums(view, work.labels)
@@ -99,7 +99,7 @@ def scatter(work: Workload) -> Tensor:
     """All levels with one look."""
     from scoup.baselines.scatter_kernel import scatter_view
 
-    view, out = look(work.gaussians, work.camera), empty_sums(work)
+    view, out = project(work.gaussians, work.camera), empty_sums(work)
     scatter_view(view, work.labels, work.codes, out)  # pyright: ignore[reportArgumentType]
     return out
 
@@ -110,7 +110,7 @@ def scatter_by_level(work: Workload) -> None:
 
     for level, codes in enumerate(work.codes):
         out = torch.zeros(len(work.gaussians), 1, codes.n_atoms, device=work.labels.device)
-        view = look(work.gaussians, work.camera)
+        view = project(work.gaussians, work.camera)
         scatter_view(view, work.labels[level : level + 1], [codes], out)  # pyright: ignore[reportArgumentType]
 
 
@@ -134,5 +134,5 @@ def peer_rgb(context: Context, work: Workload, packed: bool = False) -> object:
 
 def disagreement(work: Workload) -> float:
     """Of the two ways to add a view up; the order of additions is not the same."""
-    one, other = added_up(work, look(work.gaussians, work.camera)), scatter(work)
+    one, other = added_up(work, project(work.gaussians, work.camera)), scatter(work)
     return float((one - other).abs().max() / other.max().clamp(min=1e-30))

@@ -8,12 +8,12 @@ from typing import Any
 
 import torch
 
-from benchmarks.gpu.context import Context, look
+from benchmarks.gpu.context import Context, project
 from benchmarks.gpu.peers import decoded_cosines
 from benchmarks.gpu.timing import Work, reason
 from scoup import raster
 from scoup.bench import Workload
-from scoup.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 
 RGB = "gsplat: RGB"
 DECODED = "coefficient maps, decoded to D channels, then cosines (LangSplatV2's way)"
@@ -61,7 +61,7 @@ def rendering(context: Context, size: tuple[int, int], everything: bool) -> None
         works.append(Work(f"ours: coefficient maps, L = {n_atoms}", partial(coefficients, work)))
         works.append(Work(features_name(n_atoms), partial(features, work)))
     work = context.work(sizes.n_atoms[0], size=size)
-    works.append(Work("ours: look (project, bin, sort)", partial(look, work.gaussians, work.camera)))
+    works.append(Work("ours: look (project, bin, sort)", partial(project, work.gaussians, work.camera)))
     works.append(Work("ours: RGB", partial(colors, work)))
     works.append(
         Work(DECODED, partial(decoded, work), note=f"with our coefficient maps, L = {sizes.n_atoms[0]}")
@@ -102,33 +102,33 @@ def peer_works(context: Context, work: Workload, everything: bool) -> list[Work]
     return works
 
 
-def at_hand(work: Workload, run: Callable[[Workload, raster.View], object]) -> Callable[[], object]:
+def at_hand(work: Workload, run: Callable[[Workload, raster.Projection], object]) -> Callable[[], object]:
     """``run`` with one view of the work, looked at when it is first run: that may fail, too."""
-    view = cache(partial(look, work.gaussians, work.camera))
+    view = cache(partial(project, work.gaussians, work.camera))
     return lambda: run(work, view())
 
 
-def ask(work: Workload, view: raster.View | None = None) -> torch.Tensor:
+def ask(work: Workload, view: raster.Projection | None = None) -> torch.Tensor:
     """[S, 1, H, W]: relevancy of one query against the four canonical phrases."""
-    view = view or look(work.gaussians, work.camera)
+    view = view or project(work.gaussians, work.camera)
     cosines = raster.render_cosines(view, work.indices, work.weights, work.codebook, work.queries)
     return relevancy(cosines[:, :1], cosines[:, 1:])
 
 
 def coefficients(work: Workload) -> torch.Tensor:
     return raster.render_codes(
-        look(work.gaussians, work.camera), work.indices, work.weights, work.codebook.shape[1]
+        project(work.gaussians, work.camera), work.indices, work.weights, work.codebook.shape[1]
     )
 
 
 def features(work: Workload) -> torch.Tensor:
     return raster.render_features(
-        look(work.gaussians, work.camera), work.indices, work.weights, work.codebook
+        project(work.gaussians, work.camera), work.indices, work.weights, work.codebook
     )
 
 
 def colors(work: Workload) -> object:
-    return raster.render_channels(look(work.gaussians, work.camera), work.values)
+    return raster.render_channels(project(work.gaussians, work.camera), work.values)
 
 
 def decoded(work: Workload) -> torch.Tensor:
@@ -144,7 +144,7 @@ def compare_pictures(context: Context, work: Workload) -> dict[str, Any]:
     try:
         with torch.no_grad():
             theirs = context.gsplat().render(work.gaussians, work.camera, work.values)
-        image, _ = raster.render_channels(look(work.gaussians, work.camera), work.values)
+        image, _ = raster.render_channels(project(work.gaussians, work.camera), work.values)
         off = (image - theirs).abs().amax(2)
         found["RGB, ours against gsplat, mean difference"] = float(off.mean())
         found["RGB, share of pixels that differ by more than 1/255"] = float((off > 1 / 255).float().mean())

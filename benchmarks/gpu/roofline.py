@@ -9,7 +9,7 @@ from statistics import median
 from typing import Any
 
 from benchmarks.gpu import ceilings
-from benchmarks.gpu.context import Context, look
+from benchmarks.gpu.context import Context, project
 from benchmarks.gpu.counting import FORMULAS, Count, Facts, sorting
 from benchmarks.gpu.kernel_times import Launches, timed_kernels
 from benchmarks.gpu.region_sums import ours
@@ -30,11 +30,11 @@ def roofline(context: Context) -> None:
         f"{sizes.n_atoms[0]}; each kernel by itself"
     )
     work = context.work(sizes.n_atoms[0])
-    view = look(work.gaussians, work.camera)
+    view = project(work.gaussians, work.camera)
     facts = Facts(work, view)  # pyright: ignore[reportArgumentType]
     context.result["facts"] = facts.record()
     passes: dict[str, Callable[[], object]] = {
-        "look": partial(look, work.gaussians, work.camera),
+        "project": partial(project, work.gaussians, work.camera),
         "RGB": partial(colors, work),
         "coefficient maps": partial(coefficients, work),
         "relevancy": partial(ask, work),
@@ -53,7 +53,7 @@ def roofline(context: Context) -> None:
             context.result["rows"].append({"name": purpose, "reason": reason(error)})
             context.clock.recover()
             continue
-        if purpose == "look":
+        if purpose == "project":
             add_sorting(context, facts, work, launched)
         for name, rounds in launched.items():
             # A kernel is told of once for each thing it is made for; `look` is part of every pass.
@@ -125,7 +125,7 @@ def add_sorting(context: Context, facts: Facts, work: Workload, launched: dict[s
     from benchmarks.gpu.timing import Work, measure
 
     whole = measure(
-        [Work("look", partial(look, work.gaussians, work.camera))],
+        [Work("project", partial(project, work.gaussians, work.camera))],
         context.clock,
         min(ROUNDS, context.sizes.repeats),
         warm_up=context.sizes.warm_up,
@@ -133,7 +133,7 @@ def add_sorting(context: Context, facts: Facts, work: Workload, launched: dict[s
     if "median_s" not in whole:
         return
     kernels = sum(median(sum(r.seconds) for r in rounds) for rounds in launched.values())
-    row = {"name": SORTING, "for": "look", "median_s": max(0.0, whole["median_s"] - kernels)}
+    row = {"name": SORTING, "for": "project", "median_s": max(0.0, whole["median_s"] - kernels)}
     context.result["rows"].append(add_bound(row, sorting(facts), context.ceilings))
     context.result["look_s"] = whole["median_s"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from benchmarks.gpu.context import Context, look
+from benchmarks.gpu.context import Context, project
 from benchmarks.gpu.region_sums import ours, peer_rgb
 from benchmarks.gpu.rendering import ask
 from benchmarks.gpu.timing import Row, Work, add_ratios, measure, reason
@@ -70,7 +70,7 @@ def point(context: Context, grows: str, amount: float, change: dict[str, Any]) -
 
 def works_of(context: Context, work: Workload) -> list[Work]:
     return [
-        Work(LOOK, partial(look, work.gaussians, work.camera)),
+        Work(LOOK, partial(project, work.gaussians, work.camera)),
         Work(ASK, partial(ask, work)),
         Work(SUMS, partial(ours, work)),
         Work(PEER, partial(peer_rgb, context, work)),

@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 
 from scoup.raster.binning import Bins, grouped, tiles_in
-from scoup.raster.presets import ALPHA_MIN, PRESETS, RasterPreset
-from scoup.raster.projection import Projection, tile_counts
+from scoup.raster.presets import ALPHA_MIN, RASTER_PRESETS, RasterPreset
+from scoup.raster.projection import ProjectedGaussians, tile_counts
 
 GSPLAT_TILE, WARP = 16, 32  # a thread a pixel, row after row
-GSPLAT = replace(PRESETS["gsplat"], alpha_max=0.999)  # as up to 1.5
+GSPLAT = replace(RASTER_PRESETS["gsplat"], alpha_max=0.999)  # as up to 1.5
 FURTHEST = 3.33  # standard deviations
 
 
@@ -34,7 +34,7 @@ class Walk:
     painting_steps: int
 
 
-def rectangles(projection: Projection, width: int, height: int, tile: int = GSPLAT_TILE) -> Bins:
+def rectangles(projection: ProjectedGaussians, width: int, height: int, tile: int = GSPLAT_TILE) -> Bins:
     """Gaussians of each tile as gsplat lists them: by the bounding rectangle of a radius in whole pixels.
 
     Source: gsplat 1.5.3, ProjectionEWA3DGSFused.cu and IntersectTile.cu.
@@ -52,7 +52,7 @@ def rectangles(projection: Projection, width: int, height: int, tile: int = GSPL
 
 
 def walk(
-    projection: Projection,
+    projection: ProjectedGaussians,
     bins: Bins,
     tile: int,
     width: int,
@@ -96,7 +96,7 @@ def walk(
 
 
 def alphas(
-    projection: Projection,
+    projection: ProjectedGaussians,
     ranks: torch.Tensor,
     x: NDArray[np.float64],
     y: NDArray[np.float64],

@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from benchmarks.gpu.context import Context, look
+from benchmarks.gpu.context import Context, project
 from benchmarks.gpu.region_sums import ours
 from benchmarks.gpu.rendering import ask, at_hand, colors
 from benchmarks.gpu.timing import Work
@@ -23,7 +23,7 @@ AS_IT_IS = "as it is"
 
 
 def tuning(context: Context) -> None:
-    """A row for each choice; whoever finds a faster one changes ``scoup.raster.gpu`` or ``gpu_regions`` to it."""
+    """A row for each choice; whoever finds a faster one changes the constants of ``scoup.raster.triton``."""
     sizes = context.sizes
     context.result["about"] = (
         f"{sizes.n_gaussians:,} Gaussians, a view of {sizes.width} x {sizes.height}, three levels; the view is at hand "
@@ -37,12 +37,12 @@ def tuning(context: Context) -> None:
     works += variants("region sums", at_hand(work, ours), of_regions())
     works += variants("RGB", at_hand(work, rgb), of_channels())
     works += variants("look and RGB", partial(colors, work), {AS_IT_IS: {}})
-    works += variants("look", partial(look, work.gaussians, work.camera), {AS_IT_IS: {}})
+    works += variants("project", partial(project, work.gaussians, work.camera), {AS_IT_IS: {}})
     context.rows(works, over={work.name: [work.name] for work in works if work.name.endswith(AS_IT_IS)})
     context.save(context.result)
 
 
-def rgb(work: Workload, view: raster.View) -> object:
+def rgb(work: Workload, view: raster.Projection) -> object:
     return raster.render_channels(view, work.values)
 
 
@@ -52,7 +52,7 @@ def variants(what: str, run: Callable[[], object], changes: dict[str, dict[str, 
 
 
 def of_codes() -> dict[str, dict[str, Any]]:
-    from scoup.raster import gpu
+    from scoup.raster.triton import rendering as gpu
 
     before = gpu.code_blocks
 
@@ -75,7 +75,7 @@ def of_regions() -> dict[str, dict[str, Any]]:
 
 
 def of_channels() -> dict[str, dict[str, Any]]:
-    from scoup.raster.gpu import ChannelBlocks
+    from scoup.raster.triton.rendering import ChannelBlocks
 
     found: dict[str, dict[str, Any]] = {AS_IT_IS: {}}
     for blocks in (ChannelBlocks(16, 32, 2), ChannelBlocks(16, 16, 4)):
@@ -91,7 +91,9 @@ def changed(run: Callable[[], object], change: dict[str, Any]) -> object:
 @contextmanager
 def constants(change: dict[str, Any]) -> Iterator[None]:
     """Constants of ``scoup.raster`` by the names of their modules; "maxnreg" is an option of every launch."""
-    from scoup.raster import gpu, gpu_regions, gpu_view
+    from scoup.raster.triton import projection as gpu_view
+    from scoup.raster.triton import region_sums as gpu_regions
+    from scoup.raster.triton import rendering as gpu
 
     modules = {"gpu": gpu, "gpu_regions": gpu_regions}
     before: list[tuple[Any, str, Any]] = []

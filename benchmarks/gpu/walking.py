@@ -12,8 +12,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from scoup.raster.gpu_view import FUSED, TILE, GpuView
-from scoup.raster.kernels.blending import blend, is_lit, pixels_of
+from scoup.raster.triton.kernels.blending import blend, is_lit, pixels_of
+from scoup.raster.triton.projection import FUSED, TILE, TritonProjection
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Walk:
         return self.n_chunks * self.chunk * TILE * TILE
 
 
-def walk(view: GpuView, chunk: int) -> Walk:
+def walk(view: TritonProjection, chunk: int) -> Walk:
     """Walk as the kernels do and count."""
     chunks, painting = (torch.zeros(view.n_tiles, dtype=torch.int32, device=view.device) for _ in range(2))
     with torch.cuda.device_of(chunks):

@@ -12,7 +12,7 @@
 #include "code_arrays.h"
 #include "python_signals.h"
 #include "render.h"
-#include "view.h"
+#include "projection.h"
 
 namespace nb = nanobind;
 
@@ -48,7 +48,7 @@ PyScene py_scene(const Array& means, const Array& quats, const Array& scales, co
     return made;
 }
 
-View py_look(const PyScene& made, const Array& viewmat, std::tuple<double, double, double, double> intrinsics,
+Projection py_project(const PyScene& made, const Array& viewmat, std::tuple<double, double, double, double> intrinsics,
              int64_t width, int64_t height, std::tuple<double, double, double> near_alpha_max_stop, bool stop_inclusive,
              bool centred_clamp, int threads) {
     check_size(width, height);
@@ -66,21 +66,21 @@ View py_look(const PyScene& made, const Array& viewmat, std::tuple<double, doubl
     if (!(near >= 0 && alpha_max > 0 && alpha_max <= 1 && stop > 0 && stop < 1))
         throw std::invalid_argument("near must be 0 or more, alpha_max and stop within 0 .. 1");
     const Preset preset{near, float(alpha_max), float(stop), stop_inclusive, centred_clamp};
-    return without_lock([&] { return look(made.scene, camera, preset, sane(threads), python_signals()); });
+    return without_lock([&] { return project(made.scene, camera, preset, sane(threads), python_signals()); });
 }
 
-nb::tuple py_render_channels(const View& view, const Array& values, int threads) {
+nb::tuple py_render_channels(const Projection& projection, const Array& values, int threads) {
     if (values.ndim() != 2) throw std::invalid_argument("values must be [N, channels]");
     const auto channels = int64_t(values.shape(1));
     if (channels > 65536) throw std::invalid_argument("too many channels for one render");
-    const float* data = data_of<float>(values, "values", {view.n_gaussians, channels});
-    const int64_t pixels = int64_t(view.width) * view.height;
+    const float* data = data_of<float>(values, "values", {projection.n_gaussians, channels});
+    const int64_t pixels = int64_t(projection.width) * projection.height;
     Buffer<float> image(pixels * channels), alpha(pixels);
     const ChannelImage out{data, int32_t(channels), image.data(), alpha.data()};
     without_lock([&] {
-        render_channels(view, out, sane(threads), python_signals());
+        render_channels(projection, out, sane(threads), python_signals());
     });
-    const auto height = size_t(view.height), width = size_t(view.width);
+    const auto height = size_t(projection.height), width = size_t(projection.width);
     return nb::make_tuple(to_numpy(std::move(image), {height, width, size_t(channels)}),
                           to_numpy(std::move(alpha), {height, width}));
 }
@@ -104,31 +104,31 @@ GaussianCodes gaussian_codes(int64_t n, const Array& indices, const Array& weigh
     return codes;
 }
 
-nb::object py_render_codes(const View& view, const Array& indices, const Array& weights, int64_t n_atoms, int threads) {
-    const GaussianCodes codes = gaussian_codes(view.n_gaussians, indices, weights, n_atoms);
-    Buffer<float> out(int64_t(view.width) * view.height * codes.atoms_of_all_levels());
+nb::object py_render_codes(const Projection& projection, const Array& indices, const Array& weights, int64_t n_atoms, int threads) {
+    const GaussianCodes codes = gaussian_codes(projection.n_gaussians, indices, weights, n_atoms);
+    Buffer<float> out(int64_t(projection.width) * projection.height * codes.atoms_of_all_levels());
     without_lock([&] {
-        render_codes(view, codes, out.data(), sane(threads), python_signals());
+        render_codes(projection, codes, out.data(), sane(threads), python_signals());
     });
-    return to_numpy(std::move(out), {size_t(codes.levels), size_t(view.height), size_t(view.width), size_t(n_atoms)});
+    return to_numpy(std::move(out), {size_t(codes.levels), size_t(projection.height), size_t(projection.width), size_t(n_atoms)});
 }
 
 // Cosines and norms.
-nb::tuple py_render_cosines(const View& view, const Array& indices, const Array& weights, const Array& grams,
+nb::tuple py_render_cosines(const Projection& projection, const Array& indices, const Array& weights, const Array& grams,
                              const Array& scores, int threads) {
     if (grams.ndim() != 3 || scores.ndim() != 3) throw std::invalid_argument("grams and scores must have three axes");
     const auto n_atoms = int64_t(grams.shape(1)), n_queries = int64_t(scores.shape(2));
-    const GaussianCodes codes = gaussian_codes(view.n_gaussians, indices, weights, n_atoms);
+    const GaussianCodes codes = gaussian_codes(projection.n_gaussians, indices, weights, n_atoms);
     if (n_queries > 1 << 20) throw std::invalid_argument("too many queries for one render");
-    const int64_t maps = int64_t(view.width) * view.height * codes.levels;
+    const int64_t maps = int64_t(projection.width) * projection.height * codes.levels;
     Buffer<float> out(maps * n_queries), norms(maps);
     const Cosines cosines{data_of<float>(grams, "grams", {codes.levels, n_atoms, n_atoms}),
                           data_of<float>(scores, "scores", {codes.levels, n_atoms, n_queries}), int32_t(n_queries),
                           out.data(), norms.data()};
     without_lock([&] {
-        render_cosines(view, codes, cosines, sane(threads), python_signals());
+        render_cosines(projection, codes, cosines, sane(threads), python_signals());
     });
-    const auto levels = size_t(codes.levels), height = size_t(view.height), width = size_t(view.width);
+    const auto levels = size_t(codes.levels), height = size_t(projection.height), width = size_t(projection.width);
     return nb::make_tuple(to_numpy(std::move(out), {levels, size_t(n_queries), height, width}),
                           to_numpy(std::move(norms), {levels, height, width}));
 }
@@ -147,8 +147,8 @@ nb::object py_code_scores(const Array& indices, const Array& weights, const Arra
     return to_numpy(std::move(out), {size_t(n), size_t(codes.levels), size_t(columns)});
 }
 
-nb::dict py_count_work(const View& view, int threads) {
-    const ViewCounts counts = without_lock([&] { return count_work(view, sane(threads), python_signals()); });
+nb::dict py_count_work(const Projection& projection, int threads) {
+    const ViewCounts counts = without_lock([&] { return count_work(projection, sane(threads), python_signals()); });
     nb::dict found;
     found["pairs"] = counts.all.pairs;
     found["blocks"] = counts.all.blocks;
@@ -160,13 +160,13 @@ nb::dict py_count_work(const View& view, int threads) {
 }  // namespace
 
 void bind_raster(nb::module_& m) {
-    nb::class_<View>(m, "View", "A scene as one camera sees it: projected, sorted and binned.")
-        .def_ro("width", &View::width)
-        .def_ro("height", &View::height)
-        .def_ro("n_gaussians", &View::n_gaussians)
-        .def_ro("n_visible", &View::n_visible)
-        .def_prop_ro("n_pairs", [](const View& view) { return view.lists.size(); });
-    nb::class_<PyScene>(m, "Scene", "Gaussians to look at; for many views, 48 bytes each are worked out beforehand.")
+    nb::class_<Projection>(m, "Projection", "A scene as one camera sees it: projected, sorted and binned.")
+        .def_ro("width", &Projection::width)
+        .def_ro("height", &Projection::height)
+        .def_ro("n_gaussians", &Projection::n_gaussians)
+        .def_ro("n_visible", &Projection::n_visible)
+        .def_prop_ro("n_pairs", [](const Projection& projection) { return projection.lists.size(); });
+    nb::class_<PyScene>(m, "Scene", "Gaussians to project; for many views, 48 bytes each are worked out beforehand.")
         .def(
             "__init__",
             [](PyScene* self, const Array& means, const Array& quats, const Array& scales, const Array& opacities,
@@ -176,15 +176,15 @@ void bind_raster(nb::module_& m) {
             nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"), nb::arg("ties").none(),
             nb::arg("many_views"), nb::arg("threads"), nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(),
             nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>());
-    m.def("look", &py_look, nb::arg("scene"), nb::arg("viewmat"), nb::arg("intrinsics"), nb::arg("width"), nb::arg("height"),
+    m.def("project", &py_project, nb::arg("scene"), nb::arg("viewmat"), nb::arg("intrinsics"), nb::arg("width"), nb::arg("height"),
           nb::arg("near_alpha_max_stop"), nb::arg("stop_inclusive"), nb::arg("centred_clamp"), nb::arg("threads"));
-    m.def("render_channels", &py_render_channels, nb::arg("view"), nb::arg("values"), nb::arg("threads"));
-    m.def("render_codes", &py_render_codes, nb::arg("view"), nb::arg("indices"), nb::arg("weights"), nb::arg("n_atoms"),
+    m.def("render_channels", &py_render_channels, nb::arg("projection"), nb::arg("values"), nb::arg("threads"));
+    m.def("render_codes", &py_render_codes, nb::arg("projection"), nb::arg("indices"), nb::arg("weights"), nb::arg("n_atoms"),
           nb::arg("threads"));
-    m.def("render_cosines", &py_render_cosines, nb::arg("view"), nb::arg("indices"), nb::arg("weights"), nb::arg("grams"),
+    m.def("render_cosines", &py_render_cosines, nb::arg("projection"), nb::arg("indices"), nb::arg("weights"), nb::arg("grams"),
           nb::arg("scores"), nb::arg("threads"));
     m.def("code_scores", &py_code_scores, nb::arg("indices"), nb::arg("weights"), nb::arg("scores"), nb::arg("threads"));
-    m.def("count_work", &py_count_work, nb::arg("view"), nb::arg("threads"));
+    m.def("count_work", &py_count_work, nb::arg("projection"), nb::arg("threads"));
 }
 
 }  // namespace scoup

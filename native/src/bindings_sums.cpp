@@ -14,7 +14,7 @@
 #include "combinations.h"
 #include "python_signals.h"
 #include "region_sums.h"
-#include "view.h"
+#include "projection.h"
 #include "vote.h"
 
 namespace nb = nanobind;
@@ -38,9 +38,9 @@ nb::tuple py_combine(const Array& labels, int threads) {
                           to_numpy(std::move(table), {size_t(found.count), size_t(levels)}));
 }
 
-nb::tuple py_region_sums(const View& view, const Array& map, int threads) {
-    const CombinationMap numbers{data_of<int32_t>(map, "combinations", {view.height, view.width}), view.width, view.height};
-    RegionSums found = without_lock([&] { return region_sums(view, numbers, sane(threads), python_signals()); });
+nb::tuple py_region_sums(const Projection& projection, const Array& map, int threads) {
+    const CombinationMap numbers{data_of<int32_t>(map, "combinations", {projection.height, projection.width}), projection.width, projection.height};
+    RegionSums found = without_lock([&] { return region_sums(projection, numbers, sane(threads), python_signals()); });
     const auto count = size_t(found.weight.size());
     return nb::make_tuple(to_numpy(std::move(found.gaussian), {count}), to_numpy(std::move(found.combination), {count}),
                           to_numpy(std::move(found.weight), {count}));
@@ -147,7 +147,7 @@ class BoundVote {
 
 void bind_sums(nb::module_& m) {
     m.def("combine", &py_combine, nb::arg("labels"), nb::arg("threads"));
-    m.def("region_sums", &py_region_sums, nb::arg("view"), nb::arg("combinations"), nb::arg("threads"));
+    m.def("region_sums", &py_region_sums, nb::arg("projection"), nb::arg("combinations"), nb::arg("threads"));
     nb::class_<BoundVote>(m, "Vote", "Region sums of views and the codes of their regions, ready to be added up.")
         .def(nb::init<int64_t, const Array&, std::vector<BoundVote::ViewArrays>, std::vector<BoundVote::CodeArrays>>(),
              nb::arg("n_gaussians"), nb::arg("grams"), nb::arg("views"), nb::arg("codes"))

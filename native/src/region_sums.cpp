@@ -4,7 +4,7 @@
 #include <cstdlib>
 #include <vector>
 
-#include "view_tile.h"
+#include "projection_tile.h"
 
 namespace scoup {
 namespace {
@@ -35,9 +35,9 @@ struct Bucketed {
     std::vector<int64_t> starts;  // [buckets + 1]
 };
 
-Bucketed collect(const View& view, const CombinationMap& map, int n_threads, const Interrupted& interrupted) {
-    const int64_t n_buckets = (view.n_gaussians + kBucket - 1) / kBucket;
-    const int64_t tiles = view.n_tiles();
+Bucketed collect(const Projection& projection, const CombinationMap& map, int n_threads, const Interrupted& interrupted) {
+    const int64_t n_buckets = (projection.n_gaussians + kBucket - 1) / kBucket;
+    const int64_t tiles = projection.n_tiles();
     const int64_t tiles_at_once = std::max<int64_t>(16, (tiles + kMostGroups - 1) / kMostGroups);
     const int64_t n_groups = (tiles + tiles_at_once - 1) / tiles_at_once;
     std::vector<Group> groups(static_cast<size_t>(n_groups));
@@ -46,8 +46,8 @@ Bucketed collect(const View& view, const CombinationMap& map, int n_threads, con
     for_chunks(n_groups, n_threads, interrupted, [&](int64_t g, int) {
         Group& group = groups[size_t(g)];
         const int64_t first = g * tiles_at_once, last = std::min(first + tiles_at_once, tiles);
-        group.reserve(group, (view.starts[last] - view.starts[first]) * 5 / 4);
-        for (int64_t t = first; t < last; ++t) kernels.collect(tile_of(view, t), map, group);
+        group.reserve(group, (projection.starts[last] - projection.starts[first]) * 5 / 4);
+        for (int64_t t = first; t < last; ++t) kernels.collect(tile_of(projection, t), map, group);
         int64_t* count = places.data() + g * n_buckets;
         for (int64_t r = 0; r < group.count; ++r) ++count[group.records[r].id >> kBucketBits];
     });
@@ -124,8 +124,8 @@ class Merger {
 
 }  // namespace
 
-RegionSums region_sums(const View& view, const CombinationMap& map, int n_threads, const Interrupted& interrupted) {
-    Bucketed all = collect(view, map, n_threads, interrupted);
+RegionSums region_sums(const Projection& projection, const CombinationMap& map, int n_threads, const Interrupted& interrupted) {
+    Bucketed all = collect(projection, map, n_threads, interrupted);
     const int64_t n_buckets = int64_t(all.starts.size()) - 1;
     std::vector<int64_t> firsts(size_t(n_buckets + 1), 0);
     std::vector<Merger> mergers(static_cast<size_t>(std::max(n_threads, 1)));

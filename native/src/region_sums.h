@@ -6,7 +6,7 @@
 #include "buffer.h"
 #include "region_records.h"
 #include "threads.h"
-#include "view.h"
+#include "projection.h"
 
 namespace scoup {
 
@@ -17,6 +17,6 @@ struct RegionSums {
 };
 
 // The same whatever the number of threads.
-RegionSums region_sums(const View& view, const CombinationMap& map, int n_threads, const Interrupted& interrupted);
+RegionSums region_sums(const Projection& projection, const CombinationMap& map, int n_threads, const Interrupted& interrupted);
 
 }  // namespace scoup

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "view_tile.h"
+#include "projection_tile.h"
 
 namespace scoup {
 namespace {
@@ -15,13 +15,13 @@ namespace {
 constexpr int64_t kPixels = int64_t(kTile) * kTile;
 
 // Tiles side by side, a few at a time; `body` gets the tile, its number and the worker's.
-void for_tiles(const View& view, int64_t channels, int n_threads, const Interrupted& interrupted,
+void for_tiles(const Projection& projection, int64_t channels, int n_threads, const Interrupted& interrupted,
                const std::function<void(const Tile&, int64_t, int)>& body) {
-    const int64_t tiles = view.n_tiles();
+    const int64_t tiles = projection.n_tiles();
     const int64_t at_once = channels > 1024 ? 1 : 8;  // not too much work between two questions about Ctrl-C
     for_chunks((tiles + at_once - 1) / at_once, n_threads, interrupted, [&](int64_t chunk, int worker) {
         for (int64_t t = chunk * at_once; t < std::min((chunk + 1) * at_once, tiles); ++t)
-            body(tile_of(view, t), t, worker);
+            body(tile_of(projection, t), t, worker);
     });
 }
 
@@ -72,29 +72,29 @@ std::vector<CodeMemory> code_memory(const GaussianCodes& codes, int32_t n_querie
 
 }  // namespace
 
-void render_channels(const View& view, const ChannelImage& out, int n_threads, const Interrupted& interrupted) {
+void render_channels(const Projection& projection, const ChannelImage& out, int n_threads, const Interrupted& interrupted) {
     const auto& kernels = pick(baseline::channel_kernels, v3::channel_kernels, v4::channel_kernels);
     std::vector<Buffer<float>> scratch;
     for (int worker = 0; worker < std::max(n_threads, 1); ++worker) scratch.emplace_back(out.channels * kPixels);
-    for_tiles(view, out.channels, n_threads, interrupted, [&](const Tile& tile, int64_t, int worker) {
+    for_tiles(projection, out.channels, n_threads, interrupted, [&](const Tile& tile, int64_t, int worker) {
         kernels.render(tile, out, scratch[size_t(worker)].data());
     });
 }
 
-void render_codes(const View& view, const GaussianCodes& codes, float* out, int n_threads, const Interrupted& interrupted) {
+void render_codes(const Projection& projection, const GaussianCodes& codes, float* out, int n_threads, const Interrupted& interrupted) {
     const auto& kernels = pick(baseline::code_kernels, v3::code_kernels, v4::code_kernels);
     auto memory = code_memory(codes, -1, n_threads);
-    for_tiles(view, codes.atoms_of_all_levels(), n_threads, interrupted, [&](const Tile& tile, int64_t, int worker) {
+    for_tiles(projection, codes.atoms_of_all_levels(), n_threads, interrupted, [&](const Tile& tile, int64_t, int worker) {
         kernels.render(tile, codes, out, memory[size_t(worker)].scratch());
     });
     check_atoms(memory, codes);
 }
 
-void render_cosines(const View& view, const GaussianCodes& codes, const Cosines& cosines, int n_threads,
+void render_cosines(const Projection& projection, const GaussianCodes& codes, const Cosines& cosines, int n_threads,
                     const Interrupted& interrupted) {
     const auto& kernels = pick(baseline::code_kernels, v3::code_kernels, v4::code_kernels);
     auto memory = code_memory(codes, cosines.n_queries, n_threads);
-    for_tiles(view, codes.atoms_of_all_levels(), n_threads, interrupted, [&](const Tile& tile, int64_t, int worker) {
+    for_tiles(projection, codes.atoms_of_all_levels(), n_threads, interrupted, [&](const Tile& tile, int64_t, int worker) {
         kernels.cosines(tile, codes, cosines, memory[size_t(worker)].scratch());
     });
     check_atoms(memory, codes);
@@ -134,10 +134,10 @@ void code_scores(int64_t n, const GaussianCodes& codes, const float* table, int3
     for (const int32_t of_chunk : largest) check_atoms(of_chunk, codes.n_atoms);
 }
 
-ViewCounts count_work(const View& view, int n_threads, const Interrupted& interrupted) {
+ViewCounts count_work(const Projection& projection, int n_threads, const Interrupted& interrupted) {
     const auto& kernels = pick(baseline::count_kernels, v3::count_kernels, v4::count_kernels);
-    std::vector<TileCounts> counts(static_cast<size_t>(view.n_tiles()));
-    for_tiles(view, 1, n_threads, interrupted,
+    std::vector<TileCounts> counts(static_cast<size_t>(projection.n_tiles()));
+    for_tiles(projection, 1, n_threads, interrupted,
               [&](const Tile& tile, int64_t t, int) { counts[size_t(t)] = kernels.count(tile); });
     ViewCounts total{{}, kernels.lanes};
     for (const TileCounts& c : counts) {

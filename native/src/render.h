@@ -5,18 +5,18 @@
 #include "code_kernels.h"
 #include "count_kernels.h"
 #include "threads.h"
-#include "view.h"
+#include "projection.h"
 
 namespace scoup {
 
-void render_channels(const View& view, const ChannelImage& out, int n_threads, const Interrupted& interrupted);
+void render_channels(const Projection& projection, const ChannelImage& out, int n_threads, const Interrupted& interrupted);
 
 // Those that read codes throw std::invalid_argument if one that matters refers to an atom there is not.
 
 // out [levels, height, width, n_atoms]
-void render_codes(const View& view, const GaussianCodes& codes, float* out, int n_threads, const Interrupted& interrupted);
+void render_codes(const Projection& projection, const GaussianCodes& codes, float* out, int n_threads, const Interrupted& interrupted);
 
-void render_cosines(const View& view, const GaussianCodes& codes, const Cosines& cosines, int n_threads,
+void render_cosines(const Projection& projection, const GaussianCodes& codes, const Cosines& cosines, int n_threads,
                     const Interrupted& interrupted);
 
 // Of Gaussians 0 .. n - 1, seen or not. The table is as long as there are atoms: [levels, n_atoms, columns].
@@ -27,6 +27,6 @@ struct ViewCounts {
     TileCounts all;
     int lanes;
 };
-ViewCounts count_work(const View& view, int n_threads, const Interrupted& interrupted);
+ViewCounts count_work(const Projection& projection, int n_threads, const Interrupted& interrupted);
 
 }  // namespace scoup

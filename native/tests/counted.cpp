@@ -15,7 +15,7 @@
 #include "combinations.h"
 #include "region_sums.h"
 #include "render.h"
-#include "view.h"
+#include "projection.h"
 #include "vote.h"
 
 namespace {
@@ -83,10 +83,10 @@ struct Work {
                 }
     }
 
-    scoup::View look() const {
+    scoup::Projection project() const {
         scoup::Scene scene = unprepared();
         scene.blocks = blocks.data();
-        return scoup::look(scene, camera, preset, 1, kNever);
+        return scoup::project(scene, camera, preset, 1, kNever);
     }
 
     scoup::Scene unprepared() const {
@@ -94,9 +94,9 @@ struct Work {
     }
 };
 
-void channels(const Work& work, const scoup::View& view, int32_t count) {
+void channels(const Work& work, const scoup::Projection& projection, int32_t count) {
     std::vector<float> image(size_t(kPixels * count)), alpha(size_t(kPixels), 0.0f);
-    scoup::render_channels(view, {work.colours.data(), count, image.data(), alpha.data()}, 1, kNever);
+    scoup::render_channels(projection, {work.colours.data(), count, image.data(), alpha.data()}, 1, kNever);
 }
 
 scoup::GaussianCodes codes_of(const Work& work) {
@@ -105,15 +105,15 @@ scoup::GaussianCodes codes_of(const Work& work) {
 
 scoup::Combinations combined(const Work& work) { return scoup::combine(work.labels.data(), kLevels, kPixels, 1, kNever); }
 
-scoup::RegionSums sums_of(const Work& work, const scoup::View& view) {
+scoup::RegionSums sums_of(const Work& work, const scoup::Projection& projection) {
     const scoup::Combinations all = combined(work);
-    return scoup::region_sums(view, {all.map.data(), kWidth, kHeight}, 1, kNever);
+    return scoup::region_sums(projection, {all.map.data(), kWidth, kHeight}, 1, kNever);
 }
 
 // Two rounds over the sums of one view, as often as a scene has views.
-void vote(const Work& work, const scoup::View& view) {
+void vote(const Work& work, const scoup::Projection& projection) {
     constexpr int kViews = 20;
-    static const scoup::RegionSums sums = sums_of(work, view);
+    static const scoup::RegionSums sums = sums_of(work, projection);
     static const scoup::Combinations all = combined(work);
     const int64_t count = sums.weight.size(), buckets = (kGaussians + scoup::kVoteBucket - 1) / scoup::kVoteBucket;
     std::vector<uint32_t> starts(size_t(buckets + 1), 0);
@@ -139,25 +139,25 @@ void vote(const Work& work, const scoup::View& view) {
     task.round({again.data(), nullptr, others.data(), kSlots}, &earlier, false, 0, buckets, 1, kNever);
 }
 
-void codes(const Work& work, const scoup::View& view) {
+void codes(const Work& work, const scoup::Projection& projection) {
     std::vector<float> out(size_t(kPixels) * kLevels * kAtoms);
-    scoup::render_codes(view, codes_of(work), out.data(), 1, kNever);
+    scoup::render_codes(projection, codes_of(work), out.data(), 1, kNever);
 }
 
-void cosines(const Work& work, const scoup::View& view) {
+void cosines(const Work& work, const scoup::Projection& projection) {
     std::vector<float> out(size_t(kPixels) * kLevels * kQueries);
-    scoup::render_cosines(view, codes_of(work), {work.grams.data(), work.scores.data(), kQueries, out.data(), nullptr}, 1, kNever);
+    scoup::render_cosines(projection, codes_of(work), {work.grams.data(), work.scores.data(), kQueries, out.data(), nullptr}, 1, kNever);
 }
 
 struct Mode {
     const char* name;
-    void (*run)(const Work& work, const scoup::View& view);
+    void (*run)(const Work& work, const scoup::Projection& projection);
 };
 constexpr Mode kModes[] = {
-    {"look", [](const Work& work, const scoup::View&) { work.look(); }},
-    {"alpha", [](const Work& work, const scoup::View& view) { channels(work, view, 0); }},
-    {"channels", [](const Work& work, const scoup::View& view) { channels(work, view, 3); }},
-    {"regions", [](const Work& work, const scoup::View& view) { sums_of(work, view); }},
+    {"project", [](const Work& work, const scoup::Projection&) { work.project(); }},
+    {"alpha", [](const Work& work, const scoup::Projection& projection) { channels(work, projection, 0); }},
+    {"channels", [](const Work& work, const scoup::Projection& projection) { channels(work, projection, 3); }},
+    {"regions", [](const Work& work, const scoup::Projection& projection) { sums_of(work, projection); }},
     {"vote", vote},
     {"codes", codes},
     {"cosines", cosines},
@@ -176,13 +176,13 @@ int main(int argc, char** argv) {
     }
     if (!scoup::use_isa("v3")) scoup::use_isa("baseline");
     const Work work;
-    const scoup::View view = work.look();
+    const scoup::Projection projection = work.project();
     const int repetitions = argc > 2 ? std::atoi(argv[2]) : 1;
     bool found = argc < 2;
     for (const Mode& mode : kModes) {
         if (argc >= 2 && std::strcmp(argv[1], mode.name) != 0) continue;
         found = true;
-        for (int i = 0; i < repetitions; ++i) mode.run(work, view);
+        for (int i = 0; i < repetitions; ++i) mode.run(work, projection);
     }
     if (!found) {
         std::printf("unknown mode; there are:");
@@ -190,5 +190,5 @@ int main(int argc, char** argv) {
         std::printf("\n");
         return 2;
     }
-    std::printf("%s: %lld pairs\n", scoup::name_of(scoup::current_isa()), static_cast<long long>(view.lists.size()));
+    std::printf("%s: %lld pairs\n", scoup::name_of(scoup::current_isa()), static_cast<long long>(projection.lists.size()));
 }

@@ -8,32 +8,32 @@
 #include "combinations.h"
 #include "region_sums.h"
 #include "render.h"
-#include "view.h"
+#include "projection.h"
 
 namespace scoup {
 
 // One view, how it was made, and what a round needs to ask it.
 struct Seen {
-    const View& view;
+    const Projection& projection;
     const Exact<float>& alpha;
     int threads;
 
-    int64_t pixels() const { return int64_t(view.width) * view.height; }
+    int64_t pixels() const { return int64_t(projection.width) * projection.height; }
 };
 
-inline void check_view(const View& view, const SceneArrays& scene) {
+inline void check_view(const Projection& projection, const SceneArrays& scene) {
     const int64_t count = scene.count();
-    check(view.n_visible >= 0 && view.n_visible <= count, "look: more are visible than there are");
-    check(view.starts[0] == 0 && view.starts[view.n_tiles()] == view.lists.size(), "look: lists have holes");
-    for (int64_t tile = 0; tile < view.n_tiles(); ++tile) {
-        check(view.starts[tile] <= view.starts[tile + 1], "look: a list ends before it begins");
-        for (int64_t i = view.starts[tile]; i < view.starts[tile + 1]; ++i) {
-            const Projected& p = view.projected[view.lists[i]];
-            check(int64_t(p.id) < count, "look: no such Gaussian");
-            if (i == view.starts[tile]) continue;
-            const Projected& before = view.projected[view.lists[i - 1]];
+    check(projection.n_visible >= 0 && projection.n_visible <= count, "project: more are visible than there are");
+    check(projection.starts[0] == 0 && projection.starts[projection.n_tiles()] == projection.lists.size(), "project: lists have holes");
+    for (int64_t tile = 0; tile < projection.n_tiles(); ++tile) {
+        check(projection.starts[tile] <= projection.starts[tile + 1], "project: a list ends before it begins");
+        for (int64_t i = projection.starts[tile]; i < projection.starts[tile + 1]; ++i) {
+            const Projected& p = projection.projected[projection.lists[i]];
+            check(int64_t(p.id) < count, "project: no such Gaussian");
+            if (i == projection.starts[tile]) continue;
+            const Projected& before = projection.projected[projection.lists[i - 1]];
             check(before.depth < p.depth || (before.depth == p.depth && scene.tie(before.id) < scene.tie(p.id)),
-                  "look: not front to back");
+                  "project: not front to back");
         }
     }
 }
@@ -81,7 +81,7 @@ inline void fuzz_binning(Random& random, const SceneArrays& arrays, const Camera
     check(refused, "bin: lists of another length than counted");
 }
 
-inline void check_same_view(const View& a, const View& b, const std::string& what) {
+inline void check_same_projection(const Projection& a, const Projection& b, const std::string& what) {
     check(a.n_visible == b.n_visible, what + ": other Gaussians are visible");
     check_same(a.starts, b.starts, what);
     check_same(a.lists, b.lists, what);
@@ -93,19 +93,19 @@ inline void check_same_view(const View& a, const View& b, const std::string& wha
 struct Channels {
     Exact<float> image, alpha;
 };
-inline Channels channels_of(Random& random, const View& view, const Exact<float>& values, int64_t channels, int threads) {
-    const int64_t pixels = int64_t(view.width) * view.height;
+inline Channels channels_of(Random& random, const Projection& projection, const Exact<float>& values, int64_t channels, int threads) {
+    const int64_t pixels = int64_t(projection.width) * projection.height;
     Channels out{{random, pixels * channels}, {random, pixels}};
-    render_channels(view, {values.data(), int32_t(channels), out.image.data(), out.alpha.data()}, threads, never);
+    render_channels(projection, {values.data(), int32_t(channels), out.image.data(), out.alpha.data()}, threads, never);
     return out;
 }
 
 inline void fuzz_channels(Random& random, const Seen& seen) {
     const int64_t channels = random.one_of<int64_t>({0, 1, 2, 3, 4, 5, 7, 8, 9, 17});
-    Exact<float> values(random, seen.view.n_gaussians * channels);
+    Exact<float> values(random, seen.projection.n_gaussians * channels);
     for (int64_t i = 0; i < values.size(); ++i) values[i] = float(random.uniform(-1, 1));
-    const Channels out = channels_of(random, seen.view, values, channels, seen.threads);
-    const Channels alone = channels_of(random, seen.view, values, channels, 1);
+    const Channels out = channels_of(random, seen.projection, values, channels, seen.threads);
+    const Channels alone = channels_of(random, seen.projection, values, channels, 1);
     check_same(out.image, alone.image, "channels: threads");
     check_same(out.alpha, alone.alpha, "alpha: threads");
     check_same(out.alpha, seen.alpha, "alpha: with other channels");
@@ -113,7 +113,7 @@ inline void fuzz_channels(Random& random, const Seen& seen) {
         check(std::abs(out.image[i]) <= out.alpha[i / channels] + 1e-4, "channels: more than what is painted");
     for (int64_t i = 0; i < values.size(); ++i)
         if (random.chance(0.1)) values[i] = hostile_float(random);
-    channels_of(random, seen.view, values, channels, seen.threads);
+    channels_of(random, seen.projection, values, channels, seen.threads);
 }
 
 inline Exact<int32_t> random_labels(Random& random, const Seen& seen, int64_t levels, int32_t most) {
@@ -123,7 +123,7 @@ inline Exact<int32_t> random_labels(Random& random, const Seen& seen, int64_t le
     const int64_t patch = random.between(1, 40);
     const double none = random.one_of({0.0, 0.1, 1.0});
     for (int64_t i = 0; i < labels.size(); ++i) {
-        const int64_t level = i / seen.pixels(), x = i % seen.view.width, y = i % seen.pixels() / seen.view.width;
+        const int64_t level = i / seen.pixels(), x = i % seen.projection.width, y = i % seen.pixels() / seen.projection.width;
         const int64_t cell = x / patch * 31 + y / patch * 17 + level;
         labels[i] = int32_t((per_pixel ? random.below(most) : cell % most));
         if (random.chance(none)) labels[i] = random.one_of({-1, -2, std::numeric_limits<int32_t>::min()});
@@ -164,14 +164,14 @@ inline void fuzz_regions(Random& random, const Seen& seen) {
         alpha[size_t(all.map[pixel])] += double(seen.alpha[pixel]);
     }
     const auto ask = [&](int threads) {
-        return region_sums(seen.view, {all.map.data(), seen.view.width, seen.view.height}, threads, never);
+        return region_sums(seen.projection, {all.map.data(), seen.projection.width, seen.projection.height}, threads, never);
     };
     const RegionSums found = ask(seen.threads), alone = ask(1);
     check_same(found.gaussian, alone.gaussian, "region sums: threads");
     check_same(found.combination, alone.combination, "region sums: threads");
     check_same(found.weight, alone.weight, "region sums: threads");
     for (int64_t i = 0; i < found.weight.size(); ++i) {
-        check(found.gaussian[i] >= 0 && found.gaussian[i] < seen.view.n_gaussians, "region sums: no such Gaussian");
+        check(found.gaussian[i] >= 0 && found.gaussian[i] < seen.projection.n_gaussians, "region sums: no such Gaussian");
         check(found.combination[i] >= 0 && found.combination[i] < all.count, "region sums: no such combination");
         check(found.weight[i] > 0 && std::isfinite(found.weight[i]), "region sums: not positive");
         check(i == 0 || found.gaussian[i - 1] < found.gaussian[i] ||
@@ -203,7 +203,7 @@ inline CodeArrays random_codes(Random& random, int64_t entries, int32_t n_atoms)
 
 // Rendered codes are channels of the codes written out; cosines follow from them.
 inline void fuzz_codes(Random& random, const Seen& seen) {
-    const int64_t n = seen.view.n_gaussians;
+    const int64_t n = seen.projection.n_gaussians;
     const auto levels = int32_t(random.between(1, 3)), k = int32_t(random.between(0, 5));
     const int32_t n_atoms = seen.pixels() > 5000 ? 7 : random.one_of({1, 2, 7, 64, 257});
     const CodeArrays codes = random_codes(random, n * levels * k, n_atoms);
@@ -214,14 +214,14 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
         table.indices16 = codes.indices16.data();
     const int64_t channels = table.atoms_of_all_levels(), image = seen.pixels() * n_atoms;
     Exact<float> rendered(random, levels * image), alone(random, levels * image);
-    render_codes(seen.view, table, rendered.data(), seen.threads, never);
-    render_codes(seen.view, table, alone.data(), 1, never);
+    render_codes(seen.projection, table, rendered.data(), seen.threads, never);
+    render_codes(seen.projection, table, alone.data(), 1, never);
     check_same(rendered, alone, "codes: threads");
 
     Exact<float> dense(random, n * channels);
     for (int64_t i = 0; i < n * levels * k; ++i)
         dense[i / k * n_atoms + codes.index(i)] += codes.weights[i];
-    const Channels expected = channels_of(random, seen.view, dense, channels, seen.threads);
+    const Channels expected = channels_of(random, seen.projection, dense, channels, seen.threads);
     for (int64_t i = 0; i < rendered.size(); ++i) {
         const int64_t level = i / image, pixel = i % image / n_atoms, atom = i % n_atoms;
         check_near(rendered[i], expected.image[pixel * channels + level * n_atoms + atom], 1e-4, "codes");
@@ -239,8 +239,8 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
     for (int64_t i = 0; i < scores.size(); ++i) scores[i] = float(random.uniform(-1, 1));
     Exact<float> cosines(random, levels * n_queries * seen.pixels()), again(random, cosines.size());
     Exact<float> norms(random, levels * seen.pixels());
-    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
-    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, again.data(), nullptr}, 1, never);
+    render_cosines(seen.projection, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
+    render_cosines(seen.projection, table, {grams.data(), scores.data(), n_queries, again.data(), nullptr}, 1, never);
     check_same(cosines, again, "cosines: threads");
     Exact<float> worth(random, n * levels * n_queries), alike(random, worth.size());
     code_scores(n, table, scores.data(), n_queries, worth.data(), seen.threads, never);
@@ -278,8 +278,8 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
     table.weights = nullptr, table.half_weights = half.data();
     for (int64_t i = 0; i < grams.size(); ++i)
         if (random.chance(0.1)) grams[i] = hostile_float(random);
-    render_codes(seen.view, table, rendered.data(), seen.threads, never);
-    render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
+    render_codes(seen.projection, table, rendered.data(), seen.threads, never);
+    render_cosines(seen.projection, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
     code_scores(n, table, scores.data(), n_queries, worth.data(), seen.threads, never);
 
     // Atoms that there are not: refused where they are met, and never read beyond.
@@ -293,9 +293,9 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
         } catch (const std::invalid_argument&) {
         }
     };
-    refused([&] { render_codes(seen.view, table, rendered.data(), seen.threads, never); });
+    refused([&] { render_codes(seen.projection, table, rendered.data(), seen.threads, never); });
     refused([&] {
-        render_cosines(seen.view, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
+        render_cosines(seen.projection, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
     });
     refused([&] { code_scores(n, table, scores.data(), n_queries, worth.data(), seen.threads, never); });
 }
@@ -309,26 +309,26 @@ inline void fuzz_raster(Random& random) {
     const Preset preset = random_preset(random, random.chance(0.3));
     const int threads = int(random.between(1, 4));
     const auto see = [&](int n_threads, const Interrupted& interrupted) {
-        return look(arrays.scene(), camera, preset, n_threads, interrupted);
+        return project(arrays.scene(), camera, preset, n_threads, interrupted);
     };
-    const View view = see(threads, never);
-    check_view(view, arrays);
+    const Projection projection = see(threads, never);
+    check_view(projection, arrays);
     double seconds = 0;
-    seconds = seconds_of([&] { check_same_view(view, see(1, never), "look: threads"); });
+    seconds = seconds_of([&] { check_same_projection(projection, see(1, never), "project: threads"); });
     if (random.chance(0.05)) interrupt(random, seconds, [&](const Interrupted& stop) { see(threads, stop); });
     const Buffer<SceneBlock> blocks = blocks_of(arrays.scene(), threads, never);
     Scene prepared = arrays.scene();
     prepared.blocks = blocks.data();
-    check_same_view(view, look(prepared, camera, preset, threads, never), "look: prepared");
+    check_same_projection(projection, project(prepared, camera, preset, threads, never), "project: prepared");
 
     fuzz_binning(random, arrays, camera, preset, threads);
-    const Channels alpha = channels_of(random, view, Exact<float>(), 0, threads);
+    const Channels alpha = channels_of(random, projection, Exact<float>(), 0, threads);
     for (int64_t i = 0; i < alpha.alpha.size(); ++i)
         check(alpha.alpha[i] >= 0 && alpha.alpha[i] <= 1, "alpha: not within 0 .. 1");
-    const ViewCounts work = count_work(view, threads, never);
-    check(work.all.pairs <= view.lists.size() && work.all.evaluations <= work.all.blocks * work.lanes, "count_work");
+    const ViewCounts work = count_work(projection, threads, never);
+    check(work.all.pairs <= projection.lists.size() && work.all.evaluations <= work.all.blocks * work.lanes, "count_work");
 
-    const Seen seen{view, alpha.alpha, threads};
+    const Seen seen{projection, alpha.alpha, threads};
     fuzz_channels(random, seen);
     fuzz_regions(random, seen);
     fuzz_codes(random, seen);

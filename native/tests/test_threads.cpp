@@ -13,16 +13,16 @@ namespace {
 constexpr int kCallers = 3;
 
 // What one caller does; the same whoever calls.
-std::vector<float> work(const scoup::SceneArrays& arrays, const scoup::Camera& camera, const scoup::View& shared) {
+std::vector<float> work(const scoup::SceneArrays& arrays, const scoup::Camera& camera, const scoup::Projection& shared) {
     using namespace scoup;
     Random random(7);
     const Preset preset{0.2, 0.99f, 1e-4f, false, true};
-    const View own = look(arrays.scene(), camera, preset, 2, never);
+    const Projection own = project(arrays.scene(), camera, preset, 2, never);
     std::vector<float> answers;
-    for (const View* view : {&own, &shared}) {
-        const Exact<float> alpha = channels_of(random, *view, Exact<float>(), 0, 2).alpha;
+    for (const Projection* projection : {&own, &shared}) {
+        const Exact<float> alpha = channels_of(random, *projection, Exact<float>(), 0, 2).alpha;
         answers.insert(answers.end(), alpha.data(), alpha.data() + alpha.size());
-        const Seen seen{*view, alpha, 2};
+        const Seen seen{*projection, alpha, 2};
         fuzz_channels(random, seen);
         fuzz_regions(random, seen);
         fuzz_codes(random, seen);
@@ -81,11 +81,11 @@ void threads_without_memory() {
 
 void views_without_memory(const scoup::SceneArrays& arrays, const scoup::Camera& camera) {
     const scoup::Preset preset{0.2, 0.99f, 1e-4f, false, true};
-    const scoup::View expected = scoup::look(arrays.scene(), camera, preset, 1, scoup::never);
+    const scoup::Projection expected = scoup::project(arrays.scene(), camera, preset, 1, scoup::never);
     until_memory_suffices([&] {
-        const scoup::View view = scoup::look(arrays.scene(), camera, preset, 3, scoup::never);
+        const scoup::Projection projection = scoup::project(arrays.scene(), camera, preset, 3, scoup::never);
         const int left = std::exchange(scoup::allocations_left, -1);  // the comparison may allocate
-        scoup::check_same_view(view, expected, "look: memory is scarce");
+        scoup::check_same_projection(projection, expected, "project: memory is scarce");
         scoup::allocations_left = left;
     });
 }
@@ -112,7 +112,7 @@ int main() {
         camera.width = 130, camera.height = 70;
         for (int i = 0; i < 3; ++i) camera.viewmat[5 * i] = 1;
         camera.fx = camera.fy = 100, camera.cx = 65, camera.cy = 35;
-        const scoup::View shared = scoup::look(arrays.scene(), camera, {0.2, 0.99f, 1e-4f, false, true}, 3, scoup::never);
+        const scoup::Projection shared = scoup::project(arrays.scene(), camera, {0.2, 0.99f, 1e-4f, false, true}, 3, scoup::never);
 
         views_without_memory(arrays, camera);
 

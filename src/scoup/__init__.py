@@ -7,62 +7,62 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from scoup.base.version import VERSION as __version__
 
 _HOMES = {
-    "Gaussians": "scoup.gaussians",
-    "Camera": "scoup.cameras",
-    "Cameras": "scoup.cameras",
-    "RegionMap": "scoup.regions",
-    "Regions": "scoup.regions",
-    "SparseCodes": "scoup.codes",
-    "ScoupError": "scoup.errors",
-    "ScoupWarning": "scoup.errors",
+    "Gaussians": "scoup.scene.gaussians",
+    "Camera": "scoup.scene.cameras",
+    "Cameras": "scoup.scene.cameras",
+    "RegionMap": "scoup.scene.regions",
+    "Regions": "scoup.scene.regions",
+    "SparseCodes": "scoup.scene.codes",
+    "ScoupError": "scoup.base.errors",
+    "ScoupWarning": "scoup.base.errors",
     "load_gaussians": "scoup.io",
     "save_gaussians": "scoup.io",
     "load_cameras": "scoup.io",
     "load_regions": "scoup.io",
     "Codebook": "scoup.coding",
     "fit_codes": "scoup.coding",
-    "look": "scoup.raster",
+    "project": "scoup.raster",
     "RegionSums": "scoup.uplift.region_sums",
-    "region_sums": "scoup.uplift.taking",
+    "region_sums": "scoup.uplift.rasterise",
     "vote": "scoup.uplift.vote",
-    "LanguageField": "scoup.field",
+    "LanguageField": "scoup.field.language_field",
     "build": "scoup.uplift.build",
     "update": "scoup.uplift.update",
-    "TextEncoder": "scoup.text",
-    "localize": "scoup.query",
-    "segment": "scoup.query",
-    "select": "scoup.query",
+    "TextEncoder": "scoup.models.text",
+    "localize": "scoup.query.answers",
+    "segment": "scoup.query.answers",
+    "select": "scoup.query.answers",
 }
 
 __all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 if TYPE_CHECKING:
-    from scoup.cameras import Camera as Camera
-    from scoup.cameras import Cameras as Cameras
-    from scoup.codes import SparseCodes as SparseCodes
+    from scoup.base.errors import ScoupError as ScoupError
+    from scoup.base.errors import ScoupWarning as ScoupWarning
     from scoup.coding import Codebook as Codebook
     from scoup.coding import fit_codes as fit_codes
-    from scoup.errors import ScoupError as ScoupError
-    from scoup.errors import ScoupWarning as ScoupWarning
-    from scoup.field import LanguageField as LanguageField
-    from scoup.gaussians import Gaussians as Gaussians
+    from scoup.field.language_field import LanguageField as LanguageField
     from scoup.io import load_cameras as load_cameras
     from scoup.io import load_gaussians as load_gaussians
     from scoup.io import load_regions as load_regions
     from scoup.io import save_gaussians as save_gaussians
-    from scoup.query import localize as localize
-    from scoup.query import segment as segment
-    from scoup.query import select as select
-    from scoup.raster import look as look
-    from scoup.regions import RegionMap as RegionMap
-    from scoup.regions import Regions as Regions
-    from scoup.text import TextEncoder as TextEncoder
+    from scoup.models.text import TextEncoder as TextEncoder
+    from scoup.query.answers import localize as localize
+    from scoup.query.answers import segment as segment
+    from scoup.query.answers import select as select
+    from scoup.raster import project as project
+    from scoup.scene.cameras import Camera as Camera
+    from scoup.scene.cameras import Cameras as Cameras
+    from scoup.scene.codes import SparseCodes as SparseCodes
+    from scoup.scene.gaussians import Gaussians as Gaussians
+    from scoup.scene.regions import RegionMap as RegionMap
+    from scoup.scene.regions import Regions as Regions
     from scoup.uplift.build import build as build
+    from scoup.uplift.rasterise import region_sums as region_sums
     from scoup.uplift.region_sums import RegionSums as RegionSums
-    from scoup.uplift.taking import region_sums as region_sums
     from scoup.uplift.update import update as update
     from scoup.uplift.vote import vote as vote
 

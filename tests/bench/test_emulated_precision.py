@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from benchmarks.gpu import emulated_precision
 from benchmarks.gpu.interpreting import product, truncated
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ["--n-gaussians", "60", "--width", "17", "--height", "9", "--n-atoms", "16"]

@@ -44,8 +44,8 @@ from coding.plain_adam import plain_adam as oracle
 from compiling import F32, I32, I64, compile_kernel
 from interpreting import interpreter
 from scoup import raster
+from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
 from scoup.bench import count_evaluations, make_room, room_cameras, room_workload
-from scoup.errors import InputError, OutputExistsError, UnknownNameError
 
 ROOT = Path(__file__).resolve().parents[2]
 CPU = Clock(torch.device("cpu"))
@@ -92,7 +92,7 @@ def test_walking_counts_what_paints(needs_triton: None) -> None:
 def walked() -> list[tuple[int, int]]:
     from benchmarks.gpu.walking import walk
 
-    view = raster.look(make_room(40), room_cameras(1, 19, 13)[0], "inria", "triton")
+    view = raster.project(make_room(40), room_cameras(1, 19, 13)[0], "inria", "triton")
     walks = [walk(view, chunk) for chunk in (64, 32, 16)]  # pyright: ignore
     return [(item.painting, item.lanes) for item in walks]
 
@@ -400,7 +400,7 @@ def test_the_peer_takes_our_arguments() -> None:
 
 def test_dense_uplift_by_gradients() -> None:
     work = room_workload(60, 30, 20, regions=(4, 3, 2))
-    view = raster.look(work.gaussians, work.camera, "gsplat", "reference")
+    view = raster.project(work.gaussians, work.camera, "gsplat", "reference")
 
     def rasterization(colors: torch.Tensor, **_: object) -> tuple[torch.Tensor]:
         return (raster.render_channels(view, colors)[0][None],)

@@ -18,7 +18,7 @@ from benchmarks.gpu.gsplat_kernels import BACKWARD, PEERS, Peer, channels_of, cu
 from benchmarks.gpu.launches import launches
 from benchmarks.gpu.timing import Unavailable
 
-from scoup.errors import InputError, OutputExistsError
+from scoup.base.errors import InputError, OutputExistsError
 
 # A loop over batches (.L_batch) around one over Gaussians (.L_gaussian), with a way around its middle, a way out, and
 # what serves threads one by one: behind the end for BRA.DIV, in line for BRA.CONV. Another loop takes no power.

@@ -17,18 +17,18 @@ from benchmarks.gpu import a_pixel, instructions, lanes
 from benchmarks.gpu.launches import launches
 from benchmarks.gpu.tile_walks import GSPLAT, Walk, chunked, rectangles, walk
 
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError
 from scoup.bench import count_evaluations
-from scoup.errors import FileFormatError, InputError, MissingFileError, OutputExistsError
 from scoup.raster.binning import bin_to_tiles
-from scoup.raster.presets import PRESETS, RasterPreset
-from scoup.raster.projection import Projection, project
+from scoup.raster.presets import RASTER_PRESETS, RasterPreset
+from scoup.raster.projection import ProjectedGaussians, project_gaussians
 from support import make_camera, random_gaussians
 
 ALL = 10**6
 SIZES = [(40, 27), (16, 16), (70, 50), (5, 3)]
 
 
-def alpha_at(projection: Projection, rank: int, x: float, y: float, preset: RasterPreset) -> float:
+def alpha_at(projection: ProjectedGaussians, rank: int, x: float, y: float, preset: RasterPreset) -> float:
     xx, xy, yy = projection.covariances[rank].tolist()
     centre_x, centre_y = projection.means2d[rank].tolist()
     dx, dy = x - centre_x, y - centre_y
@@ -37,7 +37,7 @@ def alpha_at(projection: Projection, rank: int, x: float, y: float, preset: Rast
 
 
 def literal_tile(
-    projection: Projection,
+    projection: ProjectedGaussians,
     ranks: list[int],
     left: int,
     top: int,
@@ -65,7 +65,7 @@ def literal_tile(
     return found
 
 
-def literal_lists(projection: Projection, size: tuple[int, int]) -> dict[tuple[int, int], list[int]]:
+def literal_lists(projection: ProjectedGaussians, size: tuple[int, int]) -> dict[tuple[int, int], list[int]]:
     """gsplat's: by column and row of the tile."""
     found: dict[tuple[int, int], list[int]] = {}
     for rank in range(len(projection)):
@@ -95,8 +95,8 @@ def test_lanes_are_those_of_literal_loops(size: tuple[int, int]) -> None:
     rows = {row["name"]: row for row in lanes.count_view(gaussians, camera, ALL)["rows"]}
     pixels = size[0] * size[1]
 
-    preset = PRESETS["inria"]
-    projection = project(gaussians, camera, preset)
+    preset = RASTER_PRESETS["inria"]
+    projection = project_gaussians(gaussians, camera, preset)
     stopped = 0
     for tile in (8, 16):
         bins = bin_to_tiles(projection, *size, tile)
@@ -127,7 +127,7 @@ def test_steps_of_warps_are_those_of_literal_loops(size: tuple[int, int]) -> Non
     gaussians.scales.mul_(3)  # so that warps stop
     camera = make_camera(*size, focal=size[0])
     row = lanes.count_view(gaussians, camera, ALL)["rows"][-1]
-    projection = project(gaussians, camera, GSPLAT)
+    projection = project_gaussians(gaussians, camera, GSPLAT)
     lists = literal_lists(projection, size)
     assert row["pairs"] == sum(len(own) for own in lists.values())
     paint = skip = painting = stopped = 0
@@ -167,10 +167,12 @@ def test_tiles_of_any_size_paint_the_same() -> None:
 def test_a_walk_does_not_depend_on_how_many_are_taken_at_once() -> None:
     gaussians = random_gaussians(200, 2, ("opacity 1",))
     camera = make_camera(40, 30)
-    projection = project(gaussians, camera, PRESETS["inria"])
+    projection = project_gaussians(gaussians, camera, RASTER_PRESETS["inria"])
     bins = rectangles(projection, 40, 30)
     for tile in range(bins.across * bins.down):
-        found = [walk(projection, bins, tile, 40, 30, PRESETS["inria"], at_once) for at_once in (1, 7, 1024)]
+        found = [
+            walk(projection, bins, tile, 40, 30, RASTER_PRESETS["inria"], at_once) for at_once in (1, 7, 1024)
+        ]
         for own in found[1:]:
             assert (own.seen == found[0].seen).all()
             assert (own.painting, own.painting_steps) == (found[0].painting, found[0].painting_steps)

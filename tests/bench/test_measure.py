@@ -9,9 +9,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scoup.base.errors import InputError
 from scoup.bench import measure
 from scoup.bench.measure import StageClock, Task, Timing, fit_slope, time_tasks, torch_threads
-from scoup.errors import InputError
 
 
 @given(

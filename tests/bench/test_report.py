@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from scoup.base.errors import OutputExistsError
 from scoup.bench.environment import describe_environment, in_one_line
 from scoup.bench.measure import Timing
 from scoup.bench.report import Row, markdown, milliseconds, ratios, stage_table, write_json
-from scoup.errors import OutputExistsError
 
 
 def row(stage: str, backend: str, threads: int, *milliseconds: float, count: int = 1000) -> Row:
@@ -20,9 +20,9 @@ def row(stage: str, backend: str, threads: int, *milliseconds: float, count: int
 
 def test_a_table_of_stages():
     rows = [
-        row("look", "native", 1, 2, 2, 3),
-        row("look", "reference", 1, 500, 400, 300),
-        row("look", "native", 2, 1, 1, 1),
+        row("project", "native", 1, 2, 2, 3),
+        row("project", "reference", 1, 500, 400, 300),
+        row("project", "native", 2, 1, 1, 1),
         row("vote", "native", 1, 0.5, 0.5, 0.5, count=2000),
     ]
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in stage_table(rows).splitlines()]
@@ -30,35 +30,37 @@ def test_a_table_of_stages():
         "scene", "Gaussians", "stage", "native, 1 thread, ms", "reference, 1 thread, ms", "native, 2 threads, ms",
         "native/reference, 1 thread",
     ]  # fmt: skip
-    assert lines[2] == ["room", "1,000", "look", "2", "400", "1", "0.005"]
+    assert lines[2] == ["room", "1,000", "project", "2", "400", "1", "0.005"]
     assert lines[3] == ["room", "2,000", "vote", "0.5", "-", "-", "-"]
     assert len(lines) == 4
 
 
 def test_a_table_of_the_reference_alone_has_no_ratios():
-    rows = [row("look", "reference", 1, 5)]
+    rows = [row("project", "reference", 1, 5)]
     assert ratios(rows) == []
     assert "/reference" not in stage_table(rows)
 
 
 def test_a_table_says_how_often_each_column_ran():
-    head = stage_table([row("look", "native", 1, 1, 1, 1), row("look", "reference", 1, 9)]).splitlines()[0]
+    head = stage_table(
+        [row("project", "native", 1, 1, 1, 1), row("project", "reference", 1, 9)]
+    ).splitlines()[0]
     assert "native, 1 thread, ms (3 runs)" in head
     assert "reference, 1 thread, ms (1 runs)" in head
 
 
 def test_ratios_are_of_the_same_scene_stage_and_threads():
     rows = [
-        row("look", "native", 1, 2),
-        row("look", "native", 2, 2),
+        row("project", "native", 1, 2),
+        row("project", "native", 2, 2),
         row("vote", "native", 1, 2),
-        row("look", "reference", 1, 8),
+        row("project", "reference", 1, 8),
     ]
     assert [item.record() for item in ratios(rows)] == [
         {
             "scene": "room",
             "gaussians": 1000,
-            "stage": "look",
+            "stage": "project",
             "backend": "native",
             "threads": 1,
             "time_over_reference": 0.25,
@@ -85,7 +87,7 @@ def test_milliseconds(seconds, text):
 
 def test_json_is_written_once(tmp_path: Path):
     path = tmp_path / "new" / "a.json"
-    write_json(path, {"rows": [row("look", "native", 1, 2).record()]})
+    write_json(path, {"rows": [row("project", "native", 1, 2).record()]})
     assert set(json.loads(path.read_text())["rows"][0]) == {
         "scene", "gaussians", "stage", "backend", "threads", "median_s", "min_s", "max_s", "repeats",
     }  # fmt: skip

@@ -10,9 +10,9 @@ from types import ModuleType
 import pytest
 import torch
 
+from scoup.base.errors import InputError, OutputExistsError
 from scoup.bench import usable_backends
-from scoup.coding.exact import PRESETS
-from scoup.errors import InputError, OutputExistsError
+from scoup.coding.exact import EFFORTS
 
 ROOT = Path(__file__).resolve().parents[2]
 BACKENDS = usable_backends()[0]
@@ -33,7 +33,7 @@ def test_stages_of_several_scenes(script, tmp_path: Path, capsys: pytest.Capture
     out = tmp_path / "raster.json"
     arguments = raster.Arguments(
         n_gaussians=(50, 90), threads=(1, 2), repeats=2, reference_repeats=1, reference_up_to=60, kitchen=False,
-        clock_ghz=2.0, stages=("look", "alpha"), out=out, **SMALL,
+        clock_ghz=2.0, stages=("project", "alpha"), out=out, **SMALL,
     )  # fmt: skip
     record = raster.main(arguments)
     assert json.loads(out.read_text()) == record
@@ -109,7 +109,7 @@ def test_every_form_of_coding(script, tmp_path: Path, capsys: pytest.CaptureFixt
             assert len(fit["loss"]) == len(fit["seconds"]["all"]) == 2
             parts = sum(part["all"][0] for part in fit["parts_s"].values())
             assert parts <= fit["seconds"]["all"][0] + 1e-9
-        assert set(PRESETS) < set(size["exact"])
+        assert set(EFFORTS) < set(size["exact"])
         assert set(size["epoch_s"]) == {coding.GRAM, coding.PLAIN}
         assert -1e-6 < size["gap"]["mean"] <= size["gap"]["greatest"]
         assert 0.5 < size["gap"]["optimal"] <= 1

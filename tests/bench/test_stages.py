@@ -11,10 +11,10 @@ import torch
 
 from raster.brute_force import blending_weights
 from scoup import raster
+from scoup.base.errors import InputError, UnknownNameError
 from scoup.bench import bound
-from scoup.bench.room import make_room, room_cameras
 from scoup.bench.stages import STAGES, make_workload, room_workload, stage_runs, usable_backends
-from scoup.errors import InputError, UnknownNameError
+from scoup.synthetic.room import make_room, room_cameras
 
 BACKENDS = usable_backends()[0]
 
@@ -29,7 +29,7 @@ def test_every_stage_runs(work, backend):
     runs = stage_runs(work, backend)
     assert list(runs) == list(STAGES)
     results = {name: run() for name, run in runs.items()}
-    assert results["look"].backend == backend
+    assert results["project"].backend == backend
     image, alpha = results["alpha"]
     assert image.shape == (30, 40, 1)
     assert torch.allclose(image[..., 0], alpha, atol=1e-5)
@@ -57,7 +57,7 @@ def test_the_vote_is_over_what_is_painted(work, backend):
 
 
 def test_stages_in_the_order_wanted(work):
-    assert list(stage_runs(work, "reference", ["vote", "look"])) == ["vote", "look"]
+    assert list(stage_runs(work, "reference", ["vote", "project"])) == ["vote", "project"]
     with pytest.raises(InputError, match="no stage 'paint'; stages: look, alpha"):
         stage_runs(work, "reference", ["paint"])
 

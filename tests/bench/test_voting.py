@@ -12,12 +12,12 @@ import pytest
 import torch
 
 from scoup import raster
-from scoup.errors import InputError, UnknownNameError
-from scoup.evaluate.lerf_ovs import score_frame
+from scoup.base.errors import InputError, UnknownNameError
 from scoup.evaluate.metrics import bootstrap_interval
-from scoup.evaluate.perturbations import as_region_sums
-from scoup.query import PRESETS
-from scoup.relevancy import relevancy
+from scoup.evaluate.protocols.lerf_ovs import score_frame
+from scoup.field.relevancy import relevancy
+from scoup.query.answers import QUERY_PRESETS
+from scoup.synthetic.faults import as_region_sums
 from scoup.uplift.build import BuildSettings
 
 PARTS = ("_scenes", "_ways", "_scores", "_results")
@@ -94,7 +94,7 @@ def test_scores_are_those_of_the_protocol(voting, tmp_path: Path) -> None:
                 view, indices, weights, codebook, torch.cat([queries, scene.canonical])
             )
             maps = relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
-            expected += score_frame(frame, maps, PRESETS[name])
+            expected += score_frame(frame, maps, QUERY_PRESETS[name])
         assert values == [pair.iou for pair in expected]
         assert found.hit == [pair.hit for pair in expected]
         assert scene.pairs == [(pair.frame, pair.label) for pair in expected]
@@ -130,7 +130,7 @@ def test_every_comparison_is_of_known_ways(voting) -> None:
 def test_the_default_way_is_what_build_and_query_do(voting) -> None:
     ways = voting("_ways")
     default, paper = ways.WAYS["default"], ways.WAYS["paper"]
-    assert default.level_choice == PRESETS["default"].level_choice
+    assert default.level_choice == QUERY_PRESETS["default"].level_choice
     assert paper == ways.Way(ways.Recipe("adam", 4000, 64, 4, 4, False, 1), "peak")
     everything = BuildSettings(solver="exact", n_atoms=300, keep=0)
     assert ways.Recipe.of(everything).keep is None

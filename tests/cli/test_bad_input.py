@@ -12,10 +12,10 @@ import pytest
 import torch
 
 from cli_support import QUICK, WORDS, refused, run, write_scene
-from scoup.cameras import Cameras
 from scoup.io import save_gaussians, save_png, write_colmap
-from scoup.relevancy import CANONICAL_PHRASES
-from scoup.text_table import save_table
+from scoup.models.word_table import save_table
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.scene.cameras import Cameras
 from support import make_camera, random_gaussians
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -352,7 +352,7 @@ def test_cameras_that_are_not_there():
 
 
 def test_a_field_without_cameras_or_geometry():
-    from scoup.field import LanguageField
+    from scoup.field.language_field import LanguageField
 
     field = LanguageField.load("f.scoup")
     bare = LanguageField(field.code_indices, field.code_weights, field.codebook, field.info)

@@ -10,7 +10,7 @@ import torch
 
 import scoup
 from cli_support import QUICK, run, run_json, snapshot
-from scoup.field import LanguageField
+from scoup.field.language_field import LanguageField
 from scoup.io import save_png
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -105,7 +105,7 @@ def test_region_sums_are_kept_on_request_and_built_from_again(monkeypatch):
     def no_look(*_, **__):
         raise AssertionError("nothing is rasterised")
 
-    monkeypatch.setattr("scoup.raster.look", no_look)
+    monkeypatch.setattr("scoup.raster.project", no_look)
     again = ("build", "scene", *QUICK, "--sums", "a.scoup.sums")
     run_json(*again, "--out", "b.scoup", "--seed", "5", "--rounds", "3")
     assert Path("b.scoup").read_bytes() == Path("whole.scoup").read_bytes()
@@ -178,7 +178,8 @@ def test_nothing_is_replaced_unasked():
 @pytest.mark.parametrize("at", ["view", "after a view was taken in"])
 @pytest.mark.parametrize("views", [0, 2, 3])
 def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, views, at):
-    from scoup.uplift import build, taking
+    from scoup.uplift import build
+    from scoup.uplift import rasterise as taking
 
     run_json("build", "scene", *QUICK, "--out", "whole.scoup")
     append, appended = taking.RegionSums.append, []

@@ -1,4 +1,4 @@
-"""scoup eval on small twins, as a user runs it."""
+"""scoup eval on small synthetic data sets, as a user runs it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from cli_support import refused, run, run_json
-from scoup.evaluate.lerf_ovs import read_labels
+from scoup.evaluate.protocols.lerf_ovs import read_labels
 
 pytestmark = pytest.mark.slow
 
@@ -20,11 +20,11 @@ QUICK = ("--n-atoms", 16)
 
 @pytest.fixture(scope="session")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a twin of each data set; nobody writes into it."""
+    """A folder with a synthetic version of each data set; nobody writes into it."""
     folder = tmp_path_factory.mktemp("eval")
     for name in ("lerf-ovs", "3d-ovs", "mipnerf360"):
         code, _, err = run(
-            "eval", "twin", name, folder / name, "--scenes", "table", "--scenes", "shelves", *TINY
+            "eval", "synthetic", name, folder / name, "--scenes", "table", "--scenes", "shelves", *TINY
         )
         assert code == 0, err
     return folder
@@ -212,9 +212,9 @@ def test_presence_to_query_and_select(here: Path) -> None:
     assert "two scenes or more" in refused("eval", "presence", "lerf-ovs", "--scenes", "table", "--overwrite")
 
 
-def test_twins_are_refused_over_others(here: Path) -> None:
+def test_synthetic_data_sets_do_not_replace_others(here: Path) -> None:
     message = refused(
-        "eval", "twin", "lerf-ovs", "lerf-ovs", "--scenes", "table", *TINY, folder=here / "lerf-ovs"
+        "eval", "synthetic", "lerf-ovs", "lerf-ovs", "--scenes", "table", *TINY, folder=here / "lerf-ovs"
     )
     assert "--overwrite" in message
 
@@ -231,6 +231,6 @@ def test_help() -> None:
         "curves",
         "consistency",
         "presence",
-        "twin",
+        "synthetic",
     ):
         assert name in out

@@ -11,9 +11,9 @@ import torch
 from PIL import Image
 
 from cli_support import QUICK, refused, run, run_json, snapshot
-from scoup.field import LanguageField
+from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_regions
-from scoup.io.region_manifest import MANIFEST
+from scoup.io.regions.manifest import MANIFEST
 
 pytestmark = pytest.mark.usefixtures("here")
 

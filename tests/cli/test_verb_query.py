@@ -14,11 +14,11 @@ import torch
 from PIL import Image
 
 from cli_support import run, run_json, snapshot
-from scoup.cameras import Cameras
+from scoup.base.errors import InputError
 from scoup.cli.query import Query
-from scoup.errors import InputError
 from scoup.io import write_colmap
-from scoup.query import PRESETS
+from scoup.query.answers import QUERY_PRESETS
+from scoup.scene.cameras import Cameras
 from support import make_camera
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -99,7 +99,7 @@ def test_rules_and_thresholds_change_the_mask():
 
 def test_rules_are_the_presets_and_the_first_is_the_default():
     rules = get_args(get_type_hints(Query)["rule"])
-    assert rules == tuple(PRESETS)
+    assert rules == tuple(QUERY_PRESETS)
     ask = ("query", "f.scoup", "kettle", "mug", "--camera", "all", "--pictures", "none", "--overwrite")
     answers = lambda *options: run_json(*ask, *options)["answers"]  # noqa: E731
     assert answers() == answers("--rule", "default")
@@ -182,7 +182,7 @@ def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
 
 
 def test_the_table_named_on_the_command_line_wins():
-    from scoup.text_table import load_table, save_table
+    from scoup.models.word_table import load_table, save_table
 
     table = load_table("scene/words.npz")
     swapped = torch.from_numpy(table.vectors)[[1, 0, *range(2, len(table.names))]]

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from cli_support import refused, run, run_json
-from scoup.field import LanguageField
+from scoup.field.language_field import LanguageField
 from scoup.raster import render_colors
 
 pytestmark = pytest.mark.usefixtures("here")

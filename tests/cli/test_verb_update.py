@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cli_support import QUICK, run, run_json, snapshot, write_scene
-from scoup.field import LanguageField
+from scoup.field.language_field import LanguageField
 from scoup.uplift.region_sums import RegionSums
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*badly explained")  # its regions are random
@@ -94,7 +94,7 @@ def test_an_interrupted_update_leaves_both_files(monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("scoup.field.LanguageField.save", interrupt)
+    monkeypatch.setattr("scoup.field.language_field.LanguageField.save", interrupt)
     code, _, _ = run("update", "a.scoup", "--scene", "scene", "--add", "all", "--overwrite")
     assert code == 130
     assert snapshot(Path()) == before

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.coding.exact_reference import Coded, code
+from scoup.coding.reference import Coded, code
 
 Coder = Callable[..., Coded]
 """``coder(similarities, gram, k, swap_passes=0, warm=None)``, all float32 but the warm supports."""
@@ -68,7 +68,7 @@ def _interpreted(
     warm: NDArray[np.int32] | None,
     block_rows: int | None,
 ) -> tuple[NDArray, ...]:
-    from scoup.coding import gpu
+    from scoup.coding.triton import coder as gpu
 
     sizes = gpu.launch_sizes(len(gram), k)
     if block_rows is not None:  # rows of a block cost the interpreter little

@@ -16,7 +16,7 @@ from scoup.coding.arithmetic import Arithmetic, NativeArithmetic, TorchArithmeti
 @pytest.fixture(scope="session")
 def core() -> ModuleType:
     """The compiled core; tests that need it are skipped where it is not built."""
-    module = pytest.importorskip("scoup.native").native_core()
+    module = pytest.importorskip("scoup.base.native").native_core()
     if module is None:
         pytest.skip("the compiled core is not built")
     return module

@@ -8,10 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes
+from scoup.base.errors import InputError
 from scoup.coding import Codebook, fit_codes
 from scoup.coding.report import code_cosines, explained_from, report_on
-from scoup.errors import InputError
+from scoup.scene.codes import SparseCodes
 
 KNOWN, UNSEEN = 200, 8  # things
 

@@ -15,8 +15,8 @@ from scoup.coding import exact, fit_codes
 from scoup.coding.adam import AdamSettings, solve_adam
 from scoup.coding.arithmetic import Arithmetic, NativeArithmetic, TorchArithmetic
 from scoup.coding.exact import FAST, ExactSettings, solve_exact
-from scoup.coding.exact_reference import code
 from scoup.coding.exact_start import starting_atoms
+from scoup.coding.reference import code
 from scoup.coding.report import report_on
 
 QUICK = ExactSettings(steps=30, batch=100, passes=3)
@@ -26,7 +26,7 @@ def test_ends_below_adam(arithmetic: Arithmetic) -> None:
     rows = clip_like(600, 48, objects=40)
     adam = solve_adam(rows, 16, 3, settings=AdamSettings(epochs=500))
     adam_loss = report_on(rows, adam.atoms, adam.codes).loss
-    losses = {name: solve_exact(rows, 16, 3, 0, preset).losses[-1] for name, preset in exact.PRESETS.items()}
+    losses = {name: solve_exact(rows, 16, 3, 0, preset).losses[-1] for name, preset in exact.EFFORTS.items()}
     assert losses["best"] < losses["fast"] < adam_loss
 
 

@@ -27,7 +27,7 @@ from scipy.optimize import nnls
 from scoup.coding import encode as encode_module
 from scoup.coding.arithmetic import NativeArithmetic, RowCodes, TorchArithmetic
 from scoup.coding.encode import encode
-from scoup.coding.exact_reference import nonnegative_least_squares
+from scoup.coding.reference import nonnegative_least_squares
 
 
 # Seeds of the problems are fixed; shares and gaps stand well clear of what either form reaches.
@@ -128,8 +128,8 @@ def test_weights_agree_with_scipy(coder: Coder) -> None:
 def test_near_copies_of_an_atom_are_not_used_together(coder: Coder) -> None:
     rows, atoms, _, _ = problem(60, 6)
     generator = torch.Generator().manual_seed(0)
-    twins = torch.cat([atoms, atoms + 1e-4 * torch.randn(atoms.shape, generator=generator)])
-    similarities, gram = rows @ twins.T, twins @ twins.T
+    similar = torch.cat([atoms, atoms + 1e-4 * torch.randn(atoms.shape, generator=generator)])
+    similarities, gram = rows @ similar.T, similar @ similar.T
     start = torch.tensor([0, 6, 2, 8]).expand(60, 4)
     for coded in (coder(similarities, gram, 4, 0, start), coder(similarities, gram, 4, 2)):
         assert float(coded.weights.max()) < 2

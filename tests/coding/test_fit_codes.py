@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from scoup.codes import SparseCodes
+from scoup.base.errors import InputError
 from scoup.coding import fit_codes
 from scoup.coding.encode import encode
 from scoup.coding.report import code_cosines, report_on
-from scoup.errors import InputError
+from scoup.scene.codes import SparseCodes
 
 
 def random_rows(count: int, dim: int = 16, seed: int = 0) -> Tensor:

@@ -14,7 +14,7 @@ from torch import Tensor
 from compiling import compile_kernel
 from scoup.coding.encode import encode
 from scoup.coding.exact import ExactSettings, solve_exact
-from scoup.coding.exact_reference import Coded, code
+from scoup.coding.reference import Coded, code
 
 MOST_STACK = 64  # bytes a thread: what spills from registers into memory
 
@@ -111,8 +111,8 @@ def test_copies_of_an_atom_are_used_once(interpreted: Coder) -> None:
 def test_compiles_without_spilling(
     needs_triton: None, tmp_path: Path, capability: int, n_atoms: int, k: int, warm: bool
 ) -> None:
-    from scoup.coding import gpu
-    from scoup.coding.gpu_kernels import code_kernel
+    from scoup.coding.triton import coder as gpu
+    from scoup.coding.triton.kernels import code_kernel
 
     sizes = gpu.launch_sizes(n_atoms, k)
     constants = {
@@ -140,7 +140,7 @@ def test_triton_is_not_imported_for_rows_on_a_cpu() -> None:
     program = (
         "import sys, torch; from scoup.coding import fit_codes; "
         "book = fit_codes(torch.rand(30, 8), 4, 2, solver='exact'); book.encode(torch.rand(3, 8)); "
-        "sys.exit('triton' in sys.modules or 'scoup.coding.gpu' in sys.modules)"
+        "sys.exit('triton' in sys.modules or 'scoup.coding.triton.coder' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 import torch
 
+from scoup.base.errors import UnknownNameError
 from scoup.baselines.methods import METHODS
-from scoup.errors import UnknownNameError
-from scoup.evaluate.ablation_recipes import ABLATIONS, BASE, find_ablations
-from scoup.evaluate.ablations import _rule, _start, _without
-from scoup.evaluate.curves import FAULTS, displaced_masks, find_fault
-from scoup.evaluate.prepared import every_nth_pixel, of_views
 from scoup.evaluate.published import ABLATIONS as PUBLISHED
-from scoup.presence import vote_entropy
-from scoup.query import PRESETS
-from scoup.uplift.taking import region_sums
+from scoup.evaluate.studies.ablation_recipes import ABLATIONS, BASE, find_ablations
+from scoup.evaluate.studies.ablations import _rule, _start, _without
+from scoup.evaluate.studies.curves import FAULTS, displaced_masks, find_fault
+from scoup.evaluate.studies.rasterised import every_nth_pixel, of_views
+from scoup.query.answers import QUERY_PRESETS
+from scoup.query.presence import vote_entropy
+from scoup.uplift.rasterise import region_sums
 from scoup.uplift.vote import GaussianCodes
 from support import small_scene, unit
 
@@ -49,7 +49,7 @@ def test_starts() -> None:
 
 
 def test_rules_of_rows() -> None:
-    preset = PRESETS["scoup"]
+    preset = QUERY_PRESETS["scoup"]
     rules = {each.name: _rule(each, preset) for each in ABLATIONS}
     assert [name for name, rule in rules.items() if rule.everyday] == ["beside everyday words"]
     assert rules["level by mask"].preset.level_choice == "mask"

@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from scoup import raster
+from scoup.base.errors import InputError
 from scoup.baselines.autoencoder import AutoencoderSettings
-from scoup.cameras import Cameras
-from scoup.errors import InputError
-from scoup.evaluate.consistency import Matches, consistency, consistency_table, dominant_gaussians
-from scoup.gaussians import Gaussians
-from scoup.regions import RegionMap, Regions
+from scoup.evaluate.studies.consistency import Matches, consistency, consistency_table, dominant_gaussians
+from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import BuildSettings
 from support import make_camera, small_scene, unit
 
@@ -83,7 +83,7 @@ def test_gaussians_match_where_they_dominate() -> None:
     assert len(found.points) == 1
     centre = 15 * 40 + 20
     assert found.points[0] == [("a.png", centre), ("b.png", centre)]
-    weights = raster.render_channels(raster.look(scene, cameras[0]), torch.eye(3))[0][15, 20]
+    weights = raster.render_channels(raster.project(scene, cameras[0]), torch.eye(3))[0][15, 20]
     assert weights[0] > 0.5 > weights[1]
 
 

@@ -10,9 +10,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scoup.cameras import Camera, Cameras
-from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
-from scoup.evaluate.lerf_ovs import (
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.evaluate.protocols.lerf_ovs import (
     match_frames,
     overall,
     read_frame,
@@ -20,7 +19,8 @@ from scoup.evaluate.lerf_ovs import (
     score_frame,
     score_scene,
 )
-from scoup.query import segment
+from scoup.query.answers import segment
+from scoup.scene.cameras import Camera, Cameras
 
 
 def square(label: str, x1: float, y1: float, x2: float, y2: float) -> dict:

@@ -9,9 +9,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scoup.evaluate import lerf_ovs, mipnerf360, threed_ovs
-from scoup.evaluate.lerf_labels import LabelledFrame
-from scoup.query import PRESETS, box_mean, query_preset
+from scoup.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
+from scoup.io.labels import LabelledFrame
+from scoup.query.answers import QUERY_PRESETS, box_mean, query_preset
 
 HEIGHT, WIDTH = 13, 17
 
@@ -113,4 +113,4 @@ def test_presets_are_those_of_the_protocols() -> None:
     assert threed_ovs.preset().level_choice == mipnerf360.preset().level_choice == "mask"
     assert (threed_ovs.preset("langsplatv2").kernel, threed_ovs.preset("langsplatv2").threshold) == (29, 0.25)
     assert (mipnerf360.preset().threshold, mipnerf360.preset("langsplatv2").threshold) == (0.45, 0.4)
-    assert PRESETS["scoup"].level_choice == "peak"
+    assert QUERY_PRESETS["scoup"].level_choice == "peak"

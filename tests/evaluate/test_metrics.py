@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from scoup.evaluate.metrics import any_inside, bootstrap_interval, iou
 
 

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from scoup import raster
+from scoup.base.errors import InputError
 from scoup.baselines.channels import (
     ChannelField,
     code_cosines,
@@ -13,10 +14,9 @@ from scoup.baselines.channels import (
     field_relevancy,
     resized_image,
 )
-from scoup.errors import InputError
-from scoup.evaluate import mipnerf360
-from scoup.evaluate.lerf_labels import LabelledFrame
-from scoup.relevancy import relevancy
+from scoup.evaluate.protocols import mipnerf360
+from scoup.field.relevancy import relevancy
+from scoup.io.labels import LabelledFrame
 from scoup.uplift.build import build
 from support import small_scene, unit
 
@@ -87,7 +87,7 @@ def test_channel_fields_answer_as_language_fields_do() -> None:
     ]
     channels = ChannelField(dense, [code_cosines(atoms) for atoms in field.codebook], 36.0)
     queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
-    view = raster.look(gaussians, cameras[0])
+    view = raster.project(gaussians, cameras[0])
     expected = field.relevancy(cameras[0], queries, canonical)
     assert torch.allclose(channels.relevancy(view, queries, canonical), expected, atol=1e-5)
     own = field.gaussian_relevancy(queries, canonical)

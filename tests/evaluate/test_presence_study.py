@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from scoup import raster
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from scoup.evaluate.datasets import find_data_set, open_scene
-from scoup.evaluate.presence_study import (
+from scoup.evaluate.studies.presence import (
     ABSENT,
     IN_SCENE,
     OUT_OF_VIEW,
@@ -26,7 +26,7 @@ from scoup.evaluate.presence_study import (
     rendered_mean,
     signals_of,
 )
-from scoup.query import segment
+from scoup.query.answers import segment
 from support import small_scene
 
 
@@ -123,7 +123,7 @@ def test_a_constant_map_answers_nothing() -> None:
 
 def test_rendered_means_are_over_coded_gaussians() -> None:
     gaussians, cameras, _ = small_scene(count=40, views=1)
-    view = raster.look(gaussians, cameras[0])
+    view = raster.project(gaussians, cameras[0])
     values = torch.rand(40, 3, generator=torch.Generator().manual_seed(0))
     coded = torch.rand(40, 3, generator=torch.Generator().manual_seed(1)) > 0.4
     weights = raster.render_channels(view, torch.eye(40))[0]
@@ -147,8 +147,8 @@ def test_tables() -> None:
     assert len(tables) == 3
 
 
-def test_absent_words(twins: Path, tmp_path: Path) -> None:
-    data_set, root = find_data_set("lerf-ovs"), twins / "lerf-ovs"
+def test_absent_words(synthetic_data_sets: Path, tmp_path: Path) -> None:
+    data_set, root = find_data_set("lerf-ovs"), synthetic_data_sets / "lerf-ovs"
     table, shelves = (open_scene(data_set, root, name) for name in ("table", "shelves"))
     assert "elephant" in absent_words(table, [shelves])
     from dataclasses import replace

@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from scoup import raster
-from scoup.errors import InputError
-from scoup.evaluate.lerf_labels import LabelledFrame
+from scoup.base.errors import InputError
+from scoup.evaluate.protocols.selection import VALA_3D, score_scene, silhouette
 from scoup.evaluate.scores import overall
-from scoup.evaluate.selection import VALA_3D, score_scene, silhouette
-from scoup.gaussians import Gaussians
+from scoup.io.labels import LabelledFrame
+from scoup.scene.gaussians import Gaussians
 from support import make_camera, random_gaussians
 
 
@@ -41,7 +41,7 @@ def test_silhouettes_begin_at_their_opacity() -> None:
     assert not silhouette(faint, torch.tensor([True]), camera, "inria").any()
     scene = random_gaussians(40, 3)
     chosen = torch.arange(40) % 2 == 0
-    view = raster.look(scene.select(chosen), camera, "inria")
+    view = raster.project(scene.select(chosen), camera, "inria")
     alpha = raster.render_channels(view, torch.ones(20, 1))[0][..., 0]
     expected = alpha > 10 / 255
     assert silhouette(scene, chosen, camera, "inria").equal(expected)
@@ -70,7 +70,7 @@ def test_protocols_are_never_averaged_together() -> None:
         "a", 40, 30, {"cup": torch.ones(30, 40, dtype=torch.bool)}, {"cup": torch.zeros(1, 4)}
     )
     three = score_scene("s", scene, [(frame, camera)], chosen)
-    from scoup.evaluate.lerf_ovs import score_scene as in_2d
+    from scoup.evaluate.protocols.lerf_ovs import score_scene as in_2d
 
     with pytest.raises(InputError, match="different protocols"):
         overall([three, in_2d("s", [(frame, torch.rand(3, 1, 30, 40))])])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from scoup.errors import OutputExistsError
+from scoup.base.errors import OutputExistsError
 from scoup.evaluate.published import PUBLISHED
 from scoup.evaluate.scores import PairScore, SceneScore
 from scoup.evaluate.tables import (

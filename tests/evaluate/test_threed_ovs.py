@@ -9,11 +9,11 @@ import pytest
 import torch
 from PIL import Image
 
-from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupWarning, UnknownNameError
-from scoup.evaluate import threed_ovs
-from scoup.evaluate.lerf_labels import LabelledFrame
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning, UnknownNameError
+from scoup.evaluate.protocols import threed_ovs
 from scoup.evaluate.scores import overall
 from scoup.io import save_png
+from scoup.io.labels import LabelledFrame
 
 
 def paint(path: Path, *rows: int, size: tuple[int, int] = (20, 30)) -> None:

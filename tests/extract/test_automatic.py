@@ -17,12 +17,12 @@ from tiny_models import TINY_SAMS, saved
 from torch import Tensor
 from torch.nn import functional
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from scoup.extract.automatic import SamSegmenter, automatic_masks
 from scoup.extract.grids import crop_boxes, point_grid, touches_inner_edge
 from scoup.extract.masks import Masks
-from scoup.extract.sam import open_point_model
 from scoup.extract.settings import MaskSettings, mask_settings
+from scoup.models.sam import open_point_model
 
 LIVELY = MaskSettings(
     points_per_side=5, points_per_batch=7, predicted_iou=0.5, stability=0.7, stability_offset=0.1,

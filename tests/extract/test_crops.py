@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from literal_rules import crop_of, exact_crop_of
 from tiny_models import saved, tiny_clip, tiny_sam, tiny_siglip
 
-from scoup.errors import InputError, ScoupError
+from scoup.base.errors import InputError, ScoupError
 from scoup.extract.crops import mask_crops
-from scoup.extract.image_models import open_image_model
 from scoup.extract.masks import Masks
 from scoup.extract.opening import open_embedder
 from scoup.extract.plain_colors import PlainColors
+from scoup.models.image import open_image_model
 
 os.environ["HF_HUB_OFFLINE"] = "1"
 

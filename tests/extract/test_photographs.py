@@ -12,7 +12,7 @@ import pytest
 from extract_support import smooth_image
 from PIL import Image, ImageOps
 
-from scoup.errors import FileFormatError, MissingFileError, ScoupError
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
 from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
 from scoup.io import write_colmap
 from support import make_camera

@@ -13,8 +13,8 @@ from extract_support import smooth_image
 from tiny_models import TINY_SAMS, saved, tiny_clip, tiny_sam, tiny_sam2, tiny_sam2_video
 from torch.nn import functional
 
-from scoup.errors import ScoupError
-from scoup.extract.sam import _CLASSES, _IMAGENET, SHORT_NAMES, SamPoints, open_point_model
+from scoup.base.errors import ScoupError
+from scoup.models.sam import _CLASSES, _IMAGENET, SHORT_NAMES, SamPoints, open_point_model
 
 os.environ["HF_HUB_OFFLINE"] = "1"
 

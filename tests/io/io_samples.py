@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from scoup.cameras import Camera, Cameras
-from scoup.gaussians import Gaussians
-from scoup.regions import LEVELS, RegionMap, Regions
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import LEVELS, RegionMap, Regions
 
 
 def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:

@@ -7,8 +7,8 @@ import pytest
 import torch
 from io_samples import camera_difference, some_cameras
 
-from scoup.errors import FileFormatError, MissingFileError, OutputExistsError
-from scoup.io.colmap import read_colmap, read_points, write_colmap
+from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
+from scoup.io.cameras.colmap import read_colmap, read_points, write_colmap
 
 
 @pytest.mark.parametrize("text", [False, True])

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scoup.errors import FileFormatError, MissingFileError
+from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io import load_cameras, read_points, read_tracks
 
 NAMES = {7: "b.png", 3: "sub/a.png"}
@@ -76,7 +76,7 @@ def test_damage(tmp_path: Path) -> None:
 @pytest.mark.data
 def test_real_tracks(data_folder: Path) -> None:
     """Photographs of a desk: every point was seen in two images or more, and projects into them."""
-    from scoup.evaluate.consistency import tracked_points
+    from scoup.evaluate.studies.consistency import tracked_points
 
     folder = data_folder / "desk" / "sparse" / "0"
     if not folder.is_dir():

@@ -17,17 +17,17 @@ from io_samples import some_cameras, some_regions
 from safetensors.numpy import load_file, save_file
 
 from cli_support import snapshot
-from scoup.cameras import Cameras
-from scoup.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io import convert_regions, load_regions, save_regions
-from scoup.io.compact import (
+from scoup.io.regions.compact import (
     read_compact_embeddings,
     read_compact_labels,
     read_compact_view,
     write_compact_view,
 )
-from scoup.io.region_manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
-from scoup.regions import LEVELS, resize_labels
+from scoup.io.regions.manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
+from scoup.scene.cameras import Cameras
+from scoup.scene.regions import LEVELS, resize_labels
 
 MANIFEST_OF_TESTS = RegionManifest("compact", "some/model", {"segmenter": "random"})
 

@@ -24,7 +24,7 @@ from io_samples import (
     some_regions,
 )
 
-from scoup.errors import ScoupError, ScoupWarning
+from scoup.base.errors import ScoupError, ScoupWarning
 from scoup.io import (
     load_cameras,
     load_gaussians,
@@ -38,7 +38,7 @@ from scoup.io import (
     write_inria_cameras,
     write_transforms,
 )
-from scoup.io.ply import table_from_gaussians
+from scoup.io.splats.ply import table_from_gaussians
 
 HUGE = [struct.pack("<Q", value) for value in (10**12, 2**32 - 1, 2**62, 2**63, 2**64 - 1)]
 HUGE += [struct.pack("<I", value) for value in (2**31 - 1, 2**31, 2**32 - 1)]

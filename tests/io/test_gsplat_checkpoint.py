@@ -7,8 +7,8 @@ import pytest
 import torch
 from io_samples import save_checkpoint, some_gaussians
 
-from scoup.errors import FileFormatError, MissingFileError
-from scoup.io.gsplat_checkpoint import latest_ranks, read_gsplat_checkpoint
+from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.splats.gsplat_checkpoint import latest_ranks, read_gsplat_checkpoint
 
 
 def test_one_file(tmp_path):

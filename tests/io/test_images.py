@@ -9,11 +9,11 @@ import pytest
 import torch
 from io_samples import save_images, some_cameras
 
-from scoup.cameras import Camera
-from scoup.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear, sample_nearest
 from scoup.io.image_folder import ImageFolder, image_size
 from scoup.io.images import load_image, save_png
-from scoup.io.undistort import photograph_pixels, sample_bilinear, sample_nearest
+from scoup.scene.cameras import Camera
 
 
 def camera_of(width=64, height=48, distortion=(), image_path=None) -> Camera:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from io_samples import camera_difference, save_images, some_cameras
 
-from scoup.cameras import Cameras
-from scoup.errors import FileFormatError, MissingFileError, ScoupWarning
-from scoup.io.inria import latest_point_cloud, read_cfg_args, read_inria_cameras, write_inria_cameras
-from scoup.io.transforms import read_transforms, write_transforms
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria_cameras, write_inria_cameras
+from scoup.io.cameras.transforms import read_transforms, write_transforms
+from scoup.scene.cameras import Cameras
 
 
 def test_transforms_round_trip(tmp_path):

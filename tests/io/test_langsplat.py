@@ -8,8 +8,7 @@ import pytest
 import torch
 from io_samples import some_cameras, some_regions
 
-from scoup.cameras import Cameras
-from scoup.errors import (
+from scoup.base.errors import (
     FileFormatError,
     InputError,
     MissingFileError,
@@ -17,10 +16,11 @@ from scoup.errors import (
     ScoupWarning,
     UnknownNameError,
 )
-from scoup.io.langsplat import load_regions, save_regions
-from scoup.io.langsplat_files import level_blocks
-from scoup.io.undistort import photograph_pixels, sample_nearest
-from scoup.regions import LEVELS, RegionMap, Regions
+from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
+from scoup.io.regions.langsplat import load_regions, save_regions
+from scoup.io.regions.langsplat_files import level_blocks
+from scoup.scene.cameras import Cameras
+from scoup.scene.regions import LEVELS, RegionMap, Regions
 
 
 def write(folder: Path, stem: str, planes: np.ndarray, rows: np.ndarray) -> None:

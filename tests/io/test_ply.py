@@ -11,15 +11,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from io_samples import same_gaussians, some_gaussians
 
-from scoup.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
-from scoup.gaussians import Gaussians
-from scoup.io.activation import (
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.io.splats.activation import (
     logits_from_opacities,
     logs_from_scales,
     opacities_from_logits,
     scales_from_logs,
 )
-from scoup.io.ply import (
+from scoup.io.splats.ply import (
     PlyTable,
     as_stored,
     gaussians_from_table,
@@ -29,6 +28,7 @@ from scoup.io.ply import (
     write_ply,
     write_ply_table,
 )
+from scoup.scene.gaussians import Gaussians
 
 RAW = st.floats(width=32, allow_nan=False)
 

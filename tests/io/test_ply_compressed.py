@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from io_samples import save_compressed_ply
 
-from scoup.errors import FileFormatError
-from scoup.io.ply import gaussians_from_table, read_ply, read_ply_table
+from scoup.base.errors import FileFormatError
+from scoup.io.splats.ply import gaussians_from_table, read_ply, read_ply_table
 
 
 def test_compressed_files(tmp_path):

@@ -7,8 +7,8 @@ import pytest
 import torch
 from io_samples import same_gaussians, some_gaussians
 
-from scoup.errors import FileFormatError, MissingFileError, ScoupWarning
-from scoup.io.splat import read_splat, write_splat
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.io.splats.splat import read_splat, write_splat
 
 
 def record(

@@ -22,9 +22,9 @@ from raster.parity import (
     sure_pixels,
 )
 from scoup import raster
-from scoup.cameras import Camera
-from scoup.codes import index_dtype
-from scoup.gaussians import Gaussians
+from scoup.scene.cameras import Camera
+from scoup.scene.codes import index_dtype
+from scoup.scene.gaussians import Gaussians
 from support import KINDS, make_camera, random_gaussians, random_labels, small_scene, unit
 
 KINDS_OF_SCENES = (*KINDS, *HARD_KINDS, "empty", "one pixel", "mixed")
@@ -49,15 +49,15 @@ def scene_of(kind: str, seed: int, few: bool) -> tuple[Gaussians, Camera]:
 
 def views_of(
     gaussians: Gaussians, camera: Camera, preset: str, device: str, precision: str = "fp16x3"
-) -> tuple[raster.View, raster.View]:
+) -> tuple[raster.Projection, raster.Projection]:
     """(on the device, reference) views."""
-    from scoup.raster import gpu
+    from scoup.raster.triton import rendering as gpu
 
     if device == "cpu":
         assert os.environ.get("TRITON_INTERPRET") == "1"
     constants = raster.raster_preset(preset)
-    view = gpu.look(gaussians.to(device), camera, constants, precision)
-    return view, raster.look(gaussians, camera, preset, "reference")
+    view = gpu.project(gaussians.to(device), camera, constants, precision)
+    return view, raster.project(gaussians, camera, preset, "reference")
 
 
 def check_channels(kind: str, seed: int, preset: str, channels: int, device: str) -> None:
@@ -115,7 +115,7 @@ def check_few_sums_at_a_time(device: str) -> None:
     """Tiles whose sums do not fit at once come one lot after the other, each tile once, however large; the result stays
     the same to the last bit.
     """
-    from scoup.raster import gpu_regions
+    from scoup.raster.triton import region_sums as gpu_regions
 
     gaussians, _ = scene_of("mixed", 3, device == "cpu")
     gaussians, camera = gaussians.select(torch.arange(12)), make_camera(45, 37, 36.0, 3)

@@ -14,12 +14,12 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.cameras import Camera
-from scoup.gaussians import Gaussians
-from scoup.native import missing_reason, native_core
+from scoup.base.native import missing_reason, native_core
 from scoup.raster.presets import raster_preset
-from scoup.raster.projection import project
+from scoup.raster.projection import project_gaussians
 from scoup.raster.view_sums import ViewSums
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
 
 RELATIVE = 1e-5
 # Of a sum of float32 terms, in units of what the values span.
@@ -43,14 +43,16 @@ BACKENDS = [
 ]
 
 
-def both(gaussians: Gaussians, camera: Camera, preset: str = "inria") -> tuple[raster.View, raster.View]:
+def both(
+    gaussians: Gaussians, camera: Camera, preset: str = "inria"
+) -> tuple[raster.Projection, raster.Projection]:
     """(native, reference) views of a scene."""
-    return tuple(raster.look(gaussians, camera, preset, name) for name in ("native", "reference"))
+    return tuple(raster.project(gaussians, camera, preset, name) for name in ("native", "reference"))
 
 
 def close_calls(gaussians: Gaussians, camera: Camera, preset: str, rows: Tensor, columns: Tensor) -> Tensor:
     """[P] int64: how many decisions at each pixel are too close to call, by an evaluation in float64 without tiles."""
-    constants, projected = raster_preset(preset), project(gaussians, camera, raster_preset(preset))
+    constants, projected = raster_preset(preset), project_gaussians(gaussians, camera, raster_preset(preset))
     _, xy, yy = projected.covariances.unbind(1)
     found = []
     at_once = max(1, 4_000_000 // max(1, len(projected)))

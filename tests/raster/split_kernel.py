@@ -5,7 +5,7 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-from scoup.raster.kernels.blending import WEIGHT_SCALE, halves_of_weights
+from scoup.raster.triton.kernels.blending import WEIGHT_SCALE, halves_of_weights
 
 
 @triton.jit

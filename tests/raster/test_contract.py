@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from raster.brute_force import blending_weights
 from raster.parity import ABSOLUTE, BACKENDS, RELATIVE, same_bytes
 from scoup import raster
-from scoup.errors import InputError, UnknownNameError
+from scoup.base.errors import InputError, UnknownNameError
 from support import KINDS, make_camera, random_gaussians, random_labels, scenes
 
 pytestmark = pytest.mark.parametrize("backend", BACKENDS)
@@ -31,7 +31,7 @@ def test_channels_and_alpha_equal_brute_force(backend, scene, preset):
     gaussians, camera = scene
     truth = blending_weights(gaussians, camera, preset)
     values = torch.randn(len(gaussians), 3, generator=torch.Generator().manual_seed(1))
-    image, alpha = raster.render_channels(raster.look(gaussians, camera, preset, backend), values)
+    image, alpha = raster.render_channels(raster.project(gaussians, camera, preset, backend), values)
     assert image.shape == (camera.height, camera.width, 3)
     assert np.mean(truth.unsure) < 0.2 or truth.unsure.size < 20
     expected = np.einsum("nhw,nc->chw", truth.weights, values.numpy().astype(np.float64))
@@ -48,7 +48,7 @@ def test_region_sums_equal_brute_force(backend, scene, levels, regions, seed):
     truth = blending_weights(gaussians, camera, "inria")
     labels = random_labels(levels, camera.height, camera.width, regions, seed)
     labels[:, torch.from_numpy(truth.unsure)] = -1  # only sure pixels are compared
-    sums = raster.region_sums(raster.look(gaussians, camera, "inria", backend), labels)
+    sums = raster.region_sums(raster.project(gaussians, camera, "inria", backend), labels)
     combinations = {tuple(own) for own in labels.flatten(1).T.tolist()} - {(-1,) * levels}
     assert sorted(map(tuple, sums.table.tolist())) == sorted(combinations)
     expected = np.zeros((len(gaussians), len(sums.table)))
@@ -72,7 +72,7 @@ def test_codes_by_regions_equal_codes_per_pixel(backend, scene, seed):
     levels, n_atoms, regions = 2, 6, 5
     labels = random_labels(levels, camera.height, camera.width, regions, seed)
     codes = [torch.rand(regions, n_atoms, generator=generator) for _ in range(levels)]
-    view = raster.look(gaussians, camera, backend=backend)
+    view = raster.project(gaussians, camera, backend=backend)
     sums = raster.region_sums(view, labels)
     one_hot = torch.eye(len(gaussians))
     weights, _ = raster.render_channels(view, one_hot)  # [H, W, N]: e of every Gaussian at every pixel
@@ -98,7 +98,7 @@ def test_codes_and_cosines_equal_decoded_features(backend, scene, k, seed):
     weights[: count // 3] = 0  # Gaussians without a code
     codebook = torch.randn(levels, n_atoms, dim, generator=generator)
     queries = torch.nn.functional.normalize(torch.randn(4, dim, generator=generator), dim=1)
-    view = raster.look(gaussians, camera, backend=backend)
+    view = raster.project(gaussians, camera, backend=backend)
 
     rendered = raster.render_codes(view, indices, weights, n_atoms)
     cosines = raster.render_cosines(view, indices, weights, codebook, queries)
@@ -128,7 +128,7 @@ def test_each_ugly_kind_alone(backend, kind):
     gaussians = random_gaussians(12, 5, (kind,))
     camera = make_camera(33, 21, seed=3)
     truth = blending_weights(gaussians, camera, "inria")
-    _, alpha = raster.render_channels(raster.look(gaussians, camera, backend=backend), torch.ones(12, 1))
+    _, alpha = raster.render_channels(raster.project(gaussians, camera, backend=backend), torch.ones(12, 1))
     close(alpha, truth.weights.sum(0), ~truth.unsure)
     drawn = kind not in ("behind", "opacity 0", "nan", "zero quat")
     assert bool((alpha > 0).any()) == drawn
@@ -139,7 +139,7 @@ def test_ties_in_depth_go_by_index(backend):
     same = gaussians.select(torch.tensor([0, 0]))
     same.scales[:] = 0.5
     same.opacities[:] = torch.tensor([0.9, 0.8])
-    image, _ = raster.render_channels(raster.look(same, make_camera(), backend=backend), torch.eye(2))
+    image, _ = raster.render_channels(raster.project(same, make_camera(), backend=backend), torch.eye(2))
     centre = image.flatten(0, 1)[image[..., 0].argmax()]
     assert centre[0] > 0.8
     assert centre[1] < 0.2
@@ -153,7 +153,7 @@ def test_stop_rule_leaves_out_the_gaussian_that_would_cross_it(backend):
     gaussians.scales[:] = 1e4
     gaussians.opacities[:] = 0.95
     image, alpha = raster.render_channels(
-        raster.look(gaussians, make_camera(9, 9), backend=backend), torch.eye(6)
+        raster.project(gaussians, make_camera(9, 9), backend=backend), torch.eye(6)
     )
     # 0.05^3 = 1.25e-4 stays above the bound, 0.05^4 does not: exactly three are drawn.
     assert (image > 0).flatten(0, 1).all(0).tolist() == [True] * 3 + [False] * 3
@@ -164,7 +164,7 @@ def test_empty_scene_and_empty_view(backend):
     camera = make_camera(7, 5)
     for gaussians in (random_gaussians(0, 0), random_gaussians(5, 0, ("behind",))):
         count = len(gaussians)
-        view = raster.look(gaussians, camera, backend=backend)
+        view = raster.project(gaussians, camera, backend=backend)
         image, alpha = raster.render_channels(view, torch.ones(count, 2))
         assert image.shape == (5, 7, 2)
         assert not image.any()
@@ -175,7 +175,7 @@ def test_empty_scene_and_empty_view(backend):
 
 
 def test_no_region_anywhere(backend):
-    view = raster.look(random_gaussians(9, 1), make_camera(), backend=backend)
+    view = raster.project(random_gaussians(9, 1), make_camera(), backend=backend)
     sums = raster.region_sums(view, torch.full((2, 30, 40), -1, dtype=torch.int32))
     assert len(sums.gaussian) == 0
     assert sums.table.shape == (0, 2)
@@ -185,14 +185,14 @@ def test_same_bytes_twice(backend):
     gaussians, camera = random_gaussians(300, 2), make_camera(90, 70, 80.0)
     labels = random_labels(3, 70, 90, 12, 0)
     first, second = (
-        raster.region_sums(raster.look(gaussians, camera, backend=backend), labels) for _ in range(2)
+        raster.region_sums(raster.project(gaussians, camera, backend=backend), labels) for _ in range(2)
     )
     assert len(first.gaussian) > 0
     assert same_bytes(first, second)
 
 
 def test_wrong_shapes_are_refused(backend):
-    view = raster.look(random_gaussians(9, 1), make_camera(), backend=backend)
+    view = raster.project(random_gaussians(9, 1), make_camera(), backend=backend)
     with pytest.raises(InputError, match="labels"):
         raster.region_sums(view, torch.zeros(3, 31, 40, dtype=torch.int32))
     with pytest.raises(InputError, match="integers"):
@@ -207,6 +207,6 @@ def test_wrong_shapes_are_refused(backend):
 
 def test_unknown_names(backend):
     with pytest.raises(UnknownNameError, match="inria"):
-        raster.look(random_gaussians(2, 0), make_camera(), "inira", backend)
+        raster.project(random_gaussians(2, 0), make_camera(), "inira", backend)
     with pytest.raises(UnknownNameError, match="reference"):
-        raster.look(random_gaussians(2, 0), make_camera(), backend="refrence")
+        raster.project(random_gaussians(2, 0), make_camera(), backend="refrence")

@@ -26,7 +26,7 @@ from interpreting import interpreter
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
 from scoup import raster
-from scoup.errors import InputError, ScoupWarning
+from scoup.base.errors import InputError, ScoupWarning
 from support import make_camera, random_gaussians, scenes
 
 # Bytes a thread, nearly all of it behind the loop over Gaussians, where the coefficients of one level wait for those of
@@ -119,27 +119,27 @@ def test_kernels_compile_within_a_gpu(needs_triton: None, tmp_path: Path, capabi
 
 def test_triton_is_not_imported_for_tensors_on_a_cpu() -> None:
     program = (
-        "import sys, torch, scoup; from scoup import raster; from scoup.gaussians import Gaussians; "
-        "from scoup.cameras import Camera; "
+        "import sys, torch, scoup; from scoup import raster; from scoup.scene.gaussians import Gaussians; "
+        "from scoup.scene.cameras import Camera; "
         "g = Gaussians(torch.rand(3, 3) + 2, torch.rand(3, 4), torch.rand(3, 3), torch.rand(3), torch.rand(3, 1, 3)); "
         "K = torch.tensor([[9., 0, 4], [0, 9, 4], [0, 0, 1]]).double(); "
-        "raster.render_channels(raster.look(g, Camera('a', torch.eye(4).double(), K, 8, 8)), torch.rand(3, 2)); "
-        "sys.exit('triton' in sys.modules or 'scoup.raster.gpu' in sys.modules)"
+        "raster.render_channels(raster.project(g, Camera('a', torch.eye(4).double(), K, 8, 8)), torch.rand(3, 2)); "
+        "sys.exit('triton' in sys.modules or 'scoup.raster.triton.rendering' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_tensors_on_a_cpu_are_refused() -> None:
     with pytest.raises(InputError, match="serves tensors on a GPU"):
-        raster.look(random_gaussians(3, 0), make_camera(), backend="triton")
+        raster.project(random_gaussians(3, 0), make_camera(), backend="triton")
 
 
 def test_products_on_gpus_of_amd(needs_triton: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    from scoup.raster.gpu import most_atoms_of_products
-    from scoup.raster.gpu_view import GpuView
+    from scoup.raster.triton.projection import TritonProjection
+    from scoup.raster.triton.rendering import most_atoms_of_products
 
     def products(precision: Any, wide: bool) -> str:
-        return GpuView.products(SimpleNamespace(precision=precision), wide)  # type: ignore[arg-type]
+        return TritonProjection.products(SimpleNamespace(precision=precision), wide)  # type: ignore[arg-type]
 
     cases = [("fp16x3", False), ("fp16x3", True), ("tf32x3", False), ("tf32", True), ("ieee", True)]
     assert [products(*case) for case in cases] == ["fp16x3", "tf32x3", "tf32x3", "tf32", "ieee"]
@@ -154,7 +154,7 @@ def test_kernels_with_float32_compile_for_amd(needs_triton: None) -> None:
     from triton.backends.compiler import GPUTarget
     from triton.compiler import ASTSource
 
-    from scoup.raster.gpu_view import FUSED
+    from scoup.raster.triton.projection import FUSED
 
     for name, precision in (("3 channels", "ieee"), ("region sums", "fp16x3"), ("codes 3 x 64", "fp16x3")):
         kernel, types, constants, warps = launches()[name]
@@ -185,7 +185,7 @@ def test_what_cannot_run_the_kernels_is_told(needs_triton: None, monkeypatch: py
         assert raster.default_backend(device) == "reference"
     monkeypatch.setenv("TRITON_INTERPRET", "1")
     with pytest.raises(InputError, match=r"'triton' cannot be used: triton 3\.2\.0 is too old"):
-        raster.look(random_gaussians(3, 0), make_camera(), backend="triton")
+        raster.project(random_gaussians(3, 0), make_camera(), backend="triton")
 
 
 @on_a_gpu

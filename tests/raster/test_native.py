@@ -22,8 +22,8 @@ from raster.parity import (
     sure_pixels,
 )
 from scoup import raster
-from scoup.codes import index_dtype
 from scoup.raster.combinations import combine_reference
+from scoup.scene.codes import index_dtype
 from support import make_camera, random_gaussians, random_labels, unit
 
 pytestmark = needs_native
@@ -66,9 +66,9 @@ def test_alpha_is_the_sum_of_the_weights(scene, preset):
     """One minus the transmittance left, and the sum of what was painted, are the same in exact arithmetic."""
     gaussians, camera = scene
     ones = torch.ones(len(gaussians), 1)
-    image, alpha = raster.render_channels(raster.look(gaussians, camera, preset, "native"), ones)
+    image, alpha = raster.render_channels(raster.project(gaussians, camera, preset, "native"), ones)
     assert_close(image[..., 0], alpha)
-    assert ((alpha >= 0) & (alpha <= 1 - raster.PRESETS[preset].stop + 1e-7)).all()
+    assert ((alpha >= 0) & (alpha <= 1 - raster.RASTER_PRESETS[preset].stop + 1e-7)).all()
 
 
 @settings(max_examples=40)
@@ -108,7 +108,7 @@ def test_every_pixel_its_own_region(levels, holes):
 def test_label_numbers_may_be_huge(scene, highest, levels):
     """Only the names of the regions change."""
     gaussians, camera = scene
-    view = raster.look(gaussians, camera, backend="native")
+    view = raster.project(gaussians, camera, backend="native")
     labels = random_labels(levels, camera.height, camera.width, 3, 5).long()
     sums, large = raster.region_sums(view, labels), torch.tensor([0, highest // 2, highest])
     found = raster.region_sums(view, torch.where(labels >= 0, large[labels.clamp(min=0)], -1))

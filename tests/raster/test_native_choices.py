@@ -10,7 +10,7 @@ import torch
 from raster.hard_scenes import HARD_KINDS, hard_scene
 from raster.parity import assert_close, assert_same_sums, both, needs_native, same_bytes, sure_pixels
 from scoup import raster
-from scoup.native import native_core
+from scoup.base.native import native_core
 from support import make_camera, random_gaussians, random_labels, unit
 
 pytestmark = needs_native
@@ -83,7 +83,7 @@ def test_same_bytes_on_any_number_of_threads(restore_threads):
     found = []
     for threads in (1, 2, 3, 5):
         torch.set_num_threads(threads)
-        view = raster.look(gaussians, camera, backend="native")
+        view = raster.project(gaussians, camera, backend="native")
         found.append(everything(view, len(gaussians), labels, 512))
     assert found[0]["alpha"].max() > 0.99
     for answers in found[1:]:
@@ -102,6 +102,6 @@ def test_cosines_of_a_large_codebook_do_not_depend_on_threads(restore_threads):
     found = []
     for threads in (1, 2, 3, 5):
         torch.set_num_threads(threads)
-        view = raster.look(gaussians, camera, backend="native")
+        view = raster.project(gaussians, camera, backend="native")
         found.append(raster.render_cosines(view, indices, weights, codebook, queries))
     assert all(torch.equal(cosines, found[0]) for cosines in found)

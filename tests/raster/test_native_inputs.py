@@ -7,8 +7,8 @@ import torch
 
 from raster.parity import BACKENDS, assert_close, assert_same_sums, needs_native
 from scoup import raster
-from scoup.errors import InputError
-from scoup.gaussians import Gaussians
+from scoup.base.errors import InputError
+from scoup.scene.gaussians import Gaussians
 from support import make_camera, random_gaussians, random_labels, unit
 
 COUNT, LEVELS, ATOMS, REGIONS = 50, 3, 8, 5
@@ -17,8 +17,8 @@ with_native = needs_native
 on_every_backend = pytest.mark.parametrize("backend", BACKENDS)
 
 
-def a_view(backend: str = "native") -> raster.View:
-    return raster.look(random_gaussians(COUNT, 1), CAMERA, backend=backend)
+def a_view(backend: str = "native") -> raster.Projection:
+    return raster.project(random_gaussians(COUNT, 1), CAMERA, backend=backend)
 
 
 def inputs() -> dict:
@@ -77,7 +77,7 @@ def test_other_forms_of_the_scene(form):
         *(FORMS[form](getattr(plain, name)) for name in ("means", "quats", "scales", "opacities", "sh"))
     )
     values = inputs()["values"]
-    found = raster.render_channels(raster.look(changed, CAMERA, backend="native"), values)
+    found = raster.render_channels(raster.project(changed, CAMERA, backend="native"), values)
     expected = raster.render_channels(a_view(), values)
     assert torch.equal(found[0], expected[0])
 
@@ -94,7 +94,7 @@ def test_nothing_to_do():
         view, given["indices"], given["weights"], given["codebook"], given["queries"][:0]
     )
     assert cosines.shape == (LEVELS, 0, 30, 40)
-    empty = raster.look(random_gaussians(0, 0), CAMERA, backend="native")
+    empty = raster.project(random_gaussians(0, 0), CAMERA, backend="native")
     assert len(raster.region_sums(empty, labels).gaussian) == 0
     assert raster.render_codes(empty, given["indices"][:0], given["weights"][:0], ATOMS).sum() == 0
 
@@ -151,7 +151,7 @@ def test_scales_count_by_their_size():
     plain = random_gaussians(COUNT, 1)
     mirrored = Gaussians(plain.means, plain.quats, -plain.scales, plain.opacities, plain.sh)
     alphas = [
-        raster.render_channels(raster.look(gaussians, CAMERA, backend="native"), torch.zeros(COUNT, 0))[1]
+        raster.render_channels(raster.project(gaussians, CAMERA, backend="native"), torch.zeros(COUNT, 0))[1]
         for gaussians in (plain, mirrored)
     ]
     assert torch.equal(*alphas)
@@ -164,15 +164,15 @@ def test_native_by_name_without_the_core_names_the_remedy(monkeypatch):
     )
     gaussians = random_gaussians(COUNT, 1)
     with pytest.raises(InputError, match=r"'native' cannot be used: .*install a compiler"):
-        raster.look(gaussians, CAMERA, backend="native")
+        raster.project(gaussians, CAMERA, backend="native")
 
 
 def test_the_reference_serves_without_the_core(monkeypatch):
     monkeypatch.setattr(raster, "native_core", lambda: None)
     monkeypatch.setattr(raster, "warn_once_if_missing", lambda: None)
-    assert raster.look(random_gaussians(COUNT, 1), CAMERA).backend == "reference"
+    assert raster.project(random_gaussians(COUNT, 1), CAMERA).backend == "reference"
 
 
 @with_native
 def test_the_core_serves_by_default():
-    assert raster.look(random_gaussians(COUNT, 1), CAMERA).backend == "native"
+    assert raster.project(random_gaussians(COUNT, 1), CAMERA).backend == "native"

@@ -20,9 +20,9 @@ def test_views_show_the_same(backend):
     gaussians.means[50:100] = gaussians.means[:50]  # equal depths: the original rows decide
     scene = raster.prepare(gaussians, backend)
     camera, values = make_camera(60, 44, seed=2), torch.rand(200, 3)
-    expected, _ = raster.render_channels(raster.look(gaussians, camera, backend=backend), values)
+    expected, _ = raster.render_channels(raster.project(gaussians, camera, backend=backend), values)
     moved = values if scene.order is None else values[scene.order]
-    found, _ = raster.render_channels(raster.look(scene, camera), moved)
+    found, _ = raster.render_channels(raster.project(scene, camera), moved)
     assert torch.equal(found, expected)
 
 
@@ -34,8 +34,8 @@ def test_hard_scenes_show_the_same(backend, scene):
     prepared = raster.prepare(gaussians, backend)
     values = torch.arange(3.0 * len(gaussians)).reshape(-1, 3)
     moved = values if prepared.order is None else values[prepared.order]
-    expected = raster.render_channels(raster.look(gaussians, camera, backend=backend), values)
-    found = raster.render_channels(raster.look(prepared, camera), moved)
+    expected = raster.render_channels(raster.project(gaussians, camera, backend=backend), values)
+    found = raster.render_channels(raster.project(prepared, camera), moved)
     assert all(torch.equal(a, b) for a, b in zip(found, expected, strict=True))
 
 
@@ -60,8 +60,8 @@ def test_region_sums_are_in_the_new_order(backend):
     labels = random_labels(2, 30, 40, 5, 0)
     scene = raster.prepare(gaussians, backend)
     order = torch.arange(80) if scene.order is None else scene.order
-    expected = raster.region_sums(raster.look(gaussians, camera, backend=backend), labels)
-    found = raster.region_sums(raster.look(scene, camera), labels)
+    expected = raster.region_sums(raster.project(gaussians, camera, backend=backend), labels)
+    found = raster.region_sums(raster.project(scene, camera), labels)
     assert sorted(
         zip(order[found.gaussian.long()].tolist(), found.combination.tolist(), strict=True)
     ) == list(zip(expected.gaussian.tolist(), expected.combination.tolist(), strict=True))

@@ -21,9 +21,9 @@ from raster.parity import (
     span_of,
 )
 from scoup import raster
-from scoup.cameras import Camera
-from scoup.gaussians import Gaussians
 from scoup.io import load_cameras, load_gaussians
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
 from support import unit
 
 pytestmark = [pytest.mark.data, needs_native]

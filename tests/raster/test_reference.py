@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from scoup import raster
-from scoup.cameras import Camera
-from scoup.gaussians import Gaussians
 from scoup.raster import reference
 from scoup.raster.presets import raster_preset
-from scoup.raster.projection import project
+from scoup.raster.projection import project_gaussians
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
 from support import make_camera, random_gaussians
 
 
@@ -25,8 +25,8 @@ def test_answer_does_not_depend_on_tile_size(tile):
     )
     preset = raster_preset("inria")
     values = torch.rand(400, 3)
-    expected, _ = reference.render_channels(reference.look(gaussians, camera, preset), values)
-    actual, _ = reference.render_channels(reference.look(gaussians, camera, preset, tile), values)
+    expected, _ = reference.render_channels(reference.project(gaussians, camera, preset), values)
+    actual, _ = reference.render_channels(reference.project(gaussians, camera, preset, tile), values)
     differing = (actual - expected).abs().amax(2) > 1e-4
     assert differing.float().mean() < 2e-3  # a threshold flip at most here and there
 
@@ -49,7 +49,7 @@ def _gsplat_projection(gaussians: Gaussians, camera: Camera, near: float):
 
 def _compare_with_gsplat(gaussians: Gaussians, camera: Camera) -> int:
     radii, means2d, depths, conics, _ = _gsplat_projection(gaussians, camera, 0.01)
-    ours = project(gaussians, camera, raster_preset("gsplat"))
+    ours = project_gaussians(gaussians, camera, raster_preset("gsplat"))
     ids = ours.ids
     assert (torch.as_tensor(radii)[0][ids].reshape(len(ids), -1) > 0).all()
     assert torch.allclose(ours.means2d, means2d[0][ids], rtol=1e-9, atol=1e-6)

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from raster.parity import beyond
-from scoup.codes import SparseCodes, row_products
+from scoup.scene.codes import SparseCodes, row_products
 from scoup.uplift.entries import BUCKET, pack
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.vote import VotedEntries
-from scoup.uplift.vote_reference import Ballot as ReferenceBallot
+from scoup.uplift.vote_backends.reference import Ballot as ReferenceBallot
 
 SHARPNESS = torch.tensor([3.0, 0.0, 20.0])
 

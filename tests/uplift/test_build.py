@@ -9,14 +9,14 @@ import pytest
 import torch
 
 import scoup
-from scoup.cameras import Cameras
-from scoup.errors import InputError, ScoupWarning, UnknownNameError
+from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.raster import morton_order
-from scoup.regions import RegionMap, Regions
+from scoup.scene.cameras import Cameras
+from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import BUILD_PRESETS, BuildSettings, build, build_settings
+from scoup.uplift.rasterise import region_sums, resumed
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.taking import region_sums, resumed
 from support import make_camera, random_gaussians, small_scene, unit
 
 QUICK = BuildSettings(n_atoms=8, k=3, keep=3, rounds=2)
@@ -83,8 +83,8 @@ def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, tmp_path, 
     sums = resumed(path, gaussians, regions)
     assert len(sums) == taken
     looked = []
-    look = scoup.raster.look
-    monkeypatch.setattr(scoup.raster, "look", lambda *a, **k: looked.append(a[1].name) or look(*a, **k))
+    project = scoup.raster.project
+    monkeypatch.setattr(scoup.raster, "project", lambda *a, **k: looked.append(a[1].name) or project(*a, **k))
     stages = Stages()
     again = build(*scene, settings=QUICK, sums=sums, progress=stages)
     assert len(looked) == 4 - taken  # no view is done again

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_array, csr_array
 from torch import Tensor
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from scoup.raster import ViewSums
 from scoup.uplift import consensus as module
 from scoup.uplift.consensus import ConsensusSettings, consensus, consensus_of, covisible

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 import scoup
 from scoup import raster
-from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupError
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError
 from scoup.raster import ViewSums
 from scoup.uplift import entries
+from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.taking import read_labels, region_sums
 from support import KINDS, random_gaussians, small_scene
 
 
@@ -49,7 +49,7 @@ def test_the_matrix_holds_what_each_gaussian_paints_of_each_region(scene, kept):
         assert matrix.shape == (len(gaussians), len(regions.embeddings(name)[0]))
         for camera in cameras:
             labels, _ = regions.load_view(camera.name, camera.width, camera.height)
-            view = raster.look(gaussians, camera, backend="reference")
+            view = raster.project(gaussians, camera, backend="reference")
             part = regions.embeddings(name)[1][camera.name]
             for region in range(part.stop - part.start):
                 chosen = (labels[level] == region).float()

@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from scoup.raster import ViewSums
+from scoup.scene.codes import SparseCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import LEAST_DEVIATION, SAMPLED_VIEWS, SHARPNESS, sampled, sharpness_from
 from scoup.uplift.vote import vote

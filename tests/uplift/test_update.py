@@ -11,20 +11,20 @@ from torch import Tensor
 
 import scoup
 from scoup import raster
-from scoup.cameras import Camera, Cameras
-from scoup.codes import SparseCodes
+from scoup.base.errors import InputError, ScoupWarning
+from scoup.base.native import native_core
 from scoup.coding.encode import encode
 from scoup.coding.rows import unit_rows
-from scoup.errors import InputError, ScoupWarning
-from scoup.field import LanguageField
-from scoup.gaussians import Gaussians
-from scoup.native import native_core
+from scoup.field.language_field import LanguageField
 from scoup.pictures.colors import code_picture
-from scoup.regions import RegionMap, Regions
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.codes import SparseCodes
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_codes import RegionCodes, joined
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.taking import region_sums
 from scoup.uplift.update import update
 from scoup.uplift.vote import vote
 from support import make_camera, random_labels, small_scene, unit
@@ -279,7 +279,7 @@ def test_places_without_an_atom_do_no_harm(wall: Wall, grown: LanguageField) -> 
     relevancy = grown.relevancy(camera, wall.things, wall.canonical)
     if native_core() is not None:
         reference = grown.relevancy(
-            camera, wall.things, wall.canonical, raster.look(grown.gaussians, camera, backend="reference")
+            camera, wall.things, wall.canonical, raster.project(grown.gaussians, camera, backend="reference")
         )
         torch.testing.assert_close(relevancy, reference, atol=1e-4, rtol=0)
     assert torch.isfinite(relevancy).all()

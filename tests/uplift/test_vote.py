@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from raster.parity import assert_close, needs_native
-from scoup.codes import SparseCodes
-from scoup.errors import InputError
-from scoup.native import native_core
+from scoup.base.errors import InputError
+from scoup.base.native import native_core
+from scoup.scene.codes import SparseCodes
 from scoup.uplift.reweighting import EarlierRound
-from scoup.uplift.vote_native import Ballot as NativeBallot
-from scoup.uplift.vote_reference import Ballot as ReferenceBallot
+from scoup.uplift.vote_backends.native import Ballot as NativeBallot
+from scoup.uplift.vote_backends.reference import Ballot as ReferenceBallot
 from uplift.ballots import Sizes, buckets_of, check_rounds, damaged, earlier_of, random_ballot
 
 CPU = torch.device("cpu")

@@ -16,7 +16,7 @@ from benchmarks.gpu.launches import launches
 
 from compiling import compile_kernel
 from interpreting import interpreter
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from uplift import triton_checks
 from uplift.ballots import Sizes, random_ballot
 
@@ -67,7 +67,7 @@ def test_compiles(needs_triton: None, tmp_path: Path, capability: int) -> None:
 
 
 def test_votes_on_a_cpu_are_refused(needs_triton: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    from scoup.uplift.vote_triton import Ballot
+    from scoup.uplift.vote_backends.triton import Ballot
 
     monkeypatch.delenv("TRITON_INTERPRET", raising=False)
     with pytest.raises(InputError, match="these tensors are on cpu"):
@@ -76,7 +76,7 @@ def test_votes_on_a_cpu_are_refused(needs_triton: None, monkeypatch: pytest.Monk
 
 def test_without_triton_the_reason_is_told() -> None:
     program = (
-        "import sys; sys.modules['triton'] = None; import torch, scoup; from scoup.errors import InputError; "
+        "import sys; sys.modules['triton'] = None; import torch, scoup; from scoup.base.errors import InputError; "
         "from scoup.uplift import vote_triton; import os; os.environ['TRITON_INTERPRET'] = '1'\n"
         "try: vote_triton.Ballot(0, [], [], torch.zeros(0), torch.device('cpu'))\n"
         "except InputError as error: print(error)"

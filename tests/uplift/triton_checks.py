@@ -5,19 +5,19 @@ from __future__ import annotations
 import pytest
 import torch
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from uplift.ballots import Sizes, buckets_of, check_rounds, damaged, random_ballot
 
 
 def check_vote(sizes: Sizes, keep: int, seed: int, device: str) -> None:
-    from scoup.uplift.vote_triton import Ballot
+    from scoup.uplift.vote_backends.triton import Ballot
 
     check_rounds(Ballot, sizes, keep, seed, device)
 
 
 def check_few_at_a_time(device: str) -> None:
     """However many entries or sums are on the device at once, the result is the same to the last bit."""
-    from scoup.uplift import vote_triton
+    from scoup.uplift.vote_backends import triton as vote_triton
 
     arguments = random_ballot(Sizes(258, 1, 1, 5, 2, 60), 4)
     buckets = buckets_of(arguments)
@@ -43,7 +43,7 @@ def check_few_at_a_time(device: str) -> None:
 
 def check_nothing_to_add(device: str) -> None:
     """No share of the buckets, and Gaussians that no view has."""
-    from scoup.uplift.vote_triton import Ballot
+    from scoup.uplift.vote_backends.triton import Ballot
 
     arguments = random_ballot(Sizes(40, 0, 2), 4)
     ballot = Ballot(**arguments, device=torch.device(device))
@@ -52,7 +52,7 @@ def check_nothing_to_add(device: str) -> None:
 
 
 def check_damage(device: str) -> None:
-    from scoup.uplift.vote_triton import Ballot
+    from scoup.uplift.vote_backends.triton import Ballot
 
     for arguments in damaged(random_ballot(Sizes(n_gaussians=30, levels=1), 2)).values():
         with pytest.raises(InputError, match="damaged"):

@@ -31,9 +31,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from scoup.base.errors import InputError
+from scoup.base.progress import Progress, no_progress
 from scoup.coding.rows import unit_rows
-from scoup.errors import InputError
-from scoup.progress import Progress, no_progress
 
 COSINE_WEIGHT = 1e-3
 KEPT_OF_LAST = 4  # epochs

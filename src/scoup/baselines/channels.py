@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.cameras import Camera
-from scoup.codes import cosines_from_codes
-from scoup.field import LanguageField
-from scoup.relevancy import relevancy
+from scoup.field.language_field import LanguageField
+from scoup.field.relevancy import relevancy
+from scoup.scene.cameras import Camera
+from scoup.scene.codes import cosines_from_codes
 
 ROWS_AT_A_TIME = 1 << 15  # pixels or Gaussians compared together
 
@@ -38,15 +38,15 @@ class ChannelField:
     cosines: Sequence[Cosines]
     bytes_per_gaussian: float
     shared_bytes: float = 0.0
-    quick: Callable[[raster.View, Tensor], Tensor] | None = None
+    quick: Callable[[raster.Projection, Tensor], Tensor] | None = None
 
     def relevancy(
-        self, view: raster.View, queries: Tensor, canonical: Tensor, size: tuple[int, int] | None = None
+        self, view: raster.Projection, queries: Tensor, canonical: Tensor, size: tuple[int, int] | None = None
     ) -> Tensor:
         """[S, Q, H, W] float32 relevancy of every pixel; 0.5 where nothing is rendered.
 
         Args:
-            view: from ``raster.look``.
+            view: from ``raster.project``.
             queries, canonical: [Q, D] and [P, D], unit norm.
             size: (width, height) to bring the rendered channels to first (``resized_image``).
         """
@@ -110,7 +110,7 @@ def field_relevancy(
     camera: Camera,
     queries: Tensor,
     canonical: Tensor,
-    view: raster.View | None = None,
+    view: raster.Projection | None = None,
     size: tuple[int, int] | None = None,
 ) -> Tensor:
     """``LanguageField.relevancy`` [S, Q, H, W], with the rendered features brought to another size first if asked for:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 from scoup.uplift.region_sums import RegionSums
 
 ROWS_AT_A_TIME = 128  # image rows normalised and compared together
@@ -35,13 +35,13 @@ def weighted_means(sums: RegionSums, rows: Sequence[Tensor]) -> list[Tensor]:
     return [dense_features(sums, rows, level) for level in range(len(rows))]
 
 
-def dense_relevancy(view: raster.View, features: Tensor, queries: Tensor, canonical: Tensor) -> Tensor:
+def dense_relevancy(view: raster.Projection, features: Tensor, queries: Tensor, canonical: Tensor) -> Tensor:
     """Relevancy of one level from rendered D-channel features: [Q, H, W] float32.
 
     The whole D-channel image is made, a few times H x W x D x 4 bytes: that is what a dense field costs.
 
     Args:
-        view: from ``raster.look``.
+        view: from ``raster.project``.
         features: [N, D].
         queries, canonical: [Q, D] and [P, D], unit norm.
     """

@@ -14,14 +14,14 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.base.errors import InputError, looked_up
+from scoup.base.progress import Progress, no_progress
 from scoup.baselines.autoencoder import LANGSPLAT, AutoencoderSettings, fit_autoencoder
 from scoup.baselines.channels import ChannelField, code_cosines, embedding_cosines
 from scoup.baselines.dense import weighted_means
-from scoup.baselines.gather import CentrePixel, Gather, TopContributors, VisibleCentrePixel
+from scoup.baselines.pixel_rules import CentrePixel, Gather, TopContributors, VisibleCentrePixel
 from scoup.baselines.product_quantisation import fit_product_quantiser
-from scoup.codes import SparseCodes
-from scoup.errors import InputError, looked_up
-from scoup.progress import Progress, no_progress
+from scoup.scene.codes import SparseCodes
 from scoup.uplift.build import BUILD_PRESETS, BuildSettings, learn_codebook
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import GaussianCodes, vote

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 
 CENTROIDS = 256  # a byte a part
 ITERATIONS = 12  # of k-means

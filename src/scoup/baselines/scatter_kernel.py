@@ -19,21 +19,21 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from scoup.codes import SparseCodes
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from scoup.raster.combinations import check_labels
-from scoup.raster.gpu_view import FUSED, TILE, GpuView
-from scoup.raster.kernels.blending import blend, gaussians_of, is_lit, pixels_of
+from scoup.raster.triton.kernels.blending import blend, gaussians_of, is_lit, pixels_of
+from scoup.raster.triton.projection import FUSED, TILE, TritonProjection
+from scoup.scene.codes import SparseCodes
 
 _CHUNK = 16
 _WARPS = 2  # a thread a pixel
 
 
-def scatter_view(view: GpuView, labels: Tensor, codes: Sequence[SparseCodes], out: Tensor) -> None:
+def scatter_view(view: TritonProjection, labels: Tensor, codes: Sequence[SparseCodes], out: Tensor) -> None:
     """Add a view's codes to sums pixel by pixel: w_i = sum of e_i times the code of each pixel (method.md, stage 2).
 
     Args:
-        view: from ``raster.look`` on a GPU.
+        view: from ``raster.project`` on a GPU.
         labels: [S, H, W] integer regions, -1 for none.
         codes: one SparseCodes a level, row r for region r, all with as many atoms.
         out: [N, S, L] float32, contiguous, on the view's device; added to in place.

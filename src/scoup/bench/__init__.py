@@ -18,11 +18,11 @@ from scoup.bench.report import Row as Row
 from scoup.bench.report import markdown as markdown
 from scoup.bench.report import stage_table as stage_table
 from scoup.bench.report import write_json as write_json
-from scoup.bench.room import make_room as make_room
-from scoup.bench.room import room_cameras as room_cameras
-from scoup.bench.room import room_regions as room_regions
 from scoup.bench.stages import STAGES as STAGES
 from scoup.bench.stages import Workload as Workload
 from scoup.bench.stages import room_workload as room_workload
 from scoup.bench.stages import stage_runs as stage_runs
 from scoup.bench.stages import usable_backends as usable_backends
+from scoup.synthetic.room import make_room as make_room
+from scoup.synthetic.room import room_cameras as room_cameras
+from scoup.synthetic.room import room_regions as room_regions

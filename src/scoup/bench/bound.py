@@ -13,11 +13,11 @@ from pathlib import Path
 
 import torch
 
-from scoup.cameras import Camera
-from scoup.errors import InputError
-from scoup.gaussians import Gaussians
-from scoup.native import native_core
+from scoup.base.errors import InputError
+from scoup.base.native import native_core
 from scoup.raster import raster_preset, reference
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
 
 CYCLES, LANES = 11, 16
 FORMULA = (
@@ -39,7 +39,7 @@ def count_evaluations(gaussians: Gaussians, camera: Camera) -> int:
 
     Counted by the reference rasteriser, whatever backend is measured: it takes as long as one of its renders.
     """
-    view = reference.look(gaussians, camera, raster_preset("inria"))
+    view = reference.project(gaussians, camera, raster_preset("inria"))
     bins = view.bins
     step = torch.arange(bins.tile, device=gaussians.device)
     count = 0

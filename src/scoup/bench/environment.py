@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from scoup import __version__
-from scoup.native import native_core
+from scoup.base.native import native_core
+from scoup.base.version import VERSION
 
 _CODE = (":/src", ":/native", ":/benchmarks")  # what can change a time; figures written into docs/ cannot
 
@@ -31,7 +31,7 @@ def describe_environment() -> dict[str, Any]:
         "python": platform.python_version(),
         "torch": str(torch.__version__),
         "numpy": np.__version__,
-        "scoup": __version__,
+        "scoup": VERSION,
         "native_instruction_set": _instruction_set(),
         "commit": _commit(),
     }

@@ -12,8 +12,8 @@ from typing import TypeVar
 
 import torch
 
-from scoup.errors import InputError
-from scoup.progress import Progress, no_progress
+from scoup.base.errors import InputError
+from scoup.base.progress import Progress, no_progress
 
 Key = TypeVar("Key", bound=Hashable)
 

@@ -11,7 +11,12 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.bench.room import (
+from scoup.base.errors import InputError, ScoupError
+from scoup.raster import morton_order
+from scoup.scene.cameras import Camera
+from scoup.scene.codes import SparseCodes
+from scoup.scene.gaussians import Gaussians
+from scoup.synthetic.room import (
     HEIGHT,
     REGIONS,
     WIDTH,
@@ -22,16 +27,11 @@ from scoup.bench.room import (
     room_cameras,
     voronoi_labels,
 )
-from scoup.cameras import Camera
-from scoup.codes import SparseCodes
-from scoup.errors import InputError, ScoupError
-from scoup.gaussians import Gaussians
-from scoup.raster import morton_order
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import GaussianCodes, vote
 
 STAGES = {
-    "look": "project, bin and sort",
+    "project": "project, bin and sort",
     "alpha": "render one channel of ones: blending and little else",
     "sums": "region sums, all levels",
     "colors": "render 3 channels",
@@ -156,12 +156,12 @@ def stage_runs(
         if (order := scene.order) is not None:
             moved = {name: getattr(work, name)[order] for name in ("indices", "weights", "values")}
             work = replace(work, **moved)
-    view = raster.look(scene, work.camera, backend=backend)
+    view = raster.project(scene, work.camera, backend=backend)
     ones = torch.ones(len(work.gaussians), 1, device=work.gaussians.device)
     moved_by = scene.order if isinstance(scene, raster.PreparedScene) else None
     sums = region_sums_of_a_view(work, view, moved_by) if "vote" in names else None
     runs: dict[str, Run] = {
-        "look": lambda: raster.look(scene, work.camera, backend=backend),
+        "project": lambda: raster.project(scene, work.camera, backend=backend),
         "alpha": lambda: raster.render_channels(view, ones),
         "sums": lambda: raster.region_sums(view, work.labels),
         "colors": lambda: raster.render_channels(view, work.values),
@@ -177,7 +177,7 @@ def stage_runs(
     return {name: runs[name] for name in names}
 
 
-def region_sums_of_a_view(work: Workload, view: raster.View, order: Tensor | None = None) -> RegionSums:
+def region_sums_of_a_view(work: Workload, view: raster.Projection, order: Tensor | None = None) -> RegionSums:
     """The sums of one view, ready for the vote."""
     sums = RegionSums(
         "", morton_order(work.gaussians.means), [str(level) for level in range(len(work.labels))]
@@ -214,7 +214,7 @@ def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[li
         try:
             if name in raster.BACKENDS:
                 importlib.import_module(raster.BACKENDS[name])
-            raster.look(make_room(8).to(device), room_cameras(1, 16, 16)[0], backend=name)
+            raster.project(make_room(8).to(device), room_cameras(1, 16, 16)[0], backend=name)
         except (ScoupError, ImportError) as error:
             if wanted:
                 raise (

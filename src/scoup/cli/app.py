@@ -58,9 +58,9 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
 def run(arguments: list[str]) -> int:
     """Parse and run; returns the exit code."""
     if arguments in (["--version"], ["-V"]):
-        from scoup import __version__
+        from scoup.base.version import VERSION
 
-        print(f"scoup {__version__}")
+        print(f"scoup {VERSION}")
         return 0
     for_machines = "--json" in arguments
     refusal = io.StringIO()

@@ -15,9 +15,9 @@ from scoup.cli.options import FieldFile, OptionalPath, OptionalText, WritesCommo
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from scoup.cameras import Camera, Cameras
-    from scoup.field import LanguageField
-    from scoup.raster import View
+    from scoup.field.language_field import LanguageField
+    from scoup.raster import Projection
+    from scoup.scene.cameras import Camera, Cameras
 
 LONGEST_SIDE = 16384  # of a picture, in pixels
 
@@ -40,8 +40,8 @@ class AsksField(WritesCommon):
             MissingFileError, FileFormatError: the field or its geometry is missing or damaged.
             GeometryMismatchError: the geometry is not the one the field was built on.
         """
-        from scoup.errors import InputError, MissingFileError
-        from scoup.field import LanguageField
+        from scoup.base.errors import InputError, MissingFileError
+        from scoup.field.language_field import LanguageField
         from scoup.io import load_gaussians
 
         field = LanguageField.load(self.field)
@@ -80,7 +80,7 @@ class AsksViews(AsksField):
             UnknownNameError: there is no camera of that name.
             InputError: there are no cameras, or the pictures would be too large.
         """
-        from scoup.errors import InputError, UnknownNameError
+        from scoup.base.errors import InputError, UnknownNameError
         from scoup.io import load_cameras
 
         cameras: Cameras | None = field.cameras
@@ -112,7 +112,7 @@ class AsksViews(AsksField):
         Raises:
             InputError: none of them sees anything.
         """
-        from scoup.errors import InputError, ScoupWarning
+        from scoup.base.errors import InputError, ScoupWarning
 
         names = ", ".join(camera.name for camera in blind[:3]) + (", ..." if len(blind) > 3 else "")
         if blind and len(blind) == count:
@@ -146,8 +146,8 @@ class TextVectors:
         Raises:
             InputError: it has too few, and presence was ``wanted`` by name.
         """
-        from scoup.errors import InputError
-        from scoup.everyday import LEAST_WORDS
+        from scoup.base.errors import InputError
+        from scoup.models.words import LEAST_WORDS
 
         if len(self.everyday) >= LEAST_WORDS:
             return self.everyday
@@ -182,9 +182,9 @@ class AsksText(AsksField):
             InputError: the vectors have another size than the field's embeddings, or the table lacks the
                 canonical phrases.
         """
-        from scoup.errors import InputError, UnknownNameError
-        from scoup.relevancy import CANONICAL_PHRASES
-        from scoup.text import TextEncoder
+        from scoup.base.errors import InputError, UnknownNameError
+        from scoup.models.text import TextEncoder
+        from scoup.models.words import CANONICAL_PHRASES
 
         source = self.text or self._named_by(field)
         if not source:
@@ -208,14 +208,14 @@ class AsksText(AsksField):
 
     def _named_by(self, field: LanguageField) -> str:
         """The model the field names; a table is sought beside the field, as its geometry is."""
-        from scoup.text_table import is_table
+        from scoup.models.word_table import is_table
 
         name = field.info.embedding_model
         beside = self.field.parent / name
         return str(beside) if name and is_table(name) and beside.is_file() else name
 
 
-def sees_nothing(field: LanguageField, view: View) -> bool:
+def sees_nothing(field: LanguageField, view: Projection) -> bool:
     """Whether no Gaussian with a code paints a pixel of the view."""
     from scoup.raster import render_channels
 

@@ -87,8 +87,8 @@ class Bench(WritesCommon):
         console.result(record | ({} if self.out is None else {"out": str(self.out)}))
 
     def _check(self) -> None:
+        from scoup.base.errors import InputError, UnknownNameError
         from scoup.bench import STAGES
-        from scoup.errors import InputError, UnknownNameError
 
         counts: dict[str, tuple[int, ...]] = {
             "n-gaussians": self.n_gaussians,

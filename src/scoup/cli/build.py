@@ -21,9 +21,9 @@ from scoup.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from scoup.gaussians import Gaussians
-    from scoup.processes import Processes
-    from scoup.regions import Regions
+    from scoup.base.processes import Processes
+    from scoup.scene.gaussians import Gaussians
+    from scoup.scene.regions import Regions
     from scoup.uplift.region_sums import RegionSums
 
 CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
@@ -99,7 +99,8 @@ class Build(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Build, save and report."""
-        from scoup.errors import InputError
+        from scoup.base.errors import InputError
+        from scoup.base.processes import device_of_process, process_group
         from scoup.io import (
             check_output,
             default_preset,
@@ -107,7 +108,6 @@ class Build(WritesCommon):
             load_gaussians,
             load_regions,
         )
-        from scoup.processes import device_of_process, process_group
         from scoup.uplift.build import build, build_settings
         from scoup.uplift.region_sums import sums_path
 
@@ -217,9 +217,9 @@ class Build(WritesCommon):
         console: Console,
     ) -> RegionSums:
         """The sums named, or those in the file beside the output in which a build keeps what it has done."""
-        from scoup.errors import InputError
+        from scoup.base.errors import InputError
+        from scoup.uplift.rasterise import resumed
         from scoup.uplift.region_sums import RegionSums
-        from scoup.uplift.taking import resumed
 
         if self.sums is not None:
             return RegionSums.open(self.sums)
@@ -237,7 +237,7 @@ class Build(WritesCommon):
         return sums
 
     def _splat(self) -> Path:
-        from scoup.errors import FileFormatError
+        from scoup.base.errors import FileFormatError
         from scoup.io import find_gaussians
 
         if self.gaussians is not None:
@@ -251,8 +251,8 @@ class Build(WritesCommon):
             raise FileFormatError(error.path, problem, "name the trained splat with --gaussians") from error
 
     def _features(self) -> Path:
-        from scoup.errors import MissingFileError
-        from scoup.io.region_views import FOLDER_NAME
+        from scoup.base.errors import MissingFileError
+        from scoup.io.regions.views import FOLDER_NAME
 
         if self.features is not None:
             return self.features
@@ -266,9 +266,9 @@ class Build(WritesCommon):
         """The name of the embedding model for the field; a table is checked, and named relative to the field."""
         import os
 
-        from scoup.errors import InputError
-        from scoup.io.region_manifest import read_manifest
-        from scoup.text_table import is_table, load_table
+        from scoup.base.errors import InputError
+        from scoup.io.regions.manifest import read_manifest
+        from scoup.models.word_table import is_table, load_table
 
         if self.model is None:
             manifest = read_manifest(self._features())

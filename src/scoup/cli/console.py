@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from scoup.base.errors import ScoupError, ScoupWarning
+from scoup.base.progress import Progress, no_progress
 from scoup.cli.options import Common
-from scoup.errors import ScoupError, ScoupWarning
-from scoup.progress import Progress, no_progress
 
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
 
@@ -136,7 +136,7 @@ def check_device(device: str) -> None:
         return
     import torch
 
-    from scoup.errors import InputError
+    from scoup.base.errors import InputError
 
     try:
         wanted = torch.device(device)

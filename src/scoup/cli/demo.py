@@ -10,7 +10,7 @@ from scoup.cli.console import Console
 from scoup.cli.options import WritesCommon, common_last
 
 if TYPE_CHECKING:
-    from scoup.demo.run import DemoResult
+    from scoup.evaluate.demonstration import DemoResult
 
 
 @common_last
@@ -43,10 +43,10 @@ class Demo(WritesCommon):
         """Run, draw, print."""
         import json
 
-        from scoup.demo.layouts import find_layout
-        from scoup.demo.run import DemoSettings, run_demo
-        from scoup.demo.sheet import query_sheet
+        from scoup.evaluate.demonstration import DemoSettings, run_demo
+        from scoup.evaluate.demonstration_sheet import query_sheet
         from scoup.io import check_output, save_png, write_text
+        from scoup.synthetic.layouts import find_layout
 
         sheet, scores = self.out / "queries.png", self.out / "scores.json"
         for path in (sheet, scores):
@@ -76,7 +76,7 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
 
     import torch
 
-    from scoup.demo.run import rows_by_name, summary
+    from scoup.evaluate.demonstration import rows_by_name, summary
 
     return {
         "layout": result.scene.layout,
@@ -96,7 +96,7 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
 def _print(console: Console, result: DemoResult) -> None:
     from rich.table import Table
 
-    from scoup.demo.run import ALL_ATOMS, DENSE, METHOD, rows_by_name, summary
+    from scoup.evaluate.demonstration import ALL_ATOMS, DENSE, METHOD, rows_by_name, summary
 
     table = Table(title="Every named thing in sight of the held-out views", title_justify="left")
     table.add_column("asked for")

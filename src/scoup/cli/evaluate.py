@@ -11,7 +11,7 @@ from scoup.cli.console import Console
 from scoup.cli.evaluate_data_sets import LerfOvs, MipNerf360, ThreeDOvs
 from scoup.cli.evaluate_many import Baselines, Presence
 from scoup.cli.evaluate_studies import Ablations, Consistency, Curves
-from scoup.cli.evaluate_twin import Twin
+from scoup.cli.evaluate_synthetic import Synthetic
 
 What = (
     Annotated[LerfOvs, tyro.conf.subcommand("lerf-ovs", prefix_name=False)]
@@ -22,7 +22,7 @@ What = (
     | Annotated[Curves, tyro.conf.subcommand("curves", prefix_name=False)]
     | Annotated[Consistency, tyro.conf.subcommand("consistency", prefix_name=False)]
     | Annotated[Presence, tyro.conf.subcommand("presence", prefix_name=False)]
-    | Annotated[Twin, tyro.conf.subcommand("twin", prefix_name=False)]
+    | Annotated[Synthetic, tyro.conf.subcommand("synthetic", prefix_name=False)]
 )
 
 
@@ -30,7 +30,7 @@ What = (
 class Eval:
     """Score fields by the protocols of the papers: tables with intervals, and pictures of the worst answers.
 
-    `scoup eval twin lerf-ovs ROOT` writes a data set made by a program, to try the others on and to see the layout.
+    `scoup eval synthetic lerf-ovs ROOT` writes a synthetic data set, to try the others on and to see the layout.
     """
 
     what: tyro.conf.OmitArgPrefixes[What]

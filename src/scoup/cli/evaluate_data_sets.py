@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
     from scoup.evaluate.datasets import EvalScene, Places
     from scoup.evaluate.predictions import PredictionCache
-    from scoup.evaluate.run import Asked
     from scoup.evaluate.scores import PairScore, SceneScore
-    from scoup.field import LanguageField
+    from scoup.evaluate.scoring import Asked
+    from scoup.field.language_field import LanguageField
     from scoup.uplift.build import BuildSettings
 
 Names = tyro.conf.UseAppendAction[tuple[str, ...]]
@@ -84,7 +84,13 @@ class Scored(DataSetOptions):
         """Build what is missing, predict, score, write."""
         from scoup.evaluate.datasets import data_set_preset, find_data_set, find_scenes, open_scene
         from scoup.evaluate.predictions import PredictionCache
-        from scoup.evaluate.run import build_field, encode_labels, score_field, score_selection, text_source
+        from scoup.evaluate.scoring import (
+            build_field,
+            encode_labels,
+            score_field,
+            score_selection,
+            text_source,
+        )
         from scoup.uplift.build import build_settings
 
         data_set = find_data_set(self.data_set_name)
@@ -137,13 +143,13 @@ class Scored(DataSetOptions):
     ) -> None:
         from dataclasses import asdict
 
-        from scoup import __version__
+        from scoup.base.version import VERSION
         from scoup.evaluate.datasets import find_data_set
         from scoup.evaluate.tables import Report
         from scoup.evaluate.writing import write_report
 
         data_set = find_data_set(self.data_set_name)
-        shared = {"software": f"scoup {__version__}", "build": asdict(settings), "root": str(self.root)}
+        shared = {"software": f"scoup {VERSION}", "build": asdict(settings), "root": str(self.root)}
         reports = {
             self._stem(): Report(scores[0].protocol, self.rules, tuple(scores), data_set.scenes, shared)
         }
@@ -180,8 +186,8 @@ class Scored(DataSetOptions):
         from scoup.evaluate.datasets import data_set_preset, find_data_set
         from scoup.evaluate.failures import failure_sheet
         from scoup.evaluate.predictions import file_digest
-        from scoup.evaluate.run import predict
-        from scoup.evaluate.threed_ovs import LEVELS_ASKED
+        from scoup.evaluate.protocols.threed_ovs import LEVELS_ASKED
+        from scoup.evaluate.scoring import predict
         from scoup.io import save_png
         from scoup.raster import render_colors
 

@@ -15,10 +15,10 @@ from scoup.cli.evaluate_data_sets import DataSetOptions, Names
 from scoup.cli.options import Flag, common_last
 
 if TYPE_CHECKING:
-    from scoup.evaluate.prepared import PreparedScene
+    from scoup.evaluate.studies.rasterised import PreparedScene
     from scoup.evaluate.tables import Table
     from scoup.pictures.colors import Picture
-    from scoup.query import QueryPreset
+    from scoup.query.answers import QueryPreset
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +43,8 @@ class ManyOptions(DataSetOptions):
     def prepared(self, console: Console) -> list[PreparedScene]:
         """The scenes with their splats, regions and words."""
         from scoup.evaluate.datasets import find_data_set, find_scenes, open_scene
-        from scoup.evaluate.prepared import prepare_scene
-        from scoup.evaluate.run import encode_labels, text_source
+        from scoup.evaluate.scoring import encode_labels, text_source
+        from scoup.evaluate.studies.rasterised import prepare_scene
 
         data_set = find_data_set(self.data_set)
         names = find_scenes(data_set, self.root, self.scenes)
@@ -113,7 +113,7 @@ class Baselines(ManyOptions):
         from scoup.baselines.autoencoder import LANGSPLAT
         from scoup.baselines.methods import METHODS, MethodSettings, find_method
         from scoup.bench.environment import describe_environment
-        from scoup.evaluate.comparison import (
+        from scoup.evaluate.studies.comparison import (
             compare,
             comparison_record,
             comparison_table,
@@ -164,9 +164,9 @@ class Presence(ManyOptions):
 
     def run(self, console: Console) -> None:
         """Ask, judge, write."""
-        from scoup.errors import InputError
-        from scoup.evaluate.presence_study import absent_words, ask_scene, presence_tables
-        from scoup.evaluate.run import encode_words, text_source
+        from scoup.base.errors import InputError
+        from scoup.evaluate.scoring import encode_words, text_source
+        from scoup.evaluate.studies.presence import absent_words, ask_scene, presence_tables
         from scoup.uplift.build import build_settings
 
         self.check("presence")

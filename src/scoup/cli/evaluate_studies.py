@@ -32,8 +32,13 @@ class Ablations(ManyOptions):
     def run(self, console: Console) -> None:
         """Run all and write the table."""
         from scoup.bench.environment import describe_environment
-        from scoup.evaluate.ablation_recipes import find_ablations
-        from scoup.evaluate.ablations import ablation_plot, ablation_record, ablation_tables, run_ablations
+        from scoup.evaluate.studies.ablation_recipes import find_ablations
+        from scoup.evaluate.studies.ablations import (
+            ablation_plot,
+            ablation_record,
+            ablation_tables,
+            run_ablations,
+        )
 
         chosen = find_ablations(self.groups)
         self.check("ablations")
@@ -77,7 +82,7 @@ class Curves(ManyOptions):
         from scoup.baselines.autoencoder import LANGSPLAT
         from scoup.baselines.methods import METHODS, MethodSettings, find_method
         from scoup.bench.environment import describe_environment
-        from scoup.evaluate.curves import (
+        from scoup.evaluate.studies.curves import (
             FAULTS,
             curve_plot,
             curve_record,
@@ -130,7 +135,7 @@ class Consistency(ManyOptions):
         from dataclasses import replace
 
         from scoup.baselines.autoencoder import LANGSPLAT
-        from scoup.evaluate.consistency import (
+        from scoup.evaluate.studies.consistency import (
             consistency,
             consistency_plot,
             consistency_record,

@@ -60,11 +60,11 @@ class Extract(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Extract and report."""
-        from scoup.errors import InputError
+        from scoup.base.errors import InputError
+        from scoup.base.processes import device_of_process, of_environment
         from scoup.extract import extract, find_photographs, mask_settings
         from scoup.extract.opening import open_pair
-        from scoup.io.region_views import FOLDER_NAME
-        from scoup.processes import device_of_process, of_environment
+        from scoup.io.regions.views import FOLDER_NAME
 
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")

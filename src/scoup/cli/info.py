@@ -14,9 +14,9 @@ from scoup.cli.console import Console
 from scoup.cli.options import Common, common_last
 
 if TYPE_CHECKING:
-    from scoup.cameras import Cameras
-    from scoup.field import LanguageField
-    from scoup.gaussians import Gaussians
+    from scoup.field.language_field import LanguageField
+    from scoup.scene.cameras import Cameras
+    from scoup.scene.gaussians import Gaussians
 
 
 @common_last
@@ -29,7 +29,7 @@ class Info(Common):
 
     def run(self, console: Console) -> None:
         """Find out the kind, check the contents, and print what they are."""
-        from scoup.errors import MissingFileError
+        from scoup.base.errors import MissingFileError
 
         if not self.path.exists():
             raise MissingFileError(self.path, "there is no such file or folder", "check the path")
@@ -40,7 +40,7 @@ class Info(Common):
 
 
 def _describe_file(path: Path) -> dict[str, Any]:
-    from scoup.errors import FileFormatError
+    from scoup.base.errors import FileFormatError
     from scoup.io import load_gaussians
 
     suffix = path.suffix.lower()
@@ -61,7 +61,7 @@ def _describe_file(path: Path) -> dict[str, Any]:
 
 
 def _describe_table(path: Path) -> dict[str, Any]:
-    from scoup.text_table import load_table
+    from scoup.models.word_table import load_table
 
     table = load_table(path)
     record = {"kind": "table of words", "names": list(table.names), "dim": table.vectors.shape[1]}
@@ -70,9 +70,9 @@ def _describe_table(path: Path) -> dict[str, Any]:
 
 def _describe_folder(path: Path) -> dict[str, Any]:
     """A scene, or what there is of one: a part that is missing is left out, a damaged one is an error."""
-    from scoup.errors import FileFormatError, MissingFileError
+    from scoup.base.errors import FileFormatError, MissingFileError
     from scoup.io import find_cameras, find_gaussians, load_gaussians, load_regions
-    from scoup.io.region_views import view_files
+    from scoup.io.regions.views import view_files
 
     record: dict[str, Any] = {"kind": "scene"}
     cameras = None
@@ -102,8 +102,8 @@ def _describe_folder(path: Path) -> dict[str, Any]:
 
 def _describe_compact(folder: Path, files: list[Path]) -> dict[str, Any]:
     """Region features in the compact layout, without the cameras they belong to."""
-    from scoup.io.compact import read_compact_view
-    from scoup.io.region_manifest import read_manifest
+    from scoup.io.regions.compact import read_compact_view
+    from scoup.io.regions.manifest import read_manifest
 
     manifest = read_manifest(folder)
     views = [read_compact_view(path) for path in files]
@@ -154,7 +154,7 @@ def _cameras(path: Path) -> Cameras:
 
 
 def _describe_field(path: Path) -> dict[str, Any]:
-    from scoup.field import LanguageField
+    from scoup.field.language_field import LanguageField
     from scoup.uplift.region_sums import sums_path
 
     field = LanguageField.load(path)

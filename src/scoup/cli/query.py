@@ -16,8 +16,8 @@ from scoup.cli.staging import check_folder, check_outputs, staged
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from scoup.cameras import Camera
-    from scoup.query import QueryPreset
+    from scoup.query.answers import QueryPreset
+    from scoup.scene.cameras import Camera
 
 RECORD = "query.json"
 PICTURES = ("heat", "mask", "overlay")
@@ -56,11 +56,11 @@ class Query(AsksText, AsksViews):
         """Answer every text in every view asked for."""
         import json
 
-        from scoup.errors import InputError
-        from scoup.everyday import with_everyday
+        from scoup.base.errors import InputError
         from scoup.io import write_text
-        from scoup.presence import PRESENT_FROM, view_standing
-        from scoup.query import query_preset
+        from scoup.models.words import with_everyday
+        from scoup.query.answers import query_preset
+        from scoup.query.presence import PRESENT_FROM, view_standing
 
         if not self.texts:
             raise InputError('name at least one text to look for, for example "kettle"')
@@ -90,7 +90,7 @@ class Query(AsksText, AsksViews):
         with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
             progress("query", 0, len(cameras))
             for done, (camera, folder) in enumerate(zip(cameras, folders, strict=True), start=1):
-                view = field.look(camera)
+                view = field.project(camera)
                 relevancy = field.relevancy(camera, queries, canonical, view)
                 if bool((relevancy == 0.5).all()) and sees_nothing(field, view):
                     blind.append(camera)
@@ -157,7 +157,7 @@ def _answer(
 ) -> dict[str, Any]:
     """What one text gets in one view: relevancy maps [S, H, W] to a record, and the mask. ``standing`` is None where
     presence is not judged."""
-    from scoup.query import localize_and_segment
+    from scoup.query.answers import localize_and_segment
 
     place, shape = localize_and_segment(maps, preset)
     record = {

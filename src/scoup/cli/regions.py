@@ -12,8 +12,8 @@ from scoup.cli.console import Console
 from scoup.cli.options import OptionalPath, WritesCommon, common_last
 
 if TYPE_CHECKING:
-    from scoup.cameras import Camera
-    from scoup.regions import Regions
+    from scoup.scene.cameras import Camera
+    from scoup.scene.regions import Regions
 
 
 @common_last
@@ -36,10 +36,10 @@ class ShowRegions(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Load, draw, write."""
-        from scoup.errors import InputError
+        from scoup.base.errors import InputError
         from scoup.io import check_output, load_cameras, load_image, load_regions, save_png
-        from scoup.io.region_manifest import read_manifest
-        from scoup.io.region_views import FOLDER_NAME
+        from scoup.io.regions.manifest import read_manifest
+        from scoup.io.regions.views import FOLDER_NAME
         from scoup.pictures import regions_sheet
 
         if not 200 <= self.width <= 20_000:

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     import numpy as np
     from torch import Tensor
 
-    from scoup.cameras import Camera
-    from scoup.field import LanguageField
-    from scoup.raster import View
+    from scoup.field.language_field import LanguageField
+    from scoup.raster import Projection
+    from scoup.scene.cameras import Camera
 
-    Draw = Callable[[Camera, View], np.ndarray]
+    Draw = Callable[[Camera, Projection], np.ndarray]
 
 
 @common_last
@@ -45,7 +45,7 @@ class Render(AsksText, AsksViews):
 
     def run(self, console: Console) -> None:
         """Render each camera asked for."""
-        from scoup.errors import InputError
+        from scoup.base.errors import InputError
         from scoup.io import save_png
 
         if (self.what == "relevancy") != (self.query is not None):
@@ -73,7 +73,7 @@ class Render(AsksText, AsksViews):
         with staged(folder, files, self.overwrite) as hidden, console.progress() as progress:
             progress("render", 0, len(cameras))
             for done, camera in enumerate(cameras):
-                view = field.look(camera)
+                view = field.project(camera)
                 if sees_nothing(field, view):
                     blind.append(camera)
                 picture = draw(camera, view)
@@ -90,9 +90,9 @@ class Render(AsksText, AsksViews):
 
     def _drawing(self, field: LanguageField) -> Draw:
         """The function that draws one view as [H, W, 3] uint8."""
-        from scoup.everyday import with_everyday
+        from scoup.models.words import with_everyday
         from scoup.pictures import as_picture, heat_map
-        from scoup.query import segment
+        from scoup.query.answers import segment
         from scoup.raster import render_colors
 
         if self.what == "codes":
@@ -103,7 +103,7 @@ class Render(AsksText, AsksViews):
         canonical = with_everyday(vectors.canonical, vectors.everyday)
         text = self.query
 
-        def draw(camera: Camera, view: View) -> np.ndarray:
+        def draw(camera: Camera, view: Projection) -> np.ndarray:
             maps = field.relevancy(camera, vectors.queries, canonical, view)[:, 0].cpu()
             answer = segment(maps)
             rgb = render_colors(field.gaussians, camera, view).cpu()
@@ -112,8 +112,8 @@ class Render(AsksText, AsksViews):
         return draw
 
     def _codes_drawing(self, field: LanguageField) -> Draw:
-        from scoup.codes import SparseCodes
         from scoup.pictures import code_basis, code_picture
+        from scoup.scene.codes import SparseCodes
 
         level = len(field.levels) // 2 if self.level is None else field.level_index(self.level)
         # Colours should tell meanings apart, so atoms are placed by their embeddings first; and the same code should
@@ -137,7 +137,7 @@ def _leading_directions(atoms: Tensor, count: int) -> Tensor:
 def _save_animation(frames: list[np.ndarray], path: Path, frames_per_second: float) -> None:
     from PIL import Image
 
-    from scoup.errors import InputError
+    from scoup.base.errors import InputError
 
     if len({frame.shape for frame in frames}) > 1:
         raise InputError(

@@ -13,7 +13,7 @@ from scoup.cli.options import Flag, OptionalNumber, Texts, common_last
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from scoup.field import LanguageField
+    from scoup.field.language_field import LanguageField
     from scoup.io import PlyTable
 
 
@@ -48,11 +48,11 @@ class Select(AsksText):
         """Choose and write."""
         import torch
 
-        from scoup.errors import InputError
-        from scoup.everyday import with_everyday
+        from scoup.base.errors import InputError
         from scoup.io import check_output, write_ply_table
-        from scoup.presence import PRESENT_FROM, scene_standing
-        from scoup.query import select_with_level
+        from scoup.models.words import with_everyday
+        from scoup.query.answers import select_with_level
+        from scoup.query.presence import PRESENT_FROM, scene_standing
 
         if not self.texts:
             raise InputError('name at least one text to look for, for example "kettle"')
@@ -125,9 +125,9 @@ class Select(AsksText):
         """Rows to write from, and which of them [M] are the field's Gaussians, in order."""
         import torch
 
-        from scoup.errors import InputError
+        from scoup.base.errors import InputError
         from scoup.io import find_gaussians, gaussians_from_table, read_ply_table
-        from scoup.io.ply import table_from_gaussians
+        from scoup.io.splats.ply import table_from_gaussians
 
         path = self.gaussians or field.geometry_path
         try:

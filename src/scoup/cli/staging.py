@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 
 
 @contextmanager

@@ -13,9 +13,9 @@ from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, common_last
 
 if TYPE_CHECKING:
-    from scoup.cameras import Camera
-    from scoup.field import LanguageField
-    from scoup.regions import Regions
+    from scoup.field.language_field import LanguageField
+    from scoup.scene.cameras import Camera
+    from scoup.scene.regions import Regions
     from scoup.uplift.region_sums import RegionSums
 
 Names = Annotated[
@@ -60,9 +60,9 @@ class Update(AsksField):
 
     def run(self, console: Console) -> None:
         """Update, save and report."""
-        from scoup.errors import InputError, MissingFileError
+        from scoup.base.atomic import atomic_path
+        from scoup.base.errors import InputError, MissingFileError
         from scoup.io import check_output
-        from scoup.io.atomic import atomic_path
         from scoup.uplift.region_sums import RegionSums, sums_path
         from scoup.uplift.update import codes_of, update
 
@@ -112,10 +112,10 @@ class Update(AsksField):
 
     def _views(self, field: LanguageField, sums: RegionSums) -> tuple[list[Camera], Regions | None]:
         """The cameras to take in, and their regions."""
-        from scoup.errors import InputError, UnknownNameError
+        from scoup.base.errors import InputError, UnknownNameError
         from scoup.io import load_cameras, load_regions
-        from scoup.io.region_views import FOLDER_NAME
-        from scoup.uplift.taking import cameras_with_regions, is_taken, read_labels
+        from scoup.io.regions.views import FOLDER_NAME
+        from scoup.uplift.rasterise import cameras_with_regions, is_taken, read_labels
 
         if not self.add:
             return [], None

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes, index_dtype
+from scoup.base.errors import InputError
+from scoup.base.progress import Progress, no_progress
 from scoup.coding.adam import AdamSettings, solve_adam
 from scoup.coding.codebook import Codebook, Encoded
-from scoup.coding.exact import PRESETS, solve_exact
+from scoup.coding.exact import EFFORTS, solve_exact
 from scoup.coding.report import CodingReport, report_on
 from scoup.coding.rows import unit_rows
-from scoup.errors import InputError
-from scoup.progress import Progress, no_progress
+from scoup.scene.codes import SparseCodes, index_dtype
 
 __all__ = ["SOLVERS", "Codebook", "CodingReport", "Encoded", "fit_codes"]
 
@@ -52,7 +52,7 @@ def _adam(
 def _exact(
     rows: Tensor, n_atoms: int, k: int, seed: int, settings: SolverSettings, progress: Progress
 ) -> tuple[Tensor, SparseCodes, int]:
-    solution = solve_exact(rows, n_atoms, k, seed, PRESETS[settings.effort], progress)
+    solution = solve_exact(rows, n_atoms, k, seed, EFFORTS[settings.effort], progress)
     return solution.atoms, solution.codes, solution.steps
 
 
@@ -85,7 +85,7 @@ def fit_codes(
         seed: of the random start.
         epochs: full-batch optimisation steps of "adam" at most; "exact" has a schedule of its own (``solve_exact``).
         tolerance: "adam" stops early, once the mean of 1 - cosine has fallen by less than this over 100 epochs.
-        effort: "fast" or "best" (the default): how long "exact" learns; see ``scoup.coding.exact.PRESETS``.
+        effort: "fast" or "best" (the default): how long "exact" learns; see ``scoup.coding.exact.EFFORTS``.
         progress: told after each epoch or step. An exception it raises (or Ctrl-C) stops the fit and nothing is kept.
 
     Raises:
@@ -97,8 +97,8 @@ def fit_codes(
         raise InputError(f"k must be 1 to 64 atoms a code, not {k}")
     if epochs < 0:
         raise InputError(f"epochs must not be negative, got {epochs}")
-    if effort not in PRESETS:
-        raise InputError(f"there is no effort {effort!r}; efforts: {', '.join(map(repr, PRESETS))}")
+    if effort not in EFFORTS:
+        raise InputError(f"there is no effort {effort!r}; efforts: {', '.join(map(repr, EFFORTS))}")
     index_dtype(n_atoms)  # checks its range
     started = time.perf_counter()
     rows = unit_rows(embeddings)

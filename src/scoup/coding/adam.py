@@ -21,12 +21,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes, index_dtype
+from scoup.base.progress import Progress, no_progress
 from scoup.coding.kmeans import spherical_kmeans
 from scoup.coding.products import products_for
 from scoup.coding.slots import Slots
 from scoup.coding.step import Step, add_gradient, decay
-from scoup.progress import Progress, no_progress
+from scoup.scene.codes import SparseCodes, index_dtype
 
 LEARNING_RATE = 7e-4  # the paper's
 LOGIT_SCALE = 4.0

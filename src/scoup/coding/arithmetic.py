@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes, full_products, index_dtype
-from scoup.coding import exact_reference
-from scoup.native import native_core
+from scoup.base.native import native_core
+from scoup.coding import reference as exact_reference
+from scoup.scene.codes import SparseCodes, full_products, index_dtype
 
 _BLOCK_ROWS = 4096  # of the sums in torch
 
@@ -107,7 +107,7 @@ def arithmetic_at_hand(device: torch.device | str = "cpu") -> Arithmetic:
 def _has_triton() -> bool:
     try:
         # Here and nowhere above: without a GPU nobody should wait for this import.
-        from scoup.coding import gpu  # noqa: F401
+        from scoup.coding.triton import coder as gpu  # noqa: F401
     except ImportError:
         return False
     return True
@@ -185,7 +185,7 @@ class GpuArithmetic(TorchArithmetic):
     def code_rows(
         self, rows: Tensor, atoms: Tensor, k: int, swap_passes: int, warm: Tensor | None = None
     ) -> RowCodes:
-        from scoup.coding import gpu
+        from scoup.coding.triton import coder as gpu
 
         if not gpu.can_code(len(atoms), k):
             return super().code_rows(rows, atoms, k, swap_passes, warm)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes, index_dtype
+from scoup.base.errors import InputError
 from scoup.coding.encode import encode
 from scoup.coding.kmeans import spherical_kmeans
 from scoup.coding.report import CodingReport, code_cosines, report_with_more
 from scoup.coding.rows import unit_rows
-from scoup.errors import InputError
+from scoup.scene.codes import SparseCodes, index_dtype
 
 STARTS = 4  # of k-means for appended atoms; a single start often misses one of the new things
 SAME_ATOM = 1e-6  # 1 - cosine

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from scoup.codes import SparseCodes
 from scoup.coding.arithmetic import arithmetic_at_hand, as_sparse_codes, working_device
+from scoup.scene.codes import SparseCodes
 
 SWAP_PASSES = 1
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes
+from scoup.base.progress import Progress, no_progress
 from scoup.coding.arithmetic import (
     Arithmetic,
     RowCodes,
@@ -34,7 +34,7 @@ from scoup.coding.arithmetic import (
     working_device,
 )
 from scoup.coding.exact_start import starting_atoms, unit
-from scoup.progress import Progress, no_progress
+from scoup.scene.codes import SparseCodes
 
 BETAS = (0.9, 0.99)
 EPSILON = 1e-8
@@ -66,7 +66,7 @@ class ExactSettings:
 
 BEST = ExactSettings()
 FAST = ExactSettings(steps=100, passes=0)
-PRESETS = {"fast": FAST, "best": BEST}
+EFFORTS = {"fast": FAST, "best": BEST}
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 
 
 def unit_rows(embeddings: Tensor) -> Tensor:

@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from scoup.cameras import Camera, Cameras
-from scoup.errors import InputError, MissingFileError, UnknownNameError, looked_up
-from scoup.evaluate import lerf_ovs, mipnerf360, threed_ovs
-from scoup.evaluate.lerf_labels import LabelledFrame, match_frames, read_labels
+from scoup.base.errors import InputError, MissingFileError, UnknownNameError, looked_up
+from scoup.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
 from scoup.io import find_gaussians, load_cameras
-from scoup.io.langsplat import FOLDER_NAME
-from scoup.query import QueryPreset, query_preset
+from scoup.io.labels import LabelledFrame, match_frames, read_labels
+from scoup.io.regions.langsplat import FOLDER_NAME
+from scoup.query.answers import QueryPreset, query_preset
+from scoup.scene.cameras import Camera, Cameras
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 from torch import Tensor
 
-from scoup.evaluate.lerf_labels import LabelledFrame
 from scoup.evaluate.scores import PairScore, SceneScore
+from scoup.io.labels import LabelledFrame
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import ArrayOrTensor, Picture
-from scoup.query import QueryPreset, localize, segment
+from scoup.query.answers import QueryPreset, localize, segment
 
 TRUTH_COLOR = (70, 200, 110)
 MOST = 6  # queries on a sheet

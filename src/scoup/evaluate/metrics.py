@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 
 
 def iou(predicted: Tensor, truth: Tensor) -> float:

@@ -17,8 +17,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
-from scoup.cameras import Camera
 from scoup.io import atomic_file
+from scoup.scene.cameras import Camera
 
 VERSION = 1
 _DIGITS = 16

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -13,17 +13,17 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.base.progress import Progress, no_progress
 from scoup.baselines.dense import dense_relevancy, weighted_means
-from scoup.cameras import Camera
-from scoup.evaluate.lerf_ovs import LabelledFrame, PairScore, SceneScore, score_frame
-from scoup.field import FieldInfo, LanguageField
-from scoup.gaussians import Gaussians
-from scoup.progress import Progress, no_progress
-from scoup.query import PRESETS, QueryPreset
+from scoup.evaluate.protocols.lerf_ovs import LabelledFrame, PairScore, SceneScore, score_frame
+from scoup.field.language_field import FieldInfo, LanguageField
+from scoup.query.answers import QUERY_PRESETS, QueryPreset
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import GaussianCodes
 
-Ask = Callable[[Camera, raster.View, Tensor, Tensor], Tensor]
+Ask = Callable[[Camera, raster.Projection, Tensor, Tensor], Tensor]
 """``ask(camera, view, queries [Q, D], canonical [P, D])`` gives relevancy [S, Q, H, W]."""
 
 
@@ -69,7 +69,7 @@ def dense_variant(name: str, sums: RegionSums, embeddings: Sequence[Tensor]) -> 
     """Dense uplift of the embeddings, per level [R, D]; keeps N x S x D floats in memory."""
     features = weighted_means(sums, embeddings)
 
-    def ask(camera: Camera, view: raster.View, queries: Tensor, canonical: Tensor) -> Tensor:
+    def ask(camera: Camera, view: raster.Projection, queries: Tensor, canonical: Tensor) -> Tensor:
         return torch.stack([dense_relevancy(view, each, queries, canonical) for each in features])
 
     return Variant(name, 4.0 * len(features) * features[0].shape[1], ask)
@@ -84,7 +84,7 @@ def score_variants(
     raster_preset: str = "inria",
     scene: str = "",
     progress: Progress = no_progress,
-    preset: QueryPreset = PRESETS["scoup"],
+    preset: QueryPreset = QUERY_PRESETS["scoup"],
 ) -> dict[str, SceneScore]:
     """Score each variant on labelled frames with the LERF-OVS protocol; each view is projected once.
 
@@ -106,7 +106,7 @@ def score_variants(
     pairs: dict[str, list[PairScore]] = {variant.name: [] for variant in variants}
     progress("scoring", 0, total)
     for frame, camera in frames:
-        view = raster.look(gaussians, camera, raster_preset)
+        view = raster.project(gaussians, camera, raster_preset)
         queries = torch.stack([vectors[label] for label in frame.labels])
         for variant in variants:
             relevancy = variant.ask(camera, view, queries, canonical)

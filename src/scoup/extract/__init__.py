@@ -8,7 +8,7 @@ from scoup.extract.masks import Masks, paint
 from scoup.extract.opening import open_embedder, open_segmenter
 from scoup.extract.parts import Embedder, Segmenter
 from scoup.extract.photographs import Photograph, find_photographs
-from scoup.extract.run import ExtractReport, extract
+from scoup.extract.pipeline import ExtractReport, extract
 from scoup.extract.settings import MaskSettings, mask_settings
 
 __all__ = [

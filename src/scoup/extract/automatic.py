@@ -13,10 +13,10 @@ from torch import Tensor
 from scoup.extract.grids import Box, crop_boxes, point_grid, touches_inner_edge
 from scoup.extract.masks import Masks
 from scoup.extract.overlaps import keep_by_boxes, keep_by_masks
-from scoup.extract.sam import Looked, PointModel
 from scoup.extract.settings import MaskSettings
 from scoup.extract.small_parts import without_small_parts
-from scoup.regions import LEVELS
+from scoup.models.sam import Looked, PointModel
+from scoup.scene.regions import LEVELS
 
 _CHUNK = 128 << 20  # bytes of logits at the size of the image that are in memory at once
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.errors import ScoupError
+from scoup.base.errors import ScoupError
 from scoup.extract.masks import Masks
-from scoup.regions import LEVELS
+from scoup.scene.regions import LEVELS
 
 NAME = "felzenszwalb"
 _SCALES = {"s": (80.0, 250), "m": (300.0, 1500), "l": (900.0, 6000)}

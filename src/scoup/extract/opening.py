@@ -6,11 +6,11 @@ from pathlib import Path
 
 import torch
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from scoup.extract import felzenszwalb, plain_colors
 from scoup.extract.parts import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
-from scoup.io.region_manifest import read_manifest
+from scoup.io.regions.manifest import read_manifest
 
 
 def open_segmenter(
@@ -37,7 +37,7 @@ def open_segmenter(
             raise InputError(f"{name} has no level default: its levels are no answers to one point")
         return felzenszwalb.Felzenszwalb()
     from scoup.extract.automatic import SamSegmenter
-    from scoup.extract.sam import open_point_model
+    from scoup.models.sam import open_point_model
 
     settings = settings or MaskSettings()
     return SamSegmenter(open_point_model(name, revision, device, settings.half), settings, with_default)
@@ -56,7 +56,7 @@ def open_embedder(name: str, revision: str | None = None, device: torch.device |
     """
     if name == plain_colors.NAME:
         return plain_colors.PlainColors()
-    from scoup.extract.image_models import open_image_model
+    from scoup.models.image import open_image_model
 
     return open_image_model(name, revision, device)
 
@@ -90,6 +90,6 @@ def open_pair(
 
 
 def _full_name(name: str) -> str:
-    from scoup.extract.sam import SHORT_NAMES
+    from scoup.models.sam import SHORT_NAMES
 
     return SHORT_NAMES.get(name, name)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.errors import FileFormatError, MissingFileError, ScoupError
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
 from scoup.io import camera_photographs
 from scoup.io.image_folder import EXTENSIONS, size_in_header
 from scoup.io.images import MAX_PIXELS

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from scoup.text import COLORS
+from scoup.models.text import COLORS
 
 NAME = COLORS
 _BINS = 4  # a side of the colour cube

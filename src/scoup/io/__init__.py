@@ -1,21 +1,12 @@
 """Readers and writers: one file a format, all giving and taking the dataclasses of floor 0."""
 
-from scoup.io.atomic import atomic_file, atomic_path, check_output, write_text
-from scoup.io.colmap import read_colmap, read_points, read_tracks, write_colmap
-from scoup.io.gsplat_checkpoint import read_gsplat_checkpoint
+from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
+from scoup.io.cameras.colmap import read_colmap, read_points, read_tracks, write_colmap
+from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras, write_inria_cameras
+from scoup.io.cameras.transforms import read_transforms, write_transforms
 from scoup.io.images import load_image, save_png
-from scoup.io.inria import read_cfg_args, read_inria_cameras, write_inria_cameras
-from scoup.io.langsplat import load_regions, save_regions
-from scoup.io.ply import (
-    PlyTable,
-    as_stored,
-    gaussians_from_table,
-    read_ply,
-    read_ply_table,
-    write_ply,
-    write_ply_table,
-)
-from scoup.io.region_convert import ConvertReport, convert_regions
+from scoup.io.regions.convert import ConvertReport, convert_regions
+from scoup.io.regions.langsplat import load_regions, save_regions
 from scoup.io.scenes import (
     camera_photographs,
     default_preset,
@@ -25,8 +16,17 @@ from scoup.io.scenes import (
     load_gaussians,
     save_gaussians,
 )
-from scoup.io.splat import read_splat, write_splat
-from scoup.io.transforms import read_transforms, write_transforms
+from scoup.io.splats.gsplat_checkpoint import read_gsplat_checkpoint
+from scoup.io.splats.ply import (
+    PlyTable,
+    as_stored,
+    gaussians_from_table,
+    read_ply,
+    read_ply_table,
+    write_ply,
+    write_ply_table,
+)
+from scoup.io.splats.splat import read_splat, write_splat
 
 __all__ = [
     "ConvertReport",

@@ -7,7 +7,7 @@ import warnings
 from collections import defaultdict
 from pathlib import Path, PurePosixPath
 
-from scoup.errors import FileFormatError
+from scoup.base.errors import FileFormatError
 from scoup.io.reading import MAX_IMAGE_SIDE, existing_file
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.cameras import Camera
-from scoup.errors import FileFormatError, InputError, MissingFileError
-from scoup.io.atomic import atomic_file
+from scoup.base.atomic import atomic_file
+from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear
 from scoup.io.image_folder import image_size
-from scoup.io.undistort import photograph_pixels, sample_bilinear
+from scoup.scene.cameras import Camera
 
 MAX_PIXELS = 1 << 29  # decoded at three bytes each
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.errors import FileFormatError
+from scoup.base.errors import FileFormatError
 from scoup.io.reading import existing_file
 
 _MAX_HEADER = 1 << 16

@@ -13,8 +13,8 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from scoup.cameras import Camera, Cameras
-from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupError
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError
+from scoup.scene.cameras import Camera, Cameras
 
 Distorted = Literal["refuse", "undistort"]
 

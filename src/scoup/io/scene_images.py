@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from scoup.cameras import Camera, Cameras
-from scoup.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.image_folder import ImageFolder, image_size
+from scoup.scene.cameras import Camera, Cameras
 
 MissingImages = Literal["skip", "keep"]
 

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from scoup.cameras import Cameras
-from scoup.errors import FileFormatError, InputError, MissingFileError
-from scoup.gaussians import Gaussians
-from scoup.io.colmap import is_model, read_colmap
-from scoup.io.gsplat_checkpoint import read_gsplat_checkpoint
-from scoup.io.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
-from scoup.io.ply import read_ply, write_ply
+from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.io.cameras.colmap import is_model, read_colmap
+from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
+from scoup.io.cameras.transforms import read_transforms
 from scoup.io.reading import Distorted
 from scoup.io.scene_images import MissingImages, attach_images, image_files
-from scoup.io.splat import read_splat, write_splat
-from scoup.io.transforms import read_transforms
+from scoup.io.splats.gsplat_checkpoint import read_gsplat_checkpoint
+from scoup.io.splats.ply import read_ply, write_ply
+from scoup.io.splats.splat import read_splat, write_splat
+from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import Gaussians
 
 CameraFormat = Literal["colmap", "transforms", "inria"]
 

@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy import ndimage
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from scoup.pictures.colors import (
     ArrayOrTensor,
     Picture,

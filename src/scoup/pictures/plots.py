@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from scoup.pictures.colors import Picture, label_colors
 from scoup.pictures.lettering import font, text_width
 

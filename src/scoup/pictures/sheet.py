@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
-from scoup.errors import InputError
+from scoup.base.errors import InputError
 from scoup.pictures.colors import ArrayOrTensor, Picture, as_picture
 from scoup.pictures.lettering import FAINT, PAPER, captioned, fitted, font, write_line
 

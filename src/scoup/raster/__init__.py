@@ -26,32 +26,32 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Union
 import torch
 from torch import Tensor
 
-from scoup.cameras import Camera
-from scoup.errors import InputError, ScoupWarning, UnknownNameError
-from scoup.gaussians import Gaussians
-from scoup.native import missing_reason, native_core, warn_once_if_missing
+from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
+from scoup.base.native import missing_reason, native_core, warn_once_if_missing
+from scoup.base.triton import why_not
 from scoup.raster.combinations import CombinedLabels as CombinedLabels
 from scoup.raster.combinations import combine as combine
-from scoup.raster.cpu import NativeView
+from scoup.raster.native import NativeProjection
 from scoup.raster.ordering import morton_order as morton_order
 from scoup.raster.ordering import restored as restored
-from scoup.raster.presets import PRESETS as PRESETS
+from scoup.raster.presets import RASTER_PRESETS as RASTER_PRESETS
 from scoup.raster.presets import RasterPreset as RasterPreset
 from scoup.raster.presets import raster_preset
-from scoup.raster.reference import ReferenceView
+from scoup.raster.reference import ReferenceProjection
 from scoup.raster.spherical_harmonics import view_colors as view_colors
-from scoup.raster.triton_at_hand import why_not
 from scoup.raster.view_sums import ViewSums as ViewSums
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
-    from scoup.raster.gpu_view import GpuView
+    from scoup.raster.triton.projection import TritonProjection
 
-View: TypeAlias = Union[ReferenceView, NativeView, "GpuView"]
+Projection: TypeAlias = Union[ReferenceProjection, NativeProjection, "TritonProjection"]
 
 BACKENDS = {
-    "native": "scoup.raster.cpu",
+    "native": "scoup.raster.native",
     "reference": "scoup.raster.reference",
-    "triton": "scoup.raster.gpu",
+    "triton": "scoup.raster.triton.rendering",
 }
 
 _ONLY_ON = {"native": "cpu", "triton": "cuda"}  # what torch calls AMD's devices, too
@@ -129,12 +129,12 @@ def prepare(gaussians: Gaussians, backend: str | None = None) -> PreparedScene:
     return PreparedScene(moved, order, name, module.make_scene(moved, order, many_views=True))
 
 
-def look(
+def project(
     gaussians: Gaussians | PreparedScene,
     camera: Camera,
     preset: str | RasterPreset = "inria",
     backend: str | None = None,
-) -> View:
+) -> Projection:
     """Prepare a scene for one camera: project, bin and sort.
 
     Args:
@@ -156,12 +156,12 @@ def look(
             raise InputError(f"the scene was prepared for the backend {gaussians.backend!r}, not {backend!r}")
         module = importlib.import_module(BACKENDS[gaussians.backend])
         if gaussians.handle is None:
-            return module.look(gaussians.gaussians, camera, constants)
-        return module.look(gaussians.gaussians, camera, constants, gaussians.handle)
-    return _backend(backend, gaussians.device)[1].look(gaussians, camera, constants)
+            return module.project(gaussians.gaussians, camera, constants)
+        return module.project(gaussians.gaussians, camera, constants, gaussians.handle)
+    return _backend(backend, gaussians.device)[1].project(gaussians, camera, constants)
 
 
-def region_sums(view: View, labels: Tensor | CombinedLabels) -> ViewSums:
+def region_sums(view: Projection, labels: Tensor | CombinedLabels) -> ViewSums:
     """How much each Gaussian paints of each region: A[i, r] = sum of e_i over the pixels of r (method.md, stage 2).
 
     Args:
@@ -185,7 +185,7 @@ def region_sums(view: View, labels: Tensor | CombinedLabels) -> ViewSums:
     return ViewSums(gaussian, combination, weight, combined.table.to(weight.device))
 
 
-def render_channels(view: View, values: Tensor) -> tuple[Tensor, Tensor]:
+def render_channels(view: Projection, values: Tensor) -> tuple[Tensor, Tensor]:
     """Render any per-Gaussian values.
 
     Args:
@@ -199,7 +199,7 @@ def render_channels(view: View, values: Tensor) -> tuple[Tensor, Tensor]:
     return _backend_of(view).render_channels(view, values.float())
 
 
-def render_codes(view: View, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
+def render_codes(view: Projection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """Render sparse codes of all levels: the coefficient maps W^(p) of method.md, stage 3.
 
     Args:
@@ -215,7 +215,9 @@ def render_codes(view: View, indices: Tensor, weights: Tensor, n_atoms: int) -> 
     return _backend_of(view).render_codes(view, indices, weights, n_atoms)
 
 
-def render_cosines(view: View, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor) -> Tensor:
+def render_cosines(
+    view: Projection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> Tensor:
     """Cosine between the rendered feature of each pixel and each query, without any map of D or L channels.
 
     Uses cos = (W A) / sqrt(W G W^T) with A = C T^T and G = C C^T (method.md, stage 3). Pixels that no code
@@ -235,7 +237,7 @@ def render_cosines(view: View, indices: Tensor, weights: Tensor, codebook: Tenso
 
 
 def render_cosines_and_norms(
-    view: View, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+    view: Projection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> tuple[Tensor, Tensor]:
     """``render_cosines``, and the norm of each pixel's rendered feature, which no query changes.
 
@@ -256,7 +258,7 @@ def render_cosines_and_norms(
     return render(view, indices, weights, codebook.float(), queries.float())
 
 
-def render_features(view: View, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
+def render_features(view: Projection, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
     """Decoded features of each pixel, for those who want the map: S x H x W x D numbers.
 
     Args:
@@ -274,10 +276,10 @@ def render_features(view: View, indices: Tensor, weights: Tensor, codebook: Tens
 
 
 def render_colors(
-    gaussians: Gaussians, camera: Camera, view: View | None = None, background: float = 0.0
+    gaussians: Gaussians, camera: Camera, view: Projection | None = None, background: float = 0.0
 ) -> Tensor:
     """[H, W, 3] float32 colour render in 0..1 over a grey background; ``view`` saves looking again."""
-    view = view if view is not None else look(gaussians, camera)
+    view = view if view is not None else project(gaussians, camera)
     image, alpha = render_channels(view, view_colors(gaussians, camera))
     return (image + (1.0 - alpha)[..., None] * background).clamp(0, 1)
 
@@ -298,22 +300,24 @@ def _backend(name: str | None, device: torch.device) -> tuple[str, ModuleType]:
     return name, importlib.import_module(BACKENDS[name])
 
 
-def _backend_of(view: View) -> ModuleType:
+def _backend_of(view: Projection) -> ModuleType:
     return importlib.import_module(BACKENDS[view.backend])
 
 
-def _check_rows(view: View, values: Tensor, dims: int, name: str) -> None:
+def _check_rows(view: Projection, values: Tensor, dims: int, name: str) -> None:
     if values.dim() != dims or values.shape[0] != view.n_gaussians:
         raise InputError(f"{name} {list(values.shape)} do not fit a scene of {view.n_gaussians} Gaussians")
 
 
-def _check_codes(view: View, indices: Tensor, weights: Tensor) -> None:
+def _check_codes(view: Projection, indices: Tensor, weights: Tensor) -> None:
     _check_rows(view, weights, 3, "code weights")
     if indices.shape != weights.shape:
         raise InputError(f"code indices {list(indices.shape)} and weights {list(weights.shape)} differ")
 
 
-def _check_cosines(view: View, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor) -> None:
+def _check_cosines(
+    view: Projection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> None:
     _check_codes(view, indices, weights)
     if (
         codebook.dim() != 3

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from scoup.raster.presets import ALPHA_MIN
-from scoup.raster.projection import Projection, tile_counts
+from scoup.raster.projection import ProjectedGaussians, tile_counts
 
 # Bounds are widened by this many pixels, so that only the per-pixel alpha test ever decides what is painted and
 # the answer does not depend on the tile size.
@@ -33,7 +33,7 @@ class Bins:
     starts: Tensor  # [tiles + 1]
 
 
-def bin_to_tiles(projection: Projection, width: int, height: int, tile: int) -> Bins:
+def bin_to_tiles(projection: ProjectedGaussians, width: int, height: int, tile: int) -> Bins:
     """Expand every Gaussian to the tiles its ellipse touches and group by tile, keeping the depth order."""
     across, down = tile_counts(width, height, tile)
     extents = projection.extents() + SLACK
@@ -75,7 +75,7 @@ def grouped(ranks: Tensor, tiles: Tensor, tile: int, across: int, down: int) -> 
 
 
 def _ellipse_touches_tile(
-    projection: Projection, ranks: Tensor, left: Tensor, top: Tensor, tile: int
+    projection: ProjectedGaussians, ranks: Tensor, left: Tensor, top: Tensor, tile: int
 ) -> Tensor:
     """Boolean [P]: does the ellipse alpha >= 1/255 reach the rectangle of the tile's pixel centres?
 

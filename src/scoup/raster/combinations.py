@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.errors import InputError
-from scoup.native import native_core
+from scoup.base.errors import InputError
+from scoup.base.native import native_core
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ def restored(rows: Tensor, order: Tensor) -> Tensor:
         order: [N] int64 permutation.
     """
     out = torch.empty_like(rows)
-    if rows.dtype == torch.uint16:  # torch moves rows of its signed twin only
+    if rows.dtype == torch.uint16:  # torch moves rows of its signed counterpart only
         out.view(torch.int16)[order] = rows.view(torch.int16)
     else:
         out[order] = rows

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scoup.errors import UnknownNameError
+from scoup.base.errors import UnknownNameError
 
 ALPHA_MIN = 1.0 / 255.0  # a Gaussian paints exactly the pixels where its alpha reaches this
 LOW_PASS = 0.3  # added to the diagonal of the 2D covariance, in square pixels
@@ -32,7 +32,7 @@ class RasterPreset:
     centred_clamp: bool
 
 
-PRESETS = {
+RASTER_PRESETS = {
     "inria": RasterPreset("inria", 0.2, 0.99, 1e-4, stop_inclusive=False, centred_clamp=True),
     "gsplat": RasterPreset("gsplat", 0.01, 0.99, 1e-4, stop_inclusive=True, centred_clamp=False),
 }
@@ -46,6 +46,6 @@ def raster_preset(preset: str | RasterPreset) -> RasterPreset:
     """
     if isinstance(preset, RasterPreset):
         return preset
-    if preset not in PRESETS:
-        raise UnknownNameError("raster preset", preset, PRESETS)
-    return PRESETS[preset]
+    if preset not in RASTER_PRESETS:
+        raise UnknownNameError("raster preset", preset, RASTER_PRESETS)
+    return RASTER_PRESETS[preset]

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.cameras import Camera
-from scoup.gaussians import Gaussians
 from scoup.raster.presets import ALPHA_MIN, LOW_PASS, RasterPreset
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
 
 
 @dataclass(frozen=True, eq=False)
-class Projection:
+class ProjectedGaussians:
     """The M Gaussians a camera may see, nearest first (equal depths in the order of their index); float64.
 
     Attributes:
@@ -46,7 +46,7 @@ class Projection:
         return torch.sqrt(radius2[:, None].clamp(min=0) * self.covariances[:, [0, 2]])
 
 
-def project(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> Projection:
+def project_gaussians(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> ProjectedGaussians:
     """Project, drop what cannot paint a pixel, and sort by depth.
 
     Dropped: rows that are not finite, zero quaternions, opacity under 1/255, depth at or before the near plane,
@@ -70,7 +70,7 @@ def project(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> Proje
     principal = torch.tensor([camera.cx, camera.cy], dtype=torch.float64, device=points.device)
     # K may hold a skew term; Jacobians of the field ignore it, and so do we.
     means2d = points[:, :2] / points[:, 2:] * focal + principal
-    found = Projection(
+    found = ProjectedGaussians(
         ids,
         means2d,
         points[:, 2],
@@ -83,7 +83,7 @@ def project(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> Proje
     touches = ((means2d + extents >= 0.5) & (means2d - extents <= size - 0.5)).all(1)
     order = torch.nonzero(touches).squeeze(1)
     order = order[torch.argsort(found.depths[order], stable=True)]
-    return Projection(
+    return ProjectedGaussians(
         found.ids[order],
         found.means2d[order],
         found.depths[order],

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.cameras import Camera
-from scoup.codes import check_atoms, cosines_and_norms, decoded
-from scoup.gaussians import Gaussians
 from scoup.raster.binning import Bins, bin_to_tiles
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
-from scoup.raster.projection import Projection, project
+from scoup.raster.projection import ProjectedGaussians, project_gaussians
 from scoup.raster.view_sums import merge
+from scoup.scene.cameras import Camera
+from scoup.scene.codes import check_atoms, cosines_and_norms, decoded
+from scoup.scene.gaussians import Gaussians
 
 PREPARES = False  # the order of the rows makes no difference to the speed
 TILE = 16  # edge of a tile in pixels
@@ -31,7 +31,7 @@ _BELOW_ALPHA_MIN = float(torch.nextafter(torch.tensor(ALPHA_MIN), torch.tensor(0
 
 
 @dataclass(frozen=True, eq=False)
-class ReferenceView:
+class ReferenceProjection:
     """A scene as one camera sees it: projected, binned and sorted. Made by ``look``.
 
     Attributes:
@@ -47,16 +47,18 @@ class ReferenceView:
     width: int
     height: int
     preset: RasterPreset
-    projection: Projection
+    projection: ProjectedGaussians
     bins: Bins
     ellipses: Tensor
 
     backend = "reference"
 
 
-def look(gaussians: Gaussians, camera: Camera, preset: RasterPreset, tile: int = TILE) -> ReferenceView:
+def project(
+    gaussians: Gaussians, camera: Camera, preset: RasterPreset, tile: int = TILE
+) -> ReferenceProjection:
     """Project, bin and sort. ``tile`` changes the speed, never the answer beyond rounding."""
-    projection = project(gaussians, camera, preset)
+    projection = project_gaussians(gaussians, camera, preset)
     _, xy, yy = projection.covariances.unbind(1)
     # exp(-q/2) with q = (dx - slope dy)^2 / var(x | y) + dy^2 / yy: two squares instead of the conic's three
     # terms, which cancel badly for needles.
@@ -70,10 +72,12 @@ def look(gaussians: Gaussians, camera: Camera, preset: RasterPreset, tile: int =
         1,
     )
     bins = bin_to_tiles(projection, camera.width, camera.height, tile)
-    return ReferenceView(len(gaussians), camera.width, camera.height, preset, projection, bins, ellipses)
+    return ReferenceProjection(
+        len(gaussians), camera.width, camera.height, preset, projection, bins, ellipses
+    )
 
 
-def region_sums(view: ReferenceView, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def region_sums(view: ReferenceProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
     n_combinations = int(combinations.max()) + 1 if combinations.numel() else 0
     found: list[tuple[Tensor, Tensor, Tensor]] = []
@@ -93,7 +97,7 @@ def region_sums(view: ReferenceView, combinations: Tensor) -> tuple[Tensor, Tens
     return merge(gaussian, number, weight, max(1, n_combinations))
 
 
-def render_channels(view: ReferenceView, values: Tensor) -> tuple[Tensor, Tensor]:
+def render_channels(view: ReferenceProjection, values: Tensor) -> tuple[Tensor, Tensor]:
     """See ``raster.render_channels``."""
     channels = values.shape[1]
     tiles = _empty_tiles(view, channels + 1, values.device)
@@ -104,7 +108,7 @@ def render_channels(view: ReferenceView, values: Tensor) -> tuple[Tensor, Tensor
     return image[..., :channels], image[..., channels]
 
 
-def render_codes(view: ReferenceView, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
+def render_codes(view: ReferenceProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
     check_atoms(indices, n_atoms)
     levels = indices.shape[1]
@@ -116,14 +120,14 @@ def render_codes(view: ReferenceView, indices: Tensor, weights: Tensor, n_atoms:
 
 
 def render_cosines(
-    view: ReferenceView, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+    view: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> Tensor:
     """See ``raster.render_cosines``."""
     return render_cosines_and_norms(view, indices, weights, codebook, queries)[0]
 
 
 def render_cosines_and_norms(
-    view: ReferenceView, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+    view: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> tuple[Tensor, Tensor]:
     """See ``raster.render_cosines_and_norms``. The coefficients of a tile are used up at once; no map of them is
     kept.
@@ -144,7 +148,7 @@ def render_cosines_and_norms(
     return image[:, :count].contiguous(), image[:, count].contiguous()
 
 
-def render_features(view: ReferenceView, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
+def render_features(view: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
     """See ``raster.render_features``. One level's coefficients are kept at a time."""
     levels = range(codebook.shape[0])
     codes = (
@@ -162,7 +166,7 @@ class _Batch:
     ends: Tensor
 
 
-def _batches(view: ReferenceView) -> Iterator[_Batch]:
+def _batches(view: ReferenceProjection) -> Iterator[_Batch]:
     """Tiles that hold anything, the fullest first, so that tiles of a batch have about as many Gaussians."""
     starts = view.bins.starts
     counts = starts[1:] - starts[:-1]
@@ -173,7 +177,7 @@ def _batches(view: ReferenceView) -> Iterator[_Batch]:
         yield _Batch(tiles, starts[tiles], starts[tiles + 1])
 
 
-def tile_weights(view: ReferenceView) -> Iterator[tuple[int, Tensor, Tensor]]:
+def tile_weights(view: ReferenceProjection) -> Iterator[tuple[int, Tensor, Tensor]]:
     """Tile by tile (tile, ids [G], weights [G, P]): the Gaussians that paint it and how much of each pixel."""
     for batch in _batches(view):
         parts = []
@@ -189,7 +193,7 @@ def tile_weights(view: ReferenceView) -> Iterator[tuple[int, Tensor, Tensor]]:
         yield from zip(batch.tiles.tolist(), ids.split(counts), weights.split(counts), strict=True)
 
 
-def _blend(view: ReferenceView, batch: _Batch) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+def _blend(view: ReferenceProjection, batch: _Batch) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """Blending weights of a batch, chunk by chunk, front to back.
 
     Yields (slots [t], ranks [t, G], weights [t, G, P]): the batch rows still unfinished, the projected Gaussians
@@ -224,7 +228,7 @@ def _blend(view: ReferenceView, batch: _Batch) -> Iterator[tuple[Tensor, Tensor,
             slots, start, end, transmittance = (part[going_on] for part in (slots, start, end, transmittance))
 
 
-def _alpha(view: ReferenceView, tiles: Tensor, ranks: Tensor, valid: Tensor) -> Tensor:
+def _alpha(view: ReferenceProjection, tiles: Tensor, ranks: Tensor, valid: Tensor) -> Tensor:
     """[T, G, P] float32 alpha of each Gaussian at each pixel of its tile, zero where under 1/255 or not valid.
 
     alpha = exp(log opacity - (kv dy)^2 - (ku (dx - slope dy))^2). Offsets are formed in float64 from the tile's
@@ -285,7 +289,7 @@ def _one_hot_columns(numbers: Tensor, n_numbers: int) -> tuple[Tensor, Tensor]:
     return one_hot[..., :columns].contiguous(), number_of_column
 
 
-def _empty_tiles(view: ReferenceView, channels: int, device: torch.device) -> Tensor:
+def _empty_tiles(view: ReferenceProjection, channels: int, device: torch.device) -> Tensor:
     return torch.zeros(view.bins.across * view.bins.down, view.bins.tile**2, channels, device=device)
 
 
@@ -299,7 +303,7 @@ def to_tiles(maps: Tensor, bins: Bins, fill: int) -> Tensor:
     return blocks.permute(1, 3, 0, 2, 4).reshape(bins.across * bins.down, levels, bins.tile**2)
 
 
-def _from_tiles(tiles: Tensor, view: ReferenceView) -> Tensor:
+def _from_tiles(tiles: Tensor, view: ReferenceProjection) -> Tensor:
     """[tiles, P, C] -> [H, W, C]."""
     bins, channels = view.bins, tiles.shape[2]
     blocks = tiles.view(bins.down, bins.across, bins.tile, bins.tile, channels).permute(0, 2, 1, 3, 4)

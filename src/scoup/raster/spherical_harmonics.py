@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from scoup.cameras import Camera
-from scoup.gaussians import Gaussians
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
 
 C0 = 0.28209479177387814
 C1 = 0.4886025119029199

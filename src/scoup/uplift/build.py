@@ -14,21 +14,21 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from scoup import __version__
-from scoup.cameras import Camera, Cameras
-from scoup.codes import SparseCodes
+from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
+from scoup.base.processes import Processes, at_work
+from scoup.base.progress import Progress, no_progress
+from scoup.base.version import VERSION
 from scoup.coding import Codebook, fit_codes
-from scoup.errors import InputError, ScoupWarning, UnknownNameError
-from scoup.field import FieldInfo, LanguageField
-from scoup.gaussians import Gaussians
-from scoup.processes import Processes, at_work
-from scoup.progress import Progress, no_progress
+from scoup.field.language_field import FieldInfo, LanguageField
 from scoup.raster import morton_order
-from scoup.regions import Regions
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.codes import SparseCodes
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
 from scoup.uplift.consensus import consensus
+from scoup.uplift.rasterise import cameras_with_regions, check_fits, exchanged, take_in
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums, camera_digest
-from scoup.uplift.taking import cameras_with_regions, check_fits, exchanged, take_in
 from scoup.uplift.vote import vote
 
 FEW_GAUSSIANS = 0.01  # share of coded Gaussians under which the frames of splat and cameras are doubted
@@ -166,7 +166,7 @@ def build(
     )  # fmt: skip
     _check_seen(found.weights)
     provenance: dict[str, Any] = {
-        "software": f"scoup {__version__}",
+        "software": f"scoup {VERSION}",
         "settings": dataclasses.asdict(settings),
         "inputs": inputs,
         "label_maps": labels_digest(sums, names),
@@ -296,7 +296,7 @@ def inputs_digest(
         embeddings: per level, as from ``Regions.embeddings``.
         settings: plain JSON values.
     """
-    digest = hashlib.sha256(json.dumps([__version__, fingerprint, settings], sort_keys=True).encode())
+    digest = hashlib.sha256(json.dumps([VERSION, fingerprint, settings], sort_keys=True).encode())
     for camera in cameras:
         digest.update(json.dumps([camera.name, camera_digest(camera)]).encode())
     for level, (rows, of_views) in embeddings.items():

@@ -30,9 +30,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup.base.errors import InputError
+from scoup.base.progress import Progress, no_progress
 from scoup.coding.rows import unit_rows
-from scoup.errors import InputError
-from scoup.progress import Progress, no_progress
 from scoup.uplift.region_sums import RegionSums, Rows
 
 if TYPE_CHECKING:

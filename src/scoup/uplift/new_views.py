@@ -9,12 +9,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes
+from scoup.base.errors import InputError
 from scoup.coding.codebook import check_new_atoms, encode_rows, learn_atoms
 from scoup.coding.encode import encode
 from scoup.coding.rows import unit_rows
-from scoup.errors import InputError
-from scoup.regions import Regions
+from scoup.scene.codes import SparseCodes
+from scoup.scene.regions import Regions
 
 MANY = 0.3  # share of a view's regions; about a tenth are badly explained where nothing is new
 

@@ -20,7 +20,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.errors import FileFormatError, InputError, MissingFileError
 
 MAGIC = b"SCOUPREC"
 _HEAD = struct.Struct("<8sIQI")  # magic, CRC-32 and length of what follows, CRC-32 of the head so far

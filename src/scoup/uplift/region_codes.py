@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.codes import SparseCodes
-from scoup.errors import InputError
+from scoup.base.errors import InputError
+from scoup.scene.codes import SparseCodes
 from scoup.uplift.region_sums import RegionSums
 
 

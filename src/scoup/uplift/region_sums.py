@@ -18,10 +18,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.cameras import Camera
-from scoup.errors import FileFormatError, InputError
-from scoup.gaussians import Gaussians
+from scoup.base.errors import FileFormatError, InputError
 from scoup.raster import ViewSums, morton_order
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
 from scoup.uplift.entries import BUCKET, Entries, TakenView, pack
 from scoup.uplift.matrices import csr_matrix, triplets_of
 from scoup.uplift.record_file import RecordFile, bytes_of

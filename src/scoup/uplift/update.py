@@ -9,15 +9,15 @@ from typing import Any
 
 import torch
 
-from scoup.cameras import Camera, Cameras
-from scoup.errors import InputError, ScoupWarning
-from scoup.field import LanguageField
-from scoup.progress import Progress, no_progress
-from scoup.regions import Regions
+from scoup.base.errors import InputError, ScoupWarning
+from scoup.base.progress import Progress, no_progress
+from scoup.field.language_field import LanguageField
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.regions import Regions
 from scoup.uplift.new_views import MANY, CodedView, bars_of, code_view, embeddings_of
+from scoup.uplift.rasterise import take_in
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.taking import take_in
 from scoup.uplift.vote import vote
 
 

@@ -16,21 +16,21 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.codes import SparseCodes, index_dtype, row_products
-from scoup.errors import InputError
-from scoup.native import native_core
-from scoup.processes import ALONE, Processes
-from scoup.progress import Progress, no_progress
+from scoup.base.errors import InputError
+from scoup.base.native import native_core
+from scoup.base.processes import ALONE, Processes
+from scoup.base.progress import Progress, no_progress
 from scoup.raster import restored
+from scoup.scene.codes import SparseCodes, index_dtype, row_products
 from scoup.uplift.entries import Entries
 from scoup.uplift.region_sums import RegionSums, Rows
 from scoup.uplift.reweighting import EarlierRound, sampled, sharpness_from
 
 BATCHES = 16  # between which progress is reported and memory of a file is given back
 BACKENDS = {
-    "native": "scoup.uplift.vote_native",
-    "reference": "scoup.uplift.vote_reference",
-    "triton": "scoup.uplift.vote_triton",
+    "native": "scoup.uplift.vote_backends.native",
+    "reference": "scoup.uplift.vote_backends.reference",
+    "triton": "scoup.uplift.vote_backends.triton",
 }
 
 

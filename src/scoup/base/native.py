@@ -1,0 +1,95 @@
+"""The compiled core: loaded when first used, and what to tell the user where there is none.
+
+The environment variable ``SCOUP_NATIVE`` decides what is used: ``off`` counts the core as absent; ``baseline``, ``v3``
+or ``v4`` takes that instruction set (x86-64-v2, v3, v4) instead of the best one that the CPU has.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import os
+import sys
+import warnings
+from types import ModuleType
+from typing import NamedTuple
+
+from scoup.base.errors import InputError, ScoupWarning
+
+_MODULE = "scoup._native"
+_INSTRUCTION_SETS = ("baseline", "v3", "v4")
+_COMPILERS = {
+    "linux": "Debian and Ubuntu: apt install g++ python3-dev; Fedora: dnf install gcc-c++ python3-devel",
+    "darwin": "xcode-select --install",
+    "win32": "clang-cl, from the installer of Visual Studio, and the environment variables CC and CXX=clang-cl",
+}
+# Without --no-cache-dir, pip might take the wheel it built without a compiler.
+_AGAIN = (
+    "install scoup again (in a checkout: python3 tools/install.py; "
+    "elsewhere: pip install --force-reinstall --no-deps --no-cache-dir scoup)"
+)
+
+
+class _Loaded(NamedTuple):
+    core: ModuleType | None
+    reason: str | None  # why there is no core
+    wanted: bool = True  # the user did not switch it off
+
+
+def native_core() -> ModuleType | None:
+    """The module ``scoup._native``, or None where it was not built, does not load, or is switched off.
+
+    Raises:
+        InputError: SCOUP_NATIVE has a value that cannot be used.
+    """
+    return _loaded().core
+
+
+def missing_reason() -> str | None:
+    """One sentence: why there is no compiled core, and the remedy. None if there is one."""
+    return _loaded().reason
+
+
+def warn_once_if_missing() -> None:
+    """Tell the user, once in the life of the process, that slower code serves. Silent if SCOUP_NATIVE is off."""
+    loaded = _loaded()
+    if loaded.core is None and loaded.wanted:
+        _warn_once(f"slower code serves: {loaded.reason}")
+
+
+@functools.cache
+def _loaded() -> _Loaded:
+    setting = os.environ.get("SCOUP_NATIVE", "")
+    if setting == "off":
+        return _Loaded(None, "the compiled core is switched off; unset SCOUP_NATIVE to use it", wanted=False)
+    if setting not in ("", *_INSTRUCTION_SETS):
+        choices = ", ".join(("off", *_INSTRUCTION_SETS))
+        raise InputError(f"SCOUP_NATIVE is {setting!r}; set it to one of {choices}, or unset it")
+    try:
+        core = importlib.import_module(_MODULE)
+    except ModuleNotFoundError as error:
+        if error.name != _MODULE:
+            return _Loaded(None, _broken(error))
+        return _Loaded(
+            None, f"the compiled core was not built; install a C++ compiler{_compiler()}, then {_AGAIN}"
+        )
+    except ImportError as error:
+        return _Loaded(None, _broken(error))
+    if setting and not core.use_isa(setting):
+        raise InputError(
+            f"SCOUP_NATIVE is {setting!r}, but this CPU or this build has no such instruction set; unset it"
+        )
+    return _Loaded(core, None)
+
+
+def _broken(error: ImportError) -> str:
+    return f"the compiled core does not load ({' '.join(str(error).split())}); {_AGAIN}"
+
+
+def _compiler() -> str:
+    return f" ({_COMPILERS[sys.platform]})" if sys.platform in _COMPILERS else ""
+
+
+@functools.cache
+def _warn_once(message: str) -> None:
+    warnings.warn(message, ScoupWarning, stacklevel=3)

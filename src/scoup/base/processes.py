@@ -1,0 +1,111 @@
+"""Several processes at one task, as torchrun starts them: who does what, and how their parts come together."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
+
+import torch
+
+from scoup.base.errors import InputError
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Processes:
+    """This process among those at work.
+
+    Attributes:
+        rank: its number, from 0.
+        world: how many there are.
+    """
+
+    rank: int = 0
+    world: int = 1
+
+    @property
+    def first(self) -> bool:
+        """Whether this is the one that writes files."""
+        return self.rank == 0
+
+    def share(self, items: Sequence[Item]) -> list[Item]:
+        """Every world-th of the items: this process's part."""
+        return list(items[self.rank :: self.world])
+
+    def share_range(self, count: int) -> range:
+        """This process's part of 0 .. count - 1, one after another; ranks follow each other."""
+        return range(self.rank * count // self.world, (self.rank + 1) * count // self.world)
+
+    def owner(self, position: int) -> int:
+        """The rank to whose ``share`` the item at a position belongs."""
+        return position % self.world
+
+    def from_rank(self, item: Item | None, rank: int) -> Item:
+        """The item of one process, on each."""
+        items = [item]
+        if self.world > 1:
+            torch.distributed.broadcast_object_list(items, rank)
+        assert items[0] is not None
+        return items[0]
+
+    def gather(self, item: Item) -> list[Item]:
+        """Everybody's item, on each process, by rank."""
+        if self.world == 1:
+            return [item]
+        items: list[Item] = [item] * self.world
+        torch.distributed.all_gather_object(items, item)
+        return items
+
+
+ALONE = Processes()
+
+
+def at_work() -> Processes:
+    """The processes of torch's process group; this one alone where there is none."""
+    if torch.distributed.is_available() and torch.distributed.is_initialized():
+        return Processes(torch.distributed.get_rank(), torch.distributed.get_world_size())
+    return Processes()
+
+
+def of_environment() -> Processes:
+    """The processes that torchrun has started; this one alone without it. They need not be in touch.
+
+    Raises:
+        InputError: its variables make no sense.
+    """
+    rank, world = os.environ.get("RANK", "0"), os.environ.get("WORLD_SIZE", "1")
+    if not (rank.isdigit() and world.isdigit() and int(rank) < int(world)):
+        raise InputError(f"RANK={rank} and WORLD_SIZE={world} are no rank and number of processes")
+    return Processes(int(rank), int(world))
+
+
+def device_of_process(device: str) -> str:
+    """ "cuda" becomes the GPU of this process's local rank under torchrun; other devices stay as they are."""
+    local = os.environ.get("LOCAL_RANK", "")
+    return f"cuda:{local}" if device == "cuda" and local.isdigit() else device
+
+
+@contextmanager
+def process_group(device: str) -> Iterator[Processes]:
+    """Put the processes that torchrun has started in touch; nothing happens without it.
+
+    Args:
+        device: what this process works on, from ``device_of_process``.
+    """
+    processes = of_environment()
+    if processes.world == 1:
+        yield processes
+        return
+    if not torch.distributed.is_available():
+        raise InputError("this torch cannot let several processes work together; run without torchrun")
+    if device.startswith("cuda"):
+        torch.cuda.set_device(device)
+    torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if device.startswith("cuda") else "gloo")
+    try:
+        yield processes
+    finally:
+        torch.distributed.destroy_process_group()

@@ -1,0 +1,185 @@
+"""Which pixels tell a Gaussian what it is: region sums that count other weights than the full blending weights.
+
+Dense and sparse uplift count every pixel by its blending weight (``scoup.region_sums``). The systems compared
+with count fewer: the pixel at the projected centre of a Gaussian (``CentrePixel``), the same where the Gaussian is seen
+(``VisibleCentrePixel``), or the Gaussians that paint most of a pixel (``TopContributors``). Each gives region sums of
+the same form, so that whatever comes after can be shared.
+
+The blending weights come from the rasteriser's contract: region sums of a map in which every pixel is a region of its
+own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.base.errors import InputError
+from scoup.base.progress import Progress, no_progress
+from scoup.raster import ViewSums
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
+from scoup.uplift.rasterise import cameras_with_regions
+from scoup.uplift.region_sums import RegionSums
+
+PIXELS_AT_A_TIME = 1 << 17  # a band of rows: some ten million pairs of a Gaussian and a pixel at most
+
+
+@dataclass(frozen=True, eq=False)
+class PixelWeights:
+    """Who paints some pixels, and how much.
+
+    Attributes:
+        gaussian: [T] int64.
+        pixel: [T] int64, row * width + column.
+        weight: [T] float32, the blending weight; positive.
+    """
+
+    gaussian: np.ndarray
+    pixel: np.ndarray
+    weight: np.ndarray
+
+    def kept(self, chosen: np.ndarray) -> PixelWeights:
+        """The pairs [T] boolean alone."""
+        return PixelWeights(self.gaussian[chosen], self.pixel[chosen], self.weight[chosen])
+
+
+class Gather(Protocol):
+    """A rule that keeps some of the pairs of a band of rows."""
+
+    def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
+        """The pairs that count; ``centres`` [N] int64 is the pixel under each Gaussian's centre, -1 for none."""
+        ...
+
+
+@dataclass(frozen=True)
+class CentrePixel:
+    """The one pixel under the projected centre, by the weight with which the Gaussian paints it (Occam's LGS)."""
+
+    def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
+        return pairs.kept(centres[pairs.gaussian] == pairs.pixel)
+
+
+@dataclass(frozen=True)
+class VisibleCentrePixel:
+    """The pixel under the centre, in views where the Gaussian is among those that make up that pixel (VALA).
+
+    Attributes:
+        share: of a pixel's painted weight. A Gaussian is visible if those that weigh more than it have less than this.
+    """
+
+    share: float = 0.5
+
+    def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
+        order, first = _strongest_first(pairs)
+        weight = pairs.weight[order].astype(np.float64)
+        before = np.cumsum(weight) - weight
+        starts = np.flatnonzero(first)
+        total = np.add.reduceat(weight, starts) if len(starts) else weight
+        ray = np.cumsum(first) - 1
+        visible = np.zeros(len(order), bool)
+        visible[order] = before - before[starts][ray] < self.share * total[ray]
+        return pairs.kept(visible & (centres[pairs.gaussian] == pairs.pixel))
+
+
+@dataclass(frozen=True)
+class TopContributors:
+    """For each pixel the Gaussians that paint most of it (Dr. Splat).
+
+    Attributes:
+        count: so many; of equal weights the lower Gaussian.
+    """
+
+    count: int = 10
+
+    def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
+        order, first = _strongest_first(pairs)
+        place = np.arange(len(order))
+        rank = place - np.maximum.accumulate(np.where(first, place, 0))
+        chosen = np.zeros(len(order), bool)
+        chosen[order] = rank < self.count
+        return pairs.kept(chosen)
+
+
+def gathered_sums(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    regions: Regions,
+    rule: Gather,
+    raster_preset: str = "inria",
+    backend: str | None = None,
+    progress: Progress = no_progress,
+) -> RegionSums:
+    """Region sums of all views that count only the pairs a rule keeps; arguments otherwise as ``region_sums``."""
+    chosen = cameras_with_regions(cameras, regions)
+    sums = RegionSums.of(gaussians, regions.levels, raster_preset)
+    progress("gather", 0, len(chosen))
+    for camera in chosen:
+        labels = regions.load_labels(camera.name, camera.width, camera.height)
+        view = raster.project(gaussians, camera, raster_preset, backend)
+        centres = centre_pixels(gaussians, camera)
+        parts = [_of_regions(rule(pairs, centres), labels) for pairs in pixel_weights(view)]
+        gaussian, level, region, weight = (
+            torch.from_numpy(np.concatenate(each)) for each in zip(*parts, strict=True)
+        )
+        found = ViewSums.of_triplets(gaussian, level, region, weight, len(labels))
+        sums.append(camera.name, found, camera)
+        progress("gather", len(sums), len(chosen))
+    sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
+    return sums
+
+
+def pixel_weights(view: raster.Projection, pixels: int = PIXELS_AT_A_TIME) -> Iterator[PixelWeights]:
+    """Every pair of a Gaussian and a pixel it paints, band of rows by band; sorted by Gaussian, then pixel."""
+    if pixels < 1:
+        raise InputError(f"a band needs at least one pixel, not {pixels}")
+    height, width = view.height, view.width
+    rows = max(1, pixels // width)
+    for top in range(0, height, rows):
+        bottom = min(height, top + rows)
+        labels = torch.full((1, height, width), -1, dtype=torch.int32)
+        count = (bottom - top) * width
+        labels[0, top:bottom] = torch.arange(count, dtype=torch.int32).view(bottom - top, width)
+        gaussian, pixel, weight = (
+            part.cpu().numpy() for part in raster.region_sums(view, labels).triplets(0)
+        )
+        yield PixelWeights(gaussian, pixel + top * width, weight)
+
+
+def centre_pixels(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+    """[N] int64: the pixel (row * width + column) under the projected centre of each Gaussian; -1 outside the image or
+    behind the camera."""
+    means = gaussians.means.double().cpu()
+    places = means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    in_front = torch.isfinite(places).all(1) & (places[:, 2] > 0)
+    depth = torch.where(in_front, places[:, 2], 1.0)
+    u = torch.where(in_front, camera.fx * places[:, 0] / depth + camera.cx, -1.0).floor()
+    v = torch.where(in_front, camera.fy * places[:, 1] / depth + camera.cy, -1.0).floor()
+    inside = in_front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    return torch.where(inside, v * camera.width + u, -1.0).long().numpy()
+
+
+def _strongest_first(pairs: PixelWeights) -> tuple[np.ndarray, np.ndarray]:
+    """Order of the pairs by pixel, then falling weight, then Gaussian; and where in it a new pixel begins."""
+    order = np.lexsort((pairs.gaussian, -pairs.weight, pairs.pixel))
+    return order, np.diff(pairs.pixel[order], prepend=-1) != 0
+
+
+def _of_regions(pairs: PixelWeights, labels: Tensor) -> tuple[np.ndarray, ...]:
+    """(gaussian, level, region, weight) of the pairs whose pixels have a region."""
+    gaussians, levels, found, weights = [], [], [], []
+    for level, of_level in enumerate(labels.reshape(len(labels), -1).numpy()):
+        region = of_level[pairs.pixel].astype(np.int64)
+        has = region >= 0
+        gaussians.append(pairs.gaussian[has])
+        levels.append(np.full(int(has.sum()), level))
+        found.append(region[has])
+        weights.append(pairs.weight[has])
+    return tuple(np.concatenate(parts) for parts in (gaussians, levels, found, weights))

@@ -1,0 +1,1 @@
+"""The exact coder for GPUs, in Triton."""

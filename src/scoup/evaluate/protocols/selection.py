@@ -1,0 +1,97 @@
+"""The 3D-selection protocol: Gaussians are chosen by their own relevancy, and the silhouette of those chosen meets the
+2D label (docs/protocols.md, after VALA-3D).
+
+Never to be mixed with the 2D protocols: the same field scores very differently (LangSplat has 51.4 there and 9.66
+here).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.base.errors import InputError
+from scoup.evaluate.metrics import iou
+from scoup.evaluate.scores import PairScore, SceneScore, scene_score
+from scoup.io.labels import LabelledFrame
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+
+PROTOCOL = "3D selection"
+
+
+@dataclass(frozen=True)
+class SelectionPreset:
+    """How relevancy of Gaussians becomes a silhouette; the defaults are VALA-3D's.
+
+    Attributes:
+        name: for tables.
+        neighbours: blend half and half with the mean of so many nearest neighbours; None: do not.
+        threshold: of the rescaled relevancy.
+        silhouette: a pixel belongs to the silhouette above this opacity.
+    """
+
+    name: str = "vala-3d"
+    neighbours: int | None = 10
+    threshold: float = 0.6
+    silhouette: float = 10 / 255
+
+
+VALA_3D = SelectionPreset()
+
+
+def silhouette(
+    gaussians: Gaussians,
+    chosen: Tensor,
+    camera: Camera,
+    raster_preset: str,
+    least: float = VALA_3D.silhouette,
+) -> Tensor:
+    """[H, W] boolean: where the chosen Gaussians [N], drawn alone, are more opaque than ``least``.
+
+    Drawn alone means that nothing hides them: a thing behind another one has its whole silhouette.
+    """
+    if not chosen.any():
+        return torch.zeros(camera.height, camera.width, dtype=torch.bool, device=chosen.device)
+    alone = gaussians.select(chosen)
+    view = raster.project(alone, camera, raster_preset)
+    nothing = torch.zeros(len(alone), 1, device=alone.device)
+    return raster.render_channels(view, nothing)[1] > least
+
+
+def score_scene(
+    scene: str,
+    gaussians: Gaussians,
+    frames: Iterable[tuple[LabelledFrame, Camera]],
+    chosen: Mapping[str, Tensor],
+    raster_preset: str = "inria",
+    preset: SelectionPreset = VALA_3D,
+) -> SceneScore:
+    """Score every label of every frame.
+
+    Args:
+        scene: its name.
+        gaussians: N of them.
+        frames: the truth and where it is seen from; labels are brought to the camera's size by nearest neighbour.
+        chosen: label -> [N] boolean, the Gaussians selected for it in the whole scene.
+        raster_preset: as the scene was trained.
+        preset: constants.
+
+    Raises:
+        InputError: a label has no selection, or there are no labels.
+    """
+    pairs = []
+    for frame, camera in frames:
+        truth = frame.resized(camera.width, camera.height)
+        for label in frame.labels:
+            if label not in chosen:
+                raise InputError(f"frame {frame.name!r}: there is no selection for the label {label!r}")
+            shape = silhouette(gaussians, chosen[label], camera, raster_preset, preset.silhouette).cpu()
+            # A selection that shows nothing scores 0, even where the truth is empty too.
+            score = iou(shape, truth.masks[label]) if shape.any() else 0.0
+            pairs.append(PairScore(frame.name, label, score, None, -1, -1, float("nan"), None))
+    return scene_score(scene, preset.name, pairs, PROTOCOL)

@@ -1,0 +1,190 @@
+"""The 3D-OVS protocol: masks from relevancy maps of the two coarser levels, against painted masks (docs/protocols.md).
+
+Scores are means over all (frame, class) pairs; there is no localisation.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.evaluate.metrics import iou
+from scoup.evaluate.protocols.lerf_ovs import maps_by_label
+from scoup.evaluate.scores import PairScore, SceneScore, scene_score
+from scoup.io.labels import LabelledFrame
+from scoup.io.reading import MAX_IMAGE_SIDE
+from scoup.query.answers import QueryPreset, query_preset, segment
+from scoup.scene.regions import LEVELS
+
+PROTOCOL = "3d-ovs 2D"
+LEVELS_ASKED = ("m", "l")
+WHITE = 127  # a pixel above this belongs to the class
+UNITED = {"room": ("wood table", "wood wall")}
+"""Scene -> (class, class whose truth it is added to)."""
+
+_CLASSES = "classes.txt"
+_REMEDY = "give the scene folder of a 3D-OVS data set"
+
+
+def preset(system: str = "scoup") -> QueryPreset:
+    """The constants of a system for this data set; the level whose mask has the highest mean relevancy answers.
+
+    Raises:
+        UnknownNameError: there is no such system, or it names no threshold for 3D-OVS.
+    """
+    return replace(query_preset(system, "3d-ovs"), level_choice="mask")
+
+
+def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
+    """The truth of a scene: ``segmentations/classes.txt`` and ``segmentations/<frame>/<class>.png``, 0 or 255.
+
+    Frames are in the order of their names, classes in that of ``classes.txt``. There are no boxes.
+
+    Args:
+        folder: of the scene; frames are named as its images.
+
+    Raises:
+        MissingFileError: there is no such folder or list of classes, or not a single mask.
+        FileFormatError: a mask cannot be read, or the masks of a frame differ in size.
+
+    Warns:
+        ScoupWarning: frames lack masks of some classes; these pairs are not scored.
+    """
+    home = Path(folder) / "segmentations"
+    if not home.is_dir():
+        raise MissingFileError(home, "there is no such folder (painted masks were expected)", _REMEDY)
+    classes = _read_classes(home / _CLASSES)
+    frames: list[LabelledFrame] = []
+    lacking = 0
+    for frame in sorted(path for path in home.iterdir() if path.is_dir()):
+        masks: dict[str, Tensor] = {}
+        for name in classes:
+            path = frame / f"{name}.png"
+            if path.is_file():
+                masks[name] = _read_mask(path)
+            else:
+                lacking += 1
+        if not masks:
+            continue
+        if len({mask.shape for mask in masks.values()}) > 1:
+            raise FileFormatError(frame, "its masks differ in size", "all are of one image")
+        height, width = next(iter(masks.values())).shape
+        frames.append(LabelledFrame(frame.name, width, height, masks, {}))
+    if not frames:
+        raise MissingFileError(home, "holds no mask of any class (<frame>/<class>.png)", _REMEDY)
+    if lacking:
+        warnings.warn(
+            f"{home}: {lacking} of the masks that {_CLASSES} names are not there and are not scored",
+            ScoupWarning,
+            stacklevel=2,
+        )
+    return frames
+
+
+def united(frames: Iterable[LabelledFrame], scene: str) -> list[LabelledFrame]:
+    """The frames with the rule of some scenes: in ``room`` the truth of "wood table" also counts as "wood wall".
+
+    *Choice*: the rule is taken to be about the truth. Both classes stay and are asked for.
+    """
+    if scene not in UNITED:
+        return list(frames)
+    part, whole = UNITED[scene]
+    changed = []
+    for frame in frames:
+        masks = dict(frame.masks)
+        if part in masks and whole in masks:
+            masks[whole] = masks[whole] | masks[part]
+        changed.append(replace(frame, masks=masks))
+    return changed
+
+
+def score_frame(
+    frame: LabelledFrame,
+    relevancy: Mapping[str, Tensor] | Tensor,  # each [S, H, W], or [S, Q, H, W]
+    preset: QueryPreset | None = None,
+    levels: Sequence[str] = LEVELS,
+) -> list[PairScore]:
+    """Score each class of a frame; the truth is brought to the size of the maps by nearest neighbour.
+
+    Args:
+        frame: the truth, with ``united`` applied.
+        relevancy: per class of the frame [S, H, W] in 0..1, or all stacked [S, Q, H, W].
+        preset: how maps become masks; by default SCOUP's for this data set.
+        levels: names of the S levels, "m" and "l" among them: only these are asked.
+
+    Raises:
+        InputError: a class has no relevancy map, or a level is missing.
+    """
+    chosen = _positions(levels)
+    settings = preset or _DEFAULT
+    pairs = []
+    for label, maps in maps_by_label(frame, relevancy):
+        if len(maps) != len(levels):
+            raise InputError(f"relevancy of {len(maps)} levels, but {len(levels)} are named")
+        found = segment(maps[chosen], settings)
+        truth = frame.resized(maps.shape[2], maps.shape[1]).masks[label]
+        score = iou(found.mask.cpu(), truth)
+        pairs.append(PairScore(frame.name, label, score, None, chosen[found.level], -1, found.score, None))
+    return pairs
+
+
+def score_scene(
+    scene: str,
+    frames: Iterable[tuple[LabelledFrame, Mapping[str, Tensor] | Tensor]],
+    preset: QueryPreset | None = None,
+    levels: Sequence[str] = LEVELS,
+) -> SceneScore:
+    """Score all frames of a scene, given with their relevancy as for ``score_frame``.
+
+    Raises:
+        InputError: there is not a single class.
+    """
+    settings = preset or _DEFAULT
+    pairs = [pair for frame, maps in frames for pair in score_frame(frame, maps, settings, levels)]
+    return scene_score(scene, settings.name, pairs, PROTOCOL)
+
+
+_DEFAULT = preset()
+
+
+def _positions(levels: Sequence[str]) -> list[int]:
+    missing = [level for level in LEVELS_ASKED if level not in levels]
+    if missing:
+        raise InputError(f"3D-OVS asks the levels {', '.join(LEVELS_ASKED)}; there is no {missing[0]!r}")
+    return [list(levels).index(level) for level in LEVELS_ASKED]
+
+
+def _read_classes(path: Path) -> list[str]:
+    if not path.is_file():
+        raise MissingFileError(path, "there is no such file (the names of the classes)", _REMEDY)
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise FileFormatError(path, "is no text", "one class a line is expected") from error
+    classes = [line.strip() for line in lines if line.strip()]
+    if not classes or len(set(classes)) < len(classes):
+        problem = "names a class twice" if classes else "names no class"
+        raise FileFormatError(path, problem, "one class a line is expected")
+    return classes
+
+
+def _read_mask(path: Path) -> Tensor:
+    """[H, W] boolean."""
+    try:
+        with Image.open(path) as picture:
+            if max(picture.size) > MAX_IMAGE_SIDE:
+                raise FileFormatError(path, f"the size {picture.size} is no image size", _REMEDY)
+            levels = np.asarray(picture.convert("L"))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        if isinstance(error, FileFormatError):
+            raise
+        raise FileFormatError(path, f"cannot be read as an image ({error})", "the file is damaged") from error
+    return torch.from_numpy(levels > WHITE)

@@ -1,0 +1,1 @@
+"""The language field: its data, its file, and relevancy."""

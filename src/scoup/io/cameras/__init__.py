@@ -1,0 +1,1 @@
+"""Camera files, one module a format."""

@@ -1,0 +1,183 @@
+"""COLMAP sparse models: cameras, images and points3D, binary or text. Rigs and frames are not needed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.cameras import colmap_binary, colmap_text
+from scoup.io.cameras.colmap_model import Lens, Shot
+from scoup.io.reading import Distorted, existing_folder, make_camera, number, pixels, sorted_cameras
+from scoup.scene.cameras import Cameras
+
+
+def is_model(folder: str | Path) -> bool:
+    """Whether a folder holds a cameras and an images file of COLMAP."""
+    return any(
+        (Path(folder) / f"cameras{end}").is_file() and (Path(folder) / f"images{end}").is_file()
+        for end in (".bin", ".txt")
+    )
+
+
+def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
+    """Read the cameras of a COLMAP model, binary (preferred) or text, sorted by name.
+
+    SIMPLE_PINHOLE and PINHOLE are read as they are; SIMPLE_RADIAL, RADIAL and OPENCV count as pinhole if
+    their coefficients are zero, and otherwise need ``distorted="undistort"``; other models are refused.
+
+    Raises:
+        MissingFileError: the folder or its files are not there.
+        FileFormatError: a file is damaged, or a camera is distorted or of a model not supported.
+    """
+    folder = existing_folder(folder, "a COLMAP model folder")
+    if not is_model(folder):
+        raise MissingFileError(
+            folder,
+            "holds no COLMAP model (cameras and images, both .bin or both .txt)",
+            "give the folder sparse/0",
+        )
+    end = ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
+    parser = colmap_binary if end == ".bin" else colmap_text
+    lens_path, path = folder / f"cameras{end}", folder / f"images{end}"
+    lenses, shots = parser.read_lenses(lens_path), parser.read_shots(path)
+    cameras = []
+    for shot in shots:
+        if shot.lens not in lenses:
+            problem = (
+                f"image {shot.name!r} refers to camera {shot.lens}, which {lens_path.name} does not have"
+            )
+            raise FileFormatError(path, problem, "the two files do not belong together")
+        focal, center, distortion = _pinhole(lens_path, lenses[shot.lens])
+        size = (lenses[shot.lens].width, lenses[shot.lens].height)
+        size = (pixels(lens_path, size[0], "image width"), pixels(lens_path, size[1], "image height"))
+        pose = _pose(path, shot)
+        cameras.append(make_camera(lens_path, shot.name, pose, focal, center, size, distortion, distorted))
+    return sorted_cameras(path, cameras)
+
+
+def read_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """The sparse points of a COLMAP model.
+
+    Returns:
+        [P, 3] float64 positions and [P, 3] uint8 colours.
+
+    Raises:
+        MissingFileError: there is no points3D.bin or points3D.txt.
+        FileFormatError: the file is damaged.
+    """
+    folder = existing_folder(folder, "a COLMAP model folder")
+    if (folder / "points3D.bin").is_file():
+        return colmap_binary.read_points(folder / "points3D.bin")
+    if (folder / "points3D.txt").is_file():
+        return colmap_text.read_points(folder / "points3D.txt")
+    raise MissingFileError(folder, "holds no points3D.bin or points3D.txt", "give the folder sparse/0")
+
+
+def read_tracks(folder: str | Path) -> tuple[np.ndarray, list[list[str]]]:
+    """The sparse points of a COLMAP model and where they were seen.
+
+    Returns:
+        [P, 3] float64 positions, and for each point the names of the images in its track (none in models that keep no
+        tracks).
+
+    Raises:
+        MissingFileError: points3D or images, both .bin or both .txt, are not there.
+        FileFormatError: a file is damaged.
+    """
+    folder = existing_folder(folder, "a COLMAP model folder")
+    for end, parser in ((".bin", colmap_binary), (".txt", colmap_text)):
+        points, images = folder / f"points3D{end}", folder / f"images{end}"
+        if points.is_file() and images.is_file():
+            return parser.read_tracks(points, images)
+    problem = "holds no points3D and images (both .bin or both .txt)"
+    raise MissingFileError(folder, problem, "give the folder sparse/0")
+
+
+def write_colmap(
+    cameras: Cameras,
+    folder: str | Path,
+    points: tuple[np.ndarray, np.ndarray] | None = None,
+    text: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Write a COLMAP model of PINHOLE cameras, binary or text.
+
+    Args:
+        points: [P, 3] positions and [P, 3] uint8 colours; no points if None. Their tracks are left empty.
+
+    Raises:
+        OutputExistsError, InputError: as ``atomic.check_output``.
+    """
+    lenses: dict[Lens, int] = {}
+    shots = []
+    for camera in cameras:
+        lens = Lens("PINHOLE", camera.width, camera.height, (camera.fx, camera.fy, camera.cx, camera.cy))
+        number_of_lens = lenses.setdefault(lens, len(lenses) + 1)
+        rotation, translation = camera.viewmat[:3, :3].numpy(), camera.viewmat[:3, 3]
+        shots.append(Shot(camera.name, number_of_lens, _quaternion(rotation), tuple(translation.tolist())))
+    positions, colors = points if points is not None else (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8))
+    writer = colmap_text if text else colmap_binary
+    numbered = {identifier: lens for lens, identifier in lenses.items()}
+    writer.write_model(Path(folder), numbered, shots, positions, colors, overwrite)
+
+
+def _pinhole(
+    path: Path, lens: Lens
+) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float, float, float]]:
+    """Focal lengths, principal point and (k1, k2, p1, p2) of a lens."""
+    values = [number(path, value, f"a parameter of a {lens.model} camera") for value in lens.parameters]
+    match lens.model, values:
+        case "SIMPLE_PINHOLE", [f, cx, cy]:
+            return (f, f), (cx, cy), (0.0, 0.0, 0.0, 0.0)
+        case "PINHOLE", [fx, fy, cx, cy]:
+            return (fx, fy), (cx, cy), (0.0, 0.0, 0.0, 0.0)
+        case "SIMPLE_RADIAL", [f, cx, cy, k1]:
+            return (f, f), (cx, cy), (k1, 0.0, 0.0, 0.0)
+        case "RADIAL", [f, cx, cy, k1, k2]:
+            return (f, f), (cx, cy), (k1, k2, 0.0, 0.0)
+        case "OPENCV", [fx, fy, cx, cy, k1, k2, p1, p2]:
+            return (fx, fy), (cx, cy), (k1, k2, p1, p2)
+        case _:
+            raise FileFormatError(
+                path,
+                f"camera model {lens.model} is not supported",
+                "make pinhole images with colmap image_undistorter and give its result",
+            )
+
+
+def _pose(path: Path, shot: Shot) -> np.ndarray:
+    """[3, 4] world-to-camera."""
+    quaternion = np.array(
+        [number(path, value, f"rotation of image {shot.name!r}") for value in shot.quaternion]
+    )
+    translation = [number(path, value, f"position of image {shot.name!r}") for value in shot.translation]
+    with np.errstate(all="ignore"):
+        norm = float(np.linalg.norm(quaternion))
+    if not 1e-6 < norm < 1e6:
+        raise FileFormatError(
+            path, f"image {shot.name!r} has no rotation (quaternion of norm {norm:.3g})", "register again"
+        )
+    w, x, y, z = quaternion / norm
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.concatenate([np.array(rotation), np.array(translation)[:, None]], axis=1)
+
+
+def _quaternion(rotation: np.ndarray) -> tuple[float, ...]:
+    """(w, x, y, z) of a rotation: the eigenvector that stays accurate at every angle."""
+    r = rotation
+    symmetric = np.array(
+        [
+            [r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]],
+            [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2]],
+            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1]],
+        ]
+    )
+    best = np.linalg.eigh(symmetric)[1][:, -1]
+    return tuple((best if best[0] >= 0 else -best).tolist())

@@ -1,0 +1,179 @@
+"""The binary files of a COLMAP model. Every count is checked against the size of the file."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from scoup.base.atomic import atomic_file, check_output
+from scoup.base.errors import FileFormatError
+from scoup.io.cameras.colmap_model import MODEL_NAMES, MODELS, PARAMETER_COUNTS, Lens, Shot
+from scoup.io.reading import existing_file, read_bytes
+
+_REMEDY = "the file is cut short or damaged; copy or export it again"
+_LENS = struct.Struct("<iiQQ")
+_SHOT = struct.Struct("<I4d3dI")
+_POINT = struct.Struct("<Q3d3BdQ")
+_SEEN_BYTES = 24  # x, y and point number of one keypoint
+_TRACK_BYTES = 8
+_MAX_NAME = 4096
+
+
+class _Cursor:
+    """Reads records one after another and refuses to run past the end."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = existing_file(path, "a file of a COLMAP model")
+        self.data = read_bytes(path)
+        self.position = 0
+
+    def take(self, record: struct.Struct) -> tuple:
+        self.require(record.size)
+        values = record.unpack_from(self.data, self.position)
+        self.position += record.size
+        return values
+
+    def skip(self, size: int) -> None:
+        self.require(size)
+        self.position += size
+
+    def count(self, smallest: int, what: str) -> int:
+        """A number of records, each of at least ``smallest`` bytes."""
+        (count,) = self.take(struct.Struct("<Q"))
+        if count * smallest > len(self.data) - self.position:
+            raise FileFormatError(self.path, f"claims {count} {what}, more than fit into the file", _REMEDY)
+        return count
+
+    def name(self) -> str:
+        end = self.data.find(b"\0", self.position, self.position + _MAX_NAME)
+        if end < 0:
+            raise FileFormatError(self.path, "has an image name without an end", _REMEDY)
+        raw = self.data[self.position : end]
+        self.position = end + 1
+        try:
+            name = raw.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise FileFormatError(self.path, "has an image name that is not text", _REMEDY) from error
+        if not name:
+            raise FileFormatError(self.path, "has an image without a name", _REMEDY)
+        return name
+
+    def require(self, size: int) -> None:
+        if size > len(self.data) - self.position:
+            raise FileFormatError(
+                self.path, f"ends in the middle of a record (byte {self.position})", _REMEDY
+            )
+
+
+def read_lenses(path: Path) -> dict[int, Lens]:
+    """cameras.bin: lenses by number.
+
+    Raises:
+        MissingFileError, FileFormatError: the file is missing or damaged.
+    """
+    cursor = _Cursor(path)
+    lenses = {}
+    for _ in range(cursor.count(_LENS.size, "cameras")):
+        identifier, model, width, height = cursor.take(_LENS)
+        if model not in MODEL_NAMES:
+            raise FileFormatError(path, f"has a camera of unknown model {model}", _REMEDY)
+        name = MODEL_NAMES[model]
+        parameters = cursor.take(struct.Struct(f"<{PARAMETER_COUNTS[name]}d"))
+        lenses[identifier] = Lens(name, width, height, parameters)
+    return lenses
+
+
+def read_shots(path: Path) -> list[Shot]:
+    """images.bin, keypoints skipped.
+
+    Raises:
+        MissingFileError, FileFormatError: the file is missing or damaged.
+    """
+    cursor = _Cursor(path)
+    shots = []
+    for _ in range(cursor.count(_SHOT.size + 9, "images")):
+        values = cursor.take(_SHOT)
+        name = cursor.name()
+        cursor.skip(_SEEN_BYTES * cursor.count(_SEEN_BYTES, "keypoints"))
+        shots.append(Shot(name, int(np.int32(np.uint32(values[8]))), values[1:5], values[5:8]))
+    return shots
+
+
+def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """points3D.bin: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped.
+
+    Raises:
+        MissingFileError, FileFormatError: the file is missing or damaged.
+    """
+    cursor = _Cursor(path)
+    count = cursor.count(_POINT.size, "points")
+    positions, colors = np.empty((count, 3)), np.empty((count, 3), dtype=np.uint8)
+    for row in range(count):
+        values = cursor.take(_POINT)
+        positions[row], colors[row] = values[1:4], values[4:7]
+        cursor.skip(_TRACK_BYTES * values[8])
+    return positions, colors
+
+
+def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
+    """points3D.bin and images.bin: [P, 3] float64 positions, and the images each point was seen in, by name.
+
+    Raises:
+        MissingFileError, FileFormatError: a file is missing or damaged, or they do not belong together.
+    """
+    cursor = _Cursor(images)
+    names: dict[int, str] = {}
+    for _ in range(cursor.count(_SHOT.size + 9, "images")):
+        identifier = cursor.take(_SHOT)[0]
+        names[identifier] = cursor.name()
+        cursor.skip(_SEEN_BYTES * cursor.count(_SEEN_BYTES, "keypoints"))
+    cursor = _Cursor(points)
+    count = cursor.count(_POINT.size, "points")
+    positions, tracks = np.empty((count, 3)), []
+    for row in range(count):
+        values = cursor.take(_POINT)
+        positions[row] = values[1:4]
+        size = _TRACK_BYTES * values[8]
+        cursor.require(size)
+        seen = np.frombuffer(cursor.data, "<u4", 2 * values[8], cursor.position)[::2].tolist()
+        cursor.skip(size)
+        if not all(identifier in names for identifier in seen):
+            raise FileFormatError(
+                points, f"point {values[0]} was seen in an image that is not there", _REMEDY
+            )
+        tracks.append(list(dict.fromkeys(names[identifier] for identifier in seen)))
+    return positions, tracks
+
+
+def write_model(
+    folder: Path,
+    lenses: dict[int, Lens],
+    shots: Sequence[Shot],
+    positions: np.ndarray,
+    colors: np.ndarray,
+    overwrite: bool,
+) -> None:
+    """Write cameras.bin, images.bin and points3D.bin; all are checked before the first is written."""
+    numbers = {name: number for number, name, _ in MODELS}
+    cameras = [struct.pack("<Q", len(lenses))]
+    for identifier, lens in lenses.items():
+        cameras.append(_LENS.pack(identifier, numbers[lens.model], lens.width, lens.height))
+        cameras.append(struct.pack(f"<{len(lens.parameters)}d", *lens.parameters))
+    images = [struct.pack("<Q", len(shots))]
+    for identifier, shot in enumerate(shots, start=1):
+        images.append(_SHOT.pack(identifier, *shot.quaternion, *shot.translation, shot.lens))
+        images.append(shot.name.encode("utf-8") + b"\0" + struct.pack("<Q", 0))
+    points = [struct.pack("<Q", len(positions))]
+    for identifier, (position, color) in enumerate(
+        zip(positions.tolist(), colors.tolist(), strict=True), start=1
+    ):
+        points.append(_POINT.pack(identifier, *position, *color, 0.0, 0))
+    contents = {"cameras.bin": cameras, "images.bin": images, "points3D.bin": points}
+    for name in contents:
+        check_output(folder / name, overwrite)
+    for name, parts in contents.items():
+        with atomic_file(folder / name, overwrite) as stream:
+            stream.write(b"".join(parts))

@@ -1,0 +1,158 @@
+"""The text files of a COLMAP model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from scoup.base.atomic import check_output, write_text
+from scoup.base.errors import FileFormatError
+from scoup.io.cameras.colmap_model import PARAMETER_COUNTS, Lens, Shot
+from scoup.io.reading import existing_file, read_text
+
+_REMEDY = "the file is cut short or damaged; copy or export it again"
+
+
+def read_lenses(path: Path) -> dict[int, Lens]:
+    """cameras.txt: lenses by number.
+
+    Raises:
+        MissingFileError, FileFormatError: the file is missing or damaged.
+    """
+    lenses = {}
+    for place, line in _lines(path):
+        if not line:
+            continue
+        words = line.split()
+        try:
+            identifier, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
+            parameters = tuple(float(word) for word in words[4:])
+        except (ValueError, IndexError) as error:
+            raise _damaged(path, place) from error
+        if len(parameters) != PARAMETER_COUNTS.get(model, len(parameters)):
+            raise _damaged(path, place)
+        lenses[identifier] = Lens(model, width, height, parameters)
+    return lenses
+
+
+def read_shots(path: Path) -> list[Shot]:
+    """images.txt: every second line (the keypoints, which may be empty) is skipped.
+
+    Raises:
+        MissingFileError, FileFormatError: the file is missing or damaged.
+    """
+    shots = []
+    lines = _lines(path)
+    for place, line in lines:
+        if not line:
+            continue
+        words = line.split(maxsplit=9)
+        try:
+            values = [float(word) for word in words[1:8]]
+            shots.append(Shot(words[9], int(words[8]), tuple(values[:4]), tuple(values[4:])))
+        except (ValueError, IndexError) as error:
+            raise _damaged(path, place) from error
+        next(lines, None)
+    return shots
+
+
+def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """points3D.txt: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped.
+
+    Raises:
+        MissingFileError, FileFormatError: the file is missing or damaged.
+    """
+    positions: list[list[float]] = []
+    colors: list[list[int]] = []
+    for place, line in _lines(path):
+        if not line:
+            continue
+        words = line.split(maxsplit=8)
+        try:
+            position, color = [float(word) for word in words[1:4]], [int(word) for word in words[4:7]]
+        except ValueError as error:
+            raise _damaged(path, place) from error
+        if len(color) != 3 or not all(0 <= value <= 255 for value in color):
+            raise _damaged(path, place)
+        positions.append(position)
+        colors.append(color)
+    return np.array(positions).reshape(-1, 3), np.array(colors, dtype=np.uint8).reshape(-1, 3)
+
+
+def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
+    """points3D.txt and images.txt: [P, 3] float64 positions, and the images each point was seen in, by name.
+
+    Raises:
+        MissingFileError, FileFormatError: a file is missing or damaged, or they do not belong together.
+    """
+    names: dict[int, str] = {}
+    lines = _lines(images)
+    for place, line in lines:
+        if line:
+            try:
+                words = line.split(maxsplit=9)
+                names[int(words[0])] = words[9]
+            except (ValueError, IndexError) as error:
+                raise _damaged(images, place) from error
+            next(lines, None)
+    positions: list[list[float]] = []
+    tracks: list[list[str]] = []
+    for place, line in _lines(points):
+        if line:
+            words = line.split()
+            try:
+                positions.append([float(word) for word in words[1:4]])
+                tracks.append(list(dict.fromkeys(names[int(word)] for word in words[8::2])))
+            except (ValueError, KeyError) as error:
+                raise _damaged(points, place) from error
+            if len(positions[-1]) != 3:
+                raise _damaged(points, place)
+    return np.array(positions).reshape(-1, 3), tracks
+
+
+def write_model(
+    folder: Path,
+    lenses: dict[int, Lens],
+    shots: Sequence[Shot],
+    positions: np.ndarray,
+    colors: np.ndarray,
+    overwrite: bool,
+) -> None:
+    """Write cameras.txt, images.txt and points3D.txt; all are checked before the first is written."""
+    cameras = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
+    for identifier, lens in lenses.items():
+        cameras.append(f"{identifier} {lens.model} {lens.width} {lens.height} {_joined(lens.parameters)}")
+    images = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "# POINTS2D[] as (X, Y, POINT3D_ID)"]
+    for identifier, shot in enumerate(shots, start=1):
+        images += [
+            f"{identifier} {_joined((*shot.quaternion, *shot.translation))} {shot.lens} {shot.name}",
+            "",
+        ]
+    points = ["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"]
+    for identifier, (position, color) in enumerate(
+        zip(positions.tolist(), colors.tolist(), strict=True), start=1
+    ):
+        points.append(f"{identifier} {_joined(position)} {color[0]} {color[1]} {color[2]} 0")
+    contents = {"cameras.txt": cameras, "images.txt": images, "points3D.txt": points}
+    for name in contents:
+        check_output(folder / name, overwrite)
+    for name, lines in contents.items():
+        write_text(folder / name, "\n".join(lines) + "\n", overwrite)
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Numbered lines without comments; empty ones are kept (in images.txt: an image without keypoints)."""
+    text = read_text(existing_file(path, "a file of a COLMAP model"))
+    for place, line in enumerate(text.split("\n"), start=1):
+        if not line.startswith("#"):
+            yield place, line.strip()
+
+
+def _joined(values: Sequence[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _damaged(path: Path, place: int) -> FileFormatError:
+    return FileFormatError(path, f"line {place} is not what COLMAP writes", _REMEDY)

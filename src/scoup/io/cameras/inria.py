@@ -1,0 +1,130 @@
+"""What Inria's 3D Gaussian Splatting code leaves: cameras.json, cfg_args, point_cloud/iteration_*/."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from scoup.base.atomic import write_text
+from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.reading import (
+    existing_file,
+    existing_folder,
+    make_camera,
+    matrix,
+    number,
+    pixels,
+    read_json,
+    read_text,
+    sorted_cameras,
+)
+from scoup.scene.cameras import Cameras
+
+_WHAT = "Inria cameras.json"
+
+
+def read_inria_cameras(path: str | Path) -> Cameras:
+    """Read cameras.json, sorted by name. Principal points are the image centres; names may lack an extension.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is not what Inria's code writes.
+    """
+    path = Path(path)
+    entries = read_json(path, _WHAT)
+    if not isinstance(entries, list):
+        raise FileFormatError(path, "is not a list of cameras", f"it should be an {_WHAT}")
+    cameras = []
+    for position, entry in enumerate(entries):
+        what = f"camera {position}"
+        if not isinstance(entry, dict) or not isinstance(entry.get("img_name"), str) or not entry["img_name"]:
+            raise FileFormatError(path, f"{what} has no img_name", f"it should be an {_WHAT}")
+        width = pixels(path, entry.get("width"), f"width of {what}")
+        height = pixels(path, entry.get("height"), f"height of {what}")
+        camera_to_world = matrix(path, entry.get("rotation"), (3, 3), f"rotation of {what}")
+        center = matrix(path, entry.get("position"), (3,), f"position of {what}")
+        with np.errstate(all="ignore"):
+            viewmat = np.concatenate([camera_to_world.T, -camera_to_world.T @ center[:, None]], axis=1)
+        focal = (
+            number(path, entry.get("fx"), f"fx of {what}"),
+            number(path, entry.get("fy"), f"fy of {what}"),
+        )
+        name = portable_name(entry["img_name"])
+        cameras.append(make_camera(path, name, viewmat, focal, (width / 2, height / 2), (width, height)))
+    return sorted_cameras(path, cameras)
+
+
+def write_inria_cameras(cameras: Cameras, path: str | Path, overwrite: bool = False) -> None:
+    """Write cameras.json. The layout has no principal point; readers take the image centre.
+
+    Raises:
+        OutputExistsError, InputError: as ``atomic.check_output``.
+    """
+    entries = []
+    for position, camera in enumerate(cameras):
+        entries.append(
+            {
+                "id": position,
+                "img_name": camera.name,
+                "width": camera.width,
+                "height": camera.height,
+                "position": camera.position.tolist(),
+                "rotation": camera.viewmat[:3, :3].T.tolist(),
+                "fy": camera.fy,
+                "fx": camera.fx,
+            }
+        )
+    write_text(path, json.dumps(entries, indent=1) + "\n", overwrite)
+
+
+def read_cfg_args(path: str | Path) -> dict[str, Any]:
+    """The settings in a cfg_args file, a printed ``Namespace(...)`` of plain values.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is anything but such a Namespace. Nothing in it is ever run.
+    """
+    path = existing_file(path, "cfg_args of Inria's code")
+    try:
+        tree = ast.parse(read_text(path).strip(), mode="eval").body
+        if not (
+            isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) and tree.func.id == "Namespace"
+        ):
+            raise ValueError("not a Namespace")
+        return {item.arg: ast.literal_eval(item.value) for item in tree.keywords if item.arg is not None}
+    except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError) as error:
+        raise FileFormatError(
+            path, "is not a printed Namespace of settings", "delete or restore it"
+        ) from error
+
+
+def latest_point_cloud(folder: str | Path) -> Path:
+    """The PLY of the last iteration in an Inria output folder (or in its point_cloud folder).
+
+    Raises:
+        MissingFileError: there is none.
+    """
+    folder = existing_folder(folder, "an output folder of Inria's code")
+    inner = folder if folder.name == "point_cloud" else folder / "point_cloud"
+    found: list[tuple[int, Path]] = []
+    for candidate in inner.glob("iteration_*/point_cloud.ply"):
+        numbered = re.fullmatch(r"iteration_(\d{1,12})", candidate.parent.name)
+        if numbered and candidate.is_file():
+            found.append((int(numbered[1]), candidate))
+    if not found:
+        raise MissingFileError(
+            inner,
+            "holds no iteration_*/point_cloud.ply",
+            "give the folder that training wrote, or the PLY itself",
+        )
+    return max(found)[1]
+
+
+def portable_name(name: str) -> str:
+    """An image name with forward slashes and without leading ./ whichever system wrote it."""
+    return str(PurePosixPath(name.replace("\\", "/")))

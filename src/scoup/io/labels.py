@@ -1,0 +1,175 @@
+"""Label files of LERF-OVS: what is where in a frame (docs/protocols.md)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image, ImageDraw
+from torch import Tensor
+
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning, UnknownNameError
+from scoup.io.reading import number, pixels, read_json
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.regions import resize_labels
+
+_FAR = 1e6  # coordinates beyond this are damage, and more than the polygon painter can take
+_REMEDY = "the file is damaged or no LERF-OVS label file"
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledFrame:
+    """The ground truth of one frame.
+
+    Attributes:
+        name: of the frame: the stem of its label file, which is that of its image.
+        width, height: in pixels, of the image that was labelled.
+        masks: per label, boolean [H, W]: all its polygons united. Labels are in the order of the file.
+        boxes: per label, [B, 4] float32 (x1, y1, x2, y2), one for each of its objects.
+    """
+
+    name: str
+    width: int
+    height: int
+    masks: dict[str, Tensor]
+    boxes: dict[str, Tensor]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return tuple(self.masks)
+
+    def only(self, label: str) -> LabelledFrame:
+        """This frame with one label."""
+        masks, boxes = {label: self.masks[label]}, {label: self.boxes[label]}
+        return LabelledFrame(self.name, self.width, self.height, masks, boxes)
+
+    def resized(self, width: int, height: int) -> LabelledFrame:
+        """The same truth at another image size: masks by nearest neighbour, boxes scaled."""
+        if (width, height) == (self.width, self.height):
+            return self
+        # Pixel centres: the box corner at column x covers the point x + 0.5 of the photograph.
+        scale = torch.tensor([width / self.width, height / self.height] * 2)
+        masks = {label: resize_labels(mask, width, height) for label, mask in self.masks.items()}
+        boxes = {label: (corners + 0.5) * scale - 0.5 for label, corners in self.boxes.items()}
+        return LabelledFrame(self.name, width, height, masks, boxes)
+
+
+def read_labels(folder: str | Path) -> list[LabelledFrame]:
+    """All label files ``*.json`` of a folder, in order of their names.
+
+    Raises:
+        MissingFileError: there is no such folder, or no label file in it.
+        FileFormatError: a label file is damaged.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise MissingFileError(
+            folder, "there is no such folder (label files were expected)", "check the path"
+        )
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".json")
+    if not paths:
+        raise MissingFileError(
+            folder, "holds no label file (*.json)", "name the folder of one scene's labels"
+        )
+    return [read_frame(path) for path in paths]
+
+
+def read_frame(path: str | Path) -> LabelledFrame:
+    """One label file. Polygon corners are rounded to whole pixels and filled, edges included.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is no label file, or damaged.
+    """
+    path = Path(path)
+    content = read_json(path, "LERF-OVS labels")
+    info = content.get("info") if isinstance(content, dict) else None
+    objects = content.get("objects") if isinstance(content, dict) else None
+    if not isinstance(info, dict) or not isinstance(objects, list):
+        raise FileFormatError(path, "has no 'info' and 'objects'", _REMEDY)
+    width, height = (
+        pixels(path, info.get("width"), "the width"),
+        pixels(path, info.get("height"), "the height"),
+    )
+    if width * height > 1 << 28:
+        raise FileFormatError(path, f"the size {width} x {height} is no image size", _REMEDY)
+    canvases: dict[str, Image.Image] = {}
+    boxes: dict[str, list[list[float]]] = {}
+    for position, item in enumerate(objects):
+        label, corners, box = _object(path, item, f"object {position}")
+        canvas = canvases.setdefault(label, Image.new("1", (width, height)))
+        ImageDraw.Draw(canvas).polygon(corners, fill=1, outline=1)
+        boxes.setdefault(label, []).append(box)
+    return LabelledFrame(
+        path.stem,
+        width,
+        height,
+        {label: torch.from_numpy(np.array(canvas, dtype=bool)) for label, canvas in canvases.items()},
+        {label: torch.tensor(corners, dtype=torch.float32) for label, corners in boxes.items()},
+    )
+
+
+def match_frames(frames: Iterable[LabelledFrame], cameras: Cameras) -> list[tuple[LabelledFrame, Camera]]:
+    """Frames with their cameras, found by name (never by number: a view that failed to register shifts
+    those).
+
+    Frames without a camera are skipped with a ScoupWarning.
+
+    Raises:
+        InputError: no frame has a camera.
+    """
+    matched: list[tuple[LabelledFrame, Camera]] = []
+    lost: list[str] = []
+    for frame in frames:
+        try:
+            matched.append((frame, cameras[frame.name]))
+        except UnknownNameError:
+            lost.append(frame.name)
+    if not matched:
+        raise InputError(
+            f"none of the labelled frames ({', '.join(lost[:3]) or 'there are none'}) is among the "
+            f"{len(cameras)} cameras ({', '.join(cameras.names[:3])}, ...); labels and cameras are of "
+            "different scenes"
+        )
+    if lost:
+        warnings.warn(
+            f"{len(lost)} labelled frames have no camera and are not scored: {', '.join(lost[:5])}",
+            ScoupWarning,
+            stacklevel=2,
+        )
+    return matched
+
+
+def _object(path: Path, item: Any, what: str) -> tuple[str, list[tuple[int, int]], list[float]]:
+    if (
+        not isinstance(item, dict)
+        or not isinstance(item.get("category"), str)
+        or not item["category"].strip()
+    ):
+        raise FileFormatError(path, f"{what} has no category", _REMEDY)
+    polygon = item.get("segmentation")
+    if not isinstance(polygon, list) or not polygon:
+        raise FileFormatError(path, f"{what} ({item['category']!r}) has no polygon", _REMEDY)
+    corners = [_numbers(path, corner, 2, f"a corner of {what}") for corner in polygon]
+    rounded = [(round(x), round(y)) for x, y in corners]
+    # Two corners are a line and one is a point; the painter wants three.
+    rounded += rounded[-1:] * (3 - len(rounded))
+    if item.get("bbox") is None:
+        xs, ys = zip(*corners, strict=True)
+        return item["category"], rounded, [min(xs), min(ys), max(xs), max(ys)]
+    x1, y1, x2, y2 = _numbers(path, item["bbox"], 4, f"the box of {what}")
+    return item["category"], rounded, [min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)]
+
+
+def _numbers(path: Path, value: Any, count: int, what: str) -> list[float]:
+    if not isinstance(value, list) or len(value) != count:
+        raise FileFormatError(path, f"{what} is not {count} numbers", _REMEDY)
+    numbers = [number(path, entry, what) for entry in value]
+    if any(abs(entry) > _FAR for entry in numbers):
+        raise FileFormatError(path, f"{what} lies far outside any image", _REMEDY)
+    return numbers

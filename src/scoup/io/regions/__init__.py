@@ -1,0 +1,1 @@
+"""Folders of region features, one module a layout."""

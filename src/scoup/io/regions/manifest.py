@@ -1,0 +1,108 @@
+"""``regions.json``: how a folder of region features was made, and in which layout."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from scoup.base.atomic import write_text
+from scoup.base.errors import FileFormatError, InputError, OutputExistsError
+from scoup.io.reading import read_json
+
+MANIFEST = "regions.json"
+SCHEMA = "scoup.regions"
+VERSION = 1
+
+Layout = Literal["compact", "langsplat"]
+LAYOUTS: tuple[Layout, ...] = ("compact", "langsplat")
+
+
+@dataclass(frozen=True)
+class RegionManifest:
+    """What all views of a folder have in common.
+
+    Attributes:
+        layout: "compact" (one ``.regions`` file a view) or "langsplat" (two ``.npy`` files a view).
+        embedding_model: id of the model that made the embeddings; "" if nobody knows.
+        settings: everything else that decides the numbers; plain JSON values.
+    """
+
+    layout: Layout
+    embedding_model: str
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of all of it: views made under another manifest do not count."""
+        text = json.dumps([self.layout, self.embedding_model, self.settings], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+    def differences(self, other: RegionManifest) -> list[str]:
+        """What differs from another manifest, as "name: mine, not theirs"."""
+        pairs: dict[str, tuple[Any, Any]] = {
+            "layout": (self.layout, other.layout),
+            "embedding model": (self.embedding_model, other.embedding_model),
+        }
+        for name in sorted({*self.settings, *other.settings}):
+            pairs[name] = (self.settings.get(name), other.settings.get(name))
+        return [
+            f"{name}: {_short(mine)}, not {_short(theirs)}"
+            for name, (mine, theirs) in pairs.items()
+            if mine != theirs
+        ]
+
+
+def read_manifest(folder: Path) -> RegionManifest | None:
+    """The manifest of a folder of region features; None where there is none.
+
+    Raises:
+        FileFormatError: it is damaged, or of a newer version.
+    """
+    path = folder / MANIFEST
+    if not path.is_file():
+        return None
+    record = read_json(path, "the manifest of a folder of region features")
+    remedy = "extract the features again into another folder"
+    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+        raise FileFormatError(path, "is not a manifest of region features", remedy)
+    version, layout = record.get("version"), record.get("layout")
+    if not isinstance(version, int) or version > VERSION:
+        raise FileFormatError(
+            path, f"was written by a newer SCOUP (format {version})", "pip install -U scoup"
+        )
+    model, settings = record.get("embedding_model"), record.get("settings")
+    if layout not in LAYOUTS or not isinstance(model, str) or not isinstance(settings, dict):
+        raise FileFormatError(path, "lacks its layout, embedding model or settings", remedy)
+    return RegionManifest(layout, model, settings)
+
+
+def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = False) -> None:
+    """Write a folder's manifest atomically. Several processes may do so at once if they agree.
+
+    Raises:
+        InputError: there is another manifest already and ``overwrite`` is false.
+    """
+    record = {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "layout": manifest.layout,
+        "embedding_model": manifest.embedding_model,
+        "settings": manifest.settings,
+    }
+    text = json.dumps(record, indent=2, sort_keys=True) + "\n"
+    try:
+        write_text(folder / MANIFEST, text, overwrite)
+    except OutputExistsError:
+        there = read_manifest(folder)
+        if there is None or there != manifest:
+            raise InputError(
+                f"{folder / MANIFEST}: somebody else has written another one meanwhile"
+            ) from None
+
+
+def _short(value: Any) -> str:
+    text = "none" if value is None else json.dumps(value) if not isinstance(value, str) else value
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,96 @@
+"""Between the raw values files hold (log scale, logit opacity) and those the API gives.
+
+All functions compute in float64 and round once, so that values read from a float32 file are written back to
+values that read the same, bit by bit.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from scoup.base.errors import ScoupWarning
+from scoup.scene.gaussians import Gaussians
+
+UNIT_TOLERANCE = 1e-6  # of the squared norm: what float32 rounding of a unit quaternion stays well within
+
+
+def scales_from_logs(raw: np.ndarray) -> np.ndarray:
+    """exp, float32; overflow gives inf."""
+    with np.errstate(all="ignore"):
+        return np.exp(raw.astype(np.float64)).astype(np.float32)
+
+
+def opacities_from_logits(raw: np.ndarray) -> np.ndarray:
+    """Logistic function, float32; +inf gives exactly 1, -inf exactly 0."""
+    with np.errstate(all="ignore"):
+        return (1.0 / (1.0 + np.exp(-raw.astype(np.float64)))).astype(np.float32)
+
+
+def logs_from_scales(scales: np.ndarray) -> np.ndarray:
+    """float32 logarithms that ``scales_from_logs`` maps back as closely as float32 can."""
+    with np.errstate(all="ignore"):
+        raw = np.log(scales.astype(np.float64)).astype(np.float32)
+    return _settled(raw, scales, scales_from_logs)
+
+
+def logits_from_opacities(opacities: np.ndarray) -> np.ndarray:
+    """float32 logits that ``opacities_from_logits`` maps back as closely as float32 can."""
+    clipped = np.clip(opacities, 0.0, 1.0)
+    wide = clipped.astype(np.float64)
+    with np.errstate(all="ignore"):
+        raw = (np.log(wide) - np.log1p(-wide)).astype(np.float32)
+    return _settled(raw, clipped, opacities_from_logits)
+
+
+def unit_quats(raw: np.ndarray) -> np.ndarray:
+    """Normalised [N, 4] float32. Rows that are unit already stay as they are; zero rows become NaN."""
+    with np.errstate(all="ignore"):
+        wide = raw.astype(np.float64)
+        squared = (wide**2).sum(1, keepdims=True)
+        normalised = (wide / np.sqrt(squared)).astype(np.float32)
+    return np.where(np.abs(squared - 1.0) < UNIT_TOLERANCE, raw.astype(np.float32), normalised)
+
+
+def keep_finite(
+    means: np.ndarray,
+    quats: np.ndarray,
+    scales: np.ndarray,
+    opacities: np.ndarray,
+    sh: np.ndarray,
+    source: str,
+) -> tuple[Gaussians, np.ndarray]:
+    """Gaussians of the rows whose activated values are all finite, and a boolean [N] saying which they are.
+
+    Warns:
+        ScoupWarning: some rows were dropped; says how many.
+    """
+    kept = np.isfinite(means).all(1) & np.isfinite(quats).all(1) & np.isfinite(scales).all(1)
+    kept &= np.isfinite(opacities) & np.isfinite(sh).all((1, 2))
+    arrays = [means, quats, scales, opacities, sh]
+    dropped = len(kept) - int(kept.sum())
+    if dropped:
+        warnings.warn(
+            f"{source}: dropped {dropped} of {len(kept)} Gaussians with values that are not finite",
+            ScoupWarning,
+            stacklevel=4,
+        )
+        arrays = [array[kept] for array in arrays]
+    tensors = [torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)) for array in arrays]
+    return Gaussians(*tensors), kept
+
+
+def _settled(raw: np.ndarray, wanted: np.ndarray, forward: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Where ``raw`` does not map to ``wanted``, one of its float32 neighbours may."""
+    wrong = np.flatnonzero((forward(raw) != wanted).ravel() & np.isfinite(raw.ravel()))
+    if not len(wrong):
+        return raw
+    settled, target = raw.ravel().copy(), wanted.ravel()[wrong]
+    start = settled[wrong]
+    for direction in (np.float32(-np.inf), np.float32(np.inf)):
+        neighbour = np.nextafter(start, direction)
+        settled[wrong] = np.where(forward(neighbour) == target, neighbour, settled[wrong])
+    return settled.reshape(raw.shape)

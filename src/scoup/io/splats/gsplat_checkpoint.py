@@ -1,0 +1,143 @@
+"""Checkpoints of gsplat's trainer: ckpts/ckpt_<step>_rank<r>.pt, one file a rank."""
+
+from __future__ import annotations
+
+import os
+import re
+import zipfile
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.reading import existing_file
+from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
+from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
+
+_NAME = re.compile(r"ckpt_(\d{1,12})_rank(\d{1,6})\.pt")
+_SHAPES = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh0": (1, 3), "shN": (-1, 3)}
+_WHAT = "a checkpoint of gsplat's trainer"
+
+
+def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
+    """Read one checkpoint file, or all ranks of the latest step in a ``ckpts`` folder (or above it).
+
+    Pickles are read with torch's restricted loader: nothing in them is run.
+
+    Raises:
+        MissingFileError: there is no checkpoint, or a rank of the latest step is missing.
+        FileFormatError: a file is damaged or holds something else.
+
+    Warns:
+        ScoupWarning: rows with values that are not finite were dropped.
+    """
+    path = Path(path)
+    files = latest_ranks(path) if path.is_dir() else [existing_file(path, _WHAT)]
+    parts = [_read_splats(file) for file in files]
+    if len({part["shN"].shape[1] for part in parts}) > 1:
+        raise FileFormatError(
+            path, "its ranks differ in SH degree", "they are from different runs; remove the old ones"
+        )
+    raw = {key: np.concatenate([part[key] for part in parts]) for key in _SHAPES}
+    return keep_finite(
+        means=raw["means"],
+        quats=unit_quats(raw["quats"]),
+        scales=scales_from_logs(raw["scales"]),
+        opacities=opacities_from_logits(raw["opacities"]),
+        sh=np.concatenate([raw["sh0"], raw["shN"]], axis=1),
+        source=str(path),
+    )[0]
+
+
+def latest_ranks(folder: str | Path) -> list[Path]:
+    """The files of the latest step in a ckpts folder (or in the one inside ``folder``), in order of rank.
+
+    Raises:
+        MissingFileError: there are none, or a rank is missing.
+    """
+    folder = Path(folder)
+    if (folder / "ckpts").is_dir():
+        folder = folder / "ckpts"
+    steps: dict[int, dict[int, Path]] = defaultdict(dict)
+    for file in folder.glob("ckpt_*_rank*.pt"):
+        matched = _NAME.fullmatch(file.name)
+        if matched:
+            steps[int(matched[1])][int(matched[2])] = file
+    if not steps:
+        raise MissingFileError(
+            folder, "holds no ckpt_<step>_rank<r>.pt", "give the folder ckpts of gsplat's trainer"
+        )
+    step, ranks = max(steps.items())
+    # The number of ranks is not written anywhere: the most that any step has is the best guess.
+    expected = 1 + max(rank for found in steps.values() for rank in found)
+    missing = sorted(set(range(expected)) - set(ranks))
+    if missing:
+        listed = ", ".join(map(str, missing[:8]))
+        raise MissingFileError(
+            folder,
+            f"step {step} lacks rank {listed} of {expected}",
+            "copy all its files, or remove this step",
+        )
+    return [ranks[rank] for rank in range(expected)]
+
+
+def _read_splats(path: Path) -> dict[str, np.ndarray]:
+    content = _load(path)
+    splats = content.get("splats") if isinstance(content, dict) else None
+    if not isinstance(splats, dict):
+        raise FileFormatError(path, "has no 'splats' in it", f"it should be {_WHAT}")
+    missing = [key for key in _SHAPES if key not in splats]
+    if missing:
+        remedy = (
+            "trained with appearance features, it has no SH colours; export a PLY"
+            if "colors" in splats
+            else ""
+        )
+        raise FileFormatError(path, f"lacks {', '.join(missing)}", remedy or f"it should be {_WHAT}")
+    size = os.path.getsize(path)
+    count = len(splats["means"]) if isinstance(splats["means"], Tensor) and splats["means"].dim() else 0
+    result = {}
+    for key, shape in _SHAPES.items():
+        tensor = splats[key]
+        # Views with zero strides can claim any size: a tensor has to fit into its file.
+        sound = (
+            isinstance(tensor, Tensor)
+            and tensor.layout == torch.strided
+            and tensor.dtype in (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+            and tensor.device.type == "cpu"
+            and tensor.dim() == len(shape) + 1
+            and tensor.numel() * tensor.element_size() <= size
+            and tensor.shape[0] == count
+            and all(wanted in (-1, side) for wanted, side in zip(shape, tensor.shape[1:], strict=True))
+        )
+        if not sound:
+            found = (
+                f"{tensor.dtype} {list(tensor.shape)}"
+                if isinstance(tensor, Tensor)
+                else type(tensor).__name__
+            )
+            expected = ["N", *("?" if side < 0 else side for side in shape)]
+            raise FileFormatError(
+                path, f"{key} is {found}, expected floats [{', '.join(map(str, expected))}]", ""
+            )
+        result[key] = tensor.detach().float().numpy()
+    if result["shN"].shape[1] + 1 not in {(degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1)}:
+        raise FileFormatError(path, f"shN has {result['shN'].shape[1]} coefficients, no whole SH degree", "")
+    return result
+
+
+def _load(path: Path) -> Any:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+        # torch stores without compression; one that unpacks to more than its size would fill the memory.
+        if unpacked > os.path.getsize(path):
+            raise ValueError("unpacks to more than its size")
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # damaged or foreign archives raise nearly everything inside torch
+        reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
+        raise FileFormatError(path, f"cannot be loaded ({reason})", f"it should be {_WHAT}") from error

@@ -1,0 +1,223 @@
+"""PLY files: any table of scalars losslessly, and the Inria layout of 3D Gaussian Splatting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from scoup.base.atomic import atomic_file
+from scoup.base.errors import FileFormatError
+from scoup.io.splats.activation import (
+    keep_finite,
+    logits_from_opacities,
+    logs_from_scales,
+    opacities_from_logits,
+    scales_from_logs,
+    unit_quats,
+)
+from scoup.io.splats.ply_compressed import is_compressed, read_compressed
+from scoup.io.splats.ply_header import format_header, ply_type, read_header
+from scoup.io.splats.ply_rows import read_rows
+from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
+
+_CENTER = ("x", "y", "z")
+_BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
+_SCALE = ("scale_0", "scale_1", "scale_2")
+_ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+_REQUIRED = (*_CENTER, *_BASE_COLOR, "opacity", *_SCALE, *_ROTATION)
+_CHUNK = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class PlyTable:
+    """The vertices of a PLY file, untouched.
+
+    Attributes:
+        path: where it was read from.
+        rows: [N] structured array, one field a property, in the file's order, types and byte order.
+        comments: comment lines of the header, without the keyword.
+    """
+
+    path: Path
+    rows: np.ndarray  # [N]
+    comments: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.rows.dtype.names or ()
+
+    def select(self, chosen: np.ndarray) -> PlyTable:
+        """The chosen rows, unchanged. ``chosen`` is a boolean mask [N] or row numbers [M]."""
+        return replace(self, rows=self.rows[chosen])
+
+    def with_column(self, name: str, values: np.ndarray) -> PlyTable:
+        """The table with one more property at the end (or another one in its place), for example an id."""
+        kept = [(item, self.rows.dtype[item]) for item in self.names if item != name]
+        # A PLY file has one byte order for all.
+        order = ">" if any(kind.byteorder == ">" for _, kind in kept) else "<"
+        rows = np.empty(len(self.rows), dtype=[*kept, (name, ply_type(values.dtype).newbyteorder(order))])
+        for item, _ in kept:
+            rows[item] = self.rows[item]
+        rows[name] = values
+        return replace(self, rows=rows)
+
+    def columns(self, names: tuple[str, ...], dtype: type = np.float32) -> np.ndarray:
+        """[N, len(names)] of ``dtype``, the named properties side by side."""
+        with np.errstate(all="ignore"):  # values of any kind may stand in a file
+            return self._columns(names, dtype)
+
+    def _columns(self, names: tuple[str, ...], dtype: type) -> np.ndarray:
+        types = {self.rows.dtype[name] for name in self.names}
+        first = self.names.index(names[0])
+        if types == {np.dtype(np.float32)} and self.names[first : first + len(names)] == names:
+            every = np.ascontiguousarray(self.rows).view(np.float32).reshape(len(self.rows), len(self.names))
+            return every[:, first : first + len(names)].astype(dtype)
+        # Block by block: a block of rows stays in the cache while its columns are picked one by one.
+        result = np.empty((len(self.rows), len(names)), dtype=dtype)
+        for start in range(0, len(self.rows), 4096):
+            block = self.rows[start : start + 4096]
+            for column, name in enumerate(names):
+                result[start : start + 4096, column] = block[name]
+        return result
+
+
+def read_ply_table(path: str | Path) -> PlyTable:
+    """Read the vertices of a PLY file (binary of either byte order, or ASCII) without interpreting them.
+
+    A file longer than its header says is read as far as the header says, with a ScoupWarning.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is not a PLY file, is cut short, or has list properties.
+    """
+    header = read_header(path)
+    return PlyTable(header.path, read_rows(header), header.comments)
+
+
+def write_ply_table(table: PlyTable, path: str | Path, overwrite: bool = False) -> None:
+    """Write a table as binary PLY, its rows byte for byte (from ASCII: little endian).
+
+    Raises:
+        OutputExistsError, InputError: as ``atomic.check_output``.
+    """
+    with atomic_file(path, overwrite) as stream:
+        stream.write(format_header(table.rows.dtype, len(table), table.comments))
+        for start in range(0, len(table), _CHUNK):
+            stream.write(table.rows[start : start + _CHUNK].tobytes())
+
+
+def gaussians_from_table(table: PlyTable) -> tuple[Gaussians, np.ndarray]:
+    """Activated Gaussians of a table, and a boolean [N] saying which rows they are.
+
+    Scales are exponentials, opacities logistic (+inf gives 1), quaternions normalised. Rows with values that
+    are not finite (a zero quaternion is one) are dropped.
+
+    Raises:
+        FileFormatError: properties are missing, or the colours have no whole SH degree.
+
+    Warns:
+        ScoupWarning: some rows were dropped.
+    """
+    rest = _check_properties(table)
+    bases = 1 + len(rest) // 3
+    sh = np.empty((len(table), bases, 3), dtype=np.float32)
+    sh[:, 0] = table.columns(_BASE_COLOR)
+    if rest:
+        # The file is channel-major: all of red, then green, then blue.
+        sh[:, 1:] = table.columns(rest).reshape(len(table), 3, bases - 1).transpose(0, 2, 1)
+    return keep_finite(
+        means=table.columns(_CENTER),
+        quats=unit_quats(table.columns(_ROTATION)),
+        scales=scales_from_logs(table.columns(_SCALE, np.float64)),
+        opacities=opacities_from_logits(table.columns(("opacity",), np.float64)[:, 0]),
+        sh=sh,
+        source=str(table.path),
+    )
+
+
+def read_ply(path: str | Path) -> Gaussians:
+    """Read a 3D Gaussian Splatting PLY; properties are found by name, in any order, SH degree 0 to 4.
+
+    Compressed files as PlayCanvas and SuperSplat write them are read too.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: see ``read_ply_table`` and ``gaussians_from_table``.
+
+    Warns:
+        ScoupWarning: rows were dropped, or the file is longer than its header says.
+    """
+    table = read_ply_table(path)
+    if is_compressed(table.names):
+        return read_compressed(table.path, table.rows)
+    return gaussians_from_table(table)[0]
+
+
+def table_from_gaussians(gaussians: Gaussians) -> PlyTable:
+    """The Gaussians as rows of the Inria layout: centre, zero normals, colour, opacity, scale, rotation."""
+    values = {
+        name: getattr(gaussians, name).detach().cpu().numpy() for name in ("means", "quats", "scales", "sh")
+    }
+    opacities = gaussians.opacities.detach().cpu().numpy()
+    rest = 3 * (values["sh"].shape[1] - 1)
+    names = (*_CENTER, "nx", "ny", "nz", *_BASE_COLOR, *_rest_names(rest), "opacity", *_SCALE, *_ROTATION)
+    rows = np.zeros(len(gaussians), dtype=[(name, "<f4") for name in names])
+    every = rows.view("<f4").reshape(len(gaussians), len(names))
+    every[:, 0:3] = values["means"]
+    every[:, 6:9] = values["sh"][:, 0]
+    every[:, 9 : 9 + rest] = values["sh"][:, 1:].transpose(0, 2, 1).reshape(len(gaussians), rest)
+    every[:, -8] = logits_from_opacities(opacities)
+    every[:, -7:-4] = logs_from_scales(values["scales"])
+    every[:, -4:] = values["quats"]
+    return PlyTable(Path("<memory>"), rows)
+
+
+def write_ply(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
+    """Write the Inria layout.
+
+    Gaussians that were read from a PLY file or a checkpoint read back bit by bit. Others are rounded to the
+    float32 logarithm and logit the layout holds (``as_stored`` gives them as they will be read).
+
+    Raises:
+        OutputExistsError, InputError: as ``atomic.check_output``.
+    """
+    write_ply_table(table_from_gaussians(gaussians), path, overwrite)
+
+
+def as_stored(gaussians: Gaussians) -> Gaussians:
+    """The Gaussians as ``read_ply`` gives them after ``write_ply``; doing it twice changes nothing."""
+    return gaussians_from_table(table_from_gaussians(gaussians))[0].to(gaussians.device)
+
+
+def _check_properties(table: PlyTable) -> tuple[str, ...]:
+    missing = [name for name in _REQUIRED if name not in table.names]
+    if is_compressed(table.names):
+        raise FileFormatError(
+            table.path,
+            "is a compressed PLY (PlayCanvas), whose rows do not stand alone",
+            "convert it to a plain one: splat-transform in.ply out.ply",
+        )
+    if missing:
+        raise FileFormatError(
+            table.path,
+            f"is not a 3D Gaussian Splatting PLY: it lacks {', '.join(missing)}",
+            "give the PLY of the trained splat, not a point cloud or mesh",
+        )
+    rest = {name for name in table.names if name.startswith("f_rest_")}
+    degrees = {3 * ((degree + 1) ** 2 - 1) for degree in range(MAX_SH_DEGREE + 1)}
+    if len(rest) not in degrees or rest != set(_rest_names(len(rest))):
+        raise FileFormatError(
+            table.path,
+            f"has {len(rest)} f_rest properties, expected f_rest_0 onwards, {sorted(degrees)} of them",
+            "export the splat again",
+        )
+    return _rest_names(len(rest))
+
+
+def _rest_names(count: int) -> tuple[str, ...]:
+    return tuple(f"f_rest_{number}" for number in range(count))

@@ -1,0 +1,197 @@
+"""The header of a PLY file: where its vertices (or another element) lie, and of which type they are."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from scoup.base.errors import FileFormatError, InputError, ScoupWarning
+from scoup.io.reading import existing_file
+
+MAX_HEADER_BYTES = 1 << 16
+MAX_PROPERTIES = 4096
+
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+_NAMES = {
+    "i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
+    "f8": "double",
+}  # fmt: skip
+_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "<"}
+
+
+@dataclass(frozen=True)
+class PlyHeader:
+    """What a header says of one element, most often the vertices.
+
+    Attributes:
+        encoding: "binary_little_endian", "binary_big_endian" or "ascii".
+        count: number of rows; checked against the size of the file.
+        dtype: structured type of one row in the file's byte order.
+        offset: where the rows start, in bytes (always the first element of an ASCII file).
+        comments: comment lines, without the keyword.
+        elements: names of all elements of the file.
+    """
+
+    path: Path
+    encoding: str
+    count: int
+    dtype: np.dtype
+    offset: int
+    comments: tuple[str, ...]
+    elements: tuple[str, ...]
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    fields: list[tuple[str, str]]
+    lists: list[str]
+
+
+def read_header(path: str | Path, element: str = "vertex") -> PlyHeader:
+    """Read the header and check it against the size of the file; takes no memory for the rows.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is not a PLY file, or shorter than its header says.
+
+    Warns:
+        ScoupWarning: the file is longer than its header says.
+    """
+    path = existing_file(path, "a PLY file")
+    try:
+        size = os.path.getsize(path)
+        with open(path, "rb") as stream:
+            head = stream.read(MAX_HEADER_BYTES)
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
+    lines, body = _header_lines(path, head)
+    encoding, elements, comments = _parse(path, lines)
+    names = tuple(item.name for item in elements)
+    if element not in names:
+        raise FileFormatError(path, f"has no element {element!r}", "give the PLY of a trained splat")
+    wanted = elements[names.index(element)]
+    if wanted.lists:
+        problem = f"has a list property ({wanted.lists[0]}) in element {element!r}"
+        raise FileFormatError(path, problem, "export it without")
+    dtype = _dtype(path, wanted, encoding)
+    offset = body + _bytes_before(path, elements[: names.index(element)], encoding)
+    _check_size(path, wanted, dtype, size - offset, encoding, last=elements[-1] is wanted)
+    return PlyHeader(path, encoding, wanted.count, dtype, offset, comments, names)
+
+
+def ply_type(dtype: np.dtype) -> np.dtype:
+    """``dtype`` if PLY has such a number, else the nearest that it has.
+
+    Raises:
+        InputError: it is no number.
+    """
+    if dtype.kind not in "biuf":
+        raise InputError(f"a PLY property cannot hold values of type {dtype}")
+    if dtype.str[1:] in _NAMES:
+        return dtype
+    return np.dtype({"b": "u1", "i": "i4", "u": "u4"}.get(dtype.kind, "f4"))
+
+
+def format_header(dtype: np.dtype, count: int, comments: tuple[str, ...] = ()) -> bytes:
+    """The header of a binary file with ``count`` vertices of the structured type ``dtype``."""
+    names = dtype.names or ()
+    big = any(dtype[name].byteorder == ">" for name in names)
+    lines = ["ply", f"format binary_{'big' if big else 'little'}_endian 1.0"]
+    lines += [f"comment {comment}" for comment in comments]
+    lines.append(f"element vertex {count}")
+    lines += [f"property {_NAMES[dtype[name].str[1:]]} {name}" for name in names]
+    return "\n".join([*lines, "end_header", ""]).encode("latin-1")
+
+
+def _header_lines(path: Path, head: bytes) -> tuple[list[str], int]:
+    if not head.startswith((b"ply\n", b"ply\r\n")):
+        problem = "is empty" if not head else "is not a PLY file (it does not start with 'ply')"
+        raise FileFormatError(path, problem, "copy or export it again")
+    end = head.find(b"\nend_header")
+    newline = head.find(b"\n", end + 1) if end >= 0 else -1
+    if newline < 0 or head[end + 1 : newline].strip() != b"end_header":
+        raise FileFormatError(
+            path, "has no complete PLY header (no end_header)", "the file is damaged; copy or export it again"
+        )
+    return head[:end].decode("latin-1").splitlines(), newline + 1
+
+
+def _parse(path: Path, lines: list[str]) -> tuple[str, list[_Element], tuple[str, ...]]:
+    encoding = ""
+    elements: list[_Element] = []
+    comments: list[str] = []
+    for line in lines[1:]:
+        words = line.split()
+        match words:
+            case [] | ["obj_info", *_]:
+                pass
+            case ["comment", *_]:
+                comments.append(line.split("comment", 1)[1].strip())
+            case ["format", kind, _] if kind in _ORDERS:
+                encoding = kind
+            case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 19:
+                elements.append(_Element(name, int(count), [], []))
+            case ["property", "list", _, _, name] if elements:
+                elements[-1].lists.append(name)
+            case ["property", kind, name] if elements and kind in _TYPES:
+                elements[-1].fields.append((name, _TYPES[kind]))
+            case _:
+                raise FileFormatError(
+                    path, f"has the header line {line[:60]!r}", "the file is damaged; export it again"
+                )
+    if not encoding:
+        raise FileFormatError(
+            path, "does not say its format in the header", "the file is damaged; export it again"
+        )
+    return encoding, elements, tuple(comments)
+
+
+def _dtype(path: Path, element: _Element, encoding: str) -> np.dtype:
+    names = [name for name, _ in element.fields]
+    if not names or len(set(names)) != len(names) or len(names) > MAX_PROPERTIES:
+        problem = f"has no, twice the same, or too many properties in element {element.name!r}"
+        raise FileFormatError(path, problem, "the file is damaged; export it again")
+    return np.dtype([(name, _ORDERS[encoding] + kind) for name, kind in element.fields])
+
+
+def _bytes_before(path: Path, elements: list[_Element], encoding: str) -> int:
+    """Size of the elements that stand before the one wanted."""
+    total = 0
+    for element in elements:
+        if element.count and (element.lists or encoding == "ascii"):
+            problem = f"has element {element.name!r} before its vertices"
+            raise FileFormatError(path, problem, "export it with vertices first")
+        if element.count:
+            total += element.count * _dtype(path, element, encoding).itemsize
+    return total
+
+
+def _check_size(
+    path: Path, element: _Element, dtype: np.dtype, available: int, encoding: str, last: bool
+) -> None:
+    count = element.count
+    # In ASCII every value takes at least a digit and a separator (the last one may lack it).
+    needed = count * dtype.itemsize if encoding != "ascii" else 2 * count * len(dtype.names or ()) - 1
+    if needed > available:
+        fits = max(available, 0) // max(dtype.itemsize, 1)
+        raise FileFormatError(
+            path,
+            f"is cut short: its header says {count} rows of {element.name!r}, there is room for {fits}",
+            "copy or download it again",
+        )
+    if needed < available and encoding != "ascii" and last:
+        warnings.warn(
+            f"{path}: has {available - needed} bytes more than its header says; they were not read",
+            ScoupWarning,
+            stacklevel=4,
+        )

@@ -1,0 +1,75 @@
+""".splat files: 32 bytes a Gaussian, colour without view dependence."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from scoup.base.atomic import atomic_file
+from scoup.base.errors import FileFormatError
+from scoup.io.reading import existing_file
+from scoup.io.splats.activation import keep_finite, unit_quats
+from scoup.scene.gaussians import Gaussians
+
+SH_C0 = 0.28209479177387814
+
+_ROW = np.dtype([("center", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
+
+
+def read_splat(path: str | Path) -> Gaussians:
+    """Read a .splat file: linear scales, RGBA bytes, quaternion bytes (b - 128) / 128 as w, x, y, z.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: its size is not a whole number of 32-byte records.
+
+    Warns:
+        ScoupWarning: rows with values that are not finite (or no rotation) were dropped.
+    """
+    path = existing_file(path, "a .splat file")
+    try:
+        size = os.path.getsize(path)
+        if size % _ROW.itemsize or not size:
+            problem = (
+                "is empty" if not size else f"has {size} bytes, which is not a multiple of {_ROW.itemsize}"
+            )
+            raise FileFormatError(
+                path, problem, "it is cut short or not a .splat file; copy or export it again"
+            )
+        rows = np.fromfile(path, dtype=_ROW)
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
+    color = rows["color"].astype(np.float64) / 255.0
+    return keep_finite(
+        means=rows["center"],
+        quats=unit_quats((rows["rotation"].astype(np.float64) - 128.0) / 128.0),
+        scales=np.abs(rows["scale"]),  # the sign of an axis does not change the Gaussian
+        opacities=color[:, 3].astype(np.float32),
+        sh=((color[:, None, :3] - 0.5) / SH_C0).astype(np.float32),
+        source=str(path),
+    )[0]
+
+
+def write_splat(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
+    """Write a .splat file. Colour, opacity and rotation are rounded to bytes; SH above degree 0 is left out.
+
+    Raises:
+        OutputExistsError, InputError: as ``atomic.check_output``.
+    """
+    rows = np.zeros(len(gaussians), dtype=_ROW)
+    rows["center"] = gaussians.means.detach().cpu().numpy()
+    rows["scale"] = gaussians.scales.detach().cpu().numpy()
+    rows["color"][:, :3] = _bytes(
+        gaussians.sh[:, 0].detach().cpu().numpy().astype(np.float64) * SH_C0 + 0.5, 255.0
+    )
+    rows["color"][:, 3] = _bytes(gaussians.opacities.detach().cpu().numpy(), 255.0)
+    quats = unit_quats(gaussians.quats.detach().cpu().numpy()).astype(np.float64)
+    rows["rotation"] = _bytes(quats + 1.0, 128.0)
+    with atomic_file(path, overwrite) as stream:
+        stream.write(rows.tobytes())
+
+
+def _bytes(values: np.ndarray, factor: float) -> np.ndarray:
+    return np.clip(np.nan_to_num(np.round(values * factor), nan=0.0), 0, 255).astype(np.uint8)

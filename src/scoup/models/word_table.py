@@ -1,0 +1,214 @@
+"""Table files of name -> embedding: .npz, .json, .safetensors."""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scoup.base.errors import FileFormatError, InputError, MissingFileError
+
+TABLE_SUFFIXES = (".npz", ".json", ".safetensors")
+MODEL_KEY = "model"
+"""Array, JSON entry or metadata entry that may name the embedding model; never a word of the table."""
+
+_MAX_BYTES = 1 << 31  # a table of words is small; a damaged size must not fill the memory
+_REMEDY = "the file is damaged or of another kind; write it again (scoup.models.text.save_table)"
+
+
+class EmbeddingTable:
+    """Names and their unit vectors.
+
+    Attributes:
+        path: the file.
+        names: as in the file.
+        vectors: [M, D] float32, unit norm.
+        model: the embedding model the file names, "" if it names none.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str], vectors: np.ndarray, model: str = "") -> None:
+        self.path = path
+        self.names = tuple(names)
+        self.vectors = _checked(path, self.names, vectors)
+        self.model = model
+
+
+def is_table(model_or_table: str | Path) -> bool:
+    """Whether the text means a table file and not a model: it ends as one, whether it exists or not."""
+    return Path(model_or_table).suffix.lower() in TABLE_SUFFIXES
+
+
+def load_table(path: str | Path) -> EmbeddingTable:
+    """Read a table; see ``save_table`` for one of its forms.
+
+    Forms: .npz with arrays ``names`` [M] and ``vectors`` [M, D], or one array [D] a name; .json with
+    ``{name: [numbers]}``; .safetensors with one tensor a name, or a tensor ``vectors`` and the names as a
+    JSON list in its metadata entry ``names``. The embedding model may be named under ``model``.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is damaged, or holds no table.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MissingFileError(path, "there is no such file (a table of text embeddings was expected)",
+                               "check the path, or name a CLIP model instead")  # fmt: skip
+    read = {".npz": _read_npz, ".json": _read_json, ".safetensors": _read_safetensors}.get(
+        path.suffix.lower()
+    )
+    if read is None:
+        raise FileFormatError(path, "is not a table of text embeddings", f"use {', '.join(TABLE_SUFFIXES)}")
+    with _damage_named(path):
+        return read(path)
+
+
+def save_table(
+    path: str | Path,
+    names: Sequence[str],
+    vectors: Any,  # [M, D]
+    overwrite: bool = False,
+    model: str = "",
+) -> None:
+    """Write an .npz table with arrays ``names`` [M] and ``vectors`` [M, D] float32, scaled to unit norm.
+
+    Args:
+        path: must end in .npz.
+        names: all different.
+        vectors: array or CPU tensor [M, D].
+        overwrite: replace an existing file.
+        model: id of the embedding model, kept under ``model``.
+
+    Raises:
+        InputError: names and vectors do not fit, or a vector is zero or not finite.
+        OutputExistsError: the file is there already.
+    """
+    from scoup.base.atomic import atomic_file
+
+    if Path(path).suffix.lower() != ".npz":
+        raise InputError(f"{path}: tables are written as .npz; change the file's extension")
+    if len(set(names)) != len(names):
+        raise InputError(f"{path}: two names of the table are the same")
+    table = EmbeddingTable(Path(path), names, np.asarray(vectors), model)
+    arrays = {"names": np.array(table.names), "vectors": table.vectors, MODEL_KEY: np.array(model)}
+    # Not numpy.savez: it stamps the time of writing, and the same table should give the same bytes.
+    with atomic_file(path, overwrite) as stream, zipfile.ZipFile(stream, "w") as archive:
+        for name, array in arrays.items():
+            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+
+
+def _read_npz(path: Path) -> EmbeddingTable:
+    arrays: dict[str, np.ndarray] = {}
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        if sum(member.file_size for member in members) > _MAX_BYTES:
+            raise FileFormatError(path, "is too large for a table of words", _REMEDY)
+        for member in members:
+            with archive.open(member) as stream:
+                arrays[member.filename.removesuffix(".npy")] = _read_array(path, stream, member.file_size)
+    model = str(arrays.pop(MODEL_KEY)) if arrays.get(MODEL_KEY, np.zeros(1)).dtype.kind == "U" else ""
+    if "names" in arrays and "vectors" in arrays:
+        names = arrays["names"]
+        if names.dtype.kind not in "US" or names.ndim != 1:
+            raise FileFormatError(path, "its array 'names' is not a list of words", _REMEDY)
+        words = [name.decode("utf-8") if isinstance(name, bytes) else str(name) for name in names.tolist()]
+        return EmbeddingTable(path, words, arrays["vectors"], model)
+    return EmbeddingTable(path, list(arrays), _stacked(path, arrays), model)
+
+
+def _read_array(path: Path, stream: Any, size: int) -> np.ndarray:
+    """One .npy member, refused before any memory is taken if it claims more than it has."""
+    version = np.lib.format.read_magic(stream)
+    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, column_major, dtype = header(stream)
+    if dtype.kind not in "fiuUS" or any(side < 0 for side in shape):
+        raise FileFormatError(path, f"holds an array of type {dtype}, expected words and numbers", _REMEDY)
+    count = 1
+    for side in shape:  # Python integers: a product of damaged sizes must not wrap around
+        count *= int(side)
+    needed = count * dtype.itemsize
+    if needed > size:
+        raise FileFormatError(path, "is cut short: an array is larger than its data", _REMEDY)
+    data = stream.read(needed)
+    if len(data) != needed:
+        raise FileFormatError(path, "is cut short", _REMEDY)
+    if count == 0 or needed == 0:
+        return np.zeros(shape if count == 0 else 0, dtype=dtype)
+    return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if column_major else "C")
+
+
+def _read_json(path: Path) -> EmbeddingTable:
+    content = json.loads(path.read_text(encoding="utf-8-sig"))
+    if not isinstance(content, dict):
+        raise FileFormatError(path, "is not a JSON object of name -> list of numbers", _REMEDY)
+    model = content.pop(MODEL_KEY) if isinstance(content.get(MODEL_KEY), str) else ""
+    rows: dict[str, np.ndarray] = {}
+    for name, values in content.items():
+        numbers = isinstance(values, list) and all(
+            isinstance(value, (int, float)) and not isinstance(value, bool) for value in values
+        )
+        if not numbers:
+            raise FileFormatError(path, f"the entry {name[:40]!r} is not a list of numbers", _REMEDY)
+        rows[name] = np.array(values, dtype=np.float64)
+    return EmbeddingTable(path, list(rows), _stacked(path, rows), model)
+
+
+def _read_safetensors(path: Path) -> EmbeddingTable:
+    from safetensors import safe_open
+
+    with safe_open(path, framework="pt") as content:
+        metadata = content.metadata() or {}
+        model = metadata.get(MODEL_KEY, "")
+        # Through torch, which also knows the half types numpy lacks.
+        tensors = {name: content.get_tensor(name).float().numpy() for name in content.keys()}  # noqa: SIM118
+    if "names" in metadata and "vectors" in tensors:
+        names = json.loads(metadata["names"])
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise FileFormatError(path, "its metadata entry 'names' is not a JSON list of words", _REMEDY)
+        return EmbeddingTable(path, names, tensors["vectors"], model)
+    return EmbeddingTable(path, list(tensors), _stacked(path, tensors), model)
+
+
+def _stacked(path: Path, rows: dict[str, np.ndarray]) -> np.ndarray:
+    if not rows:
+        raise FileFormatError(path, "holds no names", _REMEDY)
+    shapes = {row.shape for row in rows.values()}
+    if len(shapes) > 1 or len(next(iter(shapes))) != 1:
+        raise FileFormatError(path, "its entries are not vectors of one length", _REMEDY)
+    return np.stack(list(rows.values()))
+
+
+def _checked(path: Path, names: tuple[str, ...], vectors: np.ndarray) -> np.ndarray:
+    if vectors.ndim != 2 or len(vectors) != len(names) or vectors.dtype.kind not in "fiu":
+        raise FileFormatError(
+            path, f"{len(names)} names but vectors of shape {list(vectors.shape)} ({vectors.dtype})", _REMEDY
+        )
+    if not len(names) or vectors.shape[1] == 0:
+        raise FileFormatError(path, "holds no vectors", _REMEDY)
+    wide = vectors.astype(np.float64)
+    norms = np.linalg.norm(wide, axis=1)
+    bad = ~np.isfinite(norms) | (norms == 0)
+    if bad.any():
+        name = names[int(bad.argmax())][:40]
+        raise FileFormatError(path, f"the vector of {name!r} is zero or not finite", "encode that name again")
+    return (wide / norms[:, None]).astype(np.float32)
+
+
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    """Whatever a parser says of a damaged file, as one error that names the file."""
+    try:
+        yield
+    except FileFormatError:
+        raise
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read ({error.strerror or error})", _REMEDY) from error
+    except Exception as error:  # zip, zlib, json, struct, numpy and safetensors each raise kinds of their own
+        message = re.sub(r"\s+", " ", str(error))[:120]
+        raise FileFormatError(path, f"is not a readable table ({message})", _REMEDY) from error

@@ -1,0 +1,48 @@
+"""Phrases that every query is compared with: the canonical phrases of the papers, and everyday words.
+
+CLIP gives some places a high cosine to any word. The canonical phrases of the protocols are four words, all of one
+kind; the mean of many words of all kinds tells better what is common to them (docs/evaluation.md, "Everyday words").
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+CANONICAL_PHRASES = ("object", "things", "stuff", "texture")
+"""What a query is compared with (method.md, stage 3), encoded as they stand, without a prompt template."""
+
+EVERYDAY_WORDS = (
+    "person", "child", "hand", "face", "dog", "cat", "bird", "horse", "cow", "elephant", "fish", "insect",
+    "tree", "grass", "flower", "leaf", "rock", "sand", "water", "sky", "snow", "fire",
+    "house", "road", "bridge", "fence", "stairs", "wall", "floor", "ceiling", "window", "door",
+    "car", "bicycle", "bus", "train", "boat", "airplane",
+    "table", "chair", "sofa", "bed", "cupboard", "shelf", "lamp", "mirror", "curtain", "carpet", "pillow",
+    "plate", "cup", "bottle", "knife", "spoon", "pot", "kettle", "oven", "refrigerator", "sink",
+    "bread", "apple", "banana", "cheese", "meat", "soup", "cake", "coffee",
+    "book", "paper", "pen", "scissors", "clock", "telephone", "computer", "keyboard", "television", "camera",
+    "shirt", "shoe", "hat", "bag", "umbrella", "glasses", "ring",
+    "ball", "toy", "doll", "guitar", "piano", "drum", "hammer", "rope", "bucket", "box", "candle",
+    "towel", "toothbrush", "toilet", "bathtub", "wheel",
+)  # fmt: skip
+"""A hundred names of things, outdoors and indoors, for text models; a table has words of its own."""
+LEAST_WORDS = 16
+"""Fewer words than that tell nothing about words in general: with eight, absent things were often taken for present."""
+
+
+def with_everyday(canonical: Tensor, words: Tensor) -> Tensor:
+    """The canonical phrases and, as one phrase more, the mean of everyday words: how the rule "default" asks.
+
+    The mean is not scaled to unit norm: its cosine with an embedding is then the mean of the words' cosines, about
+    that of any single word.
+
+    Args:
+        canonical: [P, D] unit vectors.
+        words: [B, D] unit vectors; fewer than ``LEAST_WORDS`` change nothing.
+
+    Returns:
+        [P + 1, D], or [P, D].
+    """
+    if len(words) < LEAST_WORDS:
+        return canonical
+    return torch.cat([canonical, words.to(canonical).mean(0, keepdim=True)])

@@ -1,0 +1,146 @@
+"""Box means of maps, and which pixels relevancy singles out (docs/protocols.md, LERF-OVS, steps 1 to 3).
+
+On a CPU the compiled core does the work. The torch code says the same, and serves where there is no core, on other
+devices and for other types; box means and masks are the same to the last bit.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from scoup.base.native import native_core
+
+Border = Literal["inside", "reflect"]
+
+
+def box_mean(maps: Tensor, kernel: int, border: Border = "inside") -> Tensor:
+    """Mean over a kernel x kernel box around each pixel, same size as the input.
+
+    The box of pixel x covers x - kernel // 2 ... x - kernel // 2 + kernel - 1 on each axis; for even kernels
+    this is where OpenCV's filter2D puts it. Summed in float64, so that equal neighbourhoods give equal
+    means.
+
+    Args:
+        maps: [..., H, W] floating point; may be smaller than the kernel.
+        kernel: side of the box in pixels.
+        border: "inside" averages over the pixels of the box inside the image; "reflect" mirrors the image at
+            its edge pixels (which are not repeated).
+    """
+    core = _core_for(maps, kernel)
+    if core is None or not maps.numel():
+        return plain_box_mean(maps, kernel, border)
+    flat = maps.detach().reshape(-1, *maps.shape[-2:]).contiguous().numpy()
+    found = core.box_means(flat, kernel, border == "reflect", torch.get_num_threads())
+    return torch.from_numpy(found).view(maps.shape)
+
+
+def plain_box_mean(maps: Tensor, kernel: int, border: Border = "inside") -> Tensor:
+    """``box_mean`` in torch."""
+    means = maps.double()
+    for axis in (-1, -2):
+        means = _mean_along(means, axis, kernel, border)
+    return means.to(maps.dtype)
+
+
+def smoothed_masks(
+    relevancy: Tensor, averaged: Tensor, threshold: float, smoothing: int
+) -> tuple[Tensor, Tensor]:
+    """Smoothed relevancy, and the majority of the pixels above the threshold once it is rescaled.
+
+    Args:
+        relevancy: [S, H, W] of one query, not empty.
+        averaged: [S, H, W] its ``box_mean``.
+        threshold: on the rescaled relevancy.
+        smoothing: side in pixels of the box in which the majority decides; 1 leaves the mask alone.
+
+    Returns:
+        smoothed relevancy [S, H, W], dtype of ``relevancy``, and masks [S, H, W] boolean.
+    """
+    core = _core_for(relevancy, smoothing)
+    if core is None or averaged.dtype != relevancy.dtype:
+        return plain_smoothed_masks(relevancy, averaged, threshold, smoothing)
+    arrays = (maps.detach().contiguous().numpy() for maps in (relevancy, averaged))
+    smoothed, masks = core.level_masks(*arrays, threshold, smoothing, torch.get_num_threads())
+    return torch.from_numpy(smoothed), torch.from_numpy(masks).view(torch.bool)
+
+
+def plain_smoothed_masks(
+    relevancy: Tensor, averaged: Tensor, threshold: float, smoothing: int
+) -> tuple[Tensor, Tensor]:
+    """``smoothed_masks`` in torch."""
+    smoothed = 0.5 * (relevancy + averaged)
+    above = torch.stack([rescale(level) > threshold for level in smoothed])
+    return smoothed, plain_box_mean(above.float(), smoothing) > 0.5
+
+
+def mask_sums(smoothed: Tensor, masks: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """What the choice between levels goes by.
+
+    Args:
+        smoothed: [S, H, W] smoothed relevancy, not empty.
+        masks: [S, H, W] boolean.
+
+    Returns:
+        The largest smoothed relevancy of each level [S], the pixels of its mask [S] int64, and the sum of smoothed
+        relevancy over them [S] float64, so that levels alike to the last bit give equal means.
+    """
+    core = _core_for(smoothed)
+    if core is None:
+        return plain_mask_sums(smoothed, masks)
+    arrays = smoothed.detach().contiguous().numpy(), masks.contiguous().view(torch.uint8).numpy()
+    peaks, areas, sums = core.level_sums(*arrays, torch.get_num_threads())
+    return torch.from_numpy(peaks), torch.from_numpy(areas), torch.from_numpy(sums)
+
+
+def plain_mask_sums(smoothed: Tensor, masks: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """``mask_sums`` in torch."""
+    sums = torch.where(masks, smoothed.double(), 0.0).flatten(1).sum(1)
+    return smoothed.flatten(1).amax(1), masks.flatten(1).sum(1), sums
+
+
+def rescale(values: Tensor) -> Tensor:
+    """Stretch values of any shape to 0..1 and cut the lower half off: clip(2 n - 1, 0, 1) with
+    n = (v - min) / (max - min + 1e-9) (protocols.md, LERF-OVS, step 2). Constant values become 0."""
+    low, high = values.min(), values.max()
+    # float64, in which 1e-9 does not vanish beside the range.
+    stretched = (values.double() - low) / (high.double() - low + 1e-9)
+    return (2 * stretched - 1).clamp(0, 1).to(values.dtype)
+
+
+def _core_for(maps: Tensor, kernel: int = 1) -> ModuleType | None:
+    """The compiled core where it serves these maps."""
+    if maps.device.type != "cpu" or maps.dtype != torch.float32:
+        return None
+    core = native_core()
+    return core if core is not None and kernel <= core.MOST_KERNEL else None
+
+
+def _mean_along(values: Tensor, axis: int, kernel: int, border: Border) -> Tensor:
+    """[..., H, W] float64 running means along one axis, by differences of running sums."""
+    size = values.shape[axis]
+    before, after = kernel // 2, kernel - 1 - kernel // 2
+    counts: Tensor | int = kernel
+    if border == "reflect":
+        values = values.index_select(axis, _reflected(size, before, after).to(values.device))
+        before = after = 0
+    else:
+        position = torch.arange(size, device=values.device)
+        counts = (position + after).clamp(max=size - 1) - (position - before).clamp(min=0) + 1
+        counts = counts.view([-1] + [1] * (-axis - 1))
+    padding = [0, 0] * (-axis - 1) + [before + 1, after]
+    sums = torch.nn.functional.pad(values, padding).cumsum(axis)
+    return (sums.narrow(axis, kernel, size) - sums.narrow(axis, 0, size)) / counts
+
+
+def _reflected(size: int, before: int, after: int) -> Tensor:
+    """Source of each position from -before to size + after, mirrored about the edge pixels as often as
+    needed.
+    """
+    positions = torch.arange(-before, size + after)
+    period = max(2 * (size - 1), 1)
+    positions = positions % period
+    return torch.minimum(positions, period - positions) if size > 1 else torch.zeros_like(positions)

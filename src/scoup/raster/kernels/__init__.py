@@ -1,1 +1,0 @@
-"""Triton kernels of the rasteriser on a GPU, launched by ``scoup.raster.gpu`` and its neighbours."""

@@ -1,0 +1,181 @@
+"""The rasteriser on a CPU: the C++ core in native/, behind the same functions as ``reference``.
+
+Everything runs on ``torch.get_num_threads()`` threads; the result does not depend on how many those are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.base.native import native_core
+from scoup.raster.presets import RasterPreset
+from scoup.scene.cameras import Camera
+from scoup.scene.codes import check_atoms, code_arrays, decoded, index_dtype, row_products
+from scoup.scene.gaussians import Gaussians
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+
+@dataclass(frozen=True, eq=False)
+class NativeProjection:
+    """A scene as one camera sees it: projected, binned and sorted. Made by ``look``.
+
+    Attributes:
+        n_gaussians: N of the scene.
+        width, height: image size in pixels.
+        preset: the rasteriser constants used.
+        handle: what the compiled core keeps: 64 bytes a Gaussian of the scene and 4 bytes a pair of a Gaussian and
+            a tile of 16 x 16 pixels that it reaches.
+    """
+
+    n_gaussians: int
+    width: int
+    height: int
+    preset: RasterPreset
+    handle: Any
+
+    backend = "native"
+
+
+PREPARES = True  # by ``make_scene``, and the order of the rows matters to caches
+
+
+def make_scene(gaussians: Gaussians, ties: Tensor | None = None, many_views: bool = False) -> Any:
+    """What the compiled core looks at. It refers to the tensors; with ``many_views`` it takes 48 bytes a Gaussian more.
+
+    Args:
+        gaussians: N Gaussians. What is changed in them later may or may not be seen.
+        ties: [N] int64, decides between equal depths; by default the rows do.
+        many_views: work out what does not depend on the camera now, not for every view.
+    """
+    with _refusals():
+        return _core().Scene(
+            _array(gaussians.means),
+            _array(gaussians.quats),
+            _array(gaussians.scales),
+            _array(gaussians.opacities),
+            None if ties is None else _array(ties, torch.int64),
+            many_views,
+            torch.get_num_threads(),
+        )
+
+
+def project(
+    gaussians: Gaussians, camera: Camera, preset: RasterPreset, scene: Any | None = None
+) -> NativeProjection:
+    """See ``raster.project``. ``scene``: of these Gaussians, where ``make_scene`` has made it already."""
+    scene = make_scene(gaussians) if scene is None else scene
+    with _refusals():
+        handle = _core().project(
+            scene,
+            _array(camera.viewmat[:3], torch.float64),
+            (camera.fx, camera.fy, camera.cx, camera.cy),
+            camera.width,
+            camera.height,
+            (preset.near, preset.alpha_max, preset.stop),
+            preset.stop_inclusive,
+            preset.centred_clamp,
+            torch.get_num_threads(),
+        )
+    return NativeProjection(len(gaussians), camera.width, camera.height, preset, handle)
+
+
+def region_sums(view: NativeProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
+    with _refusals():
+        found = _core().region_sums(view.handle, _array(combinations, torch.int32), torch.get_num_threads())
+    gaussian, combination, weight = (torch.from_numpy(part) for part in found)
+    return gaussian, combination, weight
+
+
+def render_channels(view: NativeProjection, values: Tensor) -> tuple[Tensor, Tensor]:
+    """See ``raster.render_channels``."""
+    with _refusals():
+        image, alpha = _core().render_channels(view.handle, _array(values), torch.get_num_threads())
+    return torch.from_numpy(image), torch.from_numpy(alpha)
+
+
+def render_codes(view: NativeProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
+    """See ``raster.render_codes``."""
+    table = _code_table(indices, weights, n_atoms)
+    with _refusals():
+        return torch.from_numpy(_core().render_codes(view.handle, *table, n_atoms, torch.get_num_threads()))
+
+
+def render_cosines(
+    view: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> Tensor:
+    """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
+    return render_cosines_and_norms(view, indices, weights, codebook, queries)[0]
+
+
+def render_cosines_and_norms(
+    view: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> tuple[Tensor, Tensor]:
+    """See ``raster.render_cosines_and_norms``."""
+    table = _code_table(indices, weights, codebook.shape[1])
+    levels, asked = codebook.cpu(), queries.cpu()
+    with _refusals():
+        grams = _array(torch.stack([row_products(atoms, atoms) for atoms in levels]))
+        scores = _array(torch.stack([row_products(atoms, asked) for atoms in levels]))
+        found, norms = _core().render_cosines(view.handle, *table, grams, scores, torch.get_num_threads())
+    return torch.from_numpy(found), torch.from_numpy(norms)
+
+
+def render_features(view: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
+    """See ``raster.render_features``. One level's coefficients are kept at a time."""
+    levels = range(codebook.shape[0])
+    codes = (
+        render_codes(view, indices[:, s : s + 1], weights[:, s : s + 1], codebook.shape[1])[0] for s in levels
+    )
+    return torch.stack([decoded(of_level, atoms) for of_level, atoms in zip(codes, codebook, strict=True)])
+
+
+def count_work(view: NativeProjection) -> dict[str, int]:
+    """How much work the view is.
+
+    Returns:
+        "pairs": of a Gaussian and a tile that are looked at before the tile's pixels are finished; "blocks": vectors
+        of "lanes" pixels evaluated; "evaluations": pixels painted, alpha >= 1/255 and before the stop.
+    """
+    return dict(_core().count_work(view.handle, torch.get_num_threads()))
+
+
+def _core() -> ModuleType:
+    core = native_core()
+    if core is None:
+        raise InputError("the compiled core is not there; use the backend 'reference'")
+    return core
+
+
+def _array(tensor: Tensor, dtype: torch.dtype = torch.float32) -> np.ndarray:
+    """A contiguous CPU array; no copy where the tensor is one already."""
+    return tensor.detach().to("cpu", dtype).contiguous().numpy()
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """What the core refuses is the caller's mistake."""
+    try:
+        yield
+    except (ValueError, IndexError) as error:
+        raise InputError(str(error)) from None
+
+
+def _code_table(indices: Tensor, weights: Tensor, n_atoms: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices as uint8 or uint16, weights as float32 or the bits of float16: the forms fields are stored in. These are
+    not looked through for atoms there are not: the core refuses those it meets.
+    """
+    if indices.dtype not in (torch.uint8, torch.uint16):
+        check_atoms(indices, n_atoms)
+        indices = indices.to(index_dtype(n_atoms))
+    return code_arrays(indices, weights)

@@ -1,0 +1,1 @@
+"""The rasteriser for GPUs, in Triton."""

@@ -1,0 +1,207 @@
+"""A scene as one camera sees it, on a GPU: projected, binned to tiles and sorted by the kernels of ``kernels``."""
+
+# A launch takes plain numbers as constants, and options beside the kernel's arguments.
+# pyright: reportArgumentType=false, reportCallIssue=false
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+import triton
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.raster.binning import SLACK
+from scoup.raster.presets import ALPHA_MIN, LOW_PASS, RasterPreset
+from scoup.raster.projection import ray_limits, tile_counts
+from scoup.raster.triton.kernels.blending import PADDING, RECORD, ROW
+from scoup.raster.triton.kernels.projection import (
+    GEOMETRY,
+    TABLE,
+    expand_kernel,
+    list_kernel,
+    project_kernel,
+    sieve_kernel,
+)
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+
+Precision = Literal["fp16x3", "ieee", "tf32x3", "tf32"]
+
+# Products may be added unrounded: which Triton lets them by default depends on its version.
+FUSED: dict[str, Any] = {"enable_fp_fusion": True}
+# Edge of a tile in pixels. Half as many lanes are evaluated in vain as with 16, for twice as many pairs to sort.
+TILE = 8
+MOST_PAIRS = 2**31 - 1
+_BLOCK = 128
+
+
+@dataclass(frozen=True, eq=False)
+class TritonProjection:
+    """A scene as one camera sees it: projected, binned and sorted. Made by ``look``.
+
+    Attributes:
+        n_gaussians: N of the scene.
+        width, height: image size in pixels.
+        preset: the rasteriser constants used.
+        records: [., RECORD] float32, for each tile what it knows of the Gaussians that reach it, nearest first, see
+            ``kernels.blending``; PADDING more rows at the end.
+        starts: [tiles + 1] int64, where each tile begins in these.
+        precision: of matrix products. "fp16x3" splits float32 into two float16 and multiplies these on tensor cores,
+            where numbers are known to fit, and is "tf32x3" elsewhere; "tf32x3" does the same with tf32; "ieee" is
+            plain float32; "tf32" keeps 11 bits.
+    """
+
+    n_gaussians: int
+    width: int
+    height: int
+    preset: RasterPreset
+    records: Tensor
+    starts: Tensor
+    precision: Precision = "fp16x3"
+
+    backend = "triton"
+
+    @property
+    def device(self) -> torch.device:
+        return self.records.device
+
+    @property
+    def numbers(self) -> Tensor:
+        """``records`` as int32."""
+        return self.records.view(torch.int32)
+
+    @property
+    def pair_ids(self) -> Tensor:
+        """[.] int32 rows of the scene, one for each record."""
+        return self.numbers[:, ROW.value]
+
+    @property
+    def across(self) -> int:
+        """Tiles in a row."""
+        return math.ceil(self.width / TILE)
+
+    @property
+    def n_tiles(self) -> int:
+        return len(self.starts) - 1
+
+    def products(self, wide: bool = False) -> Precision:
+        """How this GPU multiplies; ``wide`` where numbers may be beyond what float16 can hold.
+
+        AMD's matrix units know no products of split tf32: they multiply float32 as it is.
+        """
+        chosen = "tf32x3" if wide and self.precision == "fp16x3" else self.precision
+        return "ieee" if torch.version.hip and chosen != "fp16x3" else chosen
+
+
+def project(
+    gaussians: Gaussians, camera: Camera, preset: RasterPreset, precision: Precision = "fp16x3"
+) -> TritonProjection:
+    """See ``raster.project``; ``precision`` as in ``TritonProjection``.
+
+    Raises:
+        InputError: the view has more pairs of Gaussians and tiles than 31 bits can number.
+    """
+    device = gaussians.device
+    with torch.cuda.device_of(gaussians.means):
+        table = camera_table(camera, preset, device)
+        scene = [
+            part.contiguous()
+            for part in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)
+        ]
+        means, _, scales, opacities = scene
+        count = len(gaussians)
+        keep = torch.zeros(count, dtype=torch.int8, device=device)
+        if count:
+            grid = (triton.cdiv(count, _BLOCK),)
+            sieve_kernel[grid](means, scales, opacities, table, keep, count, BLOCK=_BLOCK, **FUSED)
+        ids = torch.nonzero(keep).squeeze(1)
+        return _bin(gaussians, camera, preset, precision, scene, ids, table)
+
+
+def _bin(
+    gaussians: Gaussians,
+    camera: Camera,
+    preset: RasterPreset,
+    precision: Precision,
+    scene: list[Tensor],
+    ids: Tensor,  # [M]
+    table: Tensor,
+) -> TritonProjection:
+    device, n_visible = gaussians.device, len(ids)
+    across, down = tile_counts(camera.width, camera.height, TILE)
+    n_tiles = across * down
+    depths = torch.empty(n_visible, dtype=torch.float64, device=device)
+    geometry = torch.empty(n_visible, GEOMETRY.value, dtype=torch.float64, device=device)
+    rects = torch.empty(n_visible, 3, dtype=torch.int32, device=device)
+    counts = torch.zeros(n_visible, dtype=torch.int32, device=device)
+    if n_visible:
+        grid = (triton.cdiv(n_visible, _BLOCK),)
+        project_kernel[grid](
+            ids, *scene, table, depths, geometry, rects, counts, n_visible, across, down,
+            TILE=TILE, BLOCK=_BLOCK, **FUSED,
+        )  # fmt: skip
+    # Equal depths stay in the order of the rows.
+    order = torch.sort(depths, stable=True).indices
+    firsts = torch.zeros(n_visible + 1, dtype=torch.int64, device=device)
+    torch.cumsum(counts[order], 0, out=firsts[1:])
+    n_candidates = int(firsts[-1])
+    if n_candidates > MOST_PAIRS:
+        raise InputError(
+            f"a view of {camera.width} x {camera.height} with {n_candidates} pairs of Gaussians and tiles is too much "
+            "for one pass; make the images smaller or prune the scene"
+        )
+    ranks = torch.repeat_interleave(firsts.diff(), output_size=n_candidates)
+    # Radix sorts take as many passes as the keys have bytes.
+    tile_type = torch.int16 if n_tiles < 2**15 else torch.int32
+    tiles = torch.empty(n_candidates, dtype=tile_type, device=device)
+    if n_candidates:
+        grid = (triton.cdiv(n_candidates, _BLOCK),)
+        expand_kernel[grid](
+            ranks, order, firsts, rects, geometry, table, tiles, n_candidates, across, down,
+            TILE=TILE, BLOCK=_BLOCK, **FUSED,
+        )  # fmt: skip
+    # The candidates are in depth order, so a stable sort by tile alone keeps each tile's.
+    in_order, by_tile = torch.sort(tiles, stable=True)
+    starts = torch.searchsorted(in_order, torch.arange(n_tiles + 1, dtype=tile_type, device=device))
+    n_records = n_candidates + PADDING
+    records = torch.empty(n_records, RECORD.value, device=device)
+    list_kernel[(triton.cdiv(n_records, _BLOCK),)](
+        by_tile, in_order, ranks, order, ids, geometry, table, records, records.view(torch.int32),
+        n_candidates, n_records, across, down, TILE=TILE, BLOCK=_BLOCK, **FUSED,
+    )  # fmt: skip
+    return TritonProjection(
+        len(gaussians),
+        camera.width,
+        camera.height,
+        preset,
+        records,
+        starts,
+        precision,
+    )
+
+
+def camera_table(camera: Camera, preset: RasterPreset, device: torch.device) -> Tensor:
+    """[TABLE] float64: what the kernels of ``kernels.projection`` know of a camera and of the constants."""
+    numbers = [
+        *camera.viewmat[:3].double().flatten().tolist(),
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+        *ray_limits(camera, preset),
+        preset.near,
+        camera.width,
+        camera.height,
+        LOW_PASS,
+        ALPHA_MIN,
+        math.log(ALPHA_MIN),
+        SLACK,
+        math.sqrt(math.log2(math.e)),
+        math.log2(math.e),
+    ]
+    assert len(numbers) == TABLE
+    return torch.tensor(numbers, dtype=torch.float64).to(device)

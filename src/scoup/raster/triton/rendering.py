@@ -1,0 +1,289 @@
+"""The rasteriser on a GPU: Triton kernels behind the same functions as ``reference``.
+
+Nothing here is imported before tensors on a GPU are rasterised. Kernels are compiled when first used (seconds, once
+for each machine) and do not depend on the number of Gaussians or the image size. The result does not depend on which
+program runs first: same input, same bytes. Code indices are not checked here, which would take as long as a picture;
+an index beyond the codebook paints nothing.
+"""
+
+# A launch takes plain numbers as constants, and options beside the kernel's arguments.
+# pyright: reportArgumentType=false, reportCallIssue=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import triton
+from torch import Tensor
+
+from scoup.raster.triton import region_sums as gpu_regions
+from scoup.raster.triton.kernels.blending import LOW_SCALE
+from scoup.raster.triton.kernels.channels import channels_kernel
+from scoup.raster.triton.kernels.codes import SLOTS, codes_kernel, pack_kernel
+from scoup.raster.triton.kernels.products import products_kernel
+from scoup.raster.triton.projection import FUSED, TILE, Precision, TritonProjection
+from scoup.raster.triton.projection import project as project
+from scoup.scene.codes import cosines_from_products, full_products
+
+PREPARES = False  # rows in another order have not been seen to pay here
+# Coefficients of a pixel that stay on the chip; with more, products leave no registers.
+MOST_ATOMS: dict[Precision, int] = {"fp16x3": 256, "tf32x3": 128, "tf32": 128, "ieee": 64}
+# Of a program that renders codes: Hopper's matrix products are made by four warps, and among eight Triton spreads sums
+# that two products are added to in two ways, and moves them in between.
+WARPS = 4
+_COEFFICIENTS = 128 * 32 * WARPS  # of a program: 128 registers of each thread
+_BLOCK = 128
+
+
+def region_sums(view: TritonProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
+    with torch.cuda.device_of(view.records):
+        return gpu_regions.region_sums(view, combinations.to(view.device))
+
+
+def render_channels(view: TritonProjection, values: Tensor) -> tuple[Tensor, Tensor]:
+    """See ``raster.render_channels``."""
+    channels, device = values.shape[1], view.device
+    values = values.to(device).contiguous()
+    image = torch.empty(view.height, view.width, channels, device=device)
+    alpha = torch.empty(view.height, view.width, device=device)
+    blocks = channel_blocks(channels)
+    with torch.cuda.device_of(values):
+        channels_kernel[(view.n_tiles, max(1, triton.cdiv(channels, blocks.channels)))](
+            *_lists(view), values, image, alpha, *_size(view), channels, *_bounds(view), **_constants(view),
+            CHUNK=blocks.chunk, CHANNELS=blocks.channels, PRECISION=view.products(wide=True), num_warps=blocks.warps,
+        )  # fmt: skip
+    return image, alpha
+
+
+@dataclass(frozen=True)
+class ChannelBlocks:
+    """Channels that one program renders, of so many Gaussians at a time, with so many warps."""
+
+    channels: int
+    chunk: int
+    warps: int
+
+
+def channel_blocks(channels: int) -> ChannelBlocks:
+    """A thread for each pixel where the sums of few channels leave it the registers, else two."""
+    return ChannelBlocks(16, 16, 2) if channels <= 16 else ChannelBlocks(64, 16, WARPS)
+
+
+@dataclass(frozen=True, eq=False)
+class PackedCodes:
+    """Codes as the kernels read them, see ``kernels.codes.pack_kernel``.
+
+    Attributes:
+        words: [N, S, GROUPS * SLOTS] int32, or int64 where ``wide``.
+        wide: weights are kept as float32, because they came so or because another precision was asked for.
+    """
+
+    words: Tensor
+    wide: bool
+
+    @property
+    def groups(self) -> int:
+        """Of ``SLOTS`` entries each."""
+        return self.words.shape[2] // SLOTS.value
+
+
+def is_wide(view: TritonProjection, weights: Tensor, n_atoms: int) -> bool:
+    """Whether codes are multiplied as float32: numbers of float32 may be beyond what float16 can hold."""
+    return weights.dtype != torch.float16 or view.products() != "fp16x3" or n_atoms > 2**16
+
+
+def pack(view: TritonProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> PackedCodes:
+    """[N, S, K] sparse codes, packed."""
+    count, levels, k = indices.shape
+    wide = is_wide(view, weights, n_atoms)
+    indices, weights = indices.to(view.device).contiguous(), weights.to(view.device).contiguous()
+    groups = triton.cdiv(k, SLOTS.value)
+    shape = count, levels, groups * SLOTS.value
+    words = torch.empty(shape, dtype=torch.int64 if wide else torch.int32, device=view.device)
+    pack_kernel[(triton.cdiv(count * levels, _BLOCK),)](
+        indices, weights, words, count * levels, n_atoms, K=k, GROUPS=groups, WIDE=wide, BLOCK=_BLOCK, **FUSED
+    )  # fmt: skip
+    return PackedCodes(words, wide)
+
+
+def render_codes(view: TritonProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
+    """See ``raster.render_codes``."""
+    levels, k = indices.shape[1:]
+    shape = (levels, view.height, view.width, n_atoms)
+    if 0 in (view.n_gaussians, k, *shape):
+        return torch.zeros(shape, device=view.device)
+    out = torch.empty(shape, device=view.device)  # every number is written
+    with torch.cuda.device_of(out):
+        codes = pack(view, indices, weights, n_atoms)
+        blocks = code_blocks(levels, n_atoms, view.products(codes.wide))
+        for first in range(0, levels, blocks.levels):
+            codes_kernel[(view.n_tiles, triton.cdiv(n_atoms, blocks.atoms))](
+                *_lists(view), codes.words, out, *_size(view), levels, n_atoms, first, *_bounds(view),
+                **_constants(view), **_of_codes(view, codes, blocks, levels - first), num_warps=WARPS,
+            )  # fmt: skip
+    return out
+
+
+def render_cosines(
+    view: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> Tensor:
+    """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
+    levels, count = len(codebook), len(queries)
+    codebook, queries = codebook.to(view.device), queries.to(view.device)
+    scores = full_products(codebook, queries)
+    shape = (levels, count, view.height, view.width)
+    return _render_products(view, indices, weights, codebook, scores, shape, pixels_last=True)
+
+
+def render_cosines_and_norms(
+    view: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+) -> tuple[Tensor, Tensor]:
+    """See ``raster.render_cosines_and_norms``."""
+    levels, count = len(codebook), len(queries)
+    codebook, queries = codebook.to(view.device), queries.to(view.device)
+    scores = full_products(codebook, queries)
+    # One column more, of ones: the sum of the coefficients by the norm. The sum itself is a render of channels.
+    table = torch.cat([scores, scores.new_ones(*scores.shape[:2], 1)], 2)
+    shape = (levels, count + 1, view.height, view.width)
+    found = _render_products(view, indices, weights, codebook, table, shape, pixels_last=True)
+    sums = render_channels(view, weights.to(view.device).float().sum(-1))[0].permute(2, 0, 1)  # [S, H, W]
+    shares = found[:, count]
+    return found[:, :count].contiguous(), torch.where(shares > 0, sums / shares, 0.0)
+
+
+def render_features(view: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
+    """See ``raster.render_features``."""
+    levels, _, dim = codebook.shape
+    codebook = codebook.to(view.device)
+    shape = (levels, view.height, view.width, dim)
+    return _render_products(view, indices, weights, codebook, codebook, shape, pixels_last=False)
+
+
+def _render_products(
+    view: TritonProjection,
+    indices: Tensor,  # [N, S, K]
+    weights: Tensor,  # [N, S, K]
+    codebook: Tensor,  # [S, L, D]
+    table: Tensor,  # [S, L, C]
+    shape: tuple[int, ...],  # of the result
+    pixels_last: bool,
+) -> Tensor:
+    """Coefficients times ``table`` over the norm of the decoded feature."""
+    n_atoms, columns = table.shape[1:]
+    levels, k = indices.shape[1:]
+    if 0 in (view.n_gaussians, k, n_atoms, *shape):
+        return torch.zeros(shape, device=view.device)
+    out = torch.empty(shape, device=view.device)  # every number is written
+    grams = full_products(codebook, codebook)
+    of_codes = view.products(wide=is_wide(view, weights, n_atoms))
+    if n_atoms > most_atoms_of_products(of_codes):
+        return _products_by_level(view, indices, weights, grams, table, out, pixels_last)
+    # The quotient stays the same, and entries are within float16.
+    scale = grams.amax((1, 2), keepdim=True).clamp(min=torch.finfo(torch.float32).tiny)
+    precision = "fp16x3" if view.precision == "tf32x3" else view.products()
+    tables = [grams / scale, table / scale.sqrt()]
+    if precision == "fp16x3":
+        tables = [halves(part) for part in tables]
+    blocks = code_blocks(levels, n_atoms, of_codes)
+    with torch.cuda.device_of(out):
+        codes = pack(view, indices, weights, n_atoms)
+        for first in range(0, levels, blocks.levels):
+            products_kernel[(view.n_tiles,)](
+                *_lists(view), codes.words, *tables, out, *_size(view), levels, n_atoms, columns, first,
+                *_bounds(view), **_constants(view), **_of_codes(view, codes, blocks, levels - first),
+                COLUMNS=product_columns(blocks, pixels_last), PIXELS_LAST=pixels_last, TABLE_PRECISION=precision,
+                num_warps=WARPS,
+            )  # fmt: skip
+    return out
+
+
+def most_atoms_of_products(precision: Precision) -> int:
+    """Atoms whose products also fit into the shared memory of every GPU served: 99 KB, or 64 KB of AMD."""
+    return min(MOST_ATOMS[precision], 128) if torch.version.hip else MOST_ATOMS[precision]
+
+
+def halves(table: Tensor) -> Tensor:
+    """[2, ...] float16 that sum up to a table of float32, the second times LOW_SCALE: ``kernels.blending.halves``."""
+    high = table.half()
+    return torch.stack([high, ((table - high.float()) * LOW_SCALE.value).half()])
+
+
+def _products_by_level(
+    view: TritonProjection,
+    indices: Tensor,
+    weights: Tensor,
+    grams: Tensor,
+    table: Tensor,
+    out: Tensor,
+    pixels_last: bool,
+) -> Tensor:
+    """The slower path for large codebooks: the coefficient map of one level at a time."""
+    for level in range(len(table)):
+        chosen = slice(level, level + 1)
+        codes = render_codes(view, indices[:, chosen], weights[:, chosen], table.shape[1])[0]
+        for row, line in enumerate(codes):  # [W, L]
+            found = cosines_from_products(line, table[level], grams[level])
+            if pixels_last:
+                out[level, :, row] = found.T
+            else:
+                out[level, row] = found
+    return out
+
+
+@dataclass(frozen=True)
+class CodeBlocks:
+    """Levels and atoms that one program renders, of so many Gaussians at a time."""
+
+    levels: int
+    atoms: int
+    chunk: int
+
+
+def code_blocks(levels: int, n_atoms: int, precision: Precision = "fp16x3") -> CodeBlocks:
+    """The largest block whose coefficients fit into registers: more levels share the cost of the blending weights. With
+    32 Gaussians at a time there are nearly as many barriers as with 16, for twice the work; float32 leaves no room.
+    """
+    atoms = max(16, min(MOST_ATOMS[precision], triton.next_power_of_2(n_atoms)))
+    if precision != "fp16x3":
+        return CodeBlocks(1, atoms, 16)
+    most = max(1, min(4, _COEFFICIENTS // (TILE * TILE * atoms)))
+    passes = triton.cdiv(levels, most)
+    return CodeBlocks(triton.cdiv(levels, passes), atoms, 32)
+
+
+def product_columns(blocks: CodeBlocks, pixels_last: bool) -> int:
+    """Columns that coefficients are multiplied with at a time; twice as many of 256 rows are more than 99 KB."""
+    return 16 if pixels_last or blocks.atoms > 128 else 32
+
+
+def _lists(view: TritonProjection) -> tuple[Tensor, ...]:
+    return view.records, view.numbers, view.starts
+
+
+def _size(view: TritonProjection) -> tuple[int, int, int]:
+    return view.width, view.height, view.across
+
+
+def _bounds(view: TritonProjection) -> tuple[float, float]:
+    return view.preset.alpha_max, view.preset.stop
+
+
+def _constants(view: TritonProjection) -> dict[str, object]:
+    """What is compiled into every kernel, and how."""
+    return {**FUSED, "STOP_INCLUSIVE": view.preset.stop_inclusive, "TILE": TILE}
+
+
+def _of_codes(
+    view: TritonProjection, codes: PackedCodes, blocks: CodeBlocks, levels_left: int
+) -> dict[str, object]:
+    """What is compiled into a kernel that renders codes."""
+    return {
+        "CHUNK": blocks.chunk,
+        "LEVELS": min(blocks.levels, levels_left),
+        "GROUPS": codes.groups,
+        "ATOMS": blocks.atoms,
+        "WIDE": codes.wide,
+        "PRECISION": view.products(wide=codes.wide),
+    }

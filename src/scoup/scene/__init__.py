@@ -1,0 +1,1 @@
+"""The data: Gaussians, cameras, regions and sparse codes, as frozen dataclasses of tensors."""

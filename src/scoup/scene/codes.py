@@ -1,0 +1,231 @@
+"""Sparse codes: a few non-negative weights over the atoms of a codebook."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.base.native import native_core
+
+
+def index_dtype(n_atoms: int) -> torch.dtype:
+    """uint8 up to 256 atoms, uint16 beyond."""
+    if not 1 <= n_atoms <= 65536:
+        raise InputError(f"a codebook may have 1 to 65536 atoms, not {n_atoms}")
+    return torch.uint8 if n_atoms <= 256 else torch.uint16
+
+
+@dataclass(frozen=True, eq=False)
+class SparseCodes:
+    """R rows of at most K weighted atoms.
+
+    Attributes:
+        indices: [R, K] uint8 (uint16 beyond 256 atoms), the atoms of each row.
+        weights: [R, K] float32, not negative, largest first, summing to 1. An empty row has only zeros; the
+            indices of zero weights mean nothing.
+        n_atoms: L, the size of the codebook.
+
+    Raises:
+        InputError: if shapes or dtypes are wrong.
+    """
+
+    indices: Tensor  # [R, K]
+    weights: Tensor  # [R, K]
+    n_atoms: int
+
+    def __post_init__(self) -> None:
+        if self.indices.dim() != 2 or self.indices.shape != self.weights.shape:
+            raise InputError(
+                f"indices {list(self.indices.shape)} and weights {list(self.weights.shape)} must both be [R, K]"
+            )
+        if self.indices.dtype != index_dtype(self.n_atoms):
+            raise InputError(f"indices are {self.indices.dtype}, expected {index_dtype(self.n_atoms)}")
+        if self.weights.dtype != torch.float32:
+            raise InputError(f"weights are {self.weights.dtype}, expected torch.float32")
+
+    def __len__(self) -> int:
+        return self.indices.shape[0]
+
+    @property
+    def k(self) -> int:
+        return self.indices.shape[1]
+
+    def to_dense(self) -> Tensor:
+        """[R, L] float32."""
+        dense = torch.zeros(len(self), self.n_atoms, device=self.weights.device)
+        return dense.scatter_add_(1, self.indices.long(), self.weights)
+
+    def to(self, device: torch.device | str) -> SparseCodes:
+        return SparseCodes(self.indices.to(device), self.weights.to(device), self.n_atoms)
+
+    def rows(self, chosen: Tensor | slice) -> SparseCodes:
+        return SparseCodes(self.indices[chosen], self.weights[chosen], self.n_atoms)
+
+    @classmethod
+    def from_dense(cls, dense: Tensor, k: int) -> SparseCodes:
+        """Keep the k largest positive entries of each row of ``dense`` [R, L] and scale them to sum 1.
+
+        This is the top-K step of the uplift (method.md, stage 2). Rows without a positive entry stay empty.
+        Equal entries are taken in the order of their index, so that the result is the same everywhere.
+        """
+        n_atoms = dense.shape[1]
+        keep = min(k, n_atoms)
+        # A stable sort, not topk: topk promises no order among equal entries.
+        values, order = torch.sort(dense, dim=1, descending=True, stable=True)
+        weights = values[:, :keep].clamp(min=0).double()
+        total = weights.sum(1, keepdim=True)
+        weights = torch.where(total > 0, weights / total, 0.0).float()
+        indices = torch.where(weights > 0, order[:, :keep], 0)
+        if keep < k:
+            weights = torch.nn.functional.pad(weights, (0, k - keep))
+            indices = torch.nn.functional.pad(indices, (0, k - keep))
+        return cls(indices.to(index_dtype(n_atoms)), weights.contiguous(), n_atoms)
+
+
+def cosines_from_codes(weights: Tensor, codebook: Tensor, queries: Tensor) -> Tensor:
+    """Cosine between decoded codes and queries without decoding (method.md, stage 3).
+
+    cos(W C, t) = (W A) / sqrt(W G W^T) with A = C T^T and G = C C^T.
+
+    Args:
+        weights: [..., L] coefficients over the atoms, in any scale.
+        codebook: [L, D].
+        queries: [Q, D], unit norm.
+
+    Returns:
+        [..., Q]; zero where the coefficients are all zero.
+    """
+    return cosines_from_products(weights, codebook @ queries.T, codebook @ codebook.T)
+
+
+def cosines_from_products(weights: Tensor, scores: Tensor, gram: Tensor) -> Tensor:
+    """``cosines_from_codes`` with its two products at hand: A = C T^T [..., L, Q] and G = C C^T [..., L, L].
+
+    Args:
+        weights: [..., P, L].
+        scores: [..., L, Q].
+        gram: [..., L, L].
+
+    Returns:
+        [..., P, Q]; zero where the coefficients are all zero.
+    """
+    return cosines_and_norms(weights, scores, gram)[0]
+
+
+def cosines_and_norms(weights: Tensor, scores: Tensor, gram: Tensor) -> tuple[Tensor, Tensor]:
+    """``cosines_from_products``, and the norms of the decoded codes [..., P], sqrt(W G W^T)."""
+    squared_norm = ((weights @ gram) * weights).sum(-1, keepdim=True)
+    norm = torch.sqrt(squared_norm.clamp(min=torch.finfo(weights.dtype).tiny))
+    cosines = torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)
+    return cosines, torch.where(squared_norm > 0, norm, 0.0)[..., 0]
+
+
+def code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
+    """What sparse codes are worth: their products W A with a table of scores.
+
+    On a CPU the compiled core does it, where there is one.
+
+    Args:
+        indices: [N, S, K] atoms, each below L.
+        weights: [N, S, K] float weights (float16 or float32).
+        scores: [S, L, Q] float32, what each atom is worth.
+
+    Returns:
+        [N, S, Q] float32.
+
+    Raises:
+        InputError: an index is not below L.
+    """
+    core = native_core() if indices.device.type == "cpu" else None
+    if core is None or indices.dtype not in (torch.uint8, torch.uint16):
+        return plain_code_scores(indices, weights, scores)
+    arrays = *code_arrays(indices, weights), scores.detach().float().contiguous().numpy()
+    try:
+        return torch.from_numpy(core.code_scores(*arrays, torch.get_num_threads()))
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def plain_code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
+    """``code_scores`` in torch."""
+    check_atoms(indices, scores.shape[1])
+    levels = [
+        (scores[level][indices[:, level].long()] * weights[:, level, :, None].float()).sum(1)
+        for level in range(len(scores))
+    ]
+    return torch.stack(levels, 1)
+
+
+def code_arrays(indices: Tensor, weights: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Codes for the compiled core: indices as they are, weights as float32 or the bits of float16."""
+    table = indices.detach().cpu().contiguous().numpy()
+    if weights.dtype == torch.float16:
+        return table, weights.detach().cpu().contiguous().numpy().view(np.uint16)
+    return table, weights.detach().to("cpu", torch.float32).contiguous().numpy()
+
+
+def decoded(weights: Tensor, codebook: Tensor) -> Tensor:
+    """[..., D] decoded codes of unit norm, zero where the coefficients [..., L] decode to nothing; codebook [L, D]."""
+    return torch.nn.functional.normalize(weights @ codebook, dim=-1)
+
+
+def full_products(rows: Tensor, others: Tensor) -> Tensor:
+    """[..., R, N]: ``rows`` [..., R, D] times the transposed ``others`` [..., N, D], in full float32.
+
+    Also where the user lets torch multiply with fewer bits on a GPU: a similarity rounded to 10 bits of mantissa picks
+    other atoms.
+    """
+    if rows.device.type != "cuda":
+        return rows @ others.transpose(-1, -2)
+    with full_float32():
+        return rows @ others.transpose(-1, -2)
+
+
+@contextmanager
+def full_float32() -> Iterator[None]:
+    """Products of float32 on a GPU keep all bits meanwhile, however the user lets torch make them."""
+    matmul = torch.backends.cuda.matmul
+    if hasattr(matmul, "fp32_precision"):
+        # Since torch 2.9, whose older names raise an error once the user has set this one.
+        before = matmul.fp32_precision
+        if before != "tf32":
+            yield
+            return
+        matmul.fp32_precision = "ieee"
+        try:
+            yield
+        finally:
+            matmul.fp32_precision = before
+        return
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("highest")
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
+def row_products(rows: Tensor, others: Tensor) -> Tensor:
+    """[R, N] float32: ``rows`` [R, D] times the transposed ``others`` [N, D].
+
+    With the compiled core the result is the same for any number of threads; that of torch's products is not, on some
+    machines.
+    """
+    core = native_core() if rows.device.type == "cpu" else None
+    if core is None:
+        return full_products(rows, others)
+    arrays = (part.detach().float().contiguous().numpy() for part in (rows, others))
+    return torch.from_numpy(core.row_products(*arrays, torch.get_num_threads()))
+
+
+def check_atoms(indices: Tensor, n_atoms: int) -> None:
+    """Refuse codes that refer to atoms there are not: indices of several levels are flattened together later."""
+    wide = indices.long()
+    if wide.numel() and not 0 <= int(wide.min()) <= int(wide.max()) < n_atoms:
+        raise InputError(f"code indices must be 0 to {n_atoms - 1}")

@@ -1,0 +1,95 @@
+"""The trained scene: a set of 3D Gaussians, as plain tensors."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+
+MAX_SH_DEGREE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """N 3D Gaussians with activated values (docs/conventions.md); all float32, on one device.
+
+    Attributes:
+        means: [N, 3] centres in world units.
+        quats: [N, 4] rotations (w, x, y, z), unit norm.
+        scales: [N, 3] standard deviations along the rotated axes, in world units (linear, not log).
+        opacities: [N] peak alpha, 0..1 (not logit). Values above 1 count as 1 when rasterised.
+        sh: [N, B, 3] spherical-harmonic colour coefficients, B = (degree + 1)^2; RGB = max(0, SH + 0.5).
+
+    Rows that are not finite are allowed in memory; the rasterisers never draw them.
+
+    Raises:
+        InputError: if shapes, dtypes or devices disagree.
+    """
+
+    means: Tensor  # [N, 3]
+    quats: Tensor  # [N, 4]
+    scales: Tensor  # [N, 3]
+    opacities: Tensor  # [N]
+    sh: Tensor  # [N, B, 3]
+
+    def __post_init__(self) -> None:
+        count = self.means.shape[0] if self.means.dim() else -1
+        expected = {"means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,)}
+        for name, shape in expected.items():
+            actual = tuple(getattr(self, name).shape)
+            if actual != shape:
+                raise InputError(f"Gaussians.{name} has shape {list(actual)}, expected {list(shape)}")
+        bases = {(degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1)}
+        if (
+            self.sh.dim() != 3
+            or self.sh.shape[0] != count
+            or self.sh.shape[2] != 3
+            or self.sh.shape[1] not in bases
+        ):
+            raise InputError(
+                f"Gaussians.sh has shape {list(self.sh.shape)}, expected [{count}, B, 3] with B in {sorted(bases)}"
+            )
+        for field in fields(self):
+            tensor = getattr(self, field.name)
+            if tensor.dtype != torch.float32:
+                raise InputError(f"Gaussians.{field.name} is {tensor.dtype}, expected torch.float32")
+            if tensor.device != self.means.device:
+                raise InputError(
+                    f"Gaussians.{field.name} is on {tensor.device}, means on {self.means.device}"
+                )
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    @property
+    def device(self) -> torch.device:
+        return self.means.device
+
+    @property
+    def sh_degree(self) -> int:
+        return round(self.sh.shape[1] ** 0.5) - 1
+
+    def to(self, device: torch.device | str) -> Gaussians:
+        return Gaussians(*(getattr(self, field.name).to(device) for field in fields(self)))
+
+    def select(self, chosen: Tensor) -> Gaussians:
+        """The chosen Gaussians, in order. ``chosen`` is a boolean mask [N] or an index tensor [M]."""
+        return Gaussians(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    def finite(self) -> Tensor:
+        """Boolean [N]: rows whose means, quats, scales and opacities are all finite (opacity may be +inf)."""
+        rows = torch.isfinite(self.means).all(1) & torch.isfinite(self.quats).all(1)
+        rows &= torch.isfinite(self.scales).all(1)
+        return rows & ~torch.isnan(self.opacities) & (self.opacities != -torch.inf)
+
+    def fingerprint(self) -> str:
+        """SHA-256 over means, quats, scales and opacities: what decides who paints which pixel. Colour is left
+        out, so a recoloured scene keeps its language field."""
+        digest = hashlib.sha256(f"scoup-geometry-1:{len(self)}".encode())
+        for tensor in (self.means, self.quats, self.scales, self.opacities):
+            digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+        return digest.hexdigest()

@@ -1,0 +1,187 @@
+"""Region maps: which region each pixel belongs to, and the embedding of each region."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError, UnknownNameError
+
+LEVELS = ("s", "m", "l")  # fine, medium, coarse: the three mask sizes SAM proposes for one point
+
+
+@dataclass(frozen=True, eq=False)
+class RegionMap:
+    """The regions of one view at one level.
+
+    Attributes:
+        labels: [H, W] int32, the region's row in ``embeddings``; -1 where no region lies.
+        embeddings: [R, D] float32, one row a region, unit norm (a zero row means "unknown").
+
+    Raises:
+        InputError: if the labels point outside the embeddings, or shapes or dtypes are wrong.
+    """
+
+    labels: Tensor  # [H, W]
+    embeddings: Tensor  # [R, D]
+
+    def __post_init__(self) -> None:
+        if self.labels.dim() != 2 or self.labels.dtype != torch.int32:
+            raise InputError(
+                f"region labels must be int32 [H, W], got {self.labels.dtype} {list(self.labels.shape)}"
+            )
+        if self.embeddings.dim() != 2 or self.embeddings.dtype != torch.float32:
+            raise InputError(
+                f"region embeddings must be float32 [R, D], got {self.embeddings.dtype} {list(self.embeddings.shape)}"
+            )
+        if not torch.isfinite(self.embeddings).all():
+            raise InputError("region embeddings hold values that are not finite")
+        if self.labels.numel():
+            low, high = int(self.labels.min()), int(self.labels.max())
+            if low < -1 or high >= len(self.embeddings):
+                raise InputError(
+                    f"region labels run from {low} to {high}, but there are {len(self.embeddings)} embeddings"
+                )
+
+    def resized(self, width: int, height: int) -> RegionMap:
+        """Nearest-neighbour resampling of the labels; embeddings stay."""
+        return RegionMap(resize_labels(self.labels, width, height), self.embeddings)
+
+
+def resize_labels(labels: Tensor, width: int, height: int) -> Tensor:
+    """Nearest-neighbour resampling of [..., H, W] labels to [..., height, width]: the pixel under each new centre."""
+    rows, columns = labels.shape[-2:]
+    if (columns, rows) == (width, height):
+        return labels
+    take_rows = (
+        ((torch.arange(height, dtype=torch.float64) + 0.5) * (rows / height)).long().clamp_(max=rows - 1)
+    )
+    take_columns = (
+        ((torch.arange(width, dtype=torch.float64) + 0.5) * (columns / width)).long().clamp_(max=columns - 1)
+    )
+    return labels[..., take_rows, :][..., take_columns]
+
+
+class Regions:
+    """A lazy collection of region maps over views x levels. Only one map needs to be in memory at a time.
+
+    Args:
+        levels: level names, fine to coarse.
+        view_names: names of the cameras that have regions, in order.
+        load: ``load(view_name, level)`` gives the map; called each time it is needed.
+        load_embeddings: ``load_embeddings(view_name, level)`` gives the embeddings [R, D] alone, where that is
+            cheaper than the whole map.
+        load_labels: ``load_labels(view_name)`` gives the labels of all levels, [S, H, W] int32, checked against the
+            number of embeddings, where that is cheaper than the whole maps.
+    """
+
+    def __init__(
+        self,
+        levels: Iterable[str],
+        view_names: Iterable[str],
+        load: Callable[[str, str], RegionMap],
+        load_embeddings: Callable[[str, str], Tensor] | None = None,
+        load_labels: Callable[[str], Tensor] | None = None,
+    ) -> None:
+        self.levels = tuple(levels)
+        self.view_names = tuple(view_names)
+        self._names = frozenset(self.view_names)
+        self._load = load
+        self._load_embeddings = load_embeddings
+        self._load_labels = load_labels
+
+    @classmethod
+    def from_maps(cls, maps: Mapping[str, Mapping[str, RegionMap]]) -> Regions:
+        """Regions held in memory: ``{view name: {level: RegionMap}}``. Every view must have the same levels."""
+        levels = tuple(next(iter(maps.values()))) if maps else LEVELS
+        for name, by_level in maps.items():
+            if tuple(by_level) != levels:
+                raise InputError(
+                    f"view {name!r} has levels {list(by_level)}, the first view has {list(levels)}"
+                )
+        return cls(levels, maps, lambda name, level: maps[name][level])
+
+    def __len__(self) -> int:
+        return len(self.view_names)
+
+    def __contains__(self, view_name: str) -> bool:
+        return view_name in self._names
+
+    def load(self, view_name: str, level: str) -> RegionMap:
+        """The region map of one view and level.
+
+        Raises:
+            UnknownNameError: there is no such view or level.
+        """
+        self._check(view_name, level)
+        return self._load(view_name, level)
+
+    def load_labels(self, view_name: str, width: int, height: int) -> Tensor:
+        """The labels of all levels of a view at one image size, [S, height, width] int32; not to be changed in place.
+
+        Embeddings are not read where the labels can be had without them.
+
+        Raises:
+            UnknownNameError: there is no such view.
+            InputError: what was loaded is not a stack of label maps, one a level.
+        """
+        self._check(view_name)
+        if self._load_labels is None:
+            maps = (self._load(view_name, level).labels for level in self.levels)
+            return torch.stack([resize_labels(labels, width, height) for labels in maps])
+        labels = self._load_labels(view_name)
+        if labels.dim() != 3 or len(labels) != len(self.levels) or labels.dtype != torch.int32:
+            raise InputError(
+                f"region labels must be int32 [{len(self.levels)}, H, W], got {labels.dtype} {list(labels.shape)}"
+            )
+        return resize_labels(labels, width, height)
+
+    def load_view(self, view_name: str, width: int, height: int) -> tuple[Tensor, list[Tensor]]:
+        """All levels of a view at one image size: labels [S, height, width] int32, embeddings S x [R_s, D]."""
+        if self._load_labels is None:
+            maps = [self.load(view_name, level) for level in self.levels]
+            labels = torch.stack([resize_labels(item.labels, width, height) for item in maps])
+            return labels, [item.embeddings for item in maps]
+        labels = self.load_labels(view_name, width, height)
+        return labels, [self.load_embeddings(view_name, level) for level in self.levels]
+
+    def load_embeddings(self, view_name: str, level: str) -> Tensor:
+        """The embeddings [R, D] of one view and level."""
+        self._check(view_name, level)
+        if self._load_embeddings is not None:
+            return self._load_embeddings(view_name, level)
+        return self._load(view_name, level).embeddings
+
+    def embeddings(self, level: str) -> tuple[Tensor, dict[str, slice]]:
+        """All embeddings of a level stacked in view order, [R, D] float32, and the rows of each view in them."""
+        blocks: list[Tensor] = []
+        rows: dict[str, slice] = {}
+        start = 0
+        for name in self.view_names:
+            block = self.load_embeddings(name, level)
+            rows[name] = slice(start, start + len(block))
+            start += len(block)
+            blocks.append(block)
+        if not blocks:
+            raise InputError("there are no regions: no view has a region map")
+        dimensions = {block.shape[1] for block in blocks}
+        if len(dimensions) > 1:
+            raise InputError(f"region embeddings of different sizes {sorted(dimensions)}: they mix models")
+        return torch.cat(blocks), rows
+
+    def select(self, view_names: Iterable[str]) -> Regions:
+        """The same regions, of some views only."""
+        names = tuple(view_names)
+        for name in names:
+            if name not in self:
+                raise UnknownNameError("view with regions", name, self.view_names)
+        return Regions(self.levels, names, self._load, self._load_embeddings, self._load_labels)
+
+    def _check(self, view_name: str, level: str | None = None) -> None:
+        if view_name not in self:
+            raise UnknownNameError("view with regions", view_name, self.view_names)
+        if level is not None and level not in self.levels:
+            raise UnknownNameError("level", level, self.levels)

@@ -1,0 +1,178 @@
+"""Synthetic data sets, complete, in the layouts of LERF-OVS, 3D-OVS and Mip-NeRF 360.
+
+Every scene is made by ``scoup.synthetic.make_demo_scene``: nothing was photographed, trained or labelled by hand, and
+scores on it say nothing about the data sets whose layout it borrows. Scenes keep the names of their layouts, so that
+nobody takes one for the other. As in the real ones, labelled views are among those a field is built from.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from scoup.base.errors import InputError, OutputExistsError, looked_up
+from scoup.base.progress import Progress, no_progress
+from scoup.io import check_output, save_png, write_text
+from scoup.raster import render_colors
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.regions import Regions
+from scoup.synthetic.folder import label_file, write_scene
+from scoup.synthetic.layouts import LAYOUTS, find_layout
+from scoup.synthetic.scene import DemoScene, make_demo_scene
+from scoup.synthetic.words import DISTRACTORS
+
+LEVELS_ASKED = ("m", "l")  # names of objects and of groups
+
+NOTE = """A data set made by a program, in the layout of {name} (scoup eval synthetic). Nothing in it was photographed,
+trained or labelled by hand: scores on it say nothing about {name}.
+
+SCENE/point_cloud.ply     the Gaussians
+SCENE/images/             renders of them, in place of photographs
+SCENE/sparse/0/           their cameras, as COLMAP writes them
+SCENE/language_features/  simulated regions and embeddings, in LangSplat's layout
+SCENE/text.npz            simulated text vectors of the scene: names [M], vectors [M, 512]
+SCENE/absent.txt          words of that table for things the scene does not have
+{labels}
+
+Score it:
+    scoup eval {name} .
+"""
+NAMES = {"lerf-ovs": "frame_{:05d}.png", "3d-ovs": "{:02d}.png", "mipnerf360": "DSCF{:04d}.png"}
+"""Of the images of a data set, counted from 1 (from 0 in 3D-OVS)."""
+LABELS = "label/SCENE/             the truth: one JSON and its picture a labelled frame"
+SEGMENTATIONS = "SCENE/segmentations/      the truth: classes.txt, and <frame>/<class>.png with 0 or 255"
+
+
+@dataclass(frozen=True)
+class DataSetSize:
+    """How large a synthetic data set is made.
+
+    Attributes:
+        n_gaussians: of each scene.
+        width, height: of its views, in pixels.
+        n_views: with regions.
+        n_labelled: of these with labels, spread evenly.
+        label_scale: of Mip-NeRF 360, size of the labels relative to the views.
+    """
+
+    n_gaussians: int = 60_000
+    width: int = 320
+    height: int = 240
+    n_views: int = 16
+    n_labelled: int = 4
+    label_scale: float = 1.0
+
+
+def write_data_set(
+    data_set: str,
+    root: str | Path,
+    scenes: tuple[str, ...] = tuple(LAYOUTS),
+    size: DataSetSize = DataSetSize(),
+    seed: int = 0,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> Path:
+    """Write a complete data set, so that ``scoup eval NAME ROOT`` runs on it.
+
+    Args:
+        data_set: "lerf-ovs", "3d-ovs" or "mipnerf360".
+        root: folder to write into.
+        scenes: layouts of the demo, a scene each.
+        size: of each scene.
+        seed: of everything random.
+        overwrite: replace files that are there.
+        progress: told after each scene.
+
+    Returns:
+        The folder.
+
+    Raises:
+        UnknownNameError: there is no such data set or layout.
+        InputError: the size makes no scene.
+        OutputExistsError: a scene is there already and ``overwrite`` is false; then nothing is written.
+    """
+    pattern, root = looked_up("data set", data_set, NAMES), Path(root)
+    if not 1 <= size.n_labelled <= size.n_views or not 0 < size.label_scale <= 4:
+        raise InputError(
+            f"a synthetic scene needs 1 to {size.n_views} labelled views and labels of 0 to 4 times their size, not "
+            f"{size.n_labelled} and {size.label_scale}"
+        )
+    for name in scenes:
+        find_layout(name)
+        if (root / name).exists() and not overwrite:
+            raise OutputExistsError(root / name)
+    check_output(root / "README.txt", overwrite)
+    for number, name in enumerate(scenes):
+        progress("synthetic data set", number, len(scenes))
+        scene = make_demo_scene(seed, size.n_gaussians, size.width, size.height, size.n_views, 0, name)
+        _write_scene(data_set, _renamed(scene, pattern), root, name, size, overwrite)
+    progress("synthetic data set", len(scenes), len(scenes))
+    labels = SEGMENTATIONS if data_set == "3d-ovs" else LABELS
+    write_text(root / "README.txt", NOTE.format(name=data_set, labels=labels), overwrite)
+    return root
+
+
+def _renamed(scene: DemoScene, pattern: str) -> DemoScene:
+    """The scene with its building views named as the data set names them; the second name is left out, as where an
+    image failed to register, so that numbers are no positions."""
+    first = 0 if pattern.startswith("{:02d}") else 1
+    numbers = [number for number in range(first, first + len(scene.building) + 1) if number != first + 1]
+    names = {
+        pattern.format(number): camera.name for number, camera in zip(numbers, scene.building, strict=True)
+    }
+    cameras = [replace(scene.building[old], name=new) for new, old in names.items()]
+    regions = scene.regions
+    return replace(
+        scene,
+        building=Cameras(cameras),
+        regions=Regions(regions.levels, names, lambda name, level: regions.load(names[name], level)),
+        part_maps={new: scene.part_maps[old] for new, old in names.items()},
+    )
+
+
+def _write_scene(
+    data_set: str, scene: DemoScene, root: Path, name: str, size: DataSetSize, overwrite: bool
+) -> None:
+    folder = root / name
+    write_scene(scene, folder, overwrite)
+    write_text(folder / "absent.txt", "".join(f"{word}\n" for word in DISTRACTORS), overwrite)
+    labelled = {scene.building[i].name for i in np.linspace(0, size.n_views - 1, size.n_labelled).astype(int)}
+    for camera in scene.building:
+        image = (render_colors(scene.gaussians, camera).numpy() * 255 + 0.5).astype(np.uint8)
+        save_png(image, folder / "images" / camera.name, overwrite)
+        if camera.name in labelled and data_set != "3d-ovs":
+            _write_label(data_set, scene, camera, image, root / "label" / name, size, overwrite)
+    if data_set == "3d-ovs":
+        _write_segmentations(scene, sorted(labelled), folder / "segmentations", overwrite)
+
+
+def _write_label(
+    data_set: str,
+    scene: DemoScene,
+    camera: Camera,
+    image: np.ndarray,
+    folder: Path,
+    size: DataSetSize,
+    overwrite: bool,
+) -> None:
+    frame = scene.labelled_frame(camera.name, LEVELS_ASKED)
+    if data_set == "mipnerf360" and size.label_scale != 1:
+        frame = frame.resized(round(frame.width * size.label_scale), round(frame.height * size.label_scale))
+    content = label_file(frame, camera.name, {label: scene.level_of(label) for label in frame.labels})
+    write_text(folder / f"{frame.name}.json", json.dumps(content) + "\n", overwrite)
+    save_png(image, folder / camera.name, overwrite)
+
+
+def _write_segmentations(scene: DemoScene, views: list[str], folder: Path, overwrite: bool) -> None:
+    """Write the masks of the labelled views. As in the real data set, classes are those in sight of all of them."""
+    frames = [scene.labelled_frame(name, LEVELS_ASKED) for name in views]
+    classes = [label for label in frames[0].labels if all(label in frame.masks for frame in frames)]
+    if not classes:
+        raise InputError(f"{folder}: the labelled views have no object in common; make more or larger views")
+    for frame in frames:
+        for label in classes:
+            save_png(frame.masks[label], folder / frame.name / f"{label}.png", overwrite)
+    write_text(folder / "classes.txt", "".join(f"{label}\n" for label in classes), overwrite)

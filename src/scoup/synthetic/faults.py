@@ -1,0 +1,243 @@
+"""Faults of region maps and embeddings, put in on purpose, to see which way of coding and voting bears them.
+
+They act on region sums, where every fault is a change of rows or columns: nothing is rasterised again. A case is a
+sum of faults by name, such as "wrong20+noise60" (``perturbed``); the same seed gives the same faults.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.io.labels import LabelledFrame
+from scoup.raster import ViewSums
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
+from scoup.uplift.region_sums import RegionSums
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+ISOTROPIC, ALONG_DIFFERENCES = 0.8, 0.6  # shares of the noise; their squares sum to 1
+MOSTLY = 0.5  # a region shows a name if more than this share of what it sees belongs to it
+RARE_VIEWS = 3  # views in which a rare object keeps its regions
+
+Shown = Mapping[str, np.ndarray]
+"""Name -> [R] boolean: the regions of one level that show it."""
+
+
+@dataclass(frozen=True, eq=False)
+class LevelSums:
+    """All of one level that coding, uplift and vote need.
+
+    Attributes:
+        matrix: [N, R] float32 scipy CSR, A[i, r] = blending weight of Gaussian i in region r (``RegionSums.matrix``).
+        embeddings: [R, D] float32, unit norm; a zero row means "unknown".
+        views: [R] int64, the view each region lies in.
+    """
+
+    matrix: csr_array  # [N, R]
+    embeddings: Tensor  # [R, D]
+    views: np.ndarray  # [R]
+
+    @property
+    def n_gaussians(self) -> int:
+        """N."""
+        return len(self.matrix.indptr) - 1
+
+    def product(self, rows: Tensor) -> Tensor:
+        """A @ rows: [N, C] float32 sums over the regions of values [R, C] float32."""
+        return torch.from_numpy(self.matrix @ rows.numpy())
+
+    def kept(self, regions: np.ndarray) -> LevelSums:
+        """The regions [R] boolean alone."""
+        rows = np.flatnonzero(regions)
+        return LevelSums(
+            self.matrix.tocsc()[:, rows].tocsr(), self.embeddings[torch.from_numpy(rows)], self.views[rows]
+        )
+
+
+def level_sums(sums: RegionSums, regions: Regions) -> list[LevelSums]:
+    """Region sums and the embeddings they belong to, level by level."""
+    levels = []
+    for position, level in enumerate(sums.levels):
+        rows, of_views = regions.embeddings(level)
+        views = np.zeros(len(rows), np.int64)
+        for number, part in enumerate(of_views.values()):
+            views[part] = number
+        levels.append(LevelSums(sums.matrix(position), torch.nn.functional.normalize(rows, dim=1), views))
+    return levels
+
+
+def as_region_sums(levels: Sequence[LevelSums]) -> RegionSums:
+    """The way back from ``level_sums``: what several rounds of the vote and the consensus take. Regions of a view must
+    lie next to each other, views in order."""
+    n_views = max(int(level.views.max(initial=-1)) for level in levels) + 1
+    columns = [level.matrix.tocsc() for level in levels]
+    starts = [np.searchsorted(level.views, np.arange(n_views + 1)) for level in levels]
+    count = levels[0].n_gaussians
+    sums = RegionSums("", torch.arange(count), [str(position) for position in range(len(levels))])
+    for view in range(n_views):
+        parts = []
+        for position, (matrix, of_level) in enumerate(zip(columns, starts, strict=True)):
+            first, last = of_level[view], of_level[view + 1]
+            entries = slice(matrix.indptr[first], matrix.indptr[last])
+            counts = np.diff(matrix.indptr[first : last + 1])
+            region = np.repeat(np.arange(last - first), counts)
+            of_entries = np.full(len(region), position)
+            parts.append((matrix.indices[entries], of_entries, region, matrix.data[entries]))
+        gaussian, level, region, weight = (
+            torch.from_numpy(np.concatenate(each)) for each in zip(*parts, strict=True)
+        )
+        sums.append(str(view), ViewSums.of_triplets(gaussian, level, region, weight, len(levels)))
+    sums.rows = [
+        {str(view): slice(int(of_level[view]), int(of_level[view + 1])) for view in range(n_views)}
+        for of_level in starts
+    ]
+    return sums
+
+
+def wrong_embeddings(level: LevelSums, share: float, rng: np.random.Generator) -> LevelSums:
+    """A ``share`` of the regions carry the embedding of another region of the level, drawn at random."""
+    count = len(level.embeddings)
+    if count < 2:
+        return level
+    wrong = np.flatnonzero(rng.random(count) < share)
+    others = (wrong + rng.integers(1, count, len(wrong))) % count
+    embeddings = level.embeddings.clone()
+    embeddings[torch.from_numpy(wrong)] = level.embeddings[torch.from_numpy(others)]
+    return replace(level, embeddings=embeddings)
+
+
+def diffuse_noise(level: LevelSums, length: float, rng: np.random.Generator) -> LevelSums:
+    """Every embedding is moved by noise of about ``length`` and made unit again: in part in any direction, in part
+    along the difference of two embeddings of the level, where a mistake can be taken for another thing."""
+    rows = level.embeddings
+    count, dim = rows.shape
+    isotropic = torch.from_numpy(rng.normal(size=(count, dim)) / np.sqrt(dim)).float()
+    first, second = (torch.from_numpy(rng.integers(0, max(count, 1), count)) for _ in range(2))
+    along = torch.nn.functional.normalize(rows[first] - rows[second], dim=1)
+    noise = length * (ISOTROPIC * isotropic + ALONG_DIFFERENCES * along)
+    # Unknown stays unknown.
+    moved = torch.where(rows.any(1, keepdim=True), torch.nn.functional.normalize(rows + noise, dim=1), 0.0)
+    return replace(level, embeddings=moved)
+
+
+def missing_masks(level: LevelSums, share: float, rng: np.random.Generator) -> LevelSums:
+    """A ``share`` of the regions are not there: their pixels have no region."""
+    return level.kept(rng.random(len(level.embeddings)) >= share)
+
+
+def rare_objects(
+    level: LevelSums, shown: Shown, names: Iterable[str], rng: np.random.Generator, n_views: int = RARE_VIEWS
+) -> LevelSums:
+    """The named things keep their regions in ``n_views`` views, drawn at random; in all others these are missing."""
+    kept = np.ones(len(level.embeddings), bool)
+    for name in names:
+        seen_from = np.unique(level.views[shown[name]])
+        kept[shown[name] & ~np.isin(level.views, rng.permutation(seen_from)[:n_views])] = False
+    return level.kept(kept)
+
+
+def regions_by_name(level: LevelSums, shares: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Which regions show each name: those of which most blending weight is on its Gaussians (``Shown``).
+
+    Args:
+        level: the regions.
+        shares: name -> [N] float32, how much of each Gaussian is that thing; NaN where nobody knows
+            (``gaussians_by_name``).
+    """
+    columns = level.matrix.T.tocsr()
+    shown = {}
+    for name, share in shares.items():
+        known = columns @ np.isfinite(share).astype(np.float32)
+        mine = columns @ np.nan_to_num(share).astype(np.float32)
+        shown[name] = mine > MOSTLY * known
+    return shown
+
+
+def gaussians_by_name(
+    gaussians: Gaussians, frames: Sequence[tuple[LabelledFrame, Camera]], raster_preset: str = "inria"
+) -> dict[str, np.ndarray]:
+    """How much of each Gaussian's part in labelled frames lies on each label: name -> [N] float32, 0..1, NaN for
+    Gaussians that no frame shows. Frames must be of the size of their cameras."""
+    seen = np.zeros(len(gaussians))
+    on: dict[str, np.ndarray] = {}
+    for frame, camera in frames:
+        view = raster.project(gaussians, camera, raster_preset)
+        everything = torch.ones(1, camera.height, camera.width, dtype=torch.bool)
+        masks = torch.cat([everything, *(mask[None] for mask in frame.masks.values())])
+        sums = raster.region_sums(view, masks.int() - 1)
+        for number, name in enumerate(("", *frame.labels)):
+            gaussian, _, weight = (part.cpu().numpy() for part in sums.triplets(number))
+            total = seen if not name else on.setdefault(name, np.zeros(len(gaussians)))
+            total[gaussian] += weight
+    with np.errstate(invalid="ignore"):
+        return {name: (on[name] / np.where(seen > 0, seen, np.nan)).astype(np.float32) for name in sorted(on)}
+
+
+Fault = Callable[[LevelSums, float, np.random.Generator], LevelSums]
+FAULTS: dict[str, Fault] = {
+    "wrong": wrong_embeddings,
+    "noise": diffuse_noise,
+    "missing": missing_masks,
+}
+"""By name; each takes a hundredth of the number written after it: "wrong20" is 20 % of the regions."""
+
+
+def perturbed(
+    levels: Sequence[LevelSums],
+    case: str,
+    seed: int = 0,
+    shares: Mapping[str, np.ndarray] | None = None,
+) -> list[LevelSums]:
+    """The levels with the faults of a case.
+
+    Args:
+        levels: fine to coarse.
+        case: "clean", or faults joined by "+" and put in from left to right: one of ``FAULTS`` with its number, or
+            "rare", which makes half of the names rare.
+        seed: of the draws. A fault draws the same on its own and next to others, as long as the regions are the same.
+        shares: as for ``regions_by_name``; "rare" needs them.
+
+    Raises:
+        UnknownNameError: there is no such fault.
+        InputError: "rare" without ``shares``.
+    """
+    levels = list(levels)
+    for part in case.split("+"):
+        if part == "clean":
+            continue
+        if part == "rare":
+            levels = _with_rare_names(levels, seed, shares)
+            continue
+        found = re.fullmatch(r"([a-z]+)(\d+)", part)
+        if not found or found[1] not in FAULTS:
+            raise UnknownNameError("fault", part, ["clean", "rare", *(f"{name}20" for name in FAULTS)])
+        draw = _draws(seed, found[1])
+        levels = [FAULTS[found[1]](level, int(found[2]) / 100, draw) for level in levels]
+    return levels
+
+
+def _with_rare_names(
+    levels: list[LevelSums], seed: int, shares: Mapping[str, np.ndarray] | None
+) -> list[LevelSums]:
+    if shares is None:
+        raise InputError("to make objects rare one must know which Gaussians belong to them")
+    draw = _draws(seed, "rare")
+    names = sorted(shares)
+    chosen = [names[i] for i in draw.permutation(len(names))[: (len(names) + 1) // 2]]
+    return [rare_objects(level, regions_by_name(level, shares), chosen, draw) for level in levels]
+
+
+def _draws(seed: int, fault: str) -> np.random.Generator:
+    return np.random.default_rng([seed, *fault.encode()])

@@ -1,0 +1,142 @@
+"""The demo scene as a folder on disk, in the layouts that real scenes come in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scoup.base.progress import Progress, no_progress
+from scoup.io import (
+    check_output,
+    save_gaussians,
+    save_png,
+    save_regions,
+    write_colmap,
+    write_text,
+    write_transforms,
+)
+from scoup.io.labels import LabelledFrame
+from scoup.models.word_table import save_table
+from scoup.raster import render_colors
+from scoup.scene.cameras import Camera
+from scoup.synthetic.layouts import find_layout
+from scoup.synthetic.polygons import mask_polygons
+from scoup.synthetic.scene import EMBEDDING_MODEL, DemoScene
+from scoup.synthetic.splat import SH_C0
+
+SPARSE_POINTS = 4000
+
+NOTE = """A {title} made by a program (scoup demo). Nothing in it was photographed or trained.
+
+point_cloud.ply      the Gaussians, in the layout of the 3DGS reference code
+images/              renders of them, in place of photographs
+sparse/0/            their cameras, as COLMAP writes them
+language_features/   simulated regions and embeddings, in LangSplat's layout
+text.npz             simulated text vectors: names [M], vectors [M, 512]
+held_out/            views without regions: images/, transforms.json (nerfstudio's layout), and
+                     label/ with the truth as LERF-OVS label files
+
+Build and ask:
+    scoup build . --out field.scoup
+    scoup query field.scoup "{name}" --text text.npz
+"""
+
+
+def write_demo_scene(
+    scene: DemoScene,
+    folder: str | Path,
+    overwrite: bool = False,
+    levels: tuple[str, ...] = ("m", "l"),
+    render: Callable[[Camera], Any] | None = None,
+    progress: Progress = no_progress,
+) -> Path:
+    """Write a scene so that ``scoup build FOLDER`` works on it; see ``NOTE`` for what lies where.
+
+    Args:
+        scene: from ``make_demo_scene``.
+        folder: made if it is not there.
+        overwrite: replace files that are there.
+        levels: levels whose names are labelled in the held-out views.
+        render: ``render(camera)`` gives [H, W, 3] float 0..1 or uint8; by default the colour render.
+        progress: called as ``progress("render", done, total)``.
+
+    Returns:
+        The folder.
+
+    Raises:
+        OutputExistsError: a file is there already and ``overwrite`` is false; then nothing is written.
+    """
+    folder = Path(folder)
+    held_out = folder / "held_out"
+    for name in (
+        "README.txt",
+        "point_cloud.ply",
+        "text.npz",
+        "sparse/0/cameras.bin",
+        "held_out/transforms.json",
+    ):
+        check_output(folder / name, overwrite)
+    for camera in scene.building:
+        check_output(folder / "images" / camera.name, overwrite)
+
+    write_scene(scene, folder, overwrite)
+
+    cameras = scene.cameras
+    for done, camera in enumerate(cameras):
+        progress("render", done, len(cameras))
+        image = np.asarray(render(camera) if render else render_colors(scene.gaussians, camera))
+        if image.dtype != np.uint8:
+            image = (image.clip(0, 1) * 255 + 0.5).astype(np.uint8)
+        base = folder if camera.name in scene.building.names else held_out
+        save_png(image, base / "images" / camera.name, overwrite)
+    progress("render", len(cameras), len(cameras))
+
+    if len(scene.held_out):
+        write_transforms(scene.held_out, held_out / "transforms.json", overwrite)
+    for camera in scene.held_out:
+        frame = scene.labelled_frame(camera.name, levels)
+        content = label_file(frame, camera.name, {name: scene.level_of(name) for name in frame.labels})
+        write_text(held_out / "label" / f"{frame.name}.json", json.dumps(content) + "\n", overwrite)
+    layout = find_layout(scene.layout)
+    note = NOTE.format(title=layout.title, name=layout.favourites[0])
+    write_text(folder / "README.txt", note, overwrite)
+    return folder
+
+
+def label_file(frame: LabelledFrame, image_name: str, groups: dict[str, str]) -> dict[str, Any]:
+    """The content of a LERF-OVS label file of one frame; ``groups`` gives the level of each name."""
+    objects = []
+    for name, mask in frame.masks.items():
+        for number, (corners, box) in enumerate(mask_polygons(mask.numpy())):
+            objects.append(
+                {
+                    "category": name,
+                    "group": groups[name],
+                    "segmentation": [list(corner) for corner in corners],
+                    "area": int(mask.sum()),
+                    "layer": float(number + 1),
+                    "bbox": list(box),
+                    "iscrowd": False,
+                    "note": "",
+                }
+            )
+    info = {"name": image_name, "width": frame.width, "height": frame.height, "depth": 3, "note": "simulated"}
+    return {"info": info, "objects": objects}
+
+
+def write_scene(scene: DemoScene, folder: Path, overwrite: bool) -> None:
+    """Splat, cameras with some points, region features and text vectors: all of a scene's folder but its images."""
+    save_gaussians(scene.gaussians, folder / "point_cloud.ply", overwrite)
+    count = len(scene.gaussians)
+    points = np.linspace(0, count - 1, min(SPARSE_POINTS, count)).astype(int)
+    colors = (scene.gaussians.sh[points, 0].numpy() * SH_C0 + 0.5).clip(0, 1) * 255
+    positions = scene.gaussians.means[points].double().numpy()
+    write_colmap(
+        scene.building, folder / "sparse" / "0", (positions, colors.astype(np.uint8)), overwrite=overwrite
+    )
+    save_regions(scene.regions, folder / "language_features", overwrite)
+    save_table(folder / "text.npz", scene.words.texts, scene.words.vectors, overwrite, EMBEDDING_MODEL)

@@ -1,0 +1,225 @@
+"""What a segmenter and an image encoder would make of the photographs, simulated from the true part maps.
+
+Regions. The truth at each level is cut into connected pieces, and all their borders are moved by smooth
+noise of one to two pixels. Of the regions 6 % are missing, 12 % grown or shrunk by some pixels, 4 % merged
+with a neighbour and 5 % split in two (15 % at the fine level). Small ones are dropped.
+
+Embeddings. A region's vector is the mixture of the prototypes of what it really shows, by pixels, plus 2-16
+% of what surrounds it; at the fine level every part has an offset of its own. Noise is added: isotropic,
+and along differences of prototypes (an encoder errs towards other things); part of it belongs to the view
+and is shared by all regions of an object in it. Small regions get more. 10 % of the regions carry the
+embedding of a neighbour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.synthetic.masks import Mask, components, grown, shrunk
+from scoup.synthetic.meshes import Floats
+from scoup.synthetic.things import Parts
+from scoup.synthetic.words import Words, unit
+
+REFERENCE_WIDTH = 480  # pixels in the constants below refer to an image this wide
+SMALLEST = 45  # pixels
+LEAST_KEPT = 12  # pixels a region keeps whatever happens to it
+BORDER_NOISE = 1.3  # pixels, standard deviation of the displacement along each axis
+BORDER_SMOOTHNESS = 7.0  # pixels
+MISSING, RESIZED, MERGED = 0.06, 0.12, 0.04
+SPLIT = {"s": 0.15, "m": 0.05, "l": 0.05}
+SWAPPED = 0.10
+SURROUNDINGS = (0.02, 0.16)
+VIEW_NOISE = (
+    0.16  # length of the noise shared by a thing's regions in one view, where a prototype has length 1
+)
+REGION_NOISE = 0.22
+DIRECTED_NOISE = 0.18  # along differences of prototypes
+PART_OFFSET = 0.2
+SMALL_AREA = 500  # pixels: at this area the noise is half as strong again as on a large region
+
+IntMap = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """One level of the truth, and what embeddings need to know about it."""
+
+    name: str
+    truth: IntMap  # [H, W] numbers of names at this level, -1 = nothing
+    prototypes: Floats  # [names, D]
+    offsets: Floats  # [names, D]
+    shifts: Floats  # [names, D] this view's noise
+
+
+def observe(part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np.random.Generator) -> Regions:
+    """Region maps and embeddings of all views at three levels.
+
+    Args:
+        part_maps: true part number of each pixel, [H, W] int32, for each view name; -1 = nothing.
+        parts: names and how they nest.
+        words: prototypes of the names.
+        rng: all randomness.
+    """
+    offsets = {
+        level: _noise(words.prototypes[level].shape, PART_OFFSET if level == "s" else 0.0, rng)
+        for level in LEVELS
+    }
+    maps: dict[str, dict[str, RegionMap]] = {}
+    for name, part_map in part_maps.items():
+        maps[name] = {}
+        moved = _moved(part_map, rng)
+        for level in LEVELS:
+            prototypes = words.prototypes[level]
+            shifts = _noise(prototypes.shape, VIEW_NOISE, rng)
+            truth = parts.at_level(part_map, level).astype(np.int32)
+            described = _Level(level, truth, prototypes, offsets[level], shifts)
+            labels = make_regions(parts.at_level(moved, level).astype(np.int32), level, rng)
+            maps[name][level] = RegionMap(
+                torch.from_numpy(labels), torch.from_numpy(_embed(labels, described, rng).astype(np.float32))
+            )
+    return Regions.from_maps(maps)
+
+
+def make_regions(truth: IntMap, level: str, rng: np.random.Generator) -> IntMap:
+    """A segmenter's map of one level: [H, W] int32 region numbers from 0, -1 where no mask lies.
+
+    Args:
+        truth: [H, W] numbers of names, borders already moved; -1 = nothing.
+        level: "s", "m" or "l".
+        rng: all randomness.
+    """
+    scale = truth.shape[1] / REFERENCE_WIDTH
+    pieces = _pieces(truth, max(LEAST_KEPT, SMALLEST * scale**2))
+    order = rng.permutation(len(pieces))
+    fate = rng.random(len(pieces))
+    labels = np.full(truth.shape, -1, np.int32)
+    for number, (box, mask) in enumerate(pieces):
+        labels[box][mask] = number
+    boxes = [tuple(_widened(side, 8) for side in box) for box, _ in pieces]
+    next_number = len(pieces)
+    for number in order:
+        window = labels[boxes[number]]  # a view: what is painted into it is painted into the map
+        mask = window == number
+        bound = MISSING
+        if fate[number] < bound:
+            window[mask] = -1
+            continue
+        if fate[number] < (bound := bound + RESIZED):
+            _resize(window, mask, number, scale, rng)
+        elif fate[number] < (bound := bound + MERGED):
+            neighbours = window[grown(mask, 2) & ~mask]
+            neighbours = neighbours[neighbours >= 0]
+            if len(neighbours):
+                window[mask] = np.bincount(neighbours).argmax()
+        elif fate[number] < bound + SPLIT[level]:
+            rows, columns = np.nonzero(mask)
+            turn = rng.uniform(0, np.pi)
+            along = np.cos(turn) * columns + np.sin(turn) * rows
+            beyond = along > np.quantile(along, rng.uniform(0.3, 0.7)) if len(along) else along > 0
+            window[rows[beyond], columns[beyond]] = next_number
+            next_number += 1
+    return _renumbered(labels)
+
+
+def _moved(part_map: IntMap, rng: np.random.Generator) -> IntMap:
+    """The map read at smoothly displaced positions."""
+    scale = part_map.shape[1] / REFERENCE_WIDTH
+    rows, columns = np.indices(part_map.shape)
+    shifts = []
+    for _ in range(2):
+        field = ndimage.gaussian_filter(
+            rng.normal(size=part_map.shape), BORDER_SMOOTHNESS * scale, mode="wrap"
+        )
+        shifts.append(field / max(field.std(), 1e-12) * BORDER_NOISE * scale)
+    height, width = part_map.shape
+    take_rows = np.rint(rows + shifts[0]).astype(int).clip(0, height - 1)
+    take_columns = np.rint(columns + shifts[1]).astype(int).clip(0, width - 1)
+    return part_map[take_rows, take_columns]
+
+
+def _pieces(truth: IntMap, smallest: float) -> list[tuple[tuple[slice, ...], Mask]]:
+    """The connected pieces of each name that have at least ``smallest`` pixels: window and mask in the
+    window.
+    """
+    found = []
+    for name, box in enumerate(ndimage.find_objects(truth + 1)):
+        if box is None:
+            continue
+        numbers, count = components(truth[box] == name)
+        sizes = np.bincount(numbers.ravel(), minlength=count + 1)
+        found += [(box, numbers == piece) for piece in range(1, count + 1) if sizes[piece] >= smallest]
+    return found
+
+
+def _widened(side: slice, margin: int) -> slice:
+    return slice(max(0, side.start - margin), side.stop + margin)
+
+
+def _resize(labels: IntMap, mask: Mask, number: int, scale: float, rng: np.random.Generator) -> None:
+    steps = min(7, max(1, round(rng.uniform(2, 5) * scale)))
+    if rng.random() < 0.5:
+        labels[grown(mask, steps)] = number
+        return
+    smaller = shrunk(mask, steps)
+    if smaller.sum() >= LEAST_KEPT:
+        labels[mask & ~smaller] = -1
+
+
+def _renumbered(labels: IntMap) -> IntMap:
+    """Regions numbered from 0 without gaps; remains of a few pixels become no region."""
+    sizes = np.bincount(labels[labels >= 0], minlength=1)
+    kept = sizes >= LEAST_KEPT
+    numbers = np.where(kept, np.cumsum(kept) - 1, -1)
+    return np.where(labels >= 0, numbers[labels], -1).astype(np.int32)
+
+
+def _embed(labels: IntMap, level: _Level, rng: np.random.Generator) -> Floats:
+    """[R, D] unit embeddings of the regions of one map."""
+    count = int(labels.max()) + 1
+    looks = level.prototypes + level.offsets + level.shifts
+    dimensions = looks.shape[1]
+    mixture, clean = np.zeros((count, dimensions)), np.zeros((count, dimensions))
+    neighbour = np.arange(count)
+    boxes = ndimage.find_objects(labels + 1)
+    areas = np.bincount(labels[labels >= 0], minlength=count)
+    for number in range(count):
+        rows, columns = boxes[number]
+        window = _widened(rows, 6), _widened(columns, 6)
+        mask = labels[window] == number
+        around = grown(mask, 5) & ~mask
+        inside = _share(level.truth[window][mask], len(looks))
+        outside = _share(level.truth[window][around], len(looks))
+        surroundings = rng.uniform(*SURROUNDINGS) if outside.any() else 0.0
+        mixture[number] = ((1 - surroundings) * inside + surroundings * outside) @ looks
+        clean[number] = mixture[number]
+        beside = labels[window][around]
+        if (beside >= 0).any():
+            neighbour[number] = np.bincount(beside[beside >= 0]).argmax()
+    swapped = rng.random(count) < SWAPPED
+    mixture = unit(np.where(swapped[:, None], clean[neighbour], mixture))
+    pixels = areas * (REFERENCE_WIDTH / labels.shape[1]) ** 2
+    strength = (1 + 0.5 * np.sqrt(SMALL_AREA / (pixels + SMALL_AREA / 4)).clip(max=1.6))[:, None]
+    isotropic = _noise(mixture.shape, 1.0, rng) * REGION_NOISE
+    towards = (
+        level.prototypes[rng.integers(0, len(looks), count)]
+        - level.prototypes[rng.integers(0, len(looks), count)]
+    )
+    return unit(mixture + strength * (isotropic + DIRECTED_NOISE * rng.normal(size=(count, 1)) * towards))
+
+
+def _share(numbers: IntMap, count: int) -> Floats:
+    """[count] share of each name among ``numbers``; all zero where there is none."""
+    found = np.bincount(numbers[numbers >= 0], minlength=count).astype(float)
+    return found / max(found.sum(), 1.0)
+
+
+def _noise(shape: tuple[int, ...], length: float, rng: np.random.Generator) -> Floats:
+    """Random rows of about the given length."""
+    return rng.normal(size=shape) * (length / np.sqrt(shape[-1]))

@@ -1,0 +1,175 @@
+"""What the demo room is made of: things, their pieces, and where they stand."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from scoup.base.errors import InputError
+from scoup.synthetic.meshes import Floats, Mesh, merged, rotation
+from scoup.synthetic.paints import Paint
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A painted mesh in the frame of its thing, in centimetres.
+
+    Attributes:
+        part: the name of the part it belongs to; pieces of one part share it.
+        mesh: its surface.
+        paint: its colours.
+        detail: Gaussians per area, as a multiple of what the room gets on average.
+        thin: the largest standard deviation of a Gaussian on it, in centimetres; small for wires and rims.
+        gloss: strength of the highlight, 0..1.
+        glow: share of its own light, 0 (lit by the room) to 1 (a lamp).
+    """
+
+    part: str
+    mesh: Mesh
+    paint: Paint
+    detail: float = 1.0
+    thin: float = np.inf
+    gloss: float = 0.0
+    glow: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """An object: what a person would point at and name.
+
+    Attributes:
+        name: its name, unique in the room unless it is one of ``several``.
+        pieces: what it is made of.
+        group: the larger whole it belongs to; its own name if it stands alone.
+        turn: [3, 3] rotation in the room.
+        place: [3] position in metres.
+        size: metres per centimetre of the pieces.
+        several: whether other things may have its name, and be the same object: what one means by "chairs".
+    """
+
+    name: str
+    pieces: tuple[Piece, ...]
+    group: str = ""
+    turn: Floats = field(default_factory=lambda: np.eye(3))
+    place: Floats = field(default_factory=lambda: np.zeros(3))
+    size: float = 0.01
+    several: bool = False
+
+    def at(
+        self,
+        x: float,
+        y: float,
+        z: float,
+        turn: float = 0.0,
+        tilt: ArrayLike = (0, 0),
+        group: str = "",
+        grow: float = 1.0,
+    ) -> Thing:
+        """Placed at a point in metres, first tilted about x and y, then turned about z (degrees)."""
+        lean = np.asarray(tilt, float)
+        return replace(
+            self,
+            turn=rotation(lean[0], lean[1], turn),
+            place=np.array([x, y, z]),
+            group=group or self.group,
+            size=0.01 * grow,
+        )
+
+    def mesh(self, piece: Piece) -> Mesh:
+        """A piece's mesh in the room, in metres."""
+        return piece.mesh.moved(self.place, self.turn, self.size)
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The names at three levels and how they nest. Numbers run from 0 in the order of first appearance.
+
+    Attributes:
+        parts, objects, groups: names, unique at their level.
+        object_of_part: [parts] int64 number of the object that a part belongs to.
+        group_of_object: [objects] int64.
+        several: the objects that are several things of one name.
+    """
+
+    parts: tuple[str, ...]
+    objects: tuple[str, ...]
+    groups: tuple[str, ...]
+    object_of_part: np.ndarray
+    group_of_object: np.ndarray
+    several: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(cls, things: tuple[Thing, ...]) -> Parts:
+        """Numbers for everything in ``things``.
+
+        Raises:
+            InputError: a name stands for two different things, so that nobody could say what it means.
+        """
+        groups = tuple(dict.fromkeys(thing.group or thing.name for thing in things))
+        objects = {thing.name: thing.group or thing.name for thing in things}
+        numbers = {name: number for number, name in enumerate(objects)}
+        owners: dict[str, int] = {}
+        for thing in things:
+            for piece in thing.pieces:
+                if owners.setdefault(piece.part, numbers[thing.name]) != numbers[thing.name]:
+                    raise InputError(f"{piece.part!r} names parts of two things")
+            if objects[thing.name] != (thing.group or thing.name):
+                raise InputError(f"things called {thing.name!r} belong to different groups")
+            members = [other.name for other in things if (other.group or other.name) == thing.name]
+            inside = {piece.part for piece in thing.pieces}
+            if (thing.name in inside and len(inside) > 1) or set(members) - {thing.name}:
+                raise InputError(
+                    f"{thing.name!r} names an object and also a part or a group that differs from it"
+                )
+        named = Counter(thing.name for thing in things)
+        alone = Counter(thing.name for thing in things if not thing.several)
+        if any(named[name] > 1 for name in alone) or set(groups) & (set(owners) - set(objects)):
+            raise InputError("two things of the room share a name")
+        return cls(
+            tuple(owners),
+            tuple(objects),
+            groups,
+            np.array(list(owners.values())),
+            np.array([groups.index(group) for group in objects.values()]),
+            frozenset(name for name, count in named.items() if count > 1),
+        )
+
+    def at_level(self, parts: np.ndarray, level: str) -> np.ndarray:
+        """Part numbers (any shape, -1 = nothing) as numbers of level "s" (parts), "m" (objects) or "l"
+        (groups).
+        """
+        lookup = np.arange(len(self.parts))
+        if level != "s":
+            lookup = self.object_of_part
+        if level == "l":
+            lookup = self.group_of_object[lookup]
+        return np.append(lookup, -1)[parts]
+
+    def names(self, level: str) -> tuple[str, ...]:
+        return {"s": self.parts, "m": self.objects, "l": self.groups}[level]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """All things of a room as one mesh, in metres.
+
+    Attributes:
+        mesh: the triangles.
+        part_of_face: [F] int64 part numbers.
+    """
+
+    mesh: Mesh
+    part_of_face: np.ndarray
+
+    @classmethod
+    def of(cls, things: tuple[Thing, ...], parts: Parts) -> Surface:
+        meshes = [
+            (thing.mesh(piece), parts.parts.index(piece.part)) for thing in things for piece in thing.pieces
+        ]
+        return cls(
+            merged([mesh for mesh, _ in meshes]),
+            np.concatenate([np.full(len(mesh.faces), part) for mesh, part in meshes]),
+        )

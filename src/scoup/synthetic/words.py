@@ -1,0 +1,133 @@
+"""Words and what they look like: simulated text and image vectors of the demo, with the statistics of CLIP.
+
+No model has made these vectors. They follow a stated procedure, so that the demo needs no download:
+
+* Text. All texts share a mean direction; the rest of a vector is the concept of the word. A concept is a
+  random direction, mixed with the concept of the object for a part and with those of the members for a
+  group. The phrases that stand for nothing in particular ("object", "things", "stuff", "texture") share one
+  concept among them. Two names then have a cosine of about 0.57, as names have in CLIP's text space (median
+  0.57).
+* Images. All images share another mean direction, nearly at right angles to that of the texts: the gap
+  between the modalities. Each thing has a prototype, the mean image direction plus a random direction of
+  its own, mixed as the concepts are. Prototypes of unrelated things have a cosine of about 0.55.
+* Meeting of the two. Each prototype is moved along the concepts until its cosine with its own name is a
+  number drawn from 0.26 to 0.31, and until every other prototype stays clearly below that for the same
+  name. Every other pair of text and image lies around 0.18, the phrases around 0.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scoup.scene.regions import LEVELS
+from scoup.synthetic.meshes import Floats
+from scoup.synthetic.things import Parts
+
+CANONICAL = ("object", "things", "stuff", "texture")
+DISTRACTORS = (
+    "bicycle", "elephant", "guitar", "refrigerator", "umbrella", "horse", "traffic light", "sink",
+    "toothbrush", "piano", "snowboard", "zebra", "helmet", "keychain", "washing machine", "tent", "violin",
+    "sailboat",
+)  # fmt: skip
+DIMENSIONS = 512
+TEXT_MEAN = 0.755  # share of the mean direction in a text vector
+IMAGE_MEAN = 0.74  # the same of an image prototype
+MODALITY_COSINE = 0.32  # between the two mean directions
+PHRASE_CONCEPT = 0.45  # share of the common concept in a canonical phrase
+OWN_COSINE = (0.26, 0.31)  # text and prototype of the same name
+MARGIN = 0.055  # how far below its own prototype all others stay for a name
+RELATED_MARGIN = 0.02  # the same for parts of the thing, and the groups it belongs to
+CANONICAL_COSINE, CANONICAL_SPREAD = 0.193, 0.012  # a canonical phrase and a prototype
+
+
+@dataclass(frozen=True, eq=False)
+class Words:
+    """Text vectors, and image prototypes of the names of the room.
+
+    Attributes:
+        texts: all words that can be asked for.
+        vectors: [texts, D] float64, unit norm.
+        prototypes: for each level, [names at that level, D] float64, unit norm.
+    """
+
+    texts: tuple[str, ...]
+    vectors: Floats
+    prototypes: dict[str, Floats]
+
+    def vector(self, text: str) -> Floats:
+        """[D] unit vector of a word."""
+        return self.vectors[self.texts.index(text)]
+
+
+def unit(vectors: Floats) -> Floats:
+    """Rows of length 1; zero rows stay."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+def make_words(parts: Parts, rng: np.random.Generator, dimensions: int = DIMENSIONS) -> Words:
+    """Text vectors for every name of the room, canonical phrases and distractors; image prototypes for the
+    names.
+    """
+    names = tuple(dict.fromkeys(name for level in LEVELS for name in parts.names(level)))
+    kin = _kinship(parts, names)
+    text_mean, image_mean, common = unit(rng.normal(size=(3, dimensions)))
+    image_mean = unit(image_mean - (image_mean @ text_mean) * text_mean)
+    image_mean = MODALITY_COSINE * text_mean + np.sqrt(1 - MODALITY_COSINE**2) * image_mean
+
+    words = (*names, *DISTRACTORS, *CANONICAL)
+    concepts = unit(rng.normal(size=(len(words), dimensions)))
+    concepts[: len(names)] = unit(kin @ concepts[: len(names)])
+    concepts[-len(CANONICAL) :] = unit(
+        np.sqrt(1 - PHRASE_CONCEPT) * concepts[-len(CANONICAL) :] + np.sqrt(PHRASE_CONCEPT) * common
+    )
+    vectors = unit(TEXT_MEAN * text_mean + np.sqrt(1 - TEXT_MEAN**2) * concepts)
+
+    looks = unit(kin @ unit(rng.normal(size=(len(names), dimensions))))
+    prototypes = unit(IMAGE_MEAN * image_mean + np.sqrt(1 - IMAGE_MEAN**2) * looks)
+    prototypes = _named(prototypes, vectors, kin, rng)
+    return Words(
+        words,
+        vectors,
+        {level: prototypes[[names.index(name) for name in parts.names(level)]] for level in LEVELS},
+    )
+
+
+def _kinship(parts: Parts, names: tuple[str, ...]) -> Floats:
+    """[names, names] how much of each name's own random direction goes into a name's concept."""
+    kin = np.eye(len(names))
+    for part, owner in zip(parts.parts, parts.object_of_part, strict=True):
+        if part != parts.objects[owner]:
+            kin[names.index(part), names.index(parts.objects[owner])] = 0.8
+    for group_number, group in enumerate(parts.groups):
+        members = [
+            name for name, of in zip(parts.objects, parts.group_of_object, strict=True) if of == group_number
+        ]
+        if group not in parts.objects:
+            for member in members:
+                kin[names.index(group), names.index(member)] = 0.8 / np.sqrt(len(members))
+    return kin
+
+
+def _named(prototypes: Floats, vectors: Floats, kin: Floats, rng: np.random.Generator) -> Floats:
+    """Move prototypes [n, D] along text vectors until each name finds its own; vectors [words, D], names
+    first.
+    """
+    count = len(prototypes)
+    own = rng.uniform(*OWN_COSINE, count)
+    related = (kin > 0) | (kin.T > 0) | (kin @ kin.T > 0)
+    limit = np.full((count, len(vectors)), np.inf)
+    limit[:, :count] = np.where(related, own - RELATED_MARGIN, own - MARGIN)
+    canonical = rng.normal(CANONICAL_COSINE, CANONICAL_SPREAD, (count, len(CANONICAL)))
+    diagonal = np.arange(count)
+    concepts = unit(vectors - vectors.mean(0))
+    slope = np.einsum("nd,nd->n", concepts, vectors)
+    for _ in range(60):
+        excess = prototypes @ vectors.T - limit
+        step = -excess.clip(0)
+        # The phrases are much alike, so that steps towards each of them add up.
+        step[:, -len(CANONICAL) :] = 0.25 * (canonical - prototypes @ vectors[-len(CANONICAL) :].T)
+        step[diagonal, diagonal] = own - np.einsum("nd,nd->n", prototypes, vectors[:count])
+        prototypes = unit(prototypes + 0.5 * (step / slope) @ concepts)
+    return prototypes

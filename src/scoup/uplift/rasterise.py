@@ -1,0 +1,240 @@
+"""Views taken into region sums: each is rasterised once, unless it is in them already and has not changed."""
+
+from __future__ import annotations
+
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.base.errors import FileFormatError, InputError, ScoupWarning
+from scoup.base.processes import ALONE, Processes
+from scoup.base.progress import Progress, no_progress
+from scoup.raster import CombinedLabels, ViewSums
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
+from scoup.uplift.region_sums import RegionSums, camera_digest
+
+STAGE = "region sums"
+READERS = 4  # threads that read views for a GPU, each one ahead; for a CPU there is one
+
+
+def region_sums(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    regions: Regions,
+    raster_preset: str = "inria",
+    path: str | Path | None = None,
+    backend: str | None = None,
+    progress: Progress = no_progress,
+    **more: Any,
+) -> RegionSums:
+    """Rasterise every view that has regions once and keep the sums.
+
+    Args:
+        gaussians: the trained scene.
+        cameras: posed views; those without regions are passed over.
+        regions: their label maps; they are brought to the size of the camera.
+        raster_preset, backend: see ``raster.project``.
+        path: keep the sums in this file. Views that it holds already, of the same scene and with the same label maps
+            and cameras, are not rasterised again.
+        progress: told of stage "region sums".
+        more: further arguments of ``RegionSums``.
+
+    Raises:
+        InputError: no camera has regions, or the file holds sums of another scene.
+    """
+    chosen = cameras_with_regions(cameras, regions)
+    if path is not None and Path(path).exists():
+        sums = RegionSums.open(path, writable=True)
+        check_fits(sums, gaussians.fingerprint(), regions, raster_preset)
+    else:
+        new = None if path is None else Path(path)
+        sums = RegionSums.of(gaussians, regions.levels, raster_preset, path=new, **more)
+    take_in(sums, gaussians, chosen, regions, backend, progress)
+    sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
+    return sums
+
+
+def resumed(
+    path: Path, gaussians: Gaussians, regions: Regions, raster_preset: str = "inria", **more: Any
+) -> RegionSums:
+    """Region sums in a file: those an interrupted build has left there, or new ones.
+
+    Args:
+        path: the file; what is there and cannot be gone on from is replaced, with a warning.
+        gaussians, regions, raster_preset: of the build.
+        more: further arguments of ``RegionSums``.
+    """
+    if path.exists():
+        try:
+            sums = RegionSums.open(path, writable=True)
+            check_fits(sums, gaussians.fingerprint(), regions, raster_preset)
+            wanted = {"weights": "float32", "least_weight": 0.0, **more}
+            if wanted != {name: getattr(sums, name) for name in wanted}:
+                raise InputError("its weights were kept in another way")
+            return sums
+        except (InputError, FileFormatError) as error:
+            warnings.warn(
+                f"{path}: cannot be gone on from ({error}); starting over", ScoupWarning, stacklevel=2
+            )
+            path.unlink()
+    return RegionSums.of(gaussians, regions.levels, raster_preset, path=path, **more)
+
+
+def take_in(
+    sums: RegionSums,
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    regions: Regions,
+    backend: str | None = None,
+    progress: Progress = no_progress,
+    processes: Processes = ALONE,
+) -> None:
+    """Bring sums up to date with views: those that are not there, or have changed, are rasterised and appended.
+
+    Interrupted at any moment, the sums hold the views that were complete.
+
+    Args:
+        sums: of the same Gaussians.
+        cameras: views with regions.
+        processes: each takes in its share.
+    """
+    mine = processes.share(cameras)
+    scene: raster.PreparedScene | None = None
+    progress(STAGE, 0, len(mine))
+
+    def keep(camera: Camera, combined: CombinedLabels, found: ViewSums, order: Tensor | None) -> None:
+        sums.append(camera.name, replace(found, labels_digest=combined.digest()), camera, order)
+
+    with ThreadPoolExecutor(1) as keeper:  # a view is kept while the next one is rasterised
+        kept: Future[None] | None = None
+        for done, (camera, combined) in enumerate(read_labels(regions, mine, gaussians.device), start=1):
+            if is_taken(sums, camera, combined):
+                progress(STAGE, done, len(mine))
+                continue
+            if not sums.writable:
+                raise InputError(
+                    f"{sums.path}: lacks the view {camera.name!r}, or it has changed since (camera or label maps); "
+                    "take it in with scoup update, or build without these region sums"
+                )
+            scene = scene or raster.prepare(gaussians, backend)
+            view = raster.project(scene, camera, sums.raster_preset)
+            found = raster.region_sums(view, combined)
+            if kept is not None:
+                kept.result()
+            kept = keeper.submit(keep, camera, combined, found, scene.order)
+            progress(STAGE, done, len(mine))
+        if kept is not None:
+            kept.result()
+
+
+def is_taken(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:
+    """Whether the sums hold this very view."""
+    view = sums.views.get(camera.name)
+    return (
+        view is not None
+        and view.camera_digest == camera_digest(camera)
+        and view.labels_digest == combined.digest()
+    )
+
+
+def read_labels(
+    regions: Regions, cameras: Sequence[Camera], device: torch.device
+) -> Iterator[tuple[Camera, CombinedLabels]]:
+    """Cameras and the combinations of their regions, on a device, view by view.
+
+    The next views are read by other threads while one is worked on.
+    """
+
+    def load(camera: Camera) -> CombinedLabels:
+        labels = regions.load_labels(camera.name, camera.width, camera.height)
+        if device.type == "cpu":
+            return raster.combine(labels)
+        return raster.combine(labels.pin_memory().to(device, non_blocking=True))
+
+    n_readers = 1 if device.type == "cpu" else READERS
+    yield from _ahead(load, cameras, n_readers)
+
+
+def _ahead(
+    load: Callable[[Camera], CombinedLabels], cameras: Sequence[Camera], n_readers: int
+) -> Iterator[tuple[Camera, CombinedLabels]]:
+    waiting: deque[tuple[Camera, Future[CombinedLabels]]] = deque()
+    with ThreadPoolExecutor(n_readers) as readers:
+        try:
+            for camera in cameras:
+                waiting.append((camera, readers.submit(load, camera)))
+                if len(waiting) > n_readers:
+                    first, future = waiting.popleft()
+                    yield first, future.result()
+            while waiting:
+                first, future = waiting.popleft()
+                yield first, future.result()
+        finally:
+            for _, future in waiting:
+                future.cancel()
+
+
+def exchanged(sums: RegionSums, view_names: Sequence[str], processes: Processes) -> RegionSums:
+    """What each process has taken in (``take_in``), brought to all; of the Gaussians it votes for only.
+
+    Args:
+        sums: this process's.
+        view_names: all views, in the order in which they were shared out.
+        processes: all of them.
+    """
+    if processes.world == 1:
+        return sums
+    buckets = processes.share_range(sums.n_buckets)
+    mine = RegionSums(sums.fingerprint, sums.order, sums.levels, sums.raster_preset, weights=sums.weights)
+    for position, name in enumerate(view_names):
+        view = processes.from_rank(sums.views.get(name), processes.owner(position))
+        parts = tuple(part.of_buckets(buckets.start, buckets.stop) for part in view.parts)
+        mine.views[name] = replace(view, parts=parts)
+    return mine
+
+
+def check_fits(sums: RegionSums, fingerprint: str, regions: Regions, raster_preset: str) -> None:
+    """Refuse region sums of another scene.
+
+    Raises:
+        InputError: they are.
+    """
+    wrong = [
+        what
+        for what, same in (
+            ("Gaussians", sums.fingerprint == fingerprint),
+            (f"levels ({', '.join(sums.levels)})", sums.levels == tuple(regions.levels)),
+            (f"rasteriser preset ({sums.raster_preset})", sums.raster_preset == raster_preset),
+        )
+        if not same
+    ]
+    if wrong:
+        raise InputError(
+            f"{sums.path or 'the region sums given'}: made with other {' and '.join(wrong)}; make them from the same "
+            "splat, region features and --raster-preset, or leave them away"
+        )
+
+
+def cameras_with_regions(cameras: Cameras, regions: Regions) -> list[Camera]:
+    """The cameras that have region maps, in order.
+
+    Raises:
+        InputError: there is none.
+    """
+    chosen = [camera for camera in cameras if camera.name in regions]
+    if not chosen:
+        raise InputError(
+            f"none of the {len(cameras)} cameras has regions; views with regions: "
+            f"{', '.join(regions.view_names[:5]) or 'none'}; check that names agree"
+        )
+    return chosen

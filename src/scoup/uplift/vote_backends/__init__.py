@@ -1,0 +1,1 @@
+"""The vote, a backend a module; the reference is the specification."""

@@ -1,0 +1,78 @@
+"""The vote by the compiled core: threads over buckets of Gaussians."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.base.native import native_core
+from scoup.scene.codes import SparseCodes, index_dtype
+from scoup.uplift.entries import BUCKET
+from scoup.uplift.reweighting import EarlierRound
+from scoup.uplift.vote import VotedEntries
+
+
+class Ballot:
+    """See ``scoup.uplift.vote.Ballot``."""
+
+    def __init__(
+        self,
+        n_gaussians: int,
+        views: Sequence[VotedEntries],
+        codes: Sequence[SparseCodes],
+        grams: Tensor,
+        device: torch.device,
+    ) -> None:
+        core = native_core()
+        if core is None or device.type != "cpu":
+            raise InputError("the compiled core votes on a CPU, and must be there")
+        self._shape = n_gaussians, len(codes), codes[0].n_atoms
+        arrays = []
+        for view in views:
+            part = view.entries
+            weights = part.weights.view(np.uint16) if part.weights.dtype == np.float16 else part.weights
+            arrays.append((part.starts, part.places, part.combinations, weights, view.regions))
+        tables = [tuple(_array(part) for part in (level.indices, level.weights)) for level in codes]
+        try:
+            self._vote = core.Vote(n_gaussians, _array(grams), arrays, tables)
+        except ValueError as error:
+            raise InputError(str(error)) from None
+
+    def round(
+        self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
+    ) -> tuple[Tensor, Tensor]:
+        count, levels, n_atoms = self._shape
+        first, last = buckets.start * BUCKET, min(buckets.stop * BUCKET, count)
+        indices = torch.empty(max(0, last - first), levels, keep, dtype=index_dtype(n_atoms))
+        weights = torch.empty(max(0, last - first), levels, keep)
+        if not buckets:  # a process may have no share
+            return indices, weights
+        known = None if earlier is None else _arrays(earlier)
+        threads = torch.get_num_threads()
+        try:
+            self._vote.round(
+                indices.numpy(), weights.numpy(), known, unit_norm, buckets.start, buckets.stop, threads
+            )
+        except ValueError as error:
+            raise InputError(str(error)) from None
+        return indices, weights
+
+    def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
+        threads = torch.get_num_threads()
+        try:
+            found = self._vote.deviations(_arrays(earlier), buckets.start, buckets.stop, threads)
+        except ValueError as error:
+            raise InputError(str(error)) from None
+        return [torch.from_numpy(of_level) for of_level in found]
+
+
+def _arrays(earlier: EarlierRound) -> tuple[np.ndarray, ...]:
+    return tuple(_array(part) for part in (earlier.indices, earlier.weights, earlier.sharpness))
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().cpu().contiguous().numpy()

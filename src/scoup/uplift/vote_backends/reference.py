@@ -1,0 +1,126 @@
+"""The vote in plain torch: the readable specification that the faster ones are tested against."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.scene.codes import SparseCodes, check_atoms
+from scoup.uplift.entries import BUCKET
+from scoup.uplift.reweighting import LEAST_AGREEMENT, EarlierRound
+from scoup.uplift.vote import VotedEntries
+
+BUCKETS_AT_A_TIME = 64
+
+
+class Ballot:
+    """See ``scoup.uplift.vote.Ballot``."""
+
+    def __init__(
+        self,
+        n_gaussians: int,
+        views: Sequence[VotedEntries],
+        codes: Sequence[SparseCodes],
+        grams: Tensor,
+        device: torch.device,
+    ) -> None:
+        for level in codes:
+            check_atoms(level.indices, level.n_atoms)
+        self._n_gaussians = n_gaussians
+        self._views = views
+        self._codes = [level.to(device) for level in codes]
+        self._grams = grams.to(device)
+        self._device = device
+
+    def round(
+        self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
+    ) -> tuple[Tensor, Tensor]:
+        found = []
+        for some in self._chunks(buckets):
+            sums = self.sums(earlier, some)
+            levels = [SparseCodes.from_dense(sums[:, level], keep) for level in range(len(self._codes))]
+            weights = torch.stack([level.weights for level in levels], 1)
+            indices = torch.stack([level.indices for level in levels], 1)
+            if unit_norm:
+                weights = self._unit(indices, weights)
+            found.append((indices.cpu(), weights.cpu()))
+        return torch.cat([indices for indices, _ in found]), torch.cat([weights for _, weights in found])
+
+    def sums(self, earlier: EarlierRound | None, buckets: range) -> Tensor:
+        """[n, S, L]: w_i = sum of A[i, r] W_r for the Gaussians of some buckets."""
+        first = buckets.start * BUCKET
+        count = max(0, min(buckets.stop * BUCKET, self._n_gaussians) - first)
+        n_atoms = self._codes[0].n_atoms
+        sums = torch.zeros(count, len(self._codes), n_atoms, device=self._device)
+        for view in self._views:
+            gaussian, regions, weight = self._entries(view, buckets)
+            for level, codes in enumerate(self._codes):
+                there = regions[:, level] >= 0
+                row, place, share = regions[there, level], gaussian[there], weight[there]
+                if earlier is not None:
+                    cosines = self._cosines(earlier, level, first + place, row)
+                    agreement = torch.exp(earlier.sharpness[level] * (cosines - 1).clamp(max=0))
+                    share = share * agreement.clamp(min=LEAST_AGREEMENT)
+                target = place[:, None] * n_atoms + codes.indices.long()[row]
+                sums[:, level] += (
+                    torch.zeros(count * n_atoms, device=self._device)
+                    .scatter_add_(0, target.flatten(), (share[:, None] * codes.weights[row]).flatten())
+                    .view(count, n_atoms)
+                )
+        return sums
+
+    def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
+        found = []
+        for level in range(len(self._codes)):
+            pairs = [torch.zeros(0, 2, dtype=torch.int64, device=self._device)]
+            for view in self._views:
+                gaussian, regions, _ = self._entries(view, buckets)
+                there = regions[:, level] >= 0
+                pairs.append(torch.stack([gaussian[there], regions[there, level]], 1))
+            gaussian, row = torch.cat(pairs).unique(dim=0).unbind(1)
+            cosines = self._cosines(earlier, level, buckets.start * BUCKET + gaussian, row)
+            found.append((1 - cosines).cpu())
+        return found
+
+    def _chunks(self, buckets: range) -> Iterator[range]:
+        """The buckets whose sums are in memory at a time; one lot at least, be it of none."""
+        if not buckets:
+            yield buckets
+        for first in range(buckets.start, buckets.stop, BUCKETS_AT_A_TIME):
+            yield range(first, min(first + BUCKETS_AT_A_TIME, buckets.stop))
+
+    def _entries(self, view: VotedEntries, buckets: range) -> tuple[Tensor, Tensor, Tensor]:
+        """(place [E] from the first bucket's start, row of the region at each level [E, S], weight [E])."""
+        part = view.entries.of_buckets(buckets.start, buckets.stop)
+        parts = (
+            part.gaussians() - buckets.start * BUCKET,
+            view.regions[part.combinations],
+            part.weights.astype(np.float32),
+        )
+        gaussian, regions, weight = (torch.from_numpy(array).to(self._device) for array in parts)
+        return gaussian, regions, weight
+
+    def _cosines(self, earlier: EarlierRound, level: int, gaussian: Tensor, row: Tensor) -> Tensor:
+        """[T] cosines of decoded codes of Gaussians and regions; 1 where the Gaussian has no code."""
+        gram, codes = self._grams[level], self._codes[level]
+        own = earlier.indices[:, level].to(self._device).long()[gaussian]  # [T, K]
+        own_weights = earlier.weights[:, level].to(self._device)[gaussian]
+        atoms, weights = codes.indices.long()[row], codes.weights[row]
+        norms = (weights[:, :, None] * weights[:, None] * gram[atoms[:, :, None], atoms[:, None]]).sum((1, 2))
+        products = own_weights[:, :, None] * weights[:, None] * gram[own[:, :, None], atoms[:, None]]
+        norms = norms.clamp(min=0).sqrt()
+        cosines = torch.where(norms > 0, products.sum((1, 2)) / norms.clamp(min=1e-12), 0.0)
+        return torch.where(own_weights.sum(1) > 0, cosines, 1.0)
+
+    def _unit(self, indices: Tensor, weights: Tensor) -> Tensor:
+        """Weights scaled so that decoded codes have norm 1; what decodes to nothing becomes nothing."""
+        out = torch.empty_like(weights)
+        for level, gram in enumerate(self._grams):
+            atoms, parts = indices[:, level].long(), weights[:, level]
+            squared = parts[:, :, None] * parts[:, None] * gram[atoms[:, :, None], atoms[:, None]]
+            norms = squared.sum((1, 2)).clamp(min=0).sqrt()[:, None]
+            out[:, level] = torch.where(norms > 1e-6, parts / norms.clamp(min=1e-6), 0.0)
+        return out

@@ -1,0 +1,203 @@
+"""The vote on a GPU: entries are brought there and sorted by Gaussian, some Gaussians at a time; a kernel adds up."""
+
+# A launch takes plain numbers as constants, and options beside the kernel's arguments.
+# pyright: reportArgumentType=false, reportCallIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.base.triton import why_not
+from scoup.raster import serves
+from scoup.scene.codes import SparseCodes
+from scoup.uplift.entries import BUCKET
+from scoup.uplift.reweighting import EarlierRound
+from scoup.uplift.vote import VotedEntries
+from scoup.uplift.vote_backends import reference as vote_reference
+
+MOST_BUCKETS = 256  # at a time: 65,536 Gaussians
+MOST_ENTRIES = 1 << 24  # at a time: half a gigabyte, most of it to sort them
+MOST_SUMS = 1 << 26  # float32 numbers at a time; to find the largest takes several times as much
+_LANES = 1024  # entries times atoms that a program adds up together
+
+
+@dataclass(frozen=True, eq=False)
+class SortedEntries:
+    """The entries of all views for some Gaussians: those of one lie together, by view, then combination.
+
+    Attributes:
+        starts: [n + 1] int64, where those of each Gaussian begin.
+        combinations: [E] int32, numbered through all views.
+        weights: [E] float32.
+    """
+
+    starts: Tensor
+    combinations: Tensor
+    weights: Tensor
+
+
+class Ballot(vote_reference.Ballot):
+    """See ``scoup.uplift.vote.Ballot``."""
+
+    def __init__(
+        self,
+        n_gaussians: int,
+        views: Sequence[VotedEntries],
+        codes: Sequence[SparseCodes],
+        grams: Tensor,
+        device: torch.device,
+    ) -> None:
+        reason = why_not(device) if serves("triton", device) else f"these tensors are on {device}"
+        if reason is not None:
+            raise InputError(f"the vote on a GPU cannot be taken: {reason}")
+        super().__init__(n_gaussians, views, codes, grams, device)
+        self._entries_of_bucket = np.zeros(-(-n_gaussians // BUCKET), np.int64)
+        for view in views:
+            self._entries_of_bucket += counts_of(view, len(self._entries_of_bucket))
+        counts = [len(view.regions) for view in views]
+        self._first_combinations = np.cumsum([0, *counts])
+        k = max(level.k for level in codes)
+        self._atoms = torch.cat([_padded(level.indices.int(), k) for level in self._codes])
+        self._weights = torch.cat([_padded(level.weights, k) for level in self._codes])
+        self._rows = self._rows_of_combinations()
+        norms = [norms_of(level, gram) for level, gram in zip(self._codes, self._grams, strict=True)]
+        self._inverse_norms = torch.cat(
+            [torch.where(norm > 0, 1 / norm.clamp(min=1e-12), 0.0) for norm in norms]
+        )
+
+    def sums(self, earlier: EarlierRound | None, buckets: range) -> Tensor:
+        """See ``vote_reference.Ballot.sums``; the order of all additions is fixed."""
+        from scoup.uplift.vote_backends.kernels import vote_kernel  # imports triton, which not everyone has
+
+        entries = self._sorted(buckets)
+        first, count = buckets.start * BUCKET, len(entries.starts) - 1
+        levels, n_atoms = len(self._codes), self._codes[0].n_atoms
+        if earlier is None:
+            earlier_k, nothing = 0, self._weights[:0]
+            known = (nothing, nothing, nothing)
+        else:
+            mine = slice(first, first + count)
+            earlier_k = earlier.indices.shape[2]
+            atoms, weights = earlier.indices[mine].to(self._device), earlier.weights[mine].to(self._device)
+            known = (atoms.int().contiguous(), weights.contiguous(), earlier.sharpness.to(self._device))
+        out = torch.empty(count, levels, n_atoms, device=self._device)
+        if not out.numel():
+            return out
+        with torch.cuda.device_of(out):
+            vote_kernel[(count, levels)](
+                entries.starts, entries.combinations, entries.weights, self._rows, self._atoms, self._weights,
+                self._inverse_norms, self._grams, *known, out, levels, n_atoms, K=self._atoms.shape[1],
+                EARLIER_K=earlier_k, **blocks(n_atoms),
+            )  # fmt: skip
+        return out
+
+    def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
+        there = EarlierRound(
+            earlier.indices.to(self._device), earlier.weights.to(self._device), earlier.sharpness
+        )
+        found = [super(Ballot, self).deviations(there, some) for some in self._chunks(buckets)]
+        return [torch.cat(of_level) for of_level in zip(*found, strict=True)]
+
+    def _chunks(self, buckets: range) -> Iterator[range]:
+        """As many as the bounds above allow, and one at least."""
+        if not buckets:
+            yield buckets
+        most = max(1, min(MOST_BUCKETS, MOST_SUMS // (BUCKET * len(self._codes) * self._codes[0].n_atoms)))
+        ends = np.cumsum(self._entries_of_bucket)
+        first = buckets.start
+        while first < buckets.stop:
+            before = ends[first - 1] if first else 0
+            last = int(np.searchsorted(ends, before + MOST_ENTRIES, side="right"))
+            last = min(max(last, first + 1), first + most, buckets.stop)
+            yield range(first, last)
+            first = last
+
+    def _rows_of_combinations(self) -> Tensor:
+        """[C, S] int32: of all views' combinations, the rows of their regions among the codes of all levels."""
+        first, parts = 0, []
+        for level, codes in enumerate(self._codes):
+            regions = np.concatenate(
+                [view.regions[:, level] for view in self._views] or [np.zeros(0, np.int64)]
+            )
+            if len(regions) and regions.max() >= len(codes):
+                raise InputError(f"the region sums are damaged: region {regions.max()} has no code")
+            parts.append(np.where(regions >= 0, regions + first, -1))
+            first += len(codes)
+        return torch.from_numpy(np.stack(parts, 1).astype(np.int32)).to(self._device)
+
+    def _sorted(self, buckets: range) -> SortedEntries:
+        """The entries of some buckets, on the device."""
+        n_buckets, device = len(buckets), self._device
+        count = max(0, min(buckets.stop * BUCKET, self._n_gaussians) - buckets.start * BUCKET)
+        lengths = [np.zeros((0, n_buckets), np.int64)]
+        arrays: list[list[np.ndarray]] = [[np.zeros(0, kind)] for kind in (np.uint8, np.int16, np.float16)]
+        for view in self._views:
+            part = view.entries
+            starts = part.starts[buckets.start : buckets.stop + 1].astype(np.int64)
+            mine = slice(int(starts[0]), int(starts[-1]))
+            lengths.append(np.diff(starts)[None])
+            # Of uint16 the signed counterpart, with which torch can do more.
+            own = part.places[mine], part.combinations[mine].view(np.int16), part.weights[mine]
+            for array, slice_of_view in zip(arrays, own, strict=True):
+                array.append(slice_of_view)
+        places, combinations, weights = (
+            torch.from_numpy(np.concatenate(array)).to(device) for array in arrays
+        )
+        # Of each entry, the number of its view times the buckets, and its bucket.
+        group = torch.repeat_interleave(torch.from_numpy(np.concatenate(lengths)).to(device).flatten())
+        number = torch.div(group, n_buckets, rounding_mode="floor")
+        firsts = torch.from_numpy(self._first_combinations).to(device)
+        combination = (combinations.int() & 0xFFFF) + firsts[number]
+        place = ((group - number * n_buckets) * BUCKET + places).int()
+        if bool(((combination >= firsts[number + 1]) | (place >= count)).any()):
+            raise InputError("the region sums are damaged: no such Gaussian or combination of regions")
+        place, order = torch.sort(place, stable=True)
+        starts = torch.searchsorted(place, torch.arange(count + 1, dtype=torch.int32, device=device))
+        return SortedEntries(starts, combination[order].int(), weights.float()[order])
+
+
+def blocks(n_atoms: int) -> dict[str, int]:
+    """Atoms and entries that a program takes at a time, and its warps: a few numbers for each thread."""
+    atoms = max(16, 1 << (n_atoms - 1).bit_length())
+    return {
+        "ATOMS": atoms,
+        "ENTRIES": max(1, min(8, _LANES // atoms)),
+        "num_warps": max(1, min(16, atoms // 256)),
+    }
+
+
+def counts_of(view: VotedEntries, n_buckets: int) -> np.ndarray:
+    """[B] int64 entries of each bucket.
+
+    Raises:
+        InputError: they are not one behind the other.
+    """
+    part = view.entries
+    counts = np.diff(part.starts.astype(np.int64))
+    if (
+        len(counts) != n_buckets
+        or part.starts[0] != 0
+        or part.starts[-1] != len(part.places)
+        or (counts < 0).any()
+    ):
+        raise InputError("the region sums are damaged: buckets have holes")
+    return counts
+
+
+def norms_of(codes: SparseCodes, gram: Tensor) -> Tensor:
+    """[R] float32 norms of decoded codes, by the inner products [L, L] of the atoms."""
+    atoms = codes.indices.long()
+    products = torch.zeros(len(codes), codes.n_atoms, device=gram.device)
+    for slot in range(codes.k):
+        products += codes.weights[:, slot, None] * gram[atoms[:, slot]]
+    return (products.gather(1, atoms) * codes.weights).sum(1).clamp(min=0).sqrt()
+
+
+def _padded(rows: Tensor, k: int) -> Tensor:
+    return torch.nn.functional.pad(rows, (0, k - rows.shape[1]))

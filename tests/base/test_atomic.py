@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import pytest
+
+from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
+from scoup.base.errors import InputError, OutputExistsError
+
+
+def test_writes_and_makes_the_folder(tmp_path):
+    target = tmp_path / "new" / "deeper" / "file.txt"
+    write_text(target, "hello")
+    assert target.read_text() == "hello"
+    assert [item.name for item in target.parent.iterdir()] == ["file.txt"]
+
+
+def test_refuses_to_replace_unless_asked(tmp_path):
+    target = tmp_path / "file.txt"
+    write_text(target, "old")
+    with pytest.raises(OutputExistsError, match="overwrite"):
+        write_text(target, "new")
+    assert target.read_text() == "old"
+    write_text(target, "new", overwrite=True)
+    assert target.read_text() == "new"
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_an_error_leaves_the_old_file_and_no_rubbish(tmp_path, error):
+    target = tmp_path / "file.bin"
+    target.write_bytes(b"old")
+
+    def write_half():
+        with atomic_file(target, overwrite=True) as stream:
+            stream.write(b"half")
+            raise error
+
+    with pytest.raises(error):
+        write_half()
+    assert target.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_somebody_else_wrote_meanwhile(tmp_path):
+    target = tmp_path / "file.bin"
+
+    def write_late():
+        with atomic_file(target) as stream:
+            stream.write(b"mine")
+            target.write_bytes(b"theirs")
+
+    with pytest.raises(OutputExistsError):
+        write_late()
+    assert target.read_bytes() == b"theirs"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_temporary_path_keeps_the_extension(tmp_path):
+    with atomic_path(tmp_path / "picture.png") as temporary:
+        assert temporary.suffix == ".png"
+        assert temporary.parent == tmp_path
+        temporary.write_bytes(b"x")
+    assert (tmp_path / "picture.png").read_bytes() == b"x"
+
+
+def test_folders_and_special_files_are_no_outputs(tmp_path):
+    with pytest.raises(InputError, match="is a folder"):
+        check_output(tmp_path, overwrite=True)
+    with pytest.raises(InputError, match="not a regular file"):
+        check_output("/dev/null", overwrite=True)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="not a folder"):
+        check_output(tmp_path / "file" / "below.txt")
+    check_output(tmp_path / "missing" / "is fine.txt")
+    assert not (tmp_path / "missing").exists()
+
+
+def test_same_permissions_as_any_other_file(tmp_path):
+    write_text(tmp_path / "ours", "x")
+    (tmp_path / "plain").write_text("x")
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "plain").stat().st_mode

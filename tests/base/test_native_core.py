@@ -1,0 +1,165 @@
+"""The compiled core is found, missed or refused as the user wants, whether or not it was built here."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from types import ModuleType
+
+import pytest
+
+from scoup.base import native
+from scoup.base.errors import InputError, ScoupWarning
+
+MODULE = "scoup._native"
+
+
+def forget() -> None:
+    native._loaded.cache_clear()
+    native._warn_once.cache_clear()
+
+
+@pytest.fixture(autouse=True)
+def _fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """As if nothing had asked for the core yet, and nobody remembers afterwards."""
+    monkeypatch.delenv("SCOUP_NATIVE", raising=False)
+    forget()
+    yield
+    forget()
+
+
+class Core(ModuleType):
+    """Stands for the compiled module."""
+
+    def __init__(self, *instruction_sets: str) -> None:
+        super().__init__(MODULE)
+        self.has, self.used = instruction_sets, "best"
+
+    def use_isa(self, name: str) -> bool:
+        if name in self.has:
+            self.used = name
+        return name in self.has
+
+
+@pytest.fixture
+def core(monkeypatch: pytest.MonkeyPatch) -> Core:
+    """A core for a CPU without AVX-512."""
+    built = Core("baseline", "v3")
+    monkeypatch.setitem(sys.modules, MODULE, built)
+    return built
+
+
+@pytest.fixture
+def no_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, MODULE, None)
+
+
+def fails_with(error: Exception) -> Callable[[str], ModuleType]:
+    def load(name: str) -> ModuleType:
+        raise error
+
+    return load
+
+
+def test_a_core_that_was_built(core):
+    assert native.native_core() is core
+    assert native.missing_reason() is None
+    native.warn_once_if_missing()
+    assert core.used == "best"
+
+
+@pytest.mark.usefixtures("no_core")
+@pytest.mark.parametrize(
+    ("platform", "remedy"),
+    [
+        ("linux", "apt install g++"),
+        ("darwin", "xcode-select --install"),
+        ("win32", "clang-cl"),
+        ("sunos5", "a C++ compiler, then"),
+    ],
+)
+def test_a_core_that_was_not_built(monkeypatch, platform, remedy):
+    monkeypatch.setattr(sys, "platform", platform)
+    assert native.native_core() is None
+    reason = native.missing_reason()
+    assert reason is not None
+    assert reason.startswith("the compiled core was not built; install a C++ compiler")
+    assert remedy in reason
+
+
+@pytest.mark.usefixtures("no_core")
+def test_the_user_is_told_once():
+    with pytest.warns(ScoupWarning, match="slower code serves: the compiled core was not built"):
+        native.warn_once_if_missing()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        native.warn_once_if_missing()
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ImportError("libstdc++.so.6: version GLIBCXX_3.4.29\nnot found", name=MODULE),
+        ModuleNotFoundError("No module named 'elsewhere'", name="elsewhere"),
+    ],
+)
+def test_a_core_that_does_not_load(monkeypatch, error):
+    monkeypatch.setattr(native.importlib, "import_module", fails_with(error))
+    assert native.native_core() is None
+    reason = native.missing_reason()
+    assert reason is not None
+    assert reason.startswith(f"the compiled core does not load ({' '.join(str(error).split())}); install")
+    assert "\n" not in reason
+
+
+@pytest.mark.usefixtures("core")
+def test_switched_off_it_is_absent_in_silence(monkeypatch):
+    monkeypatch.setenv("SCOUP_NATIVE", "off")
+    native.warn_once_if_missing()
+    assert native.native_core() is None
+    assert native.missing_reason() == "the compiled core is switched off; unset SCOUP_NATIVE to use it"
+
+
+def test_an_instruction_set_that_the_user_wants(core, monkeypatch):
+    monkeypatch.setenv("SCOUP_NATIVE", "v3")
+    assert native.native_core() is core
+    assert core.used == "v3"
+
+
+@pytest.mark.usefixtures("core")
+@pytest.mark.parametrize(
+    ("setting", "problem"),
+    [
+        ("v4", "'v4', but this CPU or this build has no such instruction set"),
+        ("fast", "one of off, baseline, v3, v4"),
+    ],
+)
+def test_settings_that_cannot_be_used(monkeypatch, setting, problem):
+    monkeypatch.setenv("SCOUP_NATIVE", setting)
+    for ask in (native.native_core, native.missing_reason, native.warn_once_if_missing):
+        with pytest.raises(InputError, match=problem):
+            ask()
+
+
+def test_the_core_is_not_loaded_before_it_is_used():
+    code = f"import sys, scoup, scoup.base.native; print({MODULE!r} in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "False\n", done.stderr
+
+
+def test_the_core_that_was_built_here(monkeypatch):
+    core = native.native_core()
+    if core is None:
+        pytest.skip(native.missing_reason() or "")
+    best = core.current_isa()
+    try:
+        monkeypatch.setenv("SCOUP_NATIVE", "baseline")
+        forget()
+        assert native.native_core() is core
+        assert core.current_isa() == "baseline"
+        assert not core.use_isa("v5")
+        assert core.current_isa() == "baseline"
+    finally:
+        core.use_isa(best)

@@ -1,0 +1,415 @@
+"""The compiled core under hostile arrays, Ctrl-C, threads and fork. What it computes is tested elsewhere."""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scoup.base.native import missing_reason, native_core
+
+core: Any = native_core()
+pytestmark = pytest.mark.skipif(core is None, reason=str(missing_reason()))
+
+WIDTH, HEIGHT, N = 48, 32, 300
+has_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+
+
+def scene_arrays(count: int = N, seed: int = 0) -> dict[str, np.ndarray]:
+    """A cloud in front of the camera."""
+    numbers = np.random.default_rng(seed)
+    means = numbers.normal(size=(count, 3)).astype(np.float32)
+    means[:, 2] += 4
+    return {
+        "means": means,
+        "quats": numbers.normal(size=(count, 4)).astype(np.float32),
+        "scales": np.full((count, 3), 0.1, np.float32),
+        "opacities": numbers.uniform(0.1, 0.9, count).astype(np.float32),
+        "viewmat": np.eye(3, 4),
+    }
+
+
+def project(count: int = N, seed: int = 0, **changed: Any) -> Any:
+    """The view of a scene; arguments of the binding can be replaced by name."""
+    arguments: dict[str, Any] = scene_arrays(count, seed)
+    arguments |= {"intrinsics": (40.0, 40.0, WIDTH / 2, HEIGHT / 2), "width": WIDTH, "height": HEIGHT}
+    arguments |= {"near_alpha_max_stop": (0.2, 0.99, 1e-4), "stop_inclusive": False, "centred_clamp": True}
+    arguments |= {"ties": None, "many_views": True, "threads": 1} | changed
+    of_scene = ("means", "quats", "scales", "opacities", "ties", "many_views")
+    scene = core.Scene(**{name: arguments.pop(name) for name in of_scene}, threads=1)
+    return core.project(scene, **arguments)
+
+
+def image_of(view: Any, threads: int = 1) -> bytes:
+    values = np.random.default_rng(1).normal(size=(view.n_gaussians, 3)).astype(np.float32)
+    return b"".join(part.tobytes() for part in core.render_channels(view, values, threads))
+
+
+def codes(atom: int = 0, rows: int = 1, dtype: type = np.uint8) -> tuple[np.ndarray, np.ndarray]:
+    return np.full((rows, 2), atom, dtype), np.ones((rows, 2), np.float32)
+
+
+def combinations() -> np.ndarray:
+    return np.zeros((HEIGHT, WIDTH), np.int32)
+
+
+def vote_arrays(count: int = N, entries: int = 1, seed: int = 0) -> dict[str, Any]:
+    """Arguments of a vote: each Gaussian has so many entries in one view."""
+    numbers = np.random.default_rng(seed)
+    gaussian = np.repeat(np.arange(count), entries)
+    starts = np.searchsorted(gaussian, np.arange(-(-count // 256) + 1) * 256).astype(np.uint32)
+    places = (gaussian % 256).astype(np.uint8)
+    chosen = numbers.integers(0, 5, len(gaussian)).astype(np.uint16)
+    weights = numbers.uniform(size=len(gaussian)).astype(np.float32)
+    view = (starts, places, chosen, weights, np.arange(5, dtype=np.int64)[:, None])
+    return {
+        "n_gaussians": count,
+        "grams": np.eye(8, dtype=np.float32)[None],
+        "views": [view],
+        "codes": [codes(rows=5)],
+    }
+
+
+def round_of(vote: Any, count: int = N, threads: int = 1) -> bytes:
+    indices, weights = np.zeros((count, 1, 2), np.uint8), np.zeros((count, 1, 2), np.float32)
+    vote.round(indices, weights, None, False, 0, vote.n_buckets, threads)
+    return indices.tobytes() + weights.tobytes()
+
+
+# ---- Arrays
+
+SPOILED = {
+    "another dtype": lambda a: a.astype(np.float16),
+    "dimensions": lambda a: a.reshape(1, *a.shape),
+    "entries": lambda a: np.concatenate([a, a], -1),
+    "not contiguous": lambda a: np.repeat(a, 2, -1)[..., ::2],
+    "not aligned": lambda a: np.frombuffer(b"\0" + a.tobytes(), a.dtype, a.size, 1).reshape(a.shape),
+}
+
+
+@pytest.mark.parametrize("why", SPOILED)
+@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "viewmat"])
+def test_arrays_that_do_not_fit_are_refused_by_name(name, why):
+    if name == "means" and why == "dimensions":
+        why = "entries"
+    with pytest.raises(ValueError, match=f"^{name} must be .*{why}"):
+        project(**{name: SPOILED[why](scene_arrays()[name])})
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "viewmat"])
+@pytest.mark.parametrize("wrong", ["big-endian", "objects", "text", "a list", "nothing"])
+def test_what_is_no_array_of_this_machine_is_refused(name, wrong):
+    array = scene_arrays()[name]
+    made = {
+        "big-endian": array.astype(array.dtype.newbyteorder(">")),
+        "objects": array.astype(object),
+        "text": array.astype(str),
+        "a list": array.tolist(),
+        "nothing": None,
+    }
+    with pytest.raises(TypeError, match=f"{name}: ndarray"):
+        project(**{name: made[wrong]})
+
+
+def test_read_only_arrays_are_read_and_not_written():
+    read_only = {name: array.copy() for name, array in scene_arrays().items()}
+    for array in read_only.values():
+        array.flags.writeable = False
+    assert image_of(project(**read_only)) == image_of(project())
+    weights = np.zeros((N, 1, 2), np.float32)
+    weights.flags.writeable = False
+    with pytest.raises(TypeError, match="weights: ndarray"):
+        core.Vote(**vote_arrays()).round(np.zeros((N, 1, 2), np.uint8), weights, None, False, 0, 2, 1)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"width": 0}, "image of 0 x 32"),
+        ({"height": -3}, "image of 48 x -3"),
+        ({"width": 2**62}, "cannot be rendered"),
+        ({"width": 65535 * 16, "height": 65535 * 16}, "cannot be rendered"),
+        ({"intrinsics": (np.nan, 1.0, 0.0, 0.0)}, "focal lengths"),
+        ({"intrinsics": (1.0, -1.0, 0.0, 0.0)}, "focal lengths"),
+        ({"intrinsics": (1.0, 1.0, 0.0, np.inf)}, "principal point"),
+        ({"viewmat": np.full((3, 4), np.nan)}, "viewmat must be finite"),
+        ({"near_alpha_max_stop": (np.nan, 0.99, 1e-4)}, "near"),
+        ({"near_alpha_max_stop": (0.2, 1.5, 1e-4)}, "alpha_max"),
+        ({"near_alpha_max_stop": (0.2, 0.99, np.inf)}, "stop"),
+    ],
+)
+def test_cameras_and_presets_that_cannot_be(changed, message):
+    with pytest.raises(ValueError, match=message):
+        project(**changed)
+
+
+def test_nothing_is_fine():
+    view = project(0)
+    image, alpha = core.render_channels(view, np.zeros((0, 3), np.float32), 1)
+    assert not image.any()
+    assert not alpha.any()
+    assert [len(part) for part in core.region_sums(view, combinations(), 1)] == [0, 0, 0]
+    assert [len(part) for part in core.region_sums(project(), combinations() - 1, 1)] == [0, 0, 0]
+    map_, table = core.combine(np.zeros((0, HEIGHT, WIDTH), np.int32), 1)
+    assert (map_ == -1).all()
+    assert table.shape == (0, 0)
+    assert core.render_channels(project(), np.zeros((N, 0), np.float32), 1)[0].shape == (HEIGHT, WIDTH, 0)
+    assert round_of(core.Vote(**vote_arrays(0)), 0) == b""
+    assert not any(round_of(core.Vote(**vote_arrays() | {"views": []})))
+
+
+def test_renders_refuse_values_and_codes_of_another_scene():
+    view = project()
+    with pytest.raises(ValueError, match=r"^values must be"):
+        core.render_channels(view, np.zeros((N + 1, 3), np.float32), 1)
+    indices, weights = np.full((N, 1, 2), 7, np.uint8), np.ones((N, 1, 2), np.float32)
+    with pytest.raises(ValueError, match="atom 7 of 7"):
+        core.render_codes(view, indices, weights, 7, 1)
+    with pytest.raises(ValueError, match="atoms"):
+        core.render_codes(view, indices, weights, 0, 1)
+    with pytest.raises(ValueError, match=r"^code weights must be"):
+        core.render_codes(view, indices, weights[:, :, :1].copy(), 8, 1)
+    with pytest.raises(ValueError, match=r"^code indices must be"):
+        core.render_codes(view, indices.astype(np.int64), weights, 8, 1)
+    scores = np.zeros((1, 8, 5), np.float32)
+    with pytest.raises(ValueError, match=r"^grams must be"):
+        core.render_cosines(view, indices, weights, np.zeros((1, 8, 9), np.float32), scores, 1)
+
+
+def test_region_sums_refuse_what_does_not_fit():
+    for bad in (combinations()[:-1], combinations().astype(np.int64), combinations()[None]):
+        with pytest.raises(ValueError, match=r"^combinations must be"):
+            core.region_sums(project(), bad, 1)
+    with pytest.raises(ValueError, match="labels must be"):
+        core.combine(combinations(), 1)
+    with pytest.raises(ValueError, match=r"^labels must be"):
+        core.combine(np.zeros((2, 3, 4), np.int64), 1)
+
+
+@pytest.mark.parametrize("place", range(5))
+@pytest.mark.parametrize("why", ["another dtype", "dimensions"])
+def test_a_vote_refuses_arrays_that_do_not_fit(place, why):
+    arguments = vote_arrays()
+    view = list(arguments["views"][0])
+    view[place] = view[place].astype(np.float64) if why == "another dtype" else view[place][None]
+    arguments["views"] = [tuple(view)]
+    with pytest.raises(ValueError, match="must be"):
+        core.Vote(**arguments)
+
+
+def test_a_vote_refuses_what_does_not_fit():
+    arguments = vote_arrays()
+    with pytest.raises(ValueError, match=r"^grams must be"):
+        core.Vote(**arguments | {"grams": np.eye(8, dtype=np.float32)[None].repeat(2, 0)})
+    with pytest.raises(ValueError, match="1 to 65536 atoms"):
+        core.Vote(**arguments | {"grams": np.zeros((1, 0, 0), np.float32)})
+    with pytest.raises(ValueError, match="atom 8 of 8"):
+        core.Vote(**arguments | {"codes": [codes(8, rows=5)]})
+    with pytest.raises(ValueError, match="damaged: region 4 has no code"):
+        core.Vote(**arguments | {"codes": [codes(rows=4)]})
+    with pytest.raises(ValueError, match="too many Gaussians"):
+        core.Vote(**arguments | {"n_gaussians": -1})
+    vote = core.Vote(**arguments)
+    indices, weights = np.zeros((N, 1, 2), np.uint8), np.zeros((N, 1, 2), np.float32)
+    for first, last in ((-1, 1), (1, 0), (0, 3), (2**62, 2**62)):
+        with pytest.raises(ValueError, match="no such buckets"):
+            vote.round(indices, weights, None, False, first, last, 1)
+    with pytest.raises(ValueError, match=r"^indices must be"):
+        vote.round(indices.astype(np.uint16), weights, None, False, 0, 2, 1)
+    with pytest.raises(ValueError, match=r"^weights must be"):
+        vote.round(indices, weights[1:], None, False, 0, 2, 1)
+    with pytest.raises(ValueError, match="k at least 1"):
+        vote.round(indices[:, :, :0].copy(), weights[:, :, :0].copy(), None, False, 0, 2, 1)
+    earlier = (indices, weights, np.ones(1, np.float32))
+    for bad in (
+        (indices + 8, *earlier[1:]),
+        (indices[1:], *earlier[1:]),
+        (*earlier[:2], np.ones(2, np.float32)),
+    ):
+        with pytest.raises(ValueError):
+            vote.deviations(bad, 0, 2, 1)
+
+
+def test_memory_outlives_whoever_asked_for_it():
+    image, alpha = core.render_channels(project(), np.ones((N, 1), np.float32), 1)
+    kept = alpha.copy()
+    vote = core.Vote(**vote_arrays())  # nobody else holds the arrays
+    expected = round_of(vote)
+    gc.collect()
+    assert round_of(vote) == expected
+    del vote
+    assert np.array_equal(alpha, kept)
+    np.testing.assert_allclose(image[..., 0], alpha, atol=1e-5)
+
+
+# ---- Long calls: a render of 400 channels in a large image, a vote over millions of entries.
+
+LONG = textwrap.dedent(
+    """
+    import os, signal, sys, threading, time
+    import numpy as np
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background ignores it
+    sys.path[:0] = [os.environ["TESTS"]]
+    from test_native_safety import core, image_of, project, round_of, vote_arrays
+
+    view = project(20000, width=1600, height=1600, intrinsics=(1600.0, 1600.0, 800.0, 800.0))
+    values = np.ones((20000, 400), np.float32)
+    known = image_of(project())
+
+    many = vote_arrays(50_000, 200)
+    vote = core.Vote(**many)
+    voted = round_of(core.Vote(**vote_arrays()))
+    """
+)
+
+
+def run_script(script: str, timeout: float = 60) -> subprocess.CompletedProcess[str]:
+    tests = str(Path(__file__).parent)
+    return subprocess.run(
+        [sys.executable, "-c", LONG + textwrap.dedent(script)],
+        env=os.environ | {"TESTS": tests, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+    )
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are sent otherwise there")
+@pytest.mark.parametrize("threads", [1, 2])
+def test_ctrl_c_ends_a_long_call_and_leaves_the_process_usable(threads):
+    script = f"""
+    def render():
+        core.render_channels(view, values, {threads})
+    def count():
+        round_of(vote, 50_000, {threads})
+    for call in (render, count):
+        for delay in (0.02, 0.2, 0.4, 0.6):
+            sent = []
+            def send():
+                sent.append(time.monotonic())
+                os.kill(os.getpid(), 2)
+            threading.Timer(delay, send).start()
+            try:
+                while True:
+                    call()
+            except KeyboardInterrupt:
+                print(time.monotonic() - sent[0])
+            assert image_of(project()) == known
+            assert round_of(core.Vote(**vote_arrays())) == voted
+    """
+    done = run_script(script)
+    assert done.returncode == 0, done.stderr
+    late = [float(line) for line in done.stdout.split()]
+    assert len(late) == 8
+    # Another program may take the core away for a moment: once late is no fault.
+    assert sorted(late)[-2] < 1, late
+    assert max(late) < 5, late
+
+
+def test_other_python_threads_run_during_a_long_call():
+    view = project(20000, width=1600, height=1600, intrinsics=(1600.0, 1600.0, 800.0, 800.0))
+    values = np.ones((20000, 100), np.float32)
+    ticks: list[float] = []
+    over = threading.Event()
+
+    def tick() -> None:
+        while not over.wait(0.005):
+            ticks.append(time.monotonic())
+
+    clock = threading.Thread(target=tick)
+    clock.start()
+    began = time.monotonic()
+    core.render_channels(view, values, 1)
+    ended = time.monotonic()
+    over.set()
+    clock.join()
+    assert sum(began < at < ended for at in ticks) > 20 * (ended - began)
+    assert ended - began > 0.05  # or this would show nothing
+
+
+# ---- Threads, fork, memory
+
+
+def test_threads_may_ask_at_once():
+    views = [project(seed=seed) for seed in range(3)]
+    expected = [image_of(view) for view in views]
+
+    def ask(turn: int) -> bool:
+        own = image_of(project(seed=turn % 3), threads=2)
+        return own == expected[turn % 3] == image_of(views[turn % 3], threads=1 + turn % 2)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(ask, range(60)))
+
+
+def image_in_child(seed: int) -> bytes:
+    return image_of(project(3000, seed), threads=2)
+
+
+@has_fork
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_forked_child_renders_the_same():
+    expected = image_in_child(0)
+    busy = threading.Event()
+    worker = threading.Thread(target=lambda: [image_in_child(1) for _ in iter(busy.is_set, True)])
+    worker.start()  # forked from while another thread is at work
+    try:
+        for _ in range(5):
+            child = os.fork()
+            if child == 0:
+                os._exit(0 if image_in_child(0) == expected else 3)
+            assert wait_for(child, 20) == 0
+    finally:
+        busy.set()
+        worker.join()
+
+
+def wait_for(child: int, seconds: float) -> int:
+    """The child's exit status; it is killed after so many seconds."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found, status = os.waitpid(child, os.WNOHANG)
+        if found:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.01)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    pytest.fail("the child hangs")
+
+
+@has_fork
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_pool_of_forked_processes_renders_the_same():
+    expected = [image_in_child(seed) for seed in range(4)]
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        assert pool.map_async(image_in_child, range(4)).get(timeout=30) == expected
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system does not tell resident memory")
+def test_views_and_images_give_their_memory_back():
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    def ask() -> None:
+        view = project(60_000, 0, width=400, height=300)
+        image_of(view, threads=2)
+        core.region_sums(view, np.zeros((300, 400), np.int32), 2)
+
+    for _ in range(5):
+        ask()
+    early = resident()
+    for _ in range(30):
+        ask()
+    assert resident() - early < 20e6  # a view is 6 MB

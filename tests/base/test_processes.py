@@ -1,0 +1,100 @@
+"""Several processes at one build, as torchrun starts them."""
+
+from __future__ import annotations
+
+import socket
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+import torch
+
+from scoup import LanguageField, build
+from scoup.base.errors import InputError
+from scoup.base.processes import Processes, device_of_process, of_environment, process_group
+from scoup.uplift.rasterise import region_sums, resumed
+from support import small_scene
+
+
+def test_shares_are_everything_once() -> None:
+    items = list(range(11))
+    shares = [Processes(rank, 4).share(items) for rank in range(4)]
+    assert sorted(item for share in shares for item in share) == items
+    assert max(map(len, shares)) - min(map(len, shares)) <= 1
+    for position, item in enumerate(items):
+        assert item in shares[Processes(0, 4).owner(position)]
+    ranges = [Processes(rank, 4).share_range(11) for rank in range(4)]
+    assert [item for part in ranges for item in part] == items
+
+
+def test_the_environment_of_torchrun(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("RANK", "WORLD_SIZE", "LOCAL_RANK"):
+        monkeypatch.delenv(name, raising=False)
+    assert of_environment() == Processes(0, 1)
+    assert device_of_process("cuda") == "cuda"
+    monkeypatch.setenv("RANK", "5")
+    monkeypatch.setenv("WORLD_SIZE", "8")
+    monkeypatch.setenv("LOCAL_RANK", "1")
+    assert of_environment() == Processes(5, 8)
+    assert device_of_process("cuda") == "cuda:1"
+    assert device_of_process("cuda:3") == "cuda:3"
+    assert device_of_process("cpu") == "cpu"
+    monkeypatch.setenv("RANK", "8")
+    with pytest.raises(InputError, match="WORLD_SIZE"):
+        of_environment()
+
+
+def build_in_process(rank: int, world: int, port: int, folder: Path) -> None:
+    """One of several processes."""
+    import os
+
+    os.environ |= {
+        "RANK": str(rank),
+        "WORLD_SIZE": str(world),
+        "MASTER_ADDR": "localhost",
+        "MASTER_PORT": str(port),
+    }
+    torch.set_num_threads(1)
+    gaussians, cameras, regions = small_scene(count=700, views=5)
+    with process_group("cpu") as processes:
+        assert processes == Processes(rank, world)
+        sums = resumed(folder / f"partial.{rank}", gaussians, regions)
+        field = build(gaussians, cameras, regions, n_atoms=8, k=3, sums=sums)
+    field.save(folder / f"{rank}.scoup")
+
+
+def build_together(world: int, folder: Path) -> list[LanguageField]:
+    with socket.socket() as probe:
+        probe.bind(("localhost", 0))
+        port = probe.getsockname()[1]
+    spawn = get_context("spawn")
+    workers = [
+        spawn.Process(target=build_in_process, args=(rank, world, port, folder)) for rank in range(world)
+    ]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(120)
+        assert worker.exitcode == 0
+    gaussians, _, _ = small_scene(count=700, views=5)
+    return [LanguageField.load(folder / f"{rank}.scoup", gaussians) for rank in range(world)]
+
+
+@pytest.mark.parametrize("world", [2, 3])
+def test_several_processes_build_what_one_builds(tmp_path: Path, world: int) -> None:
+    """To the byte: each votes for its share of the Gaussians, with the sums of all."""
+    gaussians, cameras, regions = small_scene(count=700, views=5)
+    build(gaussians, cameras, regions, n_atoms=8, k=3).save(tmp_path / "alone.scoup")
+    build_together(world, tmp_path)
+    for rank in range(world):
+        assert (tmp_path / f"{rank}.scoup").read_bytes() == (tmp_path / "alone.scoup").read_bytes()
+
+
+def test_what_a_process_has_taken_in_counts_once(tmp_path: Path) -> None:
+    """The views in a process's file are not rasterised again, whoever's share they are."""
+    gaussians, cameras, regions = small_scene(count=700, views=5)
+    build(gaussians, cameras, regions, n_atoms=8, k=3).save(tmp_path / "alone.scoup")
+    region_sums(gaussians, cameras[:3], regions, path=tmp_path / "partial.0").close()
+    build_together(2, tmp_path)
+    for rank in range(2):
+        assert (tmp_path / f"{rank}.scoup").read_bytes() == (tmp_path / "alone.scoup").read_bytes()

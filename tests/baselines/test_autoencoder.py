@@ -1,0 +1,153 @@
+"""LangSplat's autoencoder, tiny: it learns, it has the layers it should, and it refuses what it cannot use."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from scoup.base.errors import InputError
+from scoup.baselines.autoencoder import (
+    LANGSPLAT,
+    AutoencoderSettings,
+    fit_autoencoder,
+    reconstruction_loss,
+)
+
+SMALL = AutoencoderSettings(epochs=30, batch=16, learning_rate=5e-3, encoder=(16, 3), decoder=(16,))
+
+
+def clusters(count: int = 120, dim: int = 12, seed: int = 0) -> Tensor:
+    """[count, dim] rows around four directions, of any norm."""
+    generator = torch.Generator().manual_seed(seed)
+    centres = torch.randn(4, dim, generator=generator)
+    which = torch.randint(4, (count,), generator=generator)
+    noise = torch.randn(count, dim, generator=generator)
+    return (centres[which] + 0.1 * noise) * (0.5 + torch.rand(count, 1, generator=generator))
+
+
+def cosines(found: Tensor, rows: Tensor) -> Tensor:
+    return torch.nn.functional.cosine_similarity(found, rows, dim=1)
+
+
+def test_training_brings_reconstructions_nearer():
+    rows = clusters()
+    means = [
+        fit_autoencoder(rows, AutoencoderSettings(**{**vars(SMALL), "epochs": epochs})).report.mean_cosine
+        for epochs in (0, 2, 30)
+    ]
+    assert means == sorted(means)
+    assert means[-1] > 0.95
+
+
+def test_codes_and_report():
+    rows = clusters()
+    fitted = fit_autoencoder(rows, SMALL)
+    codes = fitted.encode(rows)
+    assert codes.shape == (120, 3)
+    assert torch.allclose(codes.norm(dim=1), torch.ones(120))
+    decoded = fitted.decode(codes)
+    assert decoded.shape == rows.shape
+    assert torch.allclose(decoded.norm(dim=1), torch.ones(120))
+    found = cosines(decoded, rows).double()
+    assert fitted.report.mean_cosine == pytest.approx(float(found.mean()), abs=1e-5)
+    assert fitted.report.low_cosine == pytest.approx(float(found.quantile(0.05)), abs=1e-5)
+    assert (fitted.report.regions, fitted.report.epochs) == (120, 30)
+    assert fitted.report.seconds > 0
+    assert "mean cosine" in str(fitted.report)
+    assert not fitted.encode(rows).requires_grad
+
+
+def test_the_layers_are_those_of_langsplat():
+    fitted = fit_autoencoder(torch.randn(3, 512), AutoencoderSettings(epochs=0))
+
+    def sizes(part: nn.Sequential) -> list[int]:
+        return [layer.out_features for layer in part if isinstance(layer, nn.Linear)]
+
+    assert sizes(fitted.encoder) == [256, 128, 64, 32, 3]
+    assert sizes(fitted.decoder) == [16, 32, 64, 128, 256, 256, 512]
+    kinds = [[type(layer).__name__ for layer in part] for part in (fitted.encoder, fitted.decoder)]
+    assert kinds == [
+        ["Linear", *["BatchNorm1d", "ReLU", "Linear"] * 4],
+        ["Linear", *["ReLU", "Linear"] * 6],
+    ]
+    assert (LANGSPLAT.epochs, LANGSPLAT.batch, LANGSPLAT.learning_rate) == (100, 64, 7e-4)
+
+
+def test_the_loss_is_that_of_langsplat():
+    found, rows = torch.tensor([[1.0, 0.0], [0.0, 1.0]]), torch.tensor([[1.0, 0.0], [1.0, 0.0]])
+    assert float(reconstruction_loss(found, rows)) == pytest.approx(2 / 4 + 1e-3 * 0.5)
+
+
+def test_the_same_seed_gives_the_same_network_and_leaves_the_random_state_alone():
+    rows = clusters()
+    before = torch.random.get_rng_state()
+    first, same = (fit_autoencoder(rows, SMALL, seed=3).encode(rows) for _ in range(2))
+    assert torch.equal(before, torch.random.get_rng_state())
+    assert torch.equal(first, same)
+    assert not torch.equal(first, fit_autoencoder(rows, SMALL, seed=4).encode(rows))
+
+
+def test_rows_of_norm_zero_are_left_out():
+    rows = clusters()
+    with_zeros = torch.cat([torch.zeros(1, 12), rows, torch.zeros(2, 12)])
+    plain, fitted = fit_autoencoder(rows, SMALL), fit_autoencoder(with_zeros, SMALL)
+    codes = fitted.encode(with_zeros)
+    assert torch.equal(codes[1:-2], plain.encode(rows))
+    assert not codes[[0, -2, -1]].any()
+    assert not fitted.decode(codes)[[0, -2, -1]].any()
+    assert fitted.report.regions == 120
+    assert fitted.report.mean_cosine == plain.report.mean_cosine
+
+
+@pytest.mark.parametrize("rows", [torch.zeros(0, 5), torch.zeros(4, 5)])
+def test_nothing_to_learn_from(rows):
+    fitted = fit_autoencoder(rows, SMALL)
+    assert fitted.encode(rows).shape == (len(rows), 3)
+    assert not fitted.encode(rows).any()
+    assert (fitted.report.regions, fitted.report.epochs, fitted.report.mean_cosine) == (0, 0, 1.0)
+
+
+@pytest.mark.parametrize("count", [1, 2, 15, 16, 17, 33])
+def test_any_number_of_rows(count):
+    seen: list[tuple[str, int, int]] = []
+    rows = clusters(count)
+    fitted = fit_autoencoder(rows, SMALL, progress=lambda *call: seen.append(call))
+    assert torch.isfinite(fitted.encode(rows)).all()
+    steps = 30 * {33: 2}.get(count, 1)  # a row left over joins the batch before it
+    assert seen == [("autoencoder", done, steps) for done in range(steps + 1)]
+
+
+def test_interruption_passes_through():
+    def interrupt(stage: str, done: int, total: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_autoencoder(clusters(), SMALL, progress=interrupt)
+
+
+@pytest.mark.parametrize(
+    ("rows", "changes", "problem"),
+    [
+        (torch.zeros(3), {}, "must be"),
+        (torch.zeros(3, 4, dtype=torch.long), {}, "floating-point"),
+        (torch.tensor([[1.0, float("nan")]]), {}, "not finite"),
+        (torch.ones(3, 4), {"epochs": -1}, "negative"),
+        (torch.ones(3, 4), {"batch": 1}, "two rows"),
+        (torch.ones(3, 4), {"learning_rate": 0.0}, "positive"),
+        (torch.ones(3, 4), {"encoder": ()}, "layers"),
+        (torch.ones(3, 4), {"decoder": (0,)}, "one output"),
+    ],
+)
+def test_bad_input_is_refused(rows, changes, problem):
+    with pytest.raises(InputError, match=problem):
+        fit_autoencoder(rows, AutoencoderSettings(**{**vars(SMALL), **changes}))
+
+
+def test_rows_and_codes_of_another_size_are_refused():
+    fitted = fit_autoencoder(clusters(20), SMALL)
+    with pytest.raises(InputError, match="rows have 5"):
+        fitted.encode(torch.ones(2, 5))
+    with pytest.raises(InputError, match="codes have 5"):
+        fitted.decode(torch.ones(2, 5))

@@ -1,0 +1,122 @@
+"""Which pixels count: each rule against loops over pixels and Gaussians."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from scoup import raster
+from scoup.base.errors import InputError
+from scoup.baselines.pixel_rules import (
+    CentrePixel,
+    PixelWeights,
+    TopContributors,
+    VisibleCentrePixel,
+    centre_pixels,
+    gathered_sums,
+    pixel_weights,
+)
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+from scoup.uplift.rasterise import region_sums
+from support import make_camera, random_gaussians, small_scene
+
+
+def weights_of(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+    """[N, H, W] blending weights, from rendering each Gaussian's own channel."""
+    image, _ = raster.render_channels(raster.project(gaussians, camera), torch.eye(len(gaussians)))
+    return image.permute(2, 0, 1).numpy()
+
+
+def dense(pairs: list[PixelWeights], count: int, height: int, width: int) -> np.ndarray:
+    out = np.zeros((count, height * width))
+    for part in pairs:
+        np.add.at(out, (part.gaussian, part.pixel), part.weight)
+    return out.reshape(count, height, width)
+
+
+@pytest.mark.parametrize("pixels", [1, 41, 100, 10**6])
+def test_pixel_weights_are_the_blending_weights_whatever_the_bands(pixels: int) -> None:
+    scene, camera = random_gaussians(60, 1), make_camera()
+    pairs = list(pixel_weights(raster.project(scene, camera), pixels))
+    np.testing.assert_allclose(dense(pairs, 60, 30, 40), weights_of(scene, camera), atol=1e-6)
+    with pytest.raises(InputError):
+        next(pixel_weights(raster.project(scene, camera), 0))
+
+
+def test_centre_pixels() -> None:
+    camera = make_camera(seed=3)
+    scene = random_gaussians(80, 2, ("plain", "behind", "nan"))
+    found = centre_pixels(scene, camera)
+    for mean, pixel in zip(scene.means.double(), found, strict=True):
+        x, y, z = (camera.viewmat[:3, :3] @ mean + camera.viewmat[:3, 3]).tolist()
+        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        inside = z > 0 and 0 <= u < 40 and 0 <= v < 30
+        assert pixel == (int(v) * 40 + int(u) if inside else -1)
+    assert (found >= 0).any()
+    assert (found < 0).any()
+
+
+def literal(rule: object, weights: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """[N, H * W] the weights that a rule keeps."""
+    count = len(weights)
+    flat = weights.reshape(count, -1)
+    out = np.zeros_like(flat)
+    for pixel in range(flat.shape[1]):
+        ray = sorted((i for i in range(count) if flat[i, pixel] > 0), key=lambda i: (-flat[i, pixel], i))
+        total, before = sum(flat[i, pixel] for i in ray), 0.0
+        for rank, i in enumerate(ray):
+            centre = centres[i] == pixel
+            if isinstance(rule, TopContributors):
+                kept = rank < rule.count
+            elif isinstance(rule, VisibleCentrePixel):
+                kept = centre and before < rule.share * total
+            else:
+                kept = centre
+            out[i, pixel] = flat[i, pixel] if kept else 0
+            before += flat[i, pixel]
+    return out
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [CentrePixel(), VisibleCentrePixel(), VisibleCentrePixel(0.9), TopContributors(1), TopContributors(3)],
+)
+def test_gathered_sums_against_loops(rule: CentrePixel | VisibleCentrePixel | TopContributors) -> None:
+    gaussians, cameras, regions = small_scene(count=50, views=2)
+    sums = gathered_sums(gaussians, cameras, regions, rule)
+    for level, name in enumerate(regions.levels):
+        rows = regions.embeddings(name)[1]
+        expected = np.zeros((50, sum(part.stop - part.start for part in rows.values())))
+        for camera in cameras:
+            weights = weights_of(gaussians, camera)
+            kept = literal(rule, weights, centre_pixels(gaussians, camera))
+            labels = regions.load(camera.name, name).labels.flatten().numpy()
+            for pixel, label in enumerate(labels):
+                if label >= 0:
+                    expected[:, rows[camera.name].start + label] += kept[:, pixel]
+        np.testing.assert_allclose(sums.matrix(level).toarray(), expected, atol=1e-5)
+
+
+def test_all_contributors_are_the_plain_region_sums() -> None:
+    gaussians, cameras, regions = small_scene(count=50, views=2)
+    every = gathered_sums(gaussians, cameras, regions, TopContributors(50))
+    plain = region_sums(gaussians, cameras, regions)
+    for level in range(3):
+        np.testing.assert_allclose(
+            every.matrix(level).toarray(), plain.matrix(level).toarray(), rtol=1e-4, atol=1e-6
+        )
+
+
+def test_a_hidden_gaussian_gathers_nothing_through_the_gate() -> None:
+    """Two on one ray: the far one is seen a little, so its centre pixel counts without the gate only."""
+    means = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 4.0]])
+    quats = torch.tensor([[1.0, 0, 0, 0]] * 2)
+    scene = Gaussians(means, quats, torch.full((2, 3), 0.3), torch.tensor([0.8, 0.9]), torch.zeros(2, 1, 3))
+    camera = make_camera(name="view_00.png")
+    (pairs,) = pixel_weights(raster.project(scene, camera))
+    centres = centre_pixels(scene, camera)
+    assert set(CentrePixel()(pairs, centres).gaussian) == {0, 1}
+    assert set(VisibleCentrePixel()(pairs, centres).gaussian) == {0}
+    assert set(VisibleCentrePixel(0.95)(pairs, centres).gaussian) == {0, 1}

@@ -1,0 +1,384 @@
+"""The pipeline: resumes, refuses, renews, skips and shares out; nothing is ever half written."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from extract_support import smooth_image
+from PIL import Image
+from tiny_models import saved, tiny_clip, tiny_sam2
+
+import scoup
+from cli_support import snapshot
+from scoup.base.errors import InputError, ScoupError, ScoupWarning
+from scoup.base.processes import Processes
+from scoup.extract import (
+    Masks,
+    MaskSettings,
+    extract,
+    find_photographs,
+    open_embedder,
+    open_segmenter,
+    opening,
+    paint,
+)
+from scoup.extract.felzenszwalb import Felzenszwalb
+from scoup.extract.plain_colors import PlainColors
+from scoup.io.regions.manifest import MANIFEST, RegionManifest, write_manifest
+from scoup.scene.cameras import Cameras
+from scoup.scene.regions import LEVELS
+from support import make_camera
+
+
+class Blocks:
+    """A quick segmenter: squares of three sizes."""
+
+    cut_last = False
+    drop_hidden = False
+
+    def __init__(self, side: int = 8) -> None:
+        self.side = side
+        self.calls = 0
+
+    def record(self) -> dict[str, object]:
+        return {"segmenter": "blocks", "side": self.side}
+
+    def segment(self, image: np.ndarray) -> dict[str, Masks]:
+        self.calls += 1
+        result = {}
+        for number, level in enumerate(LEVELS):
+            side = self.side * 2**number
+            rows, columns = (np.arange(length) // side for length in image.shape[:2])
+            labels = rows[:, None] * (columns.max() + 1) + columns[None]
+            result[level] = Masks.from_labels(labels.astype(np.int32))
+        return result
+
+
+def scene(folder: Path, count: int = 4) -> tuple[Path, Cameras]:
+    (folder / "images").mkdir(parents=True)
+    cameras = []
+    for number in range(count):
+        height, width = (24, 32) if number % 2 else (30, 20)  # any mix of sizes
+        Image.fromarray(smooth_image(height, width, number)).save(folder / "images" / f"{number}.png")
+        cameras.append(make_camera(width, height, name=f"{number}.png"))
+    return folder, Cameras(cameras)
+
+
+@pytest.mark.parametrize("layout", ["compact", "langsplat"])
+def test_regions_are_read_back(tmp_path: Path, layout) -> None:
+    folder, cameras = scene(tmp_path)
+    segmenter, embedder = Blocks(), PlainColors()
+    out = folder / "language_features"
+    report = extract(find_photographs(folder), out, segmenter, embedder, layout, bits=32)
+    assert (report.made, report.kept, report.skipped) == ([f"{n}.png" for n in range(4)], 0, {})
+    regions = scoup.load_regions(folder, cameras)
+    assert regions.view_names == cameras.names
+    total = 0
+    for number, camera in enumerate(cameras):
+        image = smooth_image(camera.height, camera.width, number)
+        for level, masks in segmenter.segment(image).items():
+            item = regions.load(camera.name, level)
+            assert (item.labels.numpy() == paint(masks)).all()
+            assert item.embeddings.shape == (len(masks), embedder.dim)
+            total += len(masks)
+    assert report.regions == total
+    assert json.loads((out / MANIFEST).read_text())["embedding_model"] == "colors"
+
+
+@pytest.mark.parametrize("layout", ["compact", "langsplat"])
+def test_work_goes_on_where_it_stopped(tmp_path: Path, layout) -> None:
+    folder, _ = scene(tmp_path)
+    photographs = find_photographs(folder)
+    whole = tmp_path / "whole"
+    extract(photographs, whole, Blocks(), PlainColors(), layout)
+
+    class Stops(Blocks):
+        def segment(self, image: np.ndarray) -> dict[str, Masks]:
+            if self.calls == 2:
+                raise KeyboardInterrupt
+            return super().segment(image)
+
+    out = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        extract(photographs, out, Stops(), PlainColors(), layout)
+    before = snapshot(out)
+    segmenter = Blocks()
+    report = extract(photographs, out, segmenter, PlainColors(), layout)
+    assert (len(report.made), report.kept, segmenter.calls) == (2, 2, 2)
+    after = snapshot(out)
+    assert {name: after[name] for name in before} == before  # nothing is done twice
+    assert after == snapshot(whole)
+
+
+@pytest.mark.parametrize("layout", ["compact", "langsplat"])
+@pytest.mark.parametrize("kind", ["cut", "gone", "empty"])
+def test_damaged_views_are_made_again(tmp_path: Path, layout, kind: str) -> None:
+    folder, _ = scene(tmp_path)
+    out = tmp_path / "out"
+    extract(find_photographs(folder), out, Blocks(), PlainColors(), layout)
+    whole = snapshot(out)
+    victim = out / ("1.regions" if layout == "compact" else "1_made.json")
+    if kind == "gone":
+        victim.unlink()
+    else:
+        victim.write_bytes(victim.read_bytes()[: 0 if kind == "empty" else 20])
+    report = extract(find_photographs(folder), out, Blocks(), PlainColors(), layout)
+    assert (report.made, report.kept) == (["1.png"], 3)
+    assert snapshot(out) == whole
+
+
+def test_a_changed_photograph_is_done_again(tmp_path: Path) -> None:
+    folder, _ = scene(tmp_path)
+    out = tmp_path / "out"
+    extract(find_photographs(folder), out, Blocks(), PlainColors())
+    Image.fromarray(smooth_image(24, 32, 99)).save(folder / "images" / "1.png")
+    report = extract(find_photographs(folder), out, Blocks(), PlainColors())
+    assert (report.made, report.kept) == (["1.png"], 3)
+
+
+def test_changed_settings_are_refused_with_a_choice(tmp_path: Path) -> None:
+    folder, cameras = scene(tmp_path)
+    photographs, out = find_photographs(folder), tmp_path / "out"
+    extract(photographs, out, Blocks(), PlainColors())
+    before = snapshot(out)
+    for change in ({"bits": 32}, {"max_height": 10}, {"layout": "langsplat"}):
+        with pytest.raises(InputError, match=f"{next(iter(change)).replace('_', '.')}.*--out.*--overwrite"):
+            extract(photographs, out, Blocks(), PlainColors(), **change)
+    with pytest.raises(InputError, match=r"side: 16, not 8"):
+        extract(photographs, out, Blocks(16), PlainColors())
+    assert snapshot(out) == before
+
+    class Stops(Blocks):
+        def segment(self, image: np.ndarray) -> dict[str, Masks]:
+            if self.calls == 1:
+                raise KeyboardInterrupt
+            return super().segment(image)
+
+    # Given up for other settings, and interrupted: what is left of the old ones does not count.
+    with pytest.raises(KeyboardInterrupt):
+        extract(photographs, out, Stops(16), PlainColors(), overwrite=True)
+    with pytest.warns(ScoupWarning, match="skipped 3 of 4 cameras"):
+        assert scoup.load_regions(out, cameras).view_names == ("0.png",)
+    report = extract(photographs, out, Blocks(16), PlainColors())
+    assert (len(report.made), report.kept) == (3, 1)
+    assert len(scoup.load_regions(out, cameras)) == 4
+
+
+def test_features_made_by_others_are_left_alone(tmp_path: Path) -> None:
+    folder, _ = scene(tmp_path)
+    out = tmp_path / "out"
+    out.mkdir()
+    np.save(out / "0_s.npy", np.zeros((4, 2, 2), np.float32))
+    before = snapshot(out)
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match="not made by scoup extract"):
+            extract(find_photographs(folder), out, Blocks(), PlainColors(), overwrite=overwrite)
+    assert snapshot(out) == before
+
+
+def test_photographs_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
+    folder, _ = scene(tmp_path)
+    photographs = find_photographs(folder)
+    for name in ("1.png", "3.png"):
+        (folder / "images" / name).write_text("damaged")
+    with pytest.warns(ScoupWarning, match=r"skipped 2 of 4 photographs .*1\.png"):
+        report = extract(photographs, tmp_path / "out", Blocks(), PlainColors())
+    assert (report.made, list(report.skipped)) == (["0.png", "2.png"], ["1.png", "3.png"])
+    with pytest.raises(ScoupError, match="none of the 1 photographs"):
+        extract(photographs[1:2], tmp_path / "other", Blocks(), PlainColors())
+
+
+def test_two_photographs_of_one_stem_are_refused(tmp_path: Path) -> None:
+    folder, _ = scene(tmp_path)
+    Image.fromarray(smooth_image(9, 9)).save(folder / "images" / "1.left.png")
+    with pytest.raises(InputError, match=r"share the feature name '1'"):
+        extract(find_photographs(folder), tmp_path / "out", Blocks(), PlainColors())
+    assert not (tmp_path / "out").exists()
+
+
+def test_hidden_masks_are_dropped_where_wanted(tmp_path: Path) -> None:
+    class Covered(Blocks):
+        def segment(self, image: np.ndarray) -> dict[str, Masks]:
+            dense = np.zeros((3, *image.shape[:2]), bool)
+            dense[0, :5], dense[1, :9], dense[2, 12:] = True, True, True
+            return {level: Masks.from_dense(dense) for level in LEVELS}
+
+    folder, cameras = scene(tmp_path, 1)
+    for drop, rows in ((False, 3), (True, 2)):
+        segmenter = Covered()
+        segmenter.drop_hidden = drop
+        extract(find_photographs(folder), tmp_path / str(drop), segmenter, PlainColors())
+        item = scoup.load_regions(tmp_path / str(drop), cameras).load("0.png", "s")
+        assert len(item.embeddings) == rows
+        assert item.labels.unique().tolist() == ([-1, 0, 1] if drop else [-1, 1, 2])
+
+
+def test_memory_does_not_grow_with_the_number_of_photographs(tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    for number in range(16):
+        Image.fromarray(smooth_image(200, 300, number)).save(tmp_path / "images" / f"{number:02d}.png")
+    photographs = find_photographs(tmp_path)
+    extract(photographs[:1], tmp_path / "warm", Blocks(64), PlainColors())
+    peaks = []
+    for count in (4, 16):
+        tracemalloc.start()
+        extract(photographs[:count], tmp_path / str(count), Blocks(64), PlainColors())
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 6 * 200 * 300 * 3  # those read ahead, but not twelve images more
+
+
+def test_progress_counts_every_photograph(tmp_path: Path) -> None:
+    folder, _ = scene(tmp_path)
+    seen: list[tuple[int, int]] = []
+    photographs = find_photographs(folder)
+    extract(photographs[:2], tmp_path / "o", Blocks(), PlainColors(), progress=lambda _, *at: seen.append(at))
+    extract(photographs, tmp_path / "o", Blocks(), PlainColors(), progress=lambda _, *at: seen.append(at))
+    assert seen == [(0, 2), (1, 2), (2, 2), (2, 4), (3, 4), (4, 4)]
+
+
+def test_the_commit_of_a_model_stays_while_work_goes_on(tmp_path: Path, monkeypatch) -> None:
+    """A hub model may move on between two runs: the second must not use another one for the rest."""
+    asked: list[tuple[str, str | None]] = []
+    monkeypatch.setattr(
+        opening, "open_segmenter", lambda name, s, revision, *rest: asked.append((name, revision))
+    )
+    monkeypatch.setattr(
+        opening, "open_embedder", lambda name, revision, *rest: asked.append((name, revision))
+    )
+    record = {
+        "segmenter": "facebook/sam-vit-huge", "segmenter_revision": "abc",
+        "embedder": "some/clip", "embedder_revision": "",
+    }  # fmt: skip
+    write_manifest(tmp_path, RegionManifest("compact", "some/clip", record))
+    settings = MaskSettings()
+    opening.open_pair("sam-vit-h", "some/clip", settings, resumed=tmp_path)
+    opening.open_pair("sam-vit-h", "some/clip", settings, ("mine", None), resumed=tmp_path)
+    opening.open_pair("sam-vit-b", "some/clip", settings, resumed=tmp_path)
+    opening.open_pair("sam-vit-h", "some/clip", settings, resumed=None)
+    opening.open_pair("sam-vit-h", "some/clip", settings, resumed=tmp_path / "nowhere")
+    assert [revision for _, revision in asked[::2]] == ["abc", "mine", None, None, None]
+    assert [revision for _, revision in asked[1::2]] == [None] * 5
+
+
+def test_shards_make_together_what_one_makes_alone(tmp_path: Path) -> None:
+    folder, _ = scene(tmp_path, 5)
+    photographs = find_photographs(folder)
+    extract(photographs, tmp_path / "one", Blocks(), PlainColors())
+    for rank in (2, 0, 1):
+        report = extract(
+            photographs, tmp_path / "three", Blocks(), PlainColors(), processes=Processes(rank, 3)
+        )
+        assert report.made == [item.name for item in photographs[rank::3]]
+    assert snapshot(tmp_path / "one") == snapshot(tmp_path / "three")
+
+
+WORKER = """
+import sys, time
+from pathlib import Path
+sys.path[:0] = [{tests!r}, {own!r}]
+from test_extract_run import Blocks
+from scoup.extract import extract, find_photographs
+from scoup.base.processes import of_environment
+from scoup.extract.plain_colors import PlainColors
+
+class Slow(Blocks):
+    def segment(self, image):
+        time.sleep(0.4)
+        return super().segment(image)
+
+print("ready", flush=True)
+extract(find_photographs({scene!r}), Path({out!r}), Slow(), PlainColors(), processes=of_environment())
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_process_loses_only_its_view(tmp_path: Path) -> None:
+    """Two processes on one folder at once; one is killed outright. The next run does the rest, and only that."""
+    folder, _ = scene(tmp_path, 8)
+    photographs, out = find_photographs(folder), tmp_path / "out"
+    extract(photographs, tmp_path / "one", Blocks(), PlainColors())
+    own = Path(__file__).parent
+    code = WORKER.format(tests=str(own.parent), own=str(own), scene=str(folder), out=str(out))
+    start = [sys.executable, "-c", code]
+    workers = [
+        subprocess.Popen(
+            start, env={**os.environ, "RANK": str(rank), "WORLD_SIZE": "2"}, stdout=subprocess.PIPE
+        )
+        for rank in range(2)
+    ]
+    deadline = time.monotonic() + 120
+    while not (out / "1.regions").is_file() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    workers[1].send_signal(signal.SIGKILL)
+    assert workers[0].wait(120) == 0
+    workers[1].wait(120)
+    for worker in workers:
+        assert worker.stdout is not None
+        worker.stdout.close()
+    made = {path.stem for path in out.glob("*.regions") if not path.name.startswith(".")}
+    assert {"0", "2", "4", "6", "1"} <= made
+    assert len(made) < 8
+    report = extract(photographs, out, Blocks(), PlainColors())
+    assert (report.kept, len(report.made)) == (len(made), 8 - len(made))
+    there = {name: data for name, data in snapshot(out).items() if not name.startswith(".")}
+    assert there == snapshot(tmp_path / "one")
+
+
+def test_tiny_models_from_end_to_end(tmp_path: Path) -> None:
+    """SAM 2 and CLIP as their files are loaded, through the rules, to regions that ``load_regions`` reads."""
+    folder, cameras = scene(tmp_path, 2)
+    settings = MaskSettings(
+        points_per_side=3, predicted_iou=0.0, stability=0.3, stability_offset=0.02, least_score=0.0, crop_layers=0,
+        least_area=4,
+    )  # fmt: skip
+    sam = str(saved(tiny_sam2(), tmp_path / "sam"))
+    segmenter = open_segmenter(sam, settings)
+    embedder = open_embedder(str(saved(tiny_clip(), tmp_path / "clip")))
+    out = tmp_path / "out"
+    extract(find_photographs(folder), out, segmenter, embedder)
+    regions = scoup.load_regions(out, cameras)
+    for level in LEVELS:
+        rows, _ = regions.embeddings(level)
+        torch.testing.assert_close(rows.norm(dim=1), torch.ones(len(rows)))
+    assert sum(len(regions.embeddings(level)[0]) for level in LEVELS) >= 3
+    record = json.loads((out / MANIFEST).read_text())["settings"]
+    assert record["segmenter"] == str(tmp_path / "sam")
+    assert record["points_per_side"] == 3
+    full = open_segmenter(sam, settings, with_default=True)
+    extract(find_photographs(folder), tmp_path / "full", full, embedder, "langsplat")
+    planes = np.load(tmp_path / "full" / "0_s.npy")
+    assert planes[0].max() >= 0  # the level "default"
+    again = scoup.load_regions(tmp_path / "full", cameras)
+    for level in LEVELS:
+        one, other = regions.load("0.png", level), again.load("0.png", level)
+        assert torch.equal(one.labels, other.labels)
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_the_desk_from_photographs_to_regions(tmp_path: Path, data_folder: Path) -> None:
+    """Real photographs and COLMAP cameras, without a model."""
+    desk = data_folder / "desk"
+    photographs = find_photographs(desk)
+    assert len(photographs) == 29
+    report = extract(photographs[:2], tmp_path, Felzenszwalb(), PlainColors(), max_height=200)
+    assert report.bytes / 2 < 150_000
+    cameras = scoup.load_cameras(desk)[:2]
+    regions = scoup.load_regions(tmp_path, cameras)
+    counts = [len(regions.load(cameras[0].name, level).embeddings) for level in LEVELS]
+    assert counts[0] > counts[1] > counts[2] > 3
+    for level in LEVELS:
+        item = regions.load(cameras[0].name, level)
+        assert tuple(item.labels.shape) == (cameras[0].height, cameras[0].width)
+        assert int(item.labels.min()) == 0  # each level covers the image

@@ -1,0 +1,243 @@
+"""The field and its file."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import scoup
+from scoup import raster
+from scoup.base.errors import (
+    FileFormatError,
+    GeometryMismatchError,
+    InputError,
+    OutputExistsError,
+    ScoupError,
+)
+from scoup.field.language_field import FieldInfo, LanguageField
+from scoup.scene.codes import SparseCodes
+from scoup.uplift.build import BuildSettings, build
+from support import random_gaussians, small_scene, unit
+
+QUICK = BuildSettings(n_atoms=8, k=3, keep=3, rounds=1, solver="adam", epochs=20)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return small_scene()
+
+
+@pytest.fixture(scope="module")
+def field(scene) -> LanguageField:
+    return build(*scene, settings=QUICK, embedding_model="a/model")
+
+
+def test_unpainted_gaussians_have_empty_codes_and_render_as_nothing(scene):
+    gaussians, cameras, regions = scene
+    hidden = random_gaussians(5, 1, ("behind",))
+    hidden.means[:, 2] -= 50
+    both = scoup.Gaussians(
+        *(
+            torch.cat([getattr(gaussians, n), getattr(hidden, n)])
+            for n in ("means", "quats", "scales", "opacities", "sh")
+        )
+    )
+    field = build(both, cameras, regions, settings=QUICK)
+    assert not field.coded()[-5:].any()
+    relevancy = field.gaussian_relevancy(unit(torch.randn(2, 16)), unit(torch.randn(3, 16)))
+    assert (relevancy[:, :, -5:] == 0.5).all()
+    assert field.render_codes(cameras[0]).shape == (3, 30, 40, 8)
+
+
+def test_relevancy_equals_decoding_to_d_dimensions(scene, field):
+    camera = scene[1][0]
+    queries, canonical = unit(torch.randn(3, 16)), unit(torch.randn(4, 16))
+    actual = field.relevancy(camera, queries, canonical)
+    for s, level in enumerate(field.levels):
+        features = field.render_features(camera, level)
+        cosine = features @ queries.T
+        against = (features @ canonical.T).amax(-1, keepdim=True)
+        expected = torch.sigmoid(10 * (cosine - against)).permute(2, 0, 1)
+        assert torch.allclose(actual[s], expected, atol=1e-4)
+
+
+def test_gaussian_relevancy_equals_decoding(field):
+    queries, canonical = unit(torch.randn(3, 16)), unit(torch.randn(4, 16))
+    actual = field.gaussian_relevancy(queries, canonical)
+    for s in range(3):
+        codes = SparseCodes(field.code_indices[:, s], field.code_weights[:, s].float(), 8)
+        features = unit(codes.to_dense() @ field.codebook[s])
+        best = (features @ canonical.T).amax(1, keepdim=True)
+        assert torch.allclose(actual[s].T, torch.sigmoid(10 * (features @ queries.T - best)), atol=1e-4)
+
+
+def test_same_inputs_same_bytes(scene, tmp_path):
+    for name in ("a", "b"):
+        build(*scene, settings=QUICK).save(tmp_path / f"{name}.scoup")
+    assert (tmp_path / "a.scoup").read_bytes() == (tmp_path / "b.scoup").read_bytes()
+
+
+def test_file_round_trip(scene, field, tmp_path):
+    path = tmp_path / "f.scoup"
+    field.save(path, embed_geometry=True)
+    back = LanguageField.load(path)
+    for name in ("code_indices", "code_weights", "codebook"):
+        assert torch.equal(getattr(back, name), getattr(field, name))
+    assert back.info == field.info
+    assert back.cameras is not None
+    assert back.cameras.names == scene[1].names
+    assert torch.equal(back.cameras[1].viewmat, scene[1][1].viewmat)
+    assert back.gaussians.fingerprint() == scene[0].fingerprint()
+    camera, queries = scene[1][0], unit(torch.randn(1, 16))
+    assert torch.equal(back.relevancy(camera, queries, queries), field.relevancy(camera, queries, queries))
+
+
+def test_eight_bit_weights_are_close(field, tmp_path):
+    field.save(tmp_path / "f.scoup", weight_bits=8)
+    back = LanguageField.load(tmp_path / "f.scoup")
+    assert (back.code_weights.float() - field.code_weights.float()).abs().max() <= 1.5 / 255
+    with pytest.raises(InputError, match="8 or 16"):
+        field.save(tmp_path / "g.scoup", weight_bits=4)
+
+
+def test_geometry_is_found_by_relative_path_and_checked(scene, tmp_path):
+    gaussians, cameras, regions = scene
+    (tmp_path / "scene").mkdir()
+    splat = tmp_path / "scene" / "splat.ply"
+    scoup.save_gaussians(gaussians, splat)
+    stored = scoup.load_gaussians(splat)
+    build(stored, cameras, regions, settings=QUICK, geometry_path=splat).save(tmp_path / "scene" / "f.scoup")
+    (tmp_path / "scene").rename(tmp_path / "moved")
+    path = tmp_path / "moved" / "f.scoup"
+    assert len(LanguageField.load(path).gaussians) == len(gaussians)
+    with pytest.raises(GeometryMismatchError, match="not the geometry"):
+        LanguageField.load(path, random_gaussians(len(gaussians), 77))
+    (tmp_path / "moved" / "splat.ply").unlink()
+    with pytest.raises(FileFormatError, match=r"splat\.ply"):
+        _ = LanguageField.load(path).gaussians
+    assert LanguageField.load(path, stored).gaussians is stored
+
+
+def test_nothing_is_overwritten_unasked(field, tmp_path):
+    path = tmp_path / "f.scoup"
+    path.write_bytes(b"precious")
+    with pytest.raises(OutputExistsError, match="overwrite"):
+        field.save(path)
+    assert path.read_bytes() == b"precious"
+    field.save(path, overwrite=True)
+    assert len(LanguageField.load(path)) == len(field)
+
+
+def test_eight_bits_take_no_code_away(scene, tmp_path):
+    wide = BuildSettings(n_atoms=600, k=4, keep=0, epochs=2, rounds=1, solver="adam")
+    field = build(*scene, settings=wide)
+    assert field.code_indices.dtype == torch.uint16
+    even = LanguageField(
+        field.code_indices, torch.full_like(field.code_weights, 1 / 600), field.codebook, field.info, scene[0]
+    )
+    even.save(tmp_path / "f.scoup", weight_bits=8)
+    assert LanguageField.load(tmp_path / "f.scoup").coded().all()
+
+
+def test_more_than_256_atoms_from_build_to_answers(scene, tmp_path):
+    gaussians, cameras, regions = scene
+    field = build(gaussians, cameras, regions, settings=BuildSettings(n_atoms=300, rounds=1))
+    field.save(tmp_path / "f.scoup")
+    back = LanguageField.load(tmp_path / "f.scoup", gaussians)
+    queries = unit(torch.randn(2, 16))
+    features = back.render_features(cameras[0], "m")
+    expected = (features @ queries.T).permute(2, 0, 1)
+    best = expected.amax(0, keepdim=True)
+    actual = back.relevancy(cameras[0], queries, queries)[1]
+    assert torch.allclose(actual, torch.sigmoid(10 * (expected - best)), atol=1e-4)
+
+
+def test_wrong_queries_are_refused(scene, field):
+    with pytest.raises(InputError, match="16 dimensions"):
+        field.relevancy(scene[1][0], torch.randn(1, 17), torch.randn(1, 17))
+    with pytest.raises(InputError, match="no level 'x'"):
+        field.render_features(scene[1][0], "x")
+
+
+def test_parts_that_do_not_fit_are_refused(field):
+    info = field.info
+    good = (field.code_indices, field.code_weights, field.codebook)
+    for bad, message in [
+        ((good[0][:, :2], good[1], good[2]), "must both be"),
+        ((good[0], good[1], good[2][:2]), "does not fit"),
+        ((good[0].clone().fill_(8), good[1], good[2]), "beyond the 8 atoms"),
+        ((good[0], -good[1], good[2]), "negative"),
+        ((good[0], good[1], good[2] * torch.nan), "finite"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            LanguageField(*bad, info)
+    with pytest.raises(InputError, match="must both be"):
+        LanguageField(*good, FieldInfo(info.levels, "", info.fingerprint, 3))
+
+
+@pytest.fixture(scope="module")
+def field_bytes(field, tmp_path_factory) -> bytes:
+    path = tmp_path_factory.mktemp("field") / "f.scoup"
+    field.save(path, embed_geometry=True)
+    return path.read_bytes()
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(data=st.data())
+def test_damaged_files_never_crash(field_bytes, tmp_path, data):
+    damaged = bytearray(field_bytes)
+    if data.draw(st.booleans()):
+        del damaged[data.draw(st.integers(0, len(damaged))) :]
+    header = min(len(damaged), 8 + struct.unpack("<Q", field_bytes[:8])[0])
+    for _ in range(data.draw(st.integers(0, 6))):
+        if damaged:
+            limit = header if data.draw(st.booleans()) else len(damaged)
+            damaged[data.draw(st.integers(0, max(0, limit - 1)))] = data.draw(st.integers(0, 255))
+    path: Path = tmp_path / "damaged.scoup"
+    path.write_bytes(damaged)
+    message = "damaged.scoup"
+    try:
+        LanguageField.load(path)
+    except ScoupError as error:
+        message = str(error)
+    assert "damaged.scoup" in message
+
+
+def test_other_files_are_named_for_what_they_are(tmp_path):
+    from safetensors.torch import save_file
+
+    path = tmp_path / "x.scoup"
+    with pytest.raises(FileFormatError, match="no such file"):
+        LanguageField.load(path)
+    save_file({"a": torch.zeros(3)}, path)
+    with pytest.raises(FileFormatError, match="not a SCOUP language field"):
+        LanguageField.load(path)
+    metadata = {"scoup": json.dumps({"schema": "scoup.language_field", "version": 99})}
+    save_file({"a": torch.zeros(3)}, path, metadata)
+    with pytest.raises(FileFormatError, match="newer"):
+        LanguageField.load(path)
+
+
+def test_importing_scoup_is_light():
+    """`import scoup` loads neither torch nor model code."""
+    import subprocess
+    import sys
+
+    heavy = ("torch", "numpy", "transformers", "PIL", "scipy")
+    code = f"import sys, scoup; print([name for name in {heavy} if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+
+
+def test_every_public_name_loads():
+    for name in scoup.__all__:
+        assert getattr(scoup, name) is not None
+    assert callable(scoup.build)
+    assert raster.BACKENDS
+    with pytest.raises(AttributeError, match="no attribute"):
+        _ = scoup.nonsense

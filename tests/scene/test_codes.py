@@ -1,0 +1,96 @@
+"""Sparse codes: the top-K step and the Gram shortcut."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scoup.base.errors import InputError
+from scoup.scene.codes import SparseCodes, cosines_from_codes, full_float32, index_dtype
+from support import unit
+
+
+@given(rows=st.integers(0, 20), atoms=st.integers(1, 30), k=st.integers(1, 12), seed=st.integers(0, 999))
+def test_top_k_keeps_the_largest_and_sums_to_one(rows, atoms, k, seed):
+    generator = torch.Generator().manual_seed(seed)
+    dense = (torch.rand(rows, atoms, generator=generator) - 0.4).clamp(min=0)
+    codes = SparseCodes.from_dense(dense, k)
+    back = codes.to_dense()
+    for row, kept in zip(dense, back, strict=True):
+        expected = torch.zeros(atoms)
+        best = sorted(range(atoms), key=lambda j: (-row[j].item(), j))[: min(k, atoms)]
+        total = sum(row[j].item() for j in best)
+        if total > 0:
+            expected[best] = row[best] / total
+        assert torch.allclose(kept, expected, atol=1e-6)
+    assert (codes.weights[:, :-1] >= codes.weights[:, 1:]).all()
+
+
+def test_a_row_without_positive_entries_stays_empty():
+    codes = SparseCodes.from_dense(torch.tensor([[0.0, 0.0], [-1.0, 0.0]]), 2)
+    assert not codes.weights.any()
+
+
+def test_equal_entries_are_taken_by_index():
+    codes = SparseCodes.from_dense(torch.full((1, 9), 0.25), 3)
+    assert codes.indices.tolist() == [[0, 1, 2]]
+
+
+def test_indices_widen_beyond_256_atoms():
+    assert index_dtype(256) == torch.uint8
+    assert SparseCodes.from_dense(torch.rand(2, 257), 4).indices.dtype == torch.uint16
+    with pytest.raises(InputError, match="65536"):
+        index_dtype(70000)
+
+
+def test_wrong_parts_are_refused():
+    with pytest.raises(InputError, match="must both be"):
+        SparseCodes(torch.zeros(2, 3, dtype=torch.uint8), torch.zeros(2, 4), 8)
+    with pytest.raises(InputError, match=r"expected torch\.uint8"):
+        SparseCodes(torch.zeros(2, 3, dtype=torch.int64), torch.zeros(2, 3), 8)
+
+
+@given(seed=st.integers(0, 999), scale=st.sampled_from([1e-6, 1.0, 1e4]))
+def test_gram_shortcut_equals_decoding(seed, scale):
+    generator = torch.Generator().manual_seed(seed)
+    weights = torch.rand(3, 5, 8, generator=generator) * scale
+    weights[0, 0] = 0
+    codebook = torch.randn(8, 32, generator=generator)
+    queries = unit(torch.randn(4, 32, generator=generator))
+    decoded = unit(weights.double() @ codebook.double()) @ queries.double().T
+    assert torch.allclose(cosines_from_codes(weights, codebook, queries).double(), decoded, atol=1e-5)
+
+
+@pytest.mark.skipif(
+    not hasattr(torch.backends.cuda.matmul, "fp32_precision"), reason="torch is older than 2.9"
+)
+@pytest.mark.parametrize("asked", ["tf32", "ieee"])
+def test_products_are_full_however_the_user_set_their_precision(asked):
+    matmul = torch.backends.cuda.matmul
+    before = matmul.fp32_precision
+    matmul.fp32_precision = asked  # after which torch's older names for it raise an error
+    try:
+        with full_float32():
+            assert matmul.fp32_precision == "ieee"
+        assert matmul.fp32_precision == asked
+    finally:
+        matmul.fp32_precision = before
+
+
+@pytest.mark.filterwarnings("ignore:Please use the new API")
+@pytest.mark.parametrize("asked", ["highest", "high", "medium"])
+def test_products_are_full_whatever_bits_the_user_allows(asked):
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision(asked)
+    try:
+        with full_float32():
+            if hasattr(torch.backends.cuda.matmul, "fp32_precision"):
+                assert torch.backends.cuda.matmul.fp32_precision == "ieee"
+            else:
+                assert torch.get_float32_matmul_precision() == "highest"
+        assert torch.get_float32_matmul_precision() == asked
+        assert torch.backends.cuda.matmul.allow_tf32 == (asked != "highest")
+    finally:
+        torch.set_float32_matmul_precision(before)

@@ -1,0 +1,13 @@
+"""One small demo scene for all tests of this folder."""
+
+from __future__ import annotations
+
+import pytest
+
+from demo_support import SMALL
+from scoup.synthetic import DemoScene, make_demo_scene
+
+
+@pytest.fixture(scope="session")
+def scene() -> DemoScene:
+    return make_demo_scene(**SMALL)

@@ -1,0 +1,105 @@
+"""Synthetic data sets: every file of each layout is there and read by the readers of real ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
+from scoup.evaluate.datasets import Places, find_data_set, find_scenes, open_scene
+from scoup.evaluate.protocols import threed_ovs
+from scoup.io import load_cameras, load_gaussians, load_regions, read_points
+from scoup.io.labels import read_labels
+from scoup.models.word_table import load_table
+from scoup.synthetic import make_demo_scene
+from scoup.synthetic.data_sets import DataSetSize, write_data_set
+
+
+@pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360"])
+def test_twins_are_complete(synthetic_data_sets: Path, name: str) -> None:
+    root = synthetic_data_sets / name
+    data_set = find_data_set(name)
+    assert find_scenes(data_set, root) == ["shelves", "table"]
+    scene = open_scene(data_set, root, "table")
+    assert len(load_gaussians(scene.splat)) == 4000
+    assert len(scene.cameras) == 6
+    regions = load_regions(scene.features, scene.cameras)
+    assert len(regions) == 6
+    assert len(read_points(root / "table" / "sparse" / "0")[0]) == 4000
+    assert len(scene.frames) == 2
+    table = load_table(root / "table" / "text.npz")
+    assert {*scene.labels, "object", "things", "stuff", "texture"} <= set(table.names)
+    absent = (root / "table" / "absent.txt").read_text().split("\n")[:-1]
+    assert set(absent) <= set(table.names)
+    assert not set(absent) & set(scene.labels)
+    for camera in scene.cameras:
+        assert camera.image_path is not None
+        with Image.open(camera.image_path) as image:
+            assert image.size == (96, 72)
+    assert name in (root / "README.txt").read_text()
+
+
+def test_image_names_are_those_of_the_data_sets_and_no_positions(synthetic_data_sets: Path) -> None:
+    names = {
+        name: load_cameras(synthetic_data_sets / name / "table").names
+        for name in ("lerf-ovs", "3d-ovs", "mipnerf360")
+    }
+    assert names["lerf-ovs"][:3] == ("frame_00001.png", "frame_00003.png", "frame_00004.png")
+    assert names["3d-ovs"][:3] == ("00.png", "02.png", "03.png")
+    assert names["mipnerf360"][0].startswith("DSCF")
+
+
+def test_labels_are_the_truth_of_the_scene(synthetic_data_sets: Path) -> None:
+    demo = make_demo_scene(0, 4000, 96, 72, 6, 0, "table")
+    frames = read_labels(synthetic_data_sets / "lerf-ovs" / "label" / "table")
+    truth = demo.labelled_frame(demo.building[0].name, ("m", "l"))
+    assert frames[0].labels == truth.labels
+    for label, mask in truth.masks.items():
+        assert torch.equal(frames[0].masks[label], mask)
+    painted = threed_ovs.read_segmentations(synthetic_data_sets / "3d-ovs" / "table")
+    assert len(painted) == 2
+    for label, mask in painted[0].masks.items():
+        assert torch.equal(mask, truth.masks[label])
+    # Regions follow their views when these are renamed.
+    cameras = load_cameras(synthetic_data_sets / "lerf-ovs" / "table")
+    regions = load_regions(synthetic_data_sets / "lerf-ovs" / "table" / "language_features", cameras)
+    for new, old in zip(cameras, demo.building, strict=True):
+        assert torch.allclose(new.viewmat, old.viewmat, atol=1e-6)
+        assert torch.equal(regions.load(new.name, "m").labels, demo.regions.load(old.name, "m").labels)
+
+
+def test_labels_of_mipnerf360_may_have_their_own_size(synthetic_data_sets: Path) -> None:
+    frames = read_labels(synthetic_data_sets / "mipnerf360" / "label" / "table")
+    assert (frames[0].width, frames[0].height) == (48, 36)
+
+
+def test_refusals(synthetic_data_sets: Path, tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="data set"):
+        write_data_set("scannet", tmp_path)
+    with pytest.raises(UnknownNameError, match="layout"):
+        write_data_set("lerf-ovs", tmp_path, ("attic",))
+    with pytest.raises(InputError, match="labelled views"):
+        write_data_set("lerf-ovs", tmp_path, ("table",), DataSetSize(n_views=3, n_labelled=4))
+    (tmp_path / "table").mkdir()
+    with pytest.raises(OutputExistsError):
+        write_data_set("lerf-ovs", tmp_path, ("table",))
+    assert not list((tmp_path / "table").iterdir())
+
+
+def test_parts_of_a_scene_may_lie_elsewhere(synthetic_data_sets: Path, tmp_path: Path) -> None:
+    data_set, root = find_data_set("lerf-ovs"), synthetic_data_sets / "lerf-ovs"
+    places = Places(str(root / "{scene}" / "point_cloud.ply"), str(root / "{scene}" / "language_features"))
+    assert open_scene(data_set, root, "table", places).splat == root / "table" / "point_cloud.ply"
+    with pytest.raises(InputError, match="--gaussians"):
+        open_scene(data_set, root, "table", Places(gaussians=str(tmp_path / "{scene}.ply")))
+    with pytest.raises(InputError, match="--features"):
+        open_scene(data_set, root, "table", Places(features="absent"))
+    with pytest.raises(UnknownNameError, match="labelled scene"):
+        find_scenes(data_set, root, ["tabel"])
+    with pytest.raises(InputError, match="holds no labelled scene"):
+        find_scenes(data_set, tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        find_scenes(data_set, tmp_path / "absent")

@@ -1,0 +1,153 @@
+"""The synthetic room: the same again from the same seed, of the sizes asked for, seen by every camera."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from scoup import raster
+from scoup.base.errors import InputError
+from scoup.scene.regions import LEVELS
+from scoup.synthetic.room import (
+    SIZE,
+    clip_like,
+    clip_like_objects,
+    codes_in_space,
+    make_room,
+    room_cameras,
+    room_regions,
+    voronoi_labels,
+)
+
+
+def test_the_same_seed_gives_the_same_room():
+    one, same, other = make_room(500), make_room(500), make_room(500, seed=1)
+    assert one.fingerprint() == same.fingerprint()
+    assert torch.equal(one.sh, same.sh)
+    assert one.fingerprint() != other.fingerprint()
+
+
+@pytest.mark.parametrize("count", [1, 2, 30, 1000])
+def test_a_room_of_any_size(count):
+    room = make_room(count)
+    assert len(room) == count
+    assert room.finite().all()
+    assert torch.allclose(room.quats.norm(dim=1), torch.ones(count))
+    assert ((room.opacities > 0) & (room.opacities < 1)).all()
+    assert (room.means >= -0.1).all()
+    assert (room.means <= torch.from_numpy(SIZE) + 0.1).all()
+
+
+def test_no_room_without_gaussians():
+    with pytest.raises(InputError, match="at least one"):
+        make_room(0)
+
+
+def test_gaussians_lie_flat_on_their_surfaces():
+    room = make_room(2000)
+    assert (room.scales.argmin(1) == 2).float().mean() > 0.95
+    floor = room.select((room.means[:, 2].abs() < 0.02) & (room.opacities > 0))
+    # The third axis of the rotation, from the quaternion: its z component is 1 - 2 (x^2 + y^2).
+    up = 1 - 2 * (floor.quats[:, 1] ** 2 + floor.quats[:, 2] ** 2)
+    assert (up.abs() > 0.999).float().mean() > 0.8
+
+
+def test_orders_hold_the_same_gaussians():
+    random, morton = make_room(800), make_room(800, order="morton")
+    assert torch.equal(random.means.sum(1).sort().values, morton.means.sum(1).sort().values)
+
+    def steps(means: torch.Tensor) -> float:
+        return float((means[1:] - means[:-1]).norm(dim=1).mean())
+
+    assert steps(morton.means) < 0.4 * steps(random.means)
+
+
+def test_every_camera_is_inside_and_sees_the_room():
+    room = make_room(2000)
+    for camera in room_cameras(9, 64, 48):
+        assert (camera.position.numpy() > 0.2).all()
+        assert (camera.position.numpy() < SIZE - 0.2).all()
+        _, alpha = raster.render_channels(raster.project(room, camera), torch.ones(len(room), 1))
+        assert alpha.mean() > 0.5, camera.name
+
+
+def test_cameras_of_any_size():
+    lerf, small = room_cameras(1)[0], room_cameras(3, 494, 300)[0]
+    assert (lerf.width, lerf.height, lerf.fx) == (988, 731, 700)
+    assert (small.width, small.height, small.fx) == (494, 300, 350)
+    assert torch.equal(lerf.viewmat, small.viewmat)
+    assert len({tuple(camera.position.tolist()) for camera in room_cameras(7)}) == 7
+
+
+def test_labels_are_the_nearest_seed():
+    labels = voronoi_labels((5, 1, 3000), 40, 30, seed=3)
+    assert (labels.dtype, labels.shape) == (torch.int32, (3, 30, 40))
+    assert [int(level.max()) + 1 for level in labels] == [5, 1, 1200]
+    assert all(len(level.unique()) == count for level, count in zip(labels, (5, 1, 1200), strict=True))
+    assert torch.equal(labels, voronoi_labels((5, 1, 3000), 40, 30, seed=3))
+    seeds = np.random.default_rng(3).choice(1200, 5, replace=False)
+    rows, columns = np.mgrid[:30, :40]
+    away = [(rows - seed // 40) ** 2 + (columns - seed % 40) ** 2 for seed in seeds]
+    nearest = np.take_along_axis(np.stack(away), labels[:1].numpy().astype(np.int64), 0)[0]
+    assert np.array_equal(nearest, np.min(away, axis=0))
+
+
+def test_embeddings_are_as_alike_as_those_of_clip():
+    rows = clip_like(400, 512, seed=1, n_objects=300)
+    assert torch.allclose(rows.norm(dim=1), torch.ones(400))
+    cosines = rows @ rows.T
+    pairs = cosines[~torch.eye(400, dtype=torch.bool)]
+    assert 0.45 < float(pairs.median()) < 0.6
+    assert float(pairs.quantile(0.999)) > 0.8
+
+
+def test_embeddings_come_with_their_objects():
+    rows, which = clip_like_objects(600, 512, seed=1, n_objects=20)
+    assert torch.equal(rows, clip_like(600, 512, seed=1, n_objects=20))
+    same = which[:, None] == which
+    cosines = rows @ rows.T
+    assert float(cosines[same].min()) > 0.75
+    assert float(cosines[~same].max()) < 0.75
+    counts = torch.bincount(which, minlength=20)
+    assert len(counts) == 20
+    assert int(counts[0]) > 5 * int(counts[10:].float().mean())
+
+
+def test_regions_of_every_view():
+    cameras = room_cameras(5, 40, 30)
+    regions = room_regions(cameras, (8, 4, 2), dim=16, distinct=2)
+    assert (regions.levels, regions.view_names) == (LEVELS, cameras.names)
+    labels, embeddings = regions.load_view(cameras[3].name, 40, 30)
+    assert labels.shape == (3, 30, 40)
+    assert [tuple(rows.shape) for rows in embeddings] == [(8, 16), (4, 16), (2, 16)]
+    assert regions.embeddings("m")[0].shape == (20, 16)
+    assert torch.equal(labels, regions.load_view(cameras[1].name, 40, 30)[0])  # maps are shared in turn
+    assert not torch.equal(embeddings[0], regions.load_view(cameras[1].name, 40, 30)[1][0])
+    again = room_regions(cameras, (8, 4, 2), dim=16, distinct=2)
+    assert torch.equal(again.embeddings("s")[0], regions.embeddings("s")[0])
+    with pytest.raises(InputError, match="1 to 3 counts"):
+        room_regions(cameras, (1, 2, 3, 4))
+
+
+@pytest.mark.parametrize("n_atoms", [64, 300])
+def test_codes_are_shared_by_neighbours(n_atoms):
+    room = make_room(1000)
+    indices, weights = codes_in_space(room.means, 2, n_atoms, 3)
+    assert indices.shape == weights.shape == (1000, 2, 3)
+    assert torch.allclose(weights.sum(2), torch.ones(1000, 2))
+    assert int(indices.long().max()) < n_atoms
+    sets = {tuple(sorted(row)) for row in indices[:, 1].tolist()}
+    assert len(sets) <= 120
+    assert all(len(set(row)) == 3 for row in indices[:, 0].tolist())
+
+
+def test_the_middle_of_the_first_view_is_what_the_camera_looks_at():
+    camera = room_cameras(1)[0]
+    x, y, z = (
+        camera.viewmat[:3, :3] @ torch.tensor([4.2, 3.6, 0.7]).double() + camera.viewmat[:3, 3]
+    ).tolist()
+    assert math.hypot(x, y) < 1e-6
+    assert z > 4

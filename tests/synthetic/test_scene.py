@@ -1,0 +1,147 @@
+"""The demo scene: counts, sameness, and a truth that lies over the render."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from demo_support import SMALL
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.raster import project, render_channels, render_colors
+from scoup.scene.regions import LEVELS
+from scoup.synthetic import DemoScene, make_demo_scene
+from scoup.synthetic.layouts.table import make_room
+from scoup.synthetic.things import Parts
+
+
+def test_the_room_holds_what_the_demo_promises():
+    parts = Parts.of(make_room())
+    assert len(parts.objects) >= 18
+    assert len(parts.parts) > len(parts.objects) > len(parts.groups) >= 5
+    assert set(parts.object_of_part.tolist()) == set(range(len(parts.objects)))
+    assert set(parts.group_of_object.tolist()) == set(range(len(parts.groups)))
+
+
+def test_counts_and_values(scene: DemoScene):
+    gaussians = scene.gaussians
+    assert len(gaussians) == SMALL["n_gaussians"] == len(scene.part_of_gaussian)
+    assert bool(gaussians.finite().all())
+    assert gaussians.quats.norm(dim=1).sub(1).abs().max() < 1e-5
+    assert gaussians.opacities.min() > 0
+    assert gaussians.opacities.max() < 1
+    haze = scene.part_of_gaussian < 0
+    assert 0.01 < haze.float().mean() < 0.06
+    assert gaussians.opacities[~haze].min() >= 0.6
+    flat = gaussians.scales[~haze].sort(dim=1).values
+    assert (flat[:, 0] < 0.6 * flat[:, 1]).float().mean() > 0.95
+    assert len(scene.building) == SMALL["n_building"]
+    assert len(scene.held_out) == SMALL["n_held_out"]
+    assert scene.regions.view_names == scene.building.names
+    assert scene.regions.levels == LEVELS
+
+
+def test_objects_lie_in_no_order(scene: DemoScene):
+    part = scene.part_of_gaussian.double()
+    assert abs(float(torch.corrcoef(torch.stack([part[1:], part[:-1]]))[0, 1])) < 0.05
+
+
+def test_the_same_seed_gives_the_same_bytes():
+    sizes = {**SMALL, "n_gaussians": 4000, "n_building": 2, "n_held_out": 1}
+    first, again, other = (
+        make_demo_scene(3, **sizes),
+        make_demo_scene(3, **sizes),
+        make_demo_scene(4, **sizes),
+    )
+    assert first.gaussians.fingerprint() == again.gaussians.fingerprint() != other.gaussians.fingerprint()
+    assert torch.equal(first.gaussians.sh, again.gaussians.sh)
+    for level in LEVELS:
+        rows, same = first.regions.embeddings(level)[0], again.regions.embeddings(level)[0]
+        assert torch.equal(rows, same)
+    name = first.building.names[0]
+    assert torch.equal(first.regions.load(name, "s").labels, again.regions.load(name, "s").labels)
+    assert torch.equal(first.canonical, again.canonical)
+    assert not torch.equal(first.canonical, other.canonical)
+
+
+def test_the_truth_lies_over_the_render(scene: DemoScene):
+    objects = torch.from_numpy(scene.parts.at_level(scene.part_of_gaussian.numpy(), "m"))
+    one_hot = torch.nn.functional.one_hot(objects + 1, len(scene.parts.objects) + 1)[:, 1:].float()
+    camera = scene.held_out[0]
+    painted, alpha = render_channels(project(scene.gaussians, camera), one_hot)
+    assert (alpha > 0.9).float().mean() > 0.94
+    drawn = painted.argmax(-1).numpy()
+    truth = scene.parts.at_level(scene.part_maps[camera.name], "m")
+    assert (drawn == truth).mean() > 0.85
+    overlaps = {}
+    for name, mask in scene.labelled_frame(camera.name).masks.items():
+        shown = drawn == scene.parts.objects.index(name)
+        both, either = (shown & mask.numpy()).sum(), (shown | mask.numpy()).sum()
+        overlaps[name] = both / either
+    assert overlaps["teddy bear"] > 0.8
+    assert overlaps["table"] > 0.8
+    assert np.mean(list(overlaps.values())) > 0.6
+
+
+@pytest.mark.slow
+def test_the_truth_lies_over_the_render_at_full_size():
+    scene = make_demo_scene(n_held_out=1)
+    objects = torch.from_numpy(scene.parts.at_level(scene.part_of_gaussian.numpy(), "m"))
+    one_hot = torch.nn.functional.one_hot(objects + 1, len(scene.parts.objects) + 1)[:, 1:].float()
+    camera = scene.held_out[0]
+    painted, _ = render_channels(project(scene.gaussians, camera), one_hot)
+    drawn = painted.argmax(-1)
+    overlaps = []
+    for name, mask in scene.labelled_frame(camera.name).masks.items():
+        shown = drawn == scene.parts.objects.index(name)
+        overlaps.append(float((shown & mask).sum() / (shown | mask).sum()))
+    assert np.mean(overlaps) > 0.8
+    assert np.quantile(overlaps, 0.75) > 0.88
+
+
+def test_the_render_is_coloured_as_painted(scene: DemoScene):
+    camera = scene.building[2]
+    image = render_colors(scene.gaussians, camera)
+    assert image.shape == (SMALL["height"], SMALL["width"], 3)
+    assert 0.25 < image.mean() < 0.75
+    assert image.std() > 0.12
+    apple = scene.mask(camera.name, "apple")
+    red, green, blue = image[apple].mean(0).tolist()
+    assert red > 1.8 * green
+    assert red > 1.8 * blue
+
+
+def test_labelled_frames_hold_what_is_in_sight(scene: DemoScene):
+    name = scene.held_out.names[0]
+    frame = scene.labelled_frame(name, ("m", "l"))
+    assert frame.name == "held_out_00"
+    assert {"table", "teapot", "fruit bowl"} <= set(frame.labels)
+    for label, mask in frame.masks.items():
+        rows, columns = mask.nonzero().unbind(1)
+        x0, y0, x1, y1 = frame.boxes[label][0].tolist()
+        assert (columns.min(), rows.min(), columns.max(), rows.max()) == (x0, y0, x1, y1)
+    group = scene.parts.groups.index("fruit bowl")
+    members = [scene.parts.objects[k] for k in np.flatnonzero(scene.parts.group_of_object == group)]
+    union = torch.stack([scene.mask(name, member) for member in members]).any(0)
+    assert torch.equal(union, scene.mask(name, "fruit bowl"))
+
+
+def test_unknown_names_list_the_nearest(scene: DemoScene):
+    with pytest.raises(UnknownNameError, match="teapot"):
+        scene.level_of("tea pot")
+    with pytest.raises(UnknownNameError, match="kettle"):
+        scene.text_vectors(["ketle"])
+
+
+@pytest.mark.parametrize("wrong", [{"n_gaussians": 10}, {"width": 4}, {"n_building": 0}])
+def test_sizes_too_small_are_refused(wrong: dict[str, Any]):
+    with pytest.raises(InputError, match="at least 2000"):
+        make_demo_scene(**wrong)
+
+
+def test_two_things_of_one_name_are_refused():
+    room = make_room()
+    with pytest.raises(InputError, match="share a name"):
+        Parts.of((*room, room[-1]))
