@@ -109,7 +109,7 @@ def take_in(
         processes: each takes in its share.
     """
     mine = processes.share(cameras)
-    scene: raster.PreparedScene | None = None
+    scene: raster.PreparedGaussians | None = None
     progress(STAGE, 0, len(mine))
 
     def keep(camera: Camera, combined: CombinedLabels, found: ViewSums, order: Tensor | None) -> None:
@@ -126,7 +126,7 @@ def take_in(
                     f"{sums.path}: lacks the view {camera.name!r}, or it has changed since (camera or label maps); "
                     "take it in with scoup update, or build without these region sums"
                 )
-            scene = scene or raster.prepare(gaussians, backend)
+            scene = scene or raster.prepare_gaussians(gaussians, backend)
             view = raster.project(scene, camera, sums.raster_preset)
             found = raster.region_sums(view, combined)
             if kept is not None:
