@@ -7,7 +7,6 @@ import torch
 
 from raster.parity import BACKENDS, assert_close, assert_same_sums, needs_native
 from scoup import raster
-from scoup.base import backends
 from scoup.base.errors import InputError
 from scoup.scene.gaussians import Gaussians
 from support import make_camera, random_gaussians, random_labels, unit
@@ -159,22 +158,6 @@ def test_scales_count_by_their_size():
         for gaussians in (plain, mirrored)
     ]
     assert torch.equal(*alphas)
-
-
-def test_native_by_name_without_the_core_names_the_remedy(monkeypatch):
-    monkeypatch.setattr(backends, "native_core", lambda: None)
-    monkeypatch.setattr(
-        backends, "missing_reason", lambda: "the compiled core was not built; install a compiler"
-    )
-    gaussians = random_gaussians(COUNT, 1)
-    with pytest.raises(InputError, match=r"'native' cannot be used: .*install a compiler"):
-        raster.project(gaussians, CAMERA, backend="native")
-
-
-def test_the_reference_serves_without_the_core(monkeypatch):
-    monkeypatch.setattr(backends, "native_core", lambda: None)
-    monkeypatch.setattr(backends, "warn_if_missing", lambda: None)
-    assert raster.project(random_gaussians(COUNT, 1), CAMERA).backend == "reference"
 
 
 @with_native

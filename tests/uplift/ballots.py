@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from raster.parity import beyond
-from scoup.scene.codes import SparseCodes, row_products
+from scoup.scene.codes import SparseCodes, stable_products
 from scoup.uplift.entries import BUCKET, pack
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.vote import VotedEntries
@@ -69,7 +69,7 @@ def random_ballot(sizes: Sizes, seed: int) -> dict[str, Any]:
         dense[torch.rand(total, generator=generator) < 0.1] = 0
         codes.append(SparseCodes.from_dense(dense, sizes.k))
     atoms = torch.randn(sizes.levels, sizes.n_atoms, 16, generator=generator) + 0.3
-    grams = torch.stack([row_products(of_level, of_level) for of_level in atoms])
+    grams = torch.stack([stable_products(of_level, of_level) for of_level in atoms])
     return {"n_gaussians": sizes.n_gaussians, "views": views, "codes": codes, "grams": grams}
 
 

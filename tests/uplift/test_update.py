@@ -13,8 +13,8 @@ import scoup
 from scoup import raster
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.native import native_core
+from scoup.coding.embeddings import normalise_embeddings
 from scoup.coding.encode import encode
-from scoup.coding.rows import unit_rows
 from scoup.field.language_field import LanguageField
 from scoup.pictures.colors import code_picture
 from scoup.scene.cameras import Camera, Cameras
@@ -222,7 +222,7 @@ def test_an_update_equals_the_vote_of_all_views(wall: Wall, rounds: int) -> None
             rows = changed.load_embeddings(camera.name, level)
             known = coded.codes[s].rows(coded.rows[s].get(camera.name, slice(0, 0)))
             new = camera.name in ("late_0.png", "early_3.png")
-            parts.append(encode(unit_rows(rows), field.codebook[s], 2) if new else known)
+            parts.append(encode(normalise_embeddings(rows), field.codebook[s], 2) if new else known)
         of_level = parts[0]
         for part in parts[1:]:
             of_level = joined(of_level, part)

@@ -46,6 +46,18 @@ def native_core() -> ModuleType | None:
     return load_core().core
 
 
+def require_core() -> ModuleType:
+    """The module ``scoup._native``.
+
+    Raises:
+        InputError: there is none.
+    """
+    core, reason, _ = load_core()
+    if core is None:
+        raise InputError(f"the compiled core cannot be used: {reason}")
+    return core
+
+
 def missing_reason() -> str | None:
     """One sentence: why there is no compiled core, and the remedy. None if there is one."""
     return load_core().reason

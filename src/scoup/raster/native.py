@@ -8,21 +8,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.base.native import native_core
+from scoup.base.native import require_core
 from scoup.raster.presets import RasterPreset
 from scoup.scene.cameras import Camera
-from scoup.scene.codes import check_atoms, code_arrays, decoded, index_dtype, row_products
+from scoup.scene.codes import check_atoms, code_arrays, decoded, index_dtype, stable_products
 from scoup.scene.gaussians import Gaussians
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +56,7 @@ def make_scene(gaussians: Gaussians, ties: Tensor | None = None, many_views: boo
         many_views: compute what does not depend on the camera now, not for every projection.
     """
     with _refusals():
-        return _core().Scene(
+        return require_core().Scene(
             _array(gaussians.means),
             _array(gaussians.quats),
             _array(gaussians.scales),
@@ -76,7 +73,7 @@ def project(
     """See ``raster.project``. ``scene``: of these Gaussians, where ``make_scene`` has made it already."""
     scene = make_scene(gaussians) if scene is None else scene
     with _refusals():
-        handle = _core().project(
+        handle = require_core().project(
             scene,
             _array(camera.viewmat[:3], torch.float64),
             (camera.fx, camera.fy, camera.cx, camera.cy),
@@ -93,7 +90,7 @@ def project(
 def region_sums(projection: NativeProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
     with _refusals():
-        found = _core().region_sums(
+        found = require_core().region_sums(
             projection.handle, _array(combinations, torch.int32), torch.get_num_threads()
         )
     gaussian, combination, weight = (torch.from_numpy(part) for part in found)
@@ -103,7 +100,9 @@ def region_sums(projection: NativeProjection, combinations: Tensor) -> tuple[Ten
 def render_channels(projection: NativeProjection, values: Tensor) -> tuple[Tensor, Tensor]:
     """See ``raster.render_channels``."""
     with _refusals():
-        image, alpha = _core().render_channels(projection.handle, _array(values), torch.get_num_threads())
+        image, alpha = require_core().render_channels(
+            projection.handle, _array(values), torch.get_num_threads()
+        )
     return torch.from_numpy(image), torch.from_numpy(alpha)
 
 
@@ -112,7 +111,7 @@ def render_codes(projection: NativeProjection, indices: Tensor, weights: Tensor,
     table = _code_table(indices, weights, n_atoms)
     with _refusals():
         return torch.from_numpy(
-            _core().render_codes(projection.handle, *table, n_atoms, torch.get_num_threads())
+            require_core().render_codes(projection.handle, *table, n_atoms, torch.get_num_threads())
         )
 
 
@@ -130,9 +129,9 @@ def render_cosines_and_norms(
     table = _code_table(indices, weights, codebook.shape[1])
     levels, words = codebook.cpu(), queries.cpu()
     with _refusals():
-        grams = _array(torch.stack([row_products(atoms, atoms) for atoms in levels]))
-        scores = _array(torch.stack([row_products(atoms, words) for atoms in levels]))
-        found, norms = _core().render_cosines(
+        grams = _array(torch.stack([stable_products(atoms, atoms) for atoms in levels]))
+        scores = _array(torch.stack([stable_products(atoms, words) for atoms in levels]))
+        found, norms = require_core().render_cosines(
             projection.handle, *table, grams, scores, torch.get_num_threads()
         )
     return torch.from_numpy(found), torch.from_numpy(norms)
@@ -157,14 +156,7 @@ def count_work(projection: NativeProjection) -> dict[str, int]:
         "pairs": of a Gaussian and a tile that are visited before the tile's pixels are finished; "blocks": vectors
         of "lanes" pixels evaluated; "evaluations": pixels painted, alpha >= 1/255 and before the stop.
     """
-    return dict(_core().count_work(projection.handle, torch.get_num_threads()))
-
-
-def _core() -> ModuleType:
-    core = native_core()
-    if core is None:
-        raise InputError("the compiled core is not there; use the backend 'reference'")
-    return core
+    return dict(require_core().count_work(projection.handle, torch.get_num_threads()))
 
 
 def _array(tensor: Tensor, dtype: torch.dtype = torch.float32) -> np.ndarray:

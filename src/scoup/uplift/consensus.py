@@ -32,7 +32,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
-from scoup.coding.rows import unit_rows
+from scoup.coding.embeddings import normalise_embeddings
 from scoup.uplift.region_sums import RegionSums, Rows
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ def _counted(progress: Progress, total: int) -> Step:
 
 
 def _consensus(matrix: csr_array, rows: Tensor, settings: ConsensusSettings, step: Step) -> Tensor:
-    unit = unit_rows(rows).cpu()
+    unit = normalise_embeddings(rows).cpu()
     if _shape(matrix)[1] != len(unit):
         raise InputError(
             f"the region sums are of {_shape(matrix)[1]} regions, but there are {len(unit)} embeddings"

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.coding.codebook import check_new_atoms, encode_rows, learn_atoms
+from scoup.coding.embeddings import normalise_embeddings
 from scoup.coding.encode import encode
-from scoup.coding.rows import unit_rows
 from scoup.scene.codes import SparseCodes
 from scoup.scene.regions import Regions
 
@@ -81,7 +81,7 @@ def code_view(
             "this field does not tell how well its codebook explains regions (provenance), so none can be called badly "
             "explained; build it again, or add the view with new_atoms=0"
         )
-    rows = [unit_rows(of_level) for of_level in embeddings]
+    rows = [normalise_embeddings(of_level) for of_level in embeddings]
     expected = [0.0] * len(rows) if bars is None else bars
     encoded = [encode_rows(r, atoms, k, bar) for r, atoms, bar in zip(rows, codebook, expected, strict=True)]
     new = [

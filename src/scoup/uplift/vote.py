@@ -21,7 +21,7 @@ from scoup.base.native import native_core
 from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import restored
-from scoup.scene.codes import SparseCodes, index_dtype, row_products
+from scoup.scene.codes import SparseCodes, index_dtype, stable_products
 from scoup.uplift.entries import Entries
 from scoup.uplift.region_sums import RegionSums, Rows
 from scoup.uplift.reweighting import EarlierRound, sampled, sharpness_from
@@ -126,7 +126,7 @@ def vote(
     _check(sums, codes, codebook, rounds, keep, rows)
     n_atoms = codes[0].n_atoms
     kept = n_atoms if keep is None else keep
-    grams = torch.stack([row_products(atoms, atoms) for atoms in codebook.float().cpu()])
+    grams = torch.stack([stable_products(atoms, atoms) for atoms in codebook.float().cpu()])
     names = list(rows[0])
     views = {name: _views_of(sums, name, rows) for name in names}
     ballot = _ballot(

@@ -24,7 +24,7 @@ from scoup.raster.triton.kernels.products import products_kernel
 from scoup.raster.triton.projection import FUSED, TILE, Precision, TritonProjection
 from scoup.raster.triton.projection import project as project
 from scoup.raster.triton.region_sums import region_sums as sum_regions
-from scoup.scene.codes import cosines_from_products, full_products
+from scoup.scene.codes import cosines_from_products, float32_products
 
 PREPARES = False  # rows in another order have not been seen to pay here
 # Coefficients of a pixel that stay on the chip; with more, products leave no registers.
@@ -133,7 +133,7 @@ def render_cosines(
     """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
     levels, count = len(codebook), len(queries)
     codebook, queries = codebook.to(projection.device), queries.to(projection.device)
-    scores = full_products(codebook, queries)
+    scores = float32_products(codebook, queries)
     shape = (levels, count, projection.height, projection.width)
     return _render_products(projection, indices, weights, codebook, scores, shape, pixels_last=True)
 
@@ -144,7 +144,7 @@ def render_cosines_and_norms(
     """See ``raster.render_cosines_and_norms``."""
     levels, count = len(codebook), len(queries)
     codebook, queries = codebook.to(projection.device), queries.to(projection.device)
-    scores = full_products(codebook, queries)
+    scores = float32_products(codebook, queries)
     # One column more, of ones: the sum of the coefficients by the norm. The sum itself is a render of channels.
     table = torch.cat([scores, scores.new_ones(*scores.shape[:2], 1)], 2)
     shape = (levels, count + 1, projection.height, projection.width)
@@ -181,7 +181,7 @@ def _render_products(
     if 0 in (projection.n_gaussians, k, n_atoms, *shape):
         return torch.zeros(shape, device=projection.device)
     out = torch.empty(shape, device=projection.device)  # every number is written
-    grams = full_products(codebook, codebook)
+    grams = float32_products(codebook, codebook)
     of_codes = projection.products(wide=is_wide(projection, weights, n_atoms))
     if n_atoms > most_atoms_of_products(of_codes):
         return _products_by_level(projection, indices, weights, grams, table, out, pixels_last)
