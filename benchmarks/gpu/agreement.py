@@ -76,8 +76,8 @@ def questions(all_of_them: bool) -> dict[str, Callable[[Workload, raster.Project
 def voted(work: Workload, view: raster.Projection) -> Tensor:
     """[N, S, L]: all atoms are kept, so that no near tie decides which."""
     sums = region_sums_of_a_view(work, view)
-    device, n_atoms = work.labels.device, work.codebook.shape[1]
-    found = vote(sums, work.codes, work.codebook, keep=None, backend=view.backend, device=device)
+    n_atoms = work.codebook.shape[1]
+    found = vote(sums, work.codes, work.codebook, keep=None, backend=view.backend)
     out = torch.zeros(len(work.gaussians), len(work.codes), n_atoms)
     return out.scatter_add_(2, found.indices.long(), found.weights)
 

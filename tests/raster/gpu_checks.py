@@ -248,7 +248,8 @@ def check_repeated_atoms(device: str) -> None:
 
 def check_build(rounds: int, device: str) -> None:
     """A whole build gives the field that the reference gives."""
-    from scoup.uplift.build import build, build_settings
+    from scoup.uplift.build import build
+    from scoup.uplift.build_settings import build_settings
 
     gaussians, cameras, regions = small_scene(count=60, views=2, width=24, height=17, regions=4, dim=8)
     settings = build_settings("default", n_atoms=6, k=2, rounds=rounds)

@@ -190,8 +190,7 @@ def region_sums_of_a_view(work: Workload, view: raster.Projection, order: Tensor
 def vote_of_a_view(work: Workload, sums: RegionSums | None, backend: str) -> GaussianCodes:
     """One round over one view; most of it is what does not depend on the number of views."""
     assert sums is not None
-    keep, device = work.indices.shape[2], work.gaussians.device
-    return vote(sums, work.codes, work.codebook, 1, keep, backend=backend, device=device)
+    return vote(sums, work.codes, work.codebook, 1, work.indices.shape[2], backend=backend)
 
 
 def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[list[str], dict[str, str]]:

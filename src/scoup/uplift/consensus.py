@@ -38,7 +38,7 @@ from scoup.uplift.region_sums import RegionSums, Rows
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-STAGE = "consensus"  # what progress is told
+STAGE = "consensus"  # of progress
 SAMPLE = 2048  # regions whose pairs tell kappa; the median of their many pairs is that of all to about 1 %
 LEAST_DISTANCE = 1e-4  # what 1 - cos is told from 0; bounds kappa where all embeddings are equal
 BLOCK_ENTRIES = 4_000_000  # of M before pruning, at a time
@@ -96,7 +96,7 @@ def consensus(
         embeddings: per level, [R, D] in the order of ``Regions.embeddings``.
         rows: of each view in them; by default those that ``sums`` has.
         settings: see ``ConsensusSettings``.
-        progress: told of stage "consensus" in regions, each counted once for M and once a round.
+        progress: called for the stage "consensus" in regions, each counted once for M and once a round.
 
     Returns:
         Per level, [R, D] float32 on the device of the input: see ``consensus_of``.
@@ -148,7 +148,7 @@ def covisible(
     Args:
         matrix: A [N, R], the region sums of one level.
         settings: see ``ConsensusSettings``.
-        progress: told of stage "consensus" in regions.
+        progress: called for the stage "consensus" in regions.
     """
     from scipy.sparse import csr_array
 

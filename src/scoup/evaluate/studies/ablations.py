@@ -139,10 +139,10 @@ class _Workshop:
         if key not in self._codes:
             self._codes[key] = _code(rows, recipe, seed, self._epochs)
         codes, codebook = self._codes[key]
-        handed_on = recipe.keep or recipe.k
-        found = vote(sums, codes, codebook, recipe.rounds, recipe.keep, handed_on)
+        keep_between = recipe.keep or recipe.k
+        found = vote(sums, codes, codebook, recipe.rounds, recipe.keep, keep_between)
         if recipe.dropped is not None:
-            whole = vote(sums, codes, codebook, recipe.rounds, None, handed_on)
+            whole = vote(sums, codes, codebook, recipe.rounds, None, keep_between)
             found = _without(found, whole, recipe.dropped)
         return voted_field(found, codebook, recipe.keep is None)
 
