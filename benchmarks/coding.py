@@ -48,10 +48,10 @@ from benchmarks.coding_forms import (
 )
 from benchmarks.coding_tables import print_tables
 from benchmarks.raster import report
+from scoup.base.backends import default_backend
 from scoup.baselines.autoencoder import LANGSPLAT
 from scoup.bench import describe_environment, write_json
 from scoup.bench.measure import torch_threads
-from scoup.coding.arithmetic import arithmetic_at_hand
 from scoup.coding.exact import solve_exact
 from scoup.io import check_output
 from scoup.synthetic.room import clip_like_objects
@@ -111,7 +111,7 @@ def main(arguments: Arguments) -> Record:
             "repeats": arguments.repeats,
             "first_seed": arguments.seed,
             "adam_epochs": arguments.adam_epochs,
-            "exact_with": type(arithmetic_at_hand()).__name__,
+            "exact_with": default_backend(torch.device("cpu")),
             "schedules": {name: vars(settings) for name, settings in EXACT.items()},
         },
         "data": f"scoup.synthetic.room.clip_like, seed {arguments.seed}: unit, 300 objects, the i-th as often as 1/i",

@@ -26,7 +26,7 @@ from scoup.coding.adam import LEARNING_RATE, LOGIT_SCALE, AdamSettings, solve_ad
 from scoup.coding.encode import encode
 from scoup.coding.exact import EFFORTS, ExactSettings, solve_exact
 from scoup.coding.kmeans import spherical_kmeans
-from scoup.coding.report import code_cosines, report_on
+from scoup.coding.report import decoded_cosines, report_on
 from scoup.scene.codes import SparseCodes
 
 Record = dict[str, Any]
@@ -73,7 +73,7 @@ def judged(rows: Tensor, rare: Tensor, atoms: Tensor, codes: SparseCodes) -> Rec
     """Quality of codes of ``rows`` [R, D]; ``rare`` [R] from ``rarest_rows``."""
     report = report_on(rows, atoms, codes)
     chosen = rare.nonzero()[:, 0]
-    of_rare = code_cosines(rows[chosen], atoms, codes.rows(chosen))
+    of_rare = decoded_cosines(rows[chosen], atoms, codes.rows(chosen))
     return {
         "loss": report.loss,
         "low_cosine": report.low_cosine,

@@ -34,7 +34,8 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.synthetic.room import HEIGHT, REGIONS, WIDTH
-from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
 
 CHANGES: dict[str, dict[str, Any]] = {

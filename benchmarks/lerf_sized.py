@@ -34,7 +34,7 @@ from scoup.bench.environment import in_one_line
 from scoup.bench.measure import torch_threads
 from scoup.io import check_output
 from scoup.synthetic.room import HEIGHT, REGIONS, WIDTH, Order
-from scoup.uplift.build import build_settings
+from scoup.uplift.build_settings import build_settings
 
 PAPER_SECONDS = 42.0
 

@@ -15,7 +15,7 @@ from scoup.query.answers import QUERY_PRESETS, LevelChoice
 from scoup.scene.codes import SparseCodes
 from scoup.synthetic.faults import LevelSums
 from scoup.uplift import vote as uplift
-from scoup.uplift.build import BUILD_PRESETS, BuildSettings
+from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 from scoup.uplift.consensus import consensus_of
 from scoup.uplift.region_sums import RegionSums
 

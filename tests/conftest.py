@@ -19,7 +19,7 @@ settings.load_profile("scoup")
 if native.missing_reason() is not None:
     # Tests turn warnings into errors; that the core is missing is said by the tests that skip for it.
     os.environ["SCOUP_NATIVE"] = "off"
-    native._loaded.cache_clear()
+    native.load_core.cache_clear()
 
 
 @pytest.fixture(scope="session")

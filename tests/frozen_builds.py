@@ -19,7 +19,7 @@ import torch
 
 import scoup
 from scoup.bench import make_room, room_cameras, room_regions
-from scoup.uplift.build import build_settings
+from scoup.uplift.build_settings import build_settings
 
 EPOCHS = 30  # of the paper preset's solver, which is not what is frozen
 BUILDS = {

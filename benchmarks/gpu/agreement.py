@@ -76,8 +76,8 @@ def questions(all_of_them: bool) -> dict[str, Callable[[Workload, raster.Project
 def voted(work: Workload, view: raster.Projection) -> Tensor:
     """[N, S, L]: all atoms are kept, so that no near tie decides which."""
     sums = region_sums_of_a_view(work, view)
-    device, n_atoms = work.labels.device, work.codebook.shape[1]
-    found = vote(sums, work.codes, work.codebook, keep=None, backend=view.backend, device=device)
+    n_atoms = work.codebook.shape[1]
+    found = vote(sums, work.codes, work.codebook, keep=None, backend=view.backend)
     out = torch.zeros(len(work.gaussians), len(work.codes), n_atoms)
     return out.scatter_add_(2, found.indices.long(), found.weights)
 
@@ -96,13 +96,14 @@ def summed(work: Workload, view: raster.Projection) -> Tensor:
 
 def coded(context: Context, n_atoms: int, by_kernel: bool) -> Tensor:
     """[R] cosines of regions and their codes over a given codebook."""
-    from scoup.coding.arithmetic import GpuArithmetic, TorchArithmetic
+    from scoup.coding import reference
+    from scoup.coding.triton import coder
 
     sizes = context.sizes
     rows, atoms = clip_like(8 * n_atoms, sizes.dim, 3), clip_like(n_atoms, sizes.dim, 4)
     if not by_kernel:
-        return TorchArithmetic().code_rows(rows, atoms, sizes.k, 1).cosines
-    return GpuArithmetic().code_rows(rows.to(context.device), atoms.to(context.device), sizes.k, 1).cosines
+        return reference.code_rows(rows, atoms, sizes.k, 1).cosines
+    return coder.code_rows(rows.to(context.device), atoms.to(context.device), sizes.k, 1).cosines
 
 
 def compare(context: Context, name: str, ours: Callable[[], Tensor], theirs: Callable[[], Tensor]) -> None:

@@ -26,7 +26,7 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.uplift.build import build_settings
+from scoup.uplift.build_settings import build_settings
 
 WARM_UP_VIEWS = 4
 ROWS_AT_ONCE = 1 << 16

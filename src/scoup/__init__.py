@@ -30,6 +30,7 @@ _HOMES = {
     "vote": "scoup.uplift.vote",
     "LanguageField": "scoup.field.language_field",
     "build": "scoup.uplift.build",
+    "BuildSettings": "scoup.uplift.build_settings",
     "update": "scoup.uplift.update",
     "TextEncoder": "scoup.models.text",
     "localize": "scoup.query.answers",
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
     from scoup.scene.regions import RegionMap as RegionMap
     from scoup.scene.regions import Regions as Regions
     from scoup.uplift.build import build as build
+    from scoup.uplift.build_settings import BuildSettings as BuildSettings
     from scoup.uplift.rasterise import region_sums as region_sums
     from scoup.uplift.region_sums import RegionSums as RegionSums
     from scoup.uplift.update import update as update

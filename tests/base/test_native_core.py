@@ -11,14 +11,14 @@ from types import ModuleType
 import pytest
 
 from scoup.base import native
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base.errors import InputError, ScoupWarning, warn_once
 
 MODULE = "scoup._native"
 
 
 def forget() -> None:
-    native._loaded.cache_clear()
-    native._warn_once.cache_clear()
+    native.load_core.cache_clear()
+    warn_once.cache_clear()
 
 
 @pytest.fixture(autouse=True)
@@ -66,7 +66,7 @@ def fails_with(error: Exception) -> Callable[[str], ModuleType]:
 def test_a_core_that_was_built(core):
     assert native.native_core() is core
     assert native.missing_reason() is None
-    native.warn_once_if_missing()
+    native.warn_if_missing()
     assert core.used == "best"
 
 
@@ -92,10 +92,10 @@ def test_a_core_that_was_not_built(monkeypatch, platform, remedy):
 @pytest.mark.usefixtures("no_core")
 def test_the_user_is_told_once():
     with pytest.warns(ScoupWarning, match="slower code serves: the compiled core was not built"):
-        native.warn_once_if_missing()
+        native.warn_if_missing()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        native.warn_once_if_missing()
+        native.warn_if_missing()
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_core_that_does_not_load(monkeypatch, error):
 @pytest.mark.usefixtures("core")
 def test_switched_off_it_is_absent_in_silence(monkeypatch):
     monkeypatch.setenv("SCOUP_NATIVE", "off")
-    native.warn_once_if_missing()
+    native.warn_if_missing()
     assert native.native_core() is None
     assert native.missing_reason() == "the compiled core is switched off; unset SCOUP_NATIVE to use it"
 
@@ -138,7 +138,7 @@ def test_an_instruction_set_that_the_user_wants(core, monkeypatch):
 )
 def test_settings_that_cannot_be_used(monkeypatch, setting, problem):
     monkeypatch.setenv("SCOUP_NATIVE", setting)
-    for ask in (native.native_core, native.missing_reason, native.warn_once_if_missing):
+    for ask in (native.native_core, native.missing_reason, native.warn_if_missing):
         with pytest.raises(InputError, match=problem):
             ask()
 

@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from scoup import LanguageField, build
+from scoup import BuildSettings, LanguageField, build
 from scoup.base.errors import InputError
 from scoup.base.processes import Processes, device_of_process, of_environment, process_group
 from scoup.uplift.rasterise import region_sums, resumed
 from support import small_scene
+
+SETTINGS = BuildSettings(n_atoms=8, k=3)
 
 
 def test_shares_are_everything_once() -> None:
@@ -59,7 +61,7 @@ def build_in_process(rank: int, world: int, port: int, folder: Path) -> None:
     with process_group("cpu") as processes:
         assert processes == Processes(rank, world)
         sums = resumed(folder / f"partial.{rank}", gaussians, regions)
-        field = build(gaussians, cameras, regions, n_atoms=8, k=3, sums=sums)
+        field = build(gaussians, cameras, regions, settings=SETTINGS, sums=sums)
     field.save(folder / f"{rank}.scoup")
 
 
@@ -84,7 +86,7 @@ def build_together(world: int, folder: Path) -> list[LanguageField]:
 def test_several_processes_build_what_one_builds(tmp_path: Path, world: int) -> None:
     """To the byte: each votes for its share of the Gaussians, with the sums of all."""
     gaussians, cameras, regions = small_scene(count=700, views=5)
-    build(gaussians, cameras, regions, n_atoms=8, k=3).save(tmp_path / "alone.scoup")
+    build(gaussians, cameras, regions, settings=SETTINGS).save(tmp_path / "alone.scoup")
     build_together(world, tmp_path)
     for rank in range(world):
         assert (tmp_path / f"{rank}.scoup").read_bytes() == (tmp_path / "alone.scoup").read_bytes()
@@ -93,7 +95,7 @@ def test_several_processes_build_what_one_builds(tmp_path: Path, world: int) -> 
 def test_what_a_process_has_taken_in_counts_once(tmp_path: Path) -> None:
     """The views in a process's file are not rasterised again, whoever's share they are."""
     gaussians, cameras, regions = small_scene(count=700, views=5)
-    build(gaussians, cameras, regions, n_atoms=8, k=3).save(tmp_path / "alone.scoup")
+    build(gaussians, cameras, regions, settings=SETTINGS).save(tmp_path / "alone.scoup")
     region_sums(gaussians, cameras[:3], regions, path=tmp_path / "partial.0").close()
     build_together(2, tmp_path)
     for rank in range(2):

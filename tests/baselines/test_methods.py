@@ -14,7 +14,8 @@ from scoup.baselines.dense import dense_features
 from scoup.baselines.methods import METHODS, MethodSettings, find_method
 from scoup.baselines.pixel_rules import gathered_sums
 from scoup.field.relevancy import relevancy
-from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
 from support import small_scene, unit
 

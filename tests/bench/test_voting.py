@@ -18,7 +18,7 @@ from scoup.evaluate.protocols.lerf_ovs import score_frame
 from scoup.field.relevancy import relevancy
 from scoup.query.answers import QUERY_PRESETS
 from scoup.synthetic.faults import as_region_sums
-from scoup.uplift.build import BuildSettings
+from scoup.uplift.build_settings import BuildSettings
 
 PARTS = ("_scenes", "_ways", "_scores", "_results")
 ROOT = Path(__file__).resolve().parents[2]

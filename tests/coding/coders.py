@@ -13,28 +13,29 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.coding.reference import Coded, code
+from scoup.coding.backends import RowCodes
+from scoup.coding.reference import code
 
-Coder = Callable[..., Coded]
+Coder = Callable[..., RowCodes]
 """``coder(similarities, gram, k, swap_passes=0, warm=None)``, all float32 but the warm supports."""
 
 
 def reference_coder(
     similarities: Tensor, gram: Tensor, k: int, swap_passes: int = 0, warm: Tensor | None = None
-) -> Coded:
+) -> RowCodes:
     return code(similarities, gram, k, swap_passes, warm)
 
 
 def native_coder(core: ModuleType) -> Coder:
     def run(
         similarities: Tensor, gram: Tensor, k: int, swap_passes: int = 0, warm: Tensor | None = None
-    ) -> Coded:
+    ) -> RowCodes:
         start = None if warm is None else warm.int().numpy()
         arrays = core.code_similarities(
             similarities.contiguous().numpy(), gram.contiguous().numpy(), k, swap_passes, start
         )
         support, weights, cosines = (torch.from_numpy(array) for array in arrays)
-        return Coded(support.long(), weights.double(), cosines.double())
+        return RowCodes(support.long(), weights.double(), cosines.double())
 
     return run
 
@@ -49,13 +50,13 @@ def interpreted_coder(worker: Executor) -> Coder:
         swap_passes: int = 0,
         warm: Tensor | None = None,
         block_rows: int | None = None,
-    ) -> Coded:
+    ) -> RowCodes:
         start = None if warm is None else warm.int().numpy()
         task = worker.submit(
             _interpreted, similarities.numpy(), gram.numpy(), k, swap_passes, start, block_rows
         )
         support, weights, cosines = (torch.from_numpy(array) for array in task.result())
-        return Coded(support.long(), weights.double(), cosines.double())
+        return RowCodes(support.long(), weights.double(), cosines.double())
 
     return run
 
@@ -94,7 +95,7 @@ def problem(count: int, n_atoms: int, dim: int = 32, seed: int = 0) -> tuple[Ten
     return rows, atoms, rows @ atoms.T, atoms @ atoms.T
 
 
-def dense(coded: Coded, n_atoms: int) -> Tensor:
+def dense(coded: RowCodes, n_atoms: int) -> Tensor:
     """[n, L] float64 weights."""
     weights = torch.zeros(len(coded.support), n_atoms, dtype=torch.float64)
     return weights.scatter_add_(1, coded.support.clamp(min=0), coded.weights)
@@ -115,7 +116,7 @@ def best_of_all_supports(similarities: Tensor, gram: Tensor, k: int) -> Tensor:
     return best
 
 
-def assert_valid(coded: Coded, similarities: Tensor, gram: Tensor, k: int) -> None:
+def assert_valid(coded: RowCodes, similarities: Tensor, gram: Tensor, k: int) -> None:
     """Codes are well formed, and their weights optimal for the atoms used."""
     used = coded.support >= 0
     assert coded.support.shape == coded.weights.shape == (len(similarities), k)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.coding import Codebook, fit_codes
-from scoup.coding.report import code_cosines, explained_from, report_on
+from scoup.coding.report import decoded_cosines, explained_from, report_on
 from scoup.scene.codes import SparseCodes
 
 KNOWN, UNSEEN = 200, 8  # things
@@ -103,7 +103,7 @@ def test_cosines_and_marks() -> None:
     book, rows = learned()
     mixed = torch.cat([rows[:5], strange(2), torch.zeros(2, 16), -rows[:1]])
     encoded = book.encode(7 * mixed)
-    expected = code_cosines(torch.nn.functional.normalize(mixed, dim=1), book.atoms, encoded.codes)
+    expected = decoded_cosines(torch.nn.functional.normalize(mixed, dim=1), book.atoms, encoded.codes)
     assert encoded.cosines.dtype == torch.float32
     torch.testing.assert_close(encoded.cosines, expected)
     # Nothing to explain is not badly explained; what has no code at all is.

@@ -13,27 +13,29 @@ from torch import Tensor
 
 from scoup.coding import exact, fit_codes
 from scoup.coding.adam import AdamSettings, solve_adam
-from scoup.coding.arithmetic import Arithmetic, NativeArithmetic, TorchArithmetic
-from scoup.coding.exact import FAST, ExactSettings, solve_exact
+from scoup.coding.backends import coding_backend
+from scoup.coding.exact import FAST, ExactSettings, Learner, solve_exact
 from scoup.coding.exact_start import starting_atoms
 from scoup.coding.reference import code
 from scoup.coding.report import report_on
 
+REFERENCE = coding_backend(torch.device("cpu"), "reference")
 QUICK = ExactSettings(steps=30, batch=100, passes=3)
 
 
-def test_ends_below_adam(arithmetic: Arithmetic) -> None:
+def test_ends_below_adam(backend: str) -> None:
     rows = clip_like(600, 48, objects=40)
     adam = solve_adam(rows, 16, 3, settings=AdamSettings(epochs=500))
     adam_loss = report_on(rows, adam.atoms, adam.codes).loss
-    losses = {name: solve_exact(rows, 16, 3, 0, preset).losses[-1] for name, preset in exact.EFFORTS.items()}
+    efforts = exact.EFFORTS.items()
+    losses = {name: solve_exact(rows, 16, 3, 0, each, backend=backend).losses[-1] for name, each in efforts}
     assert losses["best"] < losses["fast"] < adam_loss
 
 
-def test_atoms_codes_and_losses_fit_together(arithmetic: Arithmetic) -> None:
+def test_atoms_codes_and_losses_fit_together(backend: str) -> None:
     rows = clip_like(400, 24)
     seen: list[tuple[str, int, int]] = []
-    solution = solve_exact(rows, 20, 4, 1, QUICK, progress=lambda *call: seen.append(call))
+    solution = solve_exact(rows, 20, 4, 1, QUICK, lambda *call: seen.append(call), backend)
     torch.testing.assert_close(torch.linalg.vector_norm(solution.atoms, dim=1), torch.ones(20))
     report = report_on(rows, solution.atoms, solution.codes)
     assert report.loss == pytest.approx(solution.losses[-1], abs=1e-5)
@@ -47,12 +49,10 @@ def test_atoms_codes_and_losses_fit_together(arithmetic: Arithmetic) -> None:
     assert bool((weights[:, :-1] >= weights[:, 1:]).all())
 
 
-def test_passes_that_raise_the_loss_are_taken_back(
-    arithmetic: Arithmetic, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_passes_that_raise_the_loss_are_taken_back(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = clip_like(300, 16, objects=60)
     monkeypatch.setattr(exact, "OVERSTEP", 30.0)  # diverges
-    wild = solve_exact(rows, 8, 2, 0, ExactSettings(steps=5, passes=6))
+    wild = solve_exact(rows, 8, 2, 0, ExactSettings(steps=5, passes=6), backend=backend)
     assert all(later <= earlier for earlier, later in itertools.pairwise(wild.losses))
     assert wild.losses[7:] == (), "no pass was taken back: proves nothing"
     assert report_on(rows, wild.atoms, wild.codes).loss == pytest.approx(wild.losses[-1], abs=1e-5)
@@ -65,11 +65,9 @@ def test_the_gradient_is_that_of_the_loss() -> None:
         codebook = codebook.double()
         return (1 - code(rows.double() @ codebook.T, codebook @ codebook.T, 3, 2).cosines).mean()
 
-    learner = exact._Learner(rows, 7, 3, 0)
+    learner = Learner(rows, 7, 3, 0, REFERENCE)
     learner.atoms = atoms
-    learner._arithmetic = TorchArithmetic()
-    codes = learner._code(learner.atoms, swap_passes=2)
-    gradient = learner._gradient(*learner._moments(learner._rows, codes)).double() / 60
+    gradient = learner.gradient(rows, learner.code(atoms, swap_passes=2)).double()
     direction = torch.randn(7, 10, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     step = 1e-6
     slope = (loss(atoms + step * direction) - loss(atoms - step * direction)) / (2 * step)
@@ -77,67 +75,64 @@ def test_the_gradient_is_that_of_the_loss() -> None:
 
 
 @pytest.mark.parametrize(("count", "distinct"), [(1, 1), (3, 3), (9, 9), (60, 1), (60, 2)])
-def test_few_and_identical_rows(arithmetic: Arithmetic, count: int, distinct: int) -> None:
+def test_few_and_identical_rows(backend: str, count: int, distinct: int) -> None:
     rows = clip_like(distinct, 6, objects=4)[torch.arange(count) % distinct]
-    solution = solve_exact(rows, 8, 3, 0, QUICK)
+    solution = solve_exact(rows, 8, 3, 0, QUICK, backend=backend)
     assert solution.atoms.shape == (8, 6)
     assert bool(solution.atoms.isfinite().all())
     assert report_on(rows, solution.atoms, solution.codes).loss < 1e-3
 
 
 @pytest.mark.parametrize(("n_atoms", "k"), [(1, 1), (1, 4), (5, 1), (3, 8), (40, 16), (300, 2)])
-def test_sizes_of_codebook_and_code(arithmetic: Arithmetic, n_atoms: int, k: int) -> None:
+def test_sizes_of_codebook_and_code(backend: str, n_atoms: int, k: int) -> None:
     rows = clip_like(80, 20)
-    solution = solve_exact(rows, n_atoms, k, 0, ExactSettings(steps=6, batch=32, passes=2))
+    solution = solve_exact(rows, n_atoms, k, 0, ExactSettings(steps=6, batch=32, passes=2), backend=backend)
     assert solution.atoms.shape == (n_atoms, 20)
     assert solution.codes.weights.shape == (80, k)
     torch.testing.assert_close(solution.codes.weights.sum(1), torch.ones(80))
     assert int(solution.codes.indices.long().max()) < n_atoms
 
 
-def test_a_thousand_atoms(core: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exact, "arithmetic_at_hand", lambda device: NativeArithmetic(core))
+def test_a_thousand_atoms(core: ModuleType) -> None:
     rows = clip_like(1500, 32, objects=200)
-    solution = solve_exact(rows, 1024, 16, 0, ExactSettings(steps=2, passes=1))
+    solution = solve_exact(rows, 1024, 16, 0, ExactSettings(steps=2, passes=1), backend="native")
     assert report_on(rows, solution.atoms, solution.codes).loss < 0.01
 
 
-def test_opposite_rows_may_stay_without_a_code(arithmetic: Arithmetic) -> None:
+def test_opposite_rows_may_stay_without_a_code(backend: str) -> None:
     rows = torch.cat([clip_like(40, 6), -clip_like(40, 6)])
-    solution = solve_exact(rows, 1, 1, 0, QUICK)  # one atom cannot serve both
+    solution = solve_exact(rows, 1, 1, 0, QUICK, backend=backend)  # one atom cannot serve both
     assert set(solution.codes.weights[:, 0].tolist()) == {0.0, 1.0}
-    assert solve_exact(rows, 4, 1, 0, QUICK).losses[-1] < 0.4
+    assert solve_exact(rows, 4, 1, 0, QUICK, backend=backend).losses[-1] < 0.4
 
 
 def test_rare_atoms_are_placed_at_badly_coded_rows() -> None:
     rows = clip_like(50, 8, objects=30)
-    learner = exact._Learner(rows, 4, 2, 0)
+    learner = Learner(rows, 4, 2, 0, REFERENCE)
     cosines = torch.linspace(1.0, 0.5, 50)
-    placed = learner._reseed(torch.tensor([1, 3]), learner._rows, cosines)
+    placed = learner.reseed(torch.tensor([1, 3]), rows, cosines)
     assert placed.tolist() == [1, 3]
     assert learner.atoms[[1, 3]].equal(rows[[49, 48]])
     before = learner.atoms.clone()
-    assert len(learner._reseed(torch.arange(4), learner._rows, torch.ones(50))) == 0  # nothing to mend
+    assert len(learner.reseed(torch.arange(4), rows, torch.ones(50))) == 0  # nothing to mend
     assert learner.atoms.equal(before)
-    assert (
-        len(learner._reseed(torch.arange(4), learner._rows[:2], cosines[-2:])) == 2
-    )  # fewer rows than atoms
+    assert len(learner.reseed(torch.arange(4), rows[:2], cosines[-2:])) == 2  # fewer rows than atoms
 
 
-def test_the_start_spreads_over_clusters(arithmetic: Arithmetic) -> None:
+def test_the_start_spreads_over_clusters(backend: str) -> None:
     generator = torch.Generator().manual_seed(0)
     centres = torch.linalg.qr(torch.randn(16, 6, generator=generator)).Q.T
     rows = centres.repeat_interleave(1000, 0) + 0.05 * torch.randn(6000, 16, generator=generator)
     unit = torch.nn.functional.normalize(rows, dim=1)
-    atoms = starting_atoms(unit, 6, torch.Generator().manual_seed(3), arithmetic)
+    atoms = starting_atoms(unit, 6, torch.Generator().manual_seed(3), coding_backend(unit.device, backend))
     nearest = (centres @ atoms.T).max(1)
     assert sorted(nearest.indices.tolist()) == list(range(6))
     assert float(nearest.values.min()) > 0.99
 
 
-def test_same_seed_same_bytes(arithmetic: Arithmetic) -> None:
+def test_same_seed_same_bytes(backend: str) -> None:
     rows = clip_like(300, 16)
-    first, second, other = (solve_exact(rows, 12, 3, seed, FAST) for seed in (5, 5, 6))
+    first, second, other = (solve_exact(rows, 12, 3, seed, FAST, backend=backend) for seed in (5, 5, 6))
     assert first.atoms.equal(second.atoms)
     assert first.codes.weights.equal(second.codes.weights)
     assert first.codes.indices.equal(second.codes.indices)
@@ -145,16 +140,15 @@ def test_same_seed_same_bytes(arithmetic: Arithmetic) -> None:
     assert not first.atoms.equal(other.atoms)
 
 
-def test_same_bytes_whatever_the_number_of_threads(core: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exact, "arithmetic_at_hand", lambda device: NativeArithmetic(core))
+def test_same_bytes_whatever_the_number_of_threads(core: ModuleType) -> None:
     rows = clip_like(5000, 200, objects=100)  # more than the sample of the start
     before = torch.get_num_threads()
     solutions, books = [], []
     try:
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
-            solutions.append(solve_exact(rows, 70, 4, 0, ExactSettings(steps=60, passes=2)))
-            books.append(fit_codes(rows, 20, 4, solver="exact"))
+            solutions.append(solve_exact(rows, 70, 4, 0, ExactSettings(steps=60, passes=2), backend="native"))
+            books.append(fit_codes(rows, 20, 4, solver="exact", backend="native"))
     finally:
         torch.set_num_threads(before)
     assert len({replace(book.report, seconds=0.0) for book in books}) == 1
@@ -166,21 +160,21 @@ def test_same_bytes_whatever_the_number_of_threads(core: ModuleType, monkeypatch
         assert solution.losses == solutions[0].losses
 
 
-def test_fit_codes_with_the_exact_solver(arithmetic: Arithmetic) -> None:
+def test_fit_codes_with_the_exact_solver(backend: str) -> None:
     rows = clip_like(120, 16) * 3
     rows[[0, 50]] = 0
-    book = fit_codes(rows, 10, 3, solver="exact", seed=2)
+    book = fit_codes(rows, 10, 3, solver="exact", seed=2, backend=backend)
     assert (book.report.solver, book.report.regions, book.report.epochs) == ("exact", 118, 205)
     assert not bool(book.codes.weights[[0, 50]].any())
-    kept = fit_codes(rows[rows.any(1)], 10, 3, solver="exact", seed=2)
+    kept = fit_codes(rows[rows.any(1)], 10, 3, solver="exact", seed=2, backend=backend)
     assert kept.atoms.equal(book.atoms)
     assert fit_codes(torch.zeros(3, 8), 4, 2, solver="exact").report.epochs == 0
 
 
-def test_interruption_passes_through(arithmetic: Arithmetic) -> None:
+def test_interruption_passes_through(backend: str) -> None:
     def interrupt(stage: str, done: int, total: int) -> None:
         if done == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        solve_exact(clip_like(50), 4, 2, progress=interrupt)
+        solve_exact(clip_like(50), 4, 2, progress=interrupt, backend=backend)

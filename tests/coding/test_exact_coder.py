@@ -24,10 +24,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from scoup.coding import encode as encode_module
-from scoup.coding.arithmetic import NativeArithmetic, RowCodes, TorchArithmetic
+from scoup.coding import native, reference
+from scoup.coding.backends import RowCodes
 from scoup.coding.encode import encode
-from scoup.coding.reference import nonnegative_least_squares
+from scoup.coding.least_squares import nonnegative_least_squares
 
 
 # Seeds of the problems are fixed; shares and gaps stand well clear of what either form reaches.
@@ -262,8 +262,8 @@ def test_products_moments_and_solutions(core: ModuleType, count: int, dim: int, 
     tensors = [torch.from_numpy(array) for array in (rows, support, weights, scale)]
     codes = RowCodes(*tensors[1:])
     for ours, theirs in zip(
-        NativeArithmetic(core).code_moments(tensors[0], codes, tensors[3], n_others),
-        TorchArithmetic().code_moments(tensors[0], codes, tensors[3], n_others),
+        native.code_moments(tensors[0], codes, tensors[3], n_others),
+        reference.code_moments(tensors[0], codes, tensors[3], n_others),
         strict=True,
     ):
         np.testing.assert_allclose(ours, theirs, atol=1e-4)
@@ -354,16 +354,15 @@ def test_empty_arrays(core: ModuleType) -> None:
     assert toward.shape == (2, 3)
 
 
-def test_encode_agrees_with_the_torch_form(core: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_encode_agrees_with_the_reference(core: ModuleType) -> None:
     rows, atoms = clip_like(400), clip_like(50, seed=1) * 3
-    codes = {}
-    for name, arithmetic in (("native", NativeArithmetic(core)), ("torch", TorchArithmetic())):
-        monkeypatch.setattr(encode_module, "arithmetic_at_hand", lambda device, chosen=arithmetic: chosen)
-        codes[name] = encode(rows, atoms, 4)
-    assert codes["native"].indices.dtype == codes["torch"].indices.dtype
-    same = codes["native"].indices.eq(codes["torch"].indices).all(1)
+    codes = {name: encode(rows, atoms, 4, name) for name in ("native", "reference")}
+    assert codes["native"].indices.dtype == codes["reference"].indices.dtype
+    same = codes["native"].indices.eq(codes["reference"].indices).all(1)
     assert float(same.double().mean()) > 0.97
-    torch.testing.assert_close(codes["native"].weights[same], codes["torch"].weights[same], atol=2e-4, rtol=0)
+    torch.testing.assert_close(
+        codes["native"].weights[same], codes["reference"].weights[same], atol=2e-4, rtol=0
+    )
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs an interval timer")

@@ -13,7 +13,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.coding import fit_codes
 from scoup.coding.encode import encode
-from scoup.coding.report import code_cosines, report_on
+from scoup.coding.report import decoded_cosines, report_on
 from scoup.scene.codes import SparseCodes
 
 
@@ -143,7 +143,7 @@ def test_encode_is_near_the_best_over_all_supports() -> None:
     rows, atoms = random_rows(60, 12, seed=4), random_rows(11, 12, seed=5)
     codes = encode(rows, atoms, 3)
     assert_valid(codes, rows)
-    found = code_cosines(rows, atoms, codes)
+    found = decoded_cosines(rows, atoms, codes)
     best = torch.tensor([best_cosine(row, atoms, 3) for row in rows])
     gap = best - found
     assert float(gap.min()) > -1e-5

@@ -12,16 +12,17 @@ from coders import Coder, assert_valid, clip_like, dense, problem
 from torch import Tensor
 
 from compiling import compile_kernel
+from scoup.coding.backends import RowCodes, coding_backend
 from scoup.coding.encode import encode
 from scoup.coding.exact import ExactSettings, solve_exact
-from scoup.coding.reference import Coded, code
+from scoup.coding.reference import code
 
 MOST_STACK = 64  # bytes a thread: what spills from registers into memory
 
 on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 
 
-def assert_as_good(ours: Coded, theirs: Coded, n_atoms: int) -> None:
+def assert_as_good(ours: RowCodes, theirs: RowCodes, n_atoms: int) -> None:
     """Rounding may turn a choice between near equals; the codes are as good all the same."""
     gap = theirs.cosines - ours.cosines
     assert float(gap.mean()) < 1e-5
@@ -154,14 +155,11 @@ def test_triton_is_not_imported_for_rows_on_a_cpu() -> None:
 def test_rows_on_a_gpu_are_coded_as_well(
     count: int, n_atoms: int, k: int, dim: int, swap_passes: int
 ) -> None:
-    from scoup.coding.arithmetic import arithmetic_at_hand
-
     rows, atoms, similarities, gram = problem(count, n_atoms, dim)
     there = rows.cuda(), atoms.cuda()
-    first = arithmetic_at_hand("cuda").code_rows(*there, k, swap_passes)
-    again = arithmetic_at_hand("cuda").code_rows(*there, k, swap_passes)
+    first, again = (coding_backend(torch.device("cuda")).code_rows(*there, k, swap_passes) for _ in range(2))
     assert all(one.equal(other) for one, other in zip(first, again, strict=True))
-    ours = Coded(first.support.cpu().long(), first.weights.cpu().double(), first.cosines.cpu().double())
+    ours = RowCodes(first.support.cpu().long(), first.weights.cpu().double(), first.cosines.cpu().double())
     assert_valid(ours, similarities, gram, k)
     assert_as_good(ours, code(similarities, gram, k, swap_passes), n_atoms)
 

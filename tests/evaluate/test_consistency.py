@@ -12,7 +12,7 @@ from scoup.evaluate.studies.consistency import Matches, consistency, consistency
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions
-from scoup.uplift.build import BuildSettings
+from scoup.uplift.build_settings import BuildSettings
 from support import make_camera, small_scene, unit
 
 QUICK = AutoencoderSettings(epochs=1, encoder=(8, 3), decoder=(8,))

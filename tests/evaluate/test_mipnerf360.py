@@ -18,6 +18,7 @@ from scoup.evaluate.protocols import mipnerf360
 from scoup.field.relevancy import relevancy
 from scoup.io.labels import LabelledFrame
 from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
 from support import small_scene, unit
 
 
@@ -63,7 +64,7 @@ def test_resizing_is_bilinear_by_pixel_centres() -> None:
 def test_features_are_resized_before_they_are_compared() -> None:
     """Of a language field: coefficients are resized, which is the same as resizing features."""
     gaussians, cameras, regions = small_scene(count=80, views=2)
-    field = build(gaussians, cameras, regions, n_atoms=8)
+    field = build(gaussians, cameras, regions, BuildSettings(n_atoms=8))
     queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
     found = field_relevancy(field, cameras[0], queries, canonical, size=(25, 19))
     assert found.shape == (3, 2, 19, 25)
@@ -80,7 +81,7 @@ def test_features_are_resized_before_they_are_compared() -> None:
 def test_channel_fields_answer_as_language_fields_do() -> None:
     """The same codes as channels: the same relevancy, rendered and of the Gaussians themselves."""
     gaussians, cameras, regions = small_scene(count=80, views=2)
-    field = build(gaussians, cameras, regions, n_atoms=8)
+    field = build(gaussians, cameras, regions, BuildSettings(n_atoms=8))
     dense = [
         torch.zeros(80, 8).scatter_add_(1, field.code_indices[:, s].long(), field.code_weights[:, s].float())
         for s in range(3)

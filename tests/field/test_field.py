@@ -22,7 +22,8 @@ from scoup.base.errors import (
 )
 from scoup.field.language_field import FieldInfo, LanguageField
 from scoup.scene.codes import SparseCodes
-from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
 from support import random_gaussians, small_scene, unit
 
 QUICK = BuildSettings(n_atoms=8, k=3, keep=3, rounds=1, solver="adam", epochs=20)

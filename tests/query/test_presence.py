@@ -21,6 +21,7 @@ from scoup.query.presence import (
     vote_entropy,
 )
 from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
 from support import small_scene, unit
 
 
@@ -96,7 +97,7 @@ def test_an_empty_mask_gives_the_peak() -> None:
 
 def asked() -> tuple[LanguageField, raster.Projection, Tensor, Tensor, Tensor, Tensor]:
     gaussians, cameras, regions = small_scene(count=80, views=3)
-    field = build(gaussians, cameras, regions, n_atoms=8)
+    field = build(gaussians, cameras, regions, BuildSettings(n_atoms=8))
     view = field.project(cameras[0])
     queries, canonical, words = random(11, 16), random(3, 16, seed=1), random(30, 16, seed=2)
     return field, view, field.relevancy(cameras[0], queries, canonical, view), queries, canonical, words

@@ -56,15 +56,15 @@ def views_of(
     if device == "cpu":
         assert os.environ.get("TRITON_INTERPRET") == "1"
     constants = raster.raster_preset(preset)
-    view = gpu.project(gaussians.to(device), camera, constants, precision)
-    return view, raster.project(gaussians, camera, preset, "reference")
+    projection = gpu.project(gaussians.to(device), camera, constants, precision)
+    return projection, raster.project(gaussians, camera, preset, "reference")
 
 
 def check_channels(kind: str, seed: int, preset: str, channels: int, device: str) -> None:
     gaussians, camera = scene_of(kind, seed, device == "cpu")
-    view, reference = views_of(gaussians, camera, preset, device)
+    projection, reference = views_of(gaussians, camera, preset, device)
     values = torch.randn(len(gaussians), channels, generator=torch.Generator().manual_seed(seed))
-    image, alpha = raster.render_channels(view, values.to(device))
+    image, alpha = raster.render_channels(projection, values.to(device))
     expected, expected_alpha = raster.render_channels(reference, values)
     actual = torch.cat([image, alpha[..., None]], 2).cpu()
     expected = torch.cat([expected, expected_alpha[..., None]], 2)
@@ -82,7 +82,7 @@ def check_regions(kind: str, seed: int, levels: int, n_regions: int, device: str
 def check_regions_of(
     gaussians: Gaussians, camera: Camera, seed: int, levels: int, n_regions: int, device: str
 ) -> None:
-    view, reference = views_of(gaussians, camera, "inria", device)
+    projection, reference = views_of(gaussians, camera, "inria", device)
     if n_regions > camera.width * camera.height:  # every pixel its own
         pixels = camera.width * camera.height
         generator = torch.Generator().manual_seed(seed)
@@ -91,8 +91,8 @@ def check_regions_of(
     else:
         labels = random_labels(levels, camera.height, camera.width, n_regions, seed)
     labels[:, ~sure_pixels(gaussians, camera)] = -1
-    found = raster.region_sums(view, labels.to(device))
-    assert same_bytes(found, raster.region_sums(view, labels.to(device)))
+    found = raster.region_sums(projection, labels.to(device))
+    assert same_bytes(found, raster.region_sums(projection, labels.to(device)))
     assert_same_sums(found, raster.region_sums(reference, labels))
 
 
@@ -100,15 +100,15 @@ def check_kinds_of_labels(device: str) -> None:
     """Regions may be integers of any kind; those without a sign know no pixel without a region."""
     gaussians, _ = scene_of("mixed", 3, device == "cpu")
     camera = make_camera(19, 13, 18.0, 3)
-    view, _ = views_of(gaussians, camera, "inria", device)
+    projection, _ = views_of(gaussians, camera, "inria", device)
     labels = random_labels(2, camera.height, camera.width, 5, 3)
-    expected = raster.region_sums(view, labels.to(device))
+    expected = raster.region_sums(projection, labels.to(device))
     for dtype in (torch.int8, torch.int16, torch.int64):
-        assert same_bytes(raster.region_sums(view, labels.to(device, dtype)), expected), dtype
+        assert same_bytes(raster.region_sums(projection, labels.to(device, dtype)), expected), dtype
     labels = labels.clamp(min=0, max=1)
-    expected = raster.region_sums(view, labels.to(device))
+    expected = raster.region_sums(projection, labels.to(device))
     for dtype in (torch.uint8, torch.bool):
-        assert same_bytes(raster.region_sums(view, labels.to(device, dtype)), expected), dtype
+        assert same_bytes(raster.region_sums(projection, labels.to(device, dtype)), expected), dtype
 
 
 def check_few_sums_at_a_time(device: str) -> None:
@@ -119,22 +119,22 @@ def check_few_sums_at_a_time(device: str) -> None:
 
     gaussians, _ = scene_of("mixed", 3, device == "cpu")
     gaussians, camera = gaussians.select(torch.arange(12)), make_camera(45, 37, 36.0, 3)
-    view, _ = views_of(gaussians, camera, "inria", device)
+    projection, _ = views_of(gaussians, camera, "inria", device)
     labels = random_labels(2, camera.height, camera.width, 9, 3).to(device)
     labels[:, 16:24] = -1  # a row of tiles without a region
 
     def found(most: int) -> tuple[list[int], raster.ViewSums]:
         before, gpu_regions.MOST_SUMS = gpu_regions.MOST_SUMS, most
         try:
-            lots = [sums.bases >= 0 for sums in gpu_regions.tile_sums(view, columns)]
-            sums = raster.region_sums(view, labels)
+            lots = [sums.bases >= 0 for sums in gpu_regions.tile_sums(projection, columns)]
+            sums = raster.region_sums(projection, labels)
         finally:
             gpu_regions.MOST_SUMS = before
         assert int(torch.stack(lots).sum(0).amax()) <= 1, "a tile came twice"
         return [int(sizes[lot].sum()) for lot in lots], sums
 
-    columns = gpu_regions.columns_of(view, raster.combine(labels).map)
-    sizes = view.starts.diff() * columns.counts
+    columns = gpu_regions.columns_of(projection, raster.combine(labels).map)
+    sizes = projection.starts.diff() * columns.counts
     total, largest = int(sizes.sum()), int(sizes.max())
     assert bool((sizes == 0).any())
     assert largest < total
@@ -151,13 +151,13 @@ def check_few_sums_at_a_time(device: str) -> None:
 def check_nothing_painted(device: str) -> None:
     """Regions of pixels that nobody paints, in tiles that Gaussians do reach; and no region at all."""
     gaussians, camera = scene_of("mixed", 3, device == "cpu")
-    view, reference = views_of(gaussians.select(torch.arange(4, 10)), camera, "inria", device)
+    projection, reference = views_of(gaussians.select(torch.arange(4, 10)), camera, "inria", device)
     _, alpha = raster.render_channels(reference, torch.zeros(6, 1))
     assert bool((alpha > 0).any())
     labels = torch.where(alpha == 0, 0, -1)[None]
     assert bool((labels == 0).any())
     for nothing in (labels, torch.full_like(labels, -1)):
-        found = raster.region_sums(view, nothing.to(device))
+        found = raster.region_sums(projection, nothing.to(device))
         entries = found.gaussian, found.combination, found.weight
         assert [(len(part), part.dtype) for part in entries] == [
             (0, torch.int32), (0, torch.int32), (0, torch.float32),
@@ -193,20 +193,20 @@ def check_codes(
     gaussians, camera = scene_of(kind, seed, device == "cpu")
     if device == "cpu" and n_atoms > 128:  # many programs a tile
         camera = make_camera(20, 9, 36.0, seed)
-    view, reference = views_of(gaussians, camera, "gsplat", device, precision)
+    projection, reference = views_of(gaussians, camera, "gsplat", device, precision)
     generator = torch.Generator().manual_seed(seed)
     dtype = torch.float16 if halves else torch.float32
     indices, weights = random_codes(len(gaussians), levels, k, n_atoms, seed, dtype)
     there = indices.to(device), weights.to(device)
     sure = sure_pixels(gaussians, camera, "gsplat")
     painted = raster.render_codes(reference, indices, weights, n_atoms)
-    found = raster.render_codes(view, *there, n_atoms).cpu()
+    found = raster.render_codes(projection, *there, n_atoms).cpu()
     assert_close(found.movedim(0, 2), painted.movedim(0, 2), max(1, k / 4), sure)
 
     codebook = torch.randn(levels, n_atoms, 24, generator=generator) * 3
     queries = unit(torch.randn(5, 24, generator=generator))
     expected = raster.render_cosines(reference, indices, weights, codebook, queries)
-    found = raster.render_cosines(view, *there, codebook.to(device), queries.to(device)).cpu()
+    found = raster.render_cosines(projection, *there, codebook.to(device), queries.to(device)).cpu()
     # Where atoms cancel, so do digits: a feature is known to the share that is left of its terms.
     terms = (painted * codebook.norm(dim=2)[:, None, None]).sum(3)
     left = torch.einsum("shwl,sld->shwd", painted, codebook).norm(dim=3) / terms.clamp(min=1e-30)
@@ -217,14 +217,14 @@ def check_codes(
     unpainted = (painted == 0).all(3) & sure
     assert not bool(found.movedim(1, 3)[unpainted].any())
     given = *there, codebook.to(device), queries.to(device)
-    again, norms = (part.cpu() for part in raster.render_cosines_and_norms(view, *given))
+    again, norms = (part.cpu() for part in raster.render_cosines_and_norms(projection, *given))
     assert_close(again.permute(2, 3, 0, 1), found.permute(2, 3, 0, 1), 1.0, whole)
     _, known = raster.render_cosines_and_norms(reference, indices, weights, codebook, queries)
     assert_close(norms.movedim(0, 2), known.movedim(0, 2), 5 * max(1.0, float(terms.max())), whole)
     assert not bool(norms[unpainted].any())
 
     expected = raster.render_features(reference, indices, weights, codebook)
-    found = raster.render_features(view, *there, codebook.to(device)).cpu()
+    found = raster.render_features(projection, *there, codebook.to(device)).cpu()
     assert_close(found.movedim(0, 2), expected.movedim(0, 2), 5.0, whole)
     assert not bool(found[unpainted].any())
 
@@ -232,7 +232,7 @@ def check_codes(
 def check_repeated_atoms(device: str) -> None:
     """An atom that a code has twice counts with both weights, whatever stands between."""
     gaussians, camera = scene_of("mixed", 5, device == "cpu")
-    view, reference = views_of(gaussians, camera, "inria", device)
+    projection, reference = views_of(gaussians, camera, "inria", device)
     indices = torch.tensor([[[3, 0, 3, 2, 3]], [[0, 0, 0, 0, 0]]], dtype=torch.uint8)[
         torch.arange(len(gaussians)) % 2
     ]
@@ -241,14 +241,15 @@ def check_repeated_atoms(device: str) -> None:
     sure = sure_pixels(gaussians, camera)
     for dtype in (torch.float16, torch.float32):
         expected = raster.render_codes(reference, indices, weights.to(dtype), 4)
-        found = raster.render_codes(view, indices.to(device), weights.to(device, dtype), 4).cpu()
+        found = raster.render_codes(projection, indices.to(device), weights.to(device, dtype), 4).cpu()
         assert bool((expected[..., 3] > 0).any())
         assert_close(found.movedim(0, 2), expected.movedim(0, 2), 2.0, sure)
 
 
 def check_build(rounds: int, device: str) -> None:
     """A whole build gives the field that the reference gives."""
-    from scoup.uplift.build import build, build_settings
+    from scoup.uplift.build import build
+    from scoup.uplift.build_settings import build_settings
 
     gaussians, cameras, regions = small_scene(count=60, views=2, width=24, height=17, regions=4, dim=8)
     settings = build_settings("default", n_atoms=6, k=2, rounds=rounds)

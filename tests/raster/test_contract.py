@@ -72,10 +72,10 @@ def test_codes_by_regions_equal_codes_per_pixel(backend, scene, seed):
     levels, n_atoms, regions = 2, 6, 5
     labels = random_labels(levels, camera.height, camera.width, regions, seed)
     codes = [torch.rand(regions, n_atoms, generator=generator) for _ in range(levels)]
-    view = raster.project(gaussians, camera, backend=backend)
-    sums = raster.region_sums(view, labels)
+    projection = raster.project(gaussians, camera, backend=backend)
+    sums = raster.region_sums(projection, labels)
     one_hot = torch.eye(len(gaussians))
-    weights, _ = raster.render_channels(view, one_hot)  # [H, W, N]: e of every Gaussian at every pixel
+    weights, _ = raster.render_channels(projection, one_hot)  # [H, W, N]: e of every Gaussian at every pixel
     for level in range(levels):
         gaussian, region, weight = sums.triplets(level)
         out = torch.zeros(len(gaussians), n_atoms)
@@ -98,26 +98,26 @@ def test_codes_and_cosines_equal_decoded_features(backend, scene, k, seed):
     weights[: count // 3] = 0  # Gaussians without a code
     codebook = torch.randn(levels, n_atoms, dim, generator=generator)
     queries = torch.nn.functional.normalize(torch.randn(4, dim, generator=generator), dim=1)
-    view = raster.project(gaussians, camera, backend=backend)
+    projection = raster.project(gaussians, camera, backend=backend)
 
-    rendered = raster.render_codes(view, indices, weights, n_atoms)
-    cosines = raster.render_cosines(view, indices, weights, codebook, queries)
-    again, norms = raster.render_cosines_and_norms(view, indices, weights, codebook, queries)
+    rendered = raster.render_codes(projection, indices, weights, n_atoms)
+    cosines = raster.render_cosines(projection, indices, weights, codebook, queries)
+    again, norms = raster.render_cosines_and_norms(projection, indices, weights, codebook, queries)
     assert torch.equal(again, cosines)
     assert norms.shape == (levels, camera.height, camera.width)
     assert rendered.shape == (levels, camera.height, camera.width, n_atoms)
     assert cosines.shape == (levels, 4, camera.height, camera.width)
     for level in range(levels):
         dense = torch.zeros(count, n_atoms).scatter_add_(1, indices[:, level].long(), weights[:, level])
-        image, _ = raster.render_channels(view, dense)
+        image, _ = raster.render_channels(projection, dense)
         assert torch.allclose(rendered[level], image, rtol=1e-4, atol=1e-6)
-        features, _ = raster.render_channels(view, dense @ codebook[level])
+        features, _ = raster.render_channels(projection, dense @ codebook[level])
         unit = torch.nn.functional.normalize(features.double(), dim=-1)
         expected = (unit @ queries.T.double()).permute(2, 0, 1).float()
         solid = features.norm(dim=-1) > 1e-4
         assert torch.allclose(norms[level], features.norm(dim=-1), rtol=1e-3, atol=1e-4)
         assert torch.allclose(cosines[level][:, solid], expected[:, solid], atol=1e-4)
-        decoded = raster.render_features(view, indices, weights, codebook)[level]
+        decoded = raster.render_features(projection, indices, weights, codebook)[level]
         assert torch.allclose(decoded[solid], unit[solid].float(), atol=1e-4)
         assert not decoded[features.abs().sum(-1) == 0].any()
         assert (cosines[level][:, features.abs().sum(-1) == 0] == 0).all()
@@ -164,19 +164,19 @@ def test_empty_scene_and_empty_view(backend):
     camera = make_camera(7, 5)
     for gaussians in (random_gaussians(0, 0), random_gaussians(5, 0, ("behind",))):
         count = len(gaussians)
-        view = raster.project(gaussians, camera, backend=backend)
-        image, alpha = raster.render_channels(view, torch.ones(count, 2))
+        projection = raster.project(gaussians, camera, backend=backend)
+        image, alpha = raster.render_channels(projection, torch.ones(count, 2))
         assert image.shape == (5, 7, 2)
         assert not image.any()
         assert not alpha.any()
-        sums = raster.region_sums(view, torch.zeros(3, 5, 7, dtype=torch.int32))
+        sums = raster.region_sums(projection, torch.zeros(3, 5, 7, dtype=torch.int32))
         assert len(sums.gaussian) == len(sums.combination) == len(sums.weight) == 0
         assert sums.table.tolist() == [[0, 0, 0]]
 
 
 def test_no_region_anywhere(backend):
-    view = raster.project(random_gaussians(9, 1), make_camera(), backend=backend)
-    sums = raster.region_sums(view, torch.full((2, 30, 40), -1, dtype=torch.int32))
+    projection = raster.project(random_gaussians(9, 1), make_camera(), backend=backend)
+    sums = raster.region_sums(projection, torch.full((2, 30, 40), -1, dtype=torch.int32))
     assert len(sums.gaussian) == 0
     assert sums.table.shape == (0, 2)
 
@@ -192,17 +192,17 @@ def test_same_bytes_twice(backend):
 
 
 def test_wrong_shapes_are_refused(backend):
-    view = raster.project(random_gaussians(9, 1), make_camera(), backend=backend)
+    projection = raster.project(random_gaussians(9, 1), make_camera(), backend=backend)
     with pytest.raises(InputError, match="labels"):
-        raster.region_sums(view, torch.zeros(3, 31, 40, dtype=torch.int32))
+        raster.region_sums(projection, torch.zeros(3, 31, 40, dtype=torch.int32))
     with pytest.raises(InputError, match="integers"):
-        raster.region_sums(view, torch.zeros(3, 30, 40))
+        raster.region_sums(projection, torch.zeros(3, 30, 40))
     with pytest.raises(InputError, match="integers"):
-        raster.region_sums(view, torch.zeros(30, 40, dtype=torch.int32))
+        raster.region_sums(projection, torch.zeros(30, 40, dtype=torch.int32))
     with pytest.raises(InputError, match="values"):
-        raster.render_channels(view, torch.zeros(8, 3))
+        raster.render_channels(projection, torch.zeros(8, 3))
     with pytest.raises(InputError, match="differ"):
-        raster.render_codes(view, torch.zeros(9, 3, 4, dtype=torch.uint8), torch.zeros(9, 3, 5), 8)
+        raster.render_codes(projection, torch.zeros(9, 3, 4, dtype=torch.uint8), torch.zeros(9, 3, 5), 8)
 
 
 def test_unknown_names(backend):

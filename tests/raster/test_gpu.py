@@ -26,7 +26,7 @@ from interpreting import interpreter
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
 from scoup import raster
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base.errors import InputError
 from support import make_camera, random_gaussians, scenes
 
 # Bytes a thread, nearly all of it behind the loop over Gaussians, where the coefficients of one level wait for those of
@@ -164,28 +164,6 @@ def test_kernels_with_float32_compile_for_amd(needs_triton: None) -> None:
             source, target=GPUTarget("hip", "gfx942", 64), options={"num_warps": warps, **FUSED}
         )
         assert compiled.metadata.shared <= 64 << 10, name
-
-
-def test_what_cannot_run_the_kernels_is_told(needs_triton: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    import triton
-
-    device = torch.device("cuda:1")
-    monkeypatch.setattr(torch.version, "hip", None)
-    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda _: (8, 6))
-    assert raster.default_backend(device) == "triton"
-    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda _: (7, 5))
-    raster._warn_once_of_triton.cache_clear()
-    with pytest.warns(ScoupWarning, match=r"slow reference path: cuda:1 has compute capability 7\.5"):
-        assert raster.default_backend(device) == "reference"
-    monkeypatch.setattr(triton, "__version__", "3.10.0+git1")
-    monkeypatch.setattr(torch.version, "hip", "6.4")
-    assert raster.default_backend(device) == "triton"
-    monkeypatch.setattr(triton, "__version__", "3.2.0")
-    with pytest.warns(ScoupWarning, match=r"triton 3\.2\.0 is too old"):
-        assert raster.default_backend(device) == "reference"
-    monkeypatch.setenv("TRITON_INTERPRET", "1")
-    with pytest.raises(InputError, match=r"'triton' cannot be used: triton 3\.2\.0 is too old"):
-        raster.project(random_gaussians(3, 0), make_camera(), backend="triton")
 
 
 @on_a_gpu

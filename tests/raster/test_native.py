@@ -108,10 +108,10 @@ def test_every_pixel_its_own_region(levels, holes):
 def test_label_numbers_may_be_huge(scene, highest, levels):
     """Only the names of the regions change."""
     gaussians, camera = scene
-    view = raster.project(gaussians, camera, backend="native")
+    projection = raster.project(gaussians, camera, backend="native")
     labels = random_labels(levels, camera.height, camera.width, 3, 5).long()
-    sums, large = raster.region_sums(view, labels), torch.tensor([0, highest // 2, highest])
-    found = raster.region_sums(view, torch.where(labels >= 0, large[labels.clamp(min=0)], -1))
+    sums, large = raster.region_sums(projection, labels), torch.tensor([0, highest // 2, highest])
+    found = raster.region_sums(projection, torch.where(labels >= 0, large[labels.clamp(min=0)], -1))
     renamed = torch.where(sums.table >= 0, large[sums.table.long().clamp(min=0)], -1)
     assert same_bytes(found, replace(sums, table=renamed.int()))
 
@@ -218,8 +218,8 @@ def test_image_sizes(width, height):
     native, reference = both(gaussians, camera)
     values = torch.rand(60, 3, generator=torch.Generator().manual_seed(0))
     images = []
-    for view in (native, reference):
-        image, alpha = raster.render_channels(view, values)
+    for projection in (native, reference):
+        image, alpha = raster.render_channels(projection, values)
         images.append(torch.cat([image, alpha[..., None]], 2))
     assert images[0].any()
     flips = explained_flips(gaussians, camera, "inria", images[0], images[1])
@@ -231,7 +231,8 @@ def test_image_sizes(width, height):
     codebook, queries = torch.rand(2, 12, 8), unit(torch.rand(2, 8))
     indices, weights = random_codes(60, 2, 3, 12, 0)
     cosines = [
-        raster.render_cosines(view, indices, weights, codebook, queries) for view in (native, reference)
+        raster.render_cosines(projection, indices, weights, codebook, queries)
+        for projection in (native, reference)
     ]
     assert_close(cosines[0].permute(2, 3, 0, 1), cosines[1].permute(2, 3, 0, 1), 1.0, ~flips.pixels)
 

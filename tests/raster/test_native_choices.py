@@ -35,7 +35,7 @@ def restore_threads():
     torch.set_num_threads(before)
 
 
-def everything(view, count: int, labels, dim: int = 24, dtype: torch.dtype = torch.float32) -> dict:
+def everything(projection, count: int, labels, dim: int = 24, dtype: torch.dtype = torch.float32) -> dict:
     """Every function's answer for a view of ``count`` Gaussians, from the same random inputs each time."""
     generator = torch.Generator().manual_seed(5)
     values = torch.randn(count, 11, generator=generator)
@@ -43,13 +43,13 @@ def everything(view, count: int, labels, dim: int = 24, dtype: torch.dtype = tor
     weights = torch.rand(count, LEVELS, 5, generator=generator).to(dtype)
     codebook = torch.randn(LEVELS, ATOMS, dim, generator=generator) + 0.3
     queries = unit(torch.randn(6, dim, generator=generator))
-    image, alpha = raster.render_channels(view, values)
+    image, alpha = raster.render_channels(projection, values)
     return {
         "channels": image,
         "alpha": alpha,
-        "codes": raster.render_codes(view, indices, weights, ATOMS).movedim(0, 2),
-        "cosines": raster.render_cosines(view, indices, weights, codebook, queries).permute(2, 3, 0, 1),
-        "regions": raster.region_sums(view, labels),
+        "codes": raster.render_codes(projection, indices, weights, ATOMS).movedim(0, 2),
+        "cosines": raster.render_cosines(projection, indices, weights, codebook, queries).permute(2, 3, 0, 1),
+        "regions": raster.region_sums(projection, labels),
     }
 
 
@@ -83,8 +83,8 @@ def test_same_bytes_on_any_number_of_threads(restore_threads):
     found = []
     for threads in (1, 2, 3, 5):
         torch.set_num_threads(threads)
-        view = raster.project(gaussians, camera, backend="native")
-        found.append(everything(view, len(gaussians), labels, 512))
+        projection = raster.project(gaussians, camera, backend="native")
+        found.append(everything(projection, len(gaussians), labels, 512))
     assert found[0]["alpha"].max() > 0.99
     for answers in found[1:]:
         assert same_bytes(answers.pop("regions"), found[0]["regions"])
@@ -102,6 +102,6 @@ def test_cosines_of_a_large_codebook_do_not_depend_on_threads(restore_threads):
     found = []
     for threads in (1, 2, 3, 5):
         torch.set_num_threads(threads)
-        view = raster.project(gaussians, camera, backend="native")
-        found.append(raster.render_cosines(view, indices, weights, codebook, queries))
+        projection = raster.project(gaussians, camera, backend="native")
+        found.append(raster.render_cosines(projection, indices, weights, codebook, queries))
     assert all(torch.equal(cosines, found[0]) for cosines in found)

@@ -52,17 +52,20 @@ FORMS = {
 @with_native
 @pytest.mark.parametrize("form", FORMS)
 def test_other_forms_of_the_same_numbers(form):
-    change, view, given = FORMS[form], a_view(), inputs()
+    change, projection, given = FORMS[form], a_view(), inputs()
     changed = {name: change(tensor) for name, tensor in given.items()}
     assert torch.equal(
-        raster.render_channels(view, changed["values"])[0], raster.render_channels(view, given["values"])[0]
+        raster.render_channels(projection, changed["values"])[0],
+        raster.render_channels(projection, given["values"])[0],
     )
-    assert_same_sums(raster.region_sums(view, changed["labels"]), raster.region_sums(view, given["labels"]))
+    assert_same_sums(
+        raster.region_sums(projection, changed["labels"]), raster.region_sums(projection, given["labels"])
+    )
     codes = [(given["indices"], given["weights"]), (changed["indices"], changed["weights"])]
-    maps = [raster.render_codes(view, *pair, ATOMS) for pair in codes]
+    maps = [raster.render_codes(projection, *pair, ATOMS) for pair in codes]
     assert torch.equal(*maps)
     cosines = [
-        raster.render_cosines(view, *pair, side["codebook"], side["queries"])
+        raster.render_cosines(projection, *pair, side["codebook"], side["queries"])
         for pair, side in zip(codes, (given, changed), strict=True)
     ]
     assert_close(cosines[1], cosines[0])
@@ -84,14 +87,14 @@ def test_other_forms_of_the_scene(form):
 
 @with_native
 def test_nothing_to_do():
-    view, given = a_view(), inputs()
+    projection, given = a_view(), inputs()
     labels = given["labels"]
-    assert raster.render_channels(view, torch.zeros(COUNT, 0))[0].shape == (30, 40, 0)
-    assert len(raster.region_sums(view, labels[:0]).gaussian) == 0
+    assert raster.render_channels(projection, torch.zeros(COUNT, 0))[0].shape == (30, 40, 0)
+    assert len(raster.region_sums(projection, labels[:0]).gaussian) == 0
     none = given["weights"][..., :0]
-    assert not raster.render_codes(view, given["indices"][..., :0], none, ATOMS).any()
+    assert not raster.render_codes(projection, given["indices"][..., :0], none, ATOMS).any()
     cosines = raster.render_cosines(
-        view, given["indices"], given["weights"], given["codebook"], given["queries"][:0]
+        projection, given["indices"], given["weights"], given["codebook"], given["queries"][:0]
     )
     assert cosines.shape == (LEVELS, 0, 30, 40)
     empty = raster.project(random_gaussians(0, 0), CAMERA, backend="native")
@@ -101,13 +104,13 @@ def test_nothing_to_do():
 
 @on_every_backend
 def test_codes_and_queries_that_do_not_fit_are_refused(backend):
-    view, given = a_view(backend), inputs()
+    projection, given = a_view(backend), inputs()
     indices, weights = given["indices"], given["weights"]
     codebook, queries = given["codebook"], given["queries"]
     with pytest.raises(InputError, match="code weights"):
-        raster.render_codes(view, indices[1:], weights[1:], ATOMS)
+        raster.render_codes(projection, indices[1:], weights[1:], ATOMS)
     with pytest.raises(InputError, match="differ"):
-        raster.render_codes(view, indices[..., 1:], weights, ATOMS)
+        raster.render_codes(projection, indices[..., 1:], weights, ATOMS)
     for bad_codebook, bad_queries in (
         (codebook[:2], queries),
         (codebook, queries[:, 1:]),
@@ -115,19 +118,19 @@ def test_codes_and_queries_that_do_not_fit_are_refused(backend):
         (codebook, queries[0]),
     ):
         with pytest.raises(InputError, match="do not fit"):
-            raster.render_cosines(view, indices, weights, bad_codebook, bad_queries)
+            raster.render_cosines(projection, indices, weights, bad_codebook, bad_queries)
 
 
 @on_every_backend
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.int64])
 def test_an_atom_beyond_the_codebook_is_refused(backend, dtype):
-    view, given = a_view(backend), inputs()
+    projection, given = a_view(backend), inputs()
     indices = given["indices"].to(dtype)
     indices[7, 0, 0] = ATOMS  # of the first level: it must not pass for atom 0 of the second
     with pytest.raises(InputError, match=r"atom|indices"):
-        raster.render_codes(view, indices, given["weights"], ATOMS)
+        raster.render_codes(projection, indices, given["weights"], ATOMS)
     with pytest.raises(InputError, match=r"atom|indices"):
-        raster.render_cosines(view, indices, given["weights"], given["codebook"], given["queries"])
+        raster.render_cosines(projection, indices, given["weights"], given["codebook"], given["queries"])
 
 
 @with_native
@@ -155,22 +158,6 @@ def test_scales_count_by_their_size():
         for gaussians in (plain, mirrored)
     ]
     assert torch.equal(*alphas)
-
-
-def test_native_by_name_without_the_core_names_the_remedy(monkeypatch):
-    monkeypatch.setattr(raster, "native_core", lambda: None)
-    monkeypatch.setattr(
-        raster, "missing_reason", lambda: "the compiled core was not built; install a compiler"
-    )
-    gaussians = random_gaussians(COUNT, 1)
-    with pytest.raises(InputError, match=r"'native' cannot be used: .*install a compiler"):
-        raster.project(gaussians, CAMERA, backend="native")
-
-
-def test_the_reference_serves_without_the_core(monkeypatch):
-    monkeypatch.setattr(raster, "native_core", lambda: None)
-    monkeypatch.setattr(raster, "warn_once_if_missing", lambda: None)
-    assert raster.project(random_gaussians(COUNT, 1), CAMERA).backend == "reference"
 
 
 @with_native

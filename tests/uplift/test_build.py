@@ -13,7 +13,8 @@ from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.raster import morton_order
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
-from scoup.uplift.build import BUILD_PRESETS, BuildSettings, build, build_settings
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
 from scoup.uplift.rasterise import region_sums, resumed
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
@@ -186,7 +187,8 @@ def test_codes_are_kept_beside_the_sums(scene):
     assert coded is not None
     assert torch.equal(coded.codebook, field.codebook)
     assert RegionCodes.kept(sums, "another key") is None
-    found = scoup.vote(sums, coded.codes, coded.codebook, 2, 3, rows=coded.rows)
+    voters = sums.of_views(coded.rows[0], coded.rows)
+    found = scoup.vote(voters, coded.codes, coded.codebook, 2, 3)
     assert torch.equal(found.indices, field.code_indices)
     assert torch.equal(found.weights.half(), field.code_weights)
 

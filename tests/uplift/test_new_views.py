@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from scoup.uplift.new_views import append_atoms, bars_of, code_view
+from scoup.uplift.new_views import append_atoms, code_view, explained_thresholds
 from support import unit
 
 LEVELS = ("s", "m")
@@ -44,7 +44,7 @@ def test_view_coded_level_by_level() -> None:
 
 
 def test_expected_cosines_of_a_field_that_does_not_tell() -> None:
-    assert bars_of({}, LEVELS) is None
-    assert bars_of({"coding": {"s": {}, "m": 3}}, LEVELS) is None
+    assert explained_thresholds({}, LEVELS) is None
+    assert explained_thresholds({"coding": {"s": {}, "m": 3}}, LEVELS) is None
     told = {"coding": {"s": {"explained_from": 0.5}, "m": {"explained_from": 0.25}}}
-    assert bars_of(told, LEVELS) == [0.5, 0.25]
+    assert explained_thresholds(told, LEVELS) == [0.5, 0.25]

@@ -14,9 +14,9 @@ import scoup
 from scoup import raster
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError
 from scoup.raster import ViewSums
-from scoup.uplift import entries
 from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.storage import entries
 from support import KINDS, random_gaussians, small_scene
 
 
@@ -134,7 +134,7 @@ def test_beyond_the_limit_views_go_to_a_temporary_file(scene, kept):
     assert_same(sums, kept)
     sums.forget_pages()
     assert_same(sums, kept)
-    assert sums._in_memory <= half < sums.bytes
+    assert sums.bytes_in_memory <= half < sums.bytes
     sums.remove(cameras.names[0])
     assert len(sums) == 3
 

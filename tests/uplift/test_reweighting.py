@@ -108,10 +108,14 @@ def test_what_does_not_fit_is_refused(backend):
         vote(sums, codes * 2, codebook, backend=backend)
     with pytest.raises(InputError, match="do not fit sums of the levels"):
         vote(sums, codes, torch.eye(5)[None], backend=backend)
+    of_three = sums.of_views(["v"], [{"v": slice(0, 3)}])
     with pytest.raises(InputError, match=r"'v', level 'm': the label maps have 4 regions, .* codes of 3"):
-        vote(sums, [codes_of(torch.eye(4)[:3], 1)], codebook, rows=[{"v": slice(0, 3)}], backend=backend)
+        vote(of_three, [codes_of(torch.eye(4)[:3], 1)], codebook, backend=backend)
     with pytest.raises(InputError, match="no region sums of the view 'w'"):
-        vote(sums, codes, codebook, rows=[{"w": slice(0, 4)}], backend=backend)
+        sums.of_views(["w"], [{"w": slice(0, 4)}])
+    sums.rows = [{"w": slice(0, 4)}]
+    with pytest.raises(InputError, match="no region sums of the view 'w'"):
+        vote(sums, codes, codebook, backend=backend)
     sums.rows = None
-    with pytest.raises(InputError, match="say which rows"):
+    with pytest.raises(InputError, match="rows of each view among the codes are not known"):
         vote(sums, codes, codebook, backend=backend)

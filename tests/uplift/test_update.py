@@ -13,15 +13,16 @@ import scoup
 from scoup import raster
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.native import native_core
+from scoup.coding.embeddings import normalise_embeddings
 from scoup.coding.encode import encode
-from scoup.coding.rows import unit_rows
 from scoup.field.language_field import LanguageField
 from scoup.pictures.colors import code_picture
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions
-from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_codes import RegionCodes, joined
 from scoup.uplift.region_sums import RegionSums
@@ -222,13 +223,13 @@ def test_an_update_equals_the_vote_of_all_views(wall: Wall, rounds: int) -> None
             rows = changed.load_embeddings(camera.name, level)
             known = coded.codes[s].rows(coded.rows[s].get(camera.name, slice(0, 0)))
             new = camera.name in ("late_0.png", "early_3.png")
-            parts.append(encode(unit_rows(rows), field.codebook[s], 2) if new else known)
+            parts.append(encode(normalise_embeddings(rows), field.codebook[s], 2) if new else known)
         of_level = parts[0]
         for part in parts[1:]:
             of_level = joined(of_level, part)
         codes.append(of_level)
     rows = [changed.select(camera.name for camera in views).embeddings(level)[1] for level in LEVELS]
-    expected = vote(whole, codes, field.codebook, rounds, 2, rows=rows)
+    expected = vote(whole.of_views(rows[0], rows), codes, field.codebook, rounds, 2)
     assert after.code_indices.equal(expected.indices)
     assert after.code_weights.equal(expected.weights.half())
     assert after.info.provenance["views"] == [camera.name for camera in views]
@@ -362,11 +363,11 @@ def test_refusals(wall: Wall, kept: Kept) -> None:
     assert list(sums.views) == list(wall.early.names)  # nothing was changed
 
 
-def test_a_field_that_does_not_tell_what_to_expect(wall: Wall, kept: Kept) -> None:
-    """Without coding reports nothing is called badly explained, and no atoms are added on a guess."""
+def test_a_field_that_does_not_record_what_to_expect(wall: Wall, kept: Kept) -> None:
+    """Without coding reports no region counts as badly explained, and no atoms are added on a guess."""
     field, sums = kept
     field.info = replace(field.info, provenance={**field.info.provenance, "coding": {}})
-    with pytest.raises(InputError, match="does not tell how well"):
+    with pytest.raises(InputError, match="does not record how well"):
         grow(wall, kept, new_atoms=2)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

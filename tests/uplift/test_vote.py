@@ -16,9 +16,9 @@ from scoup.base.errors import InputError
 from scoup.base.native import native_core
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.reweighting import EarlierRound
-from scoup.uplift.vote_backends.native import Ballot as NativeBallot
-from scoup.uplift.vote_backends.reference import Ballot as ReferenceBallot
-from uplift.ballots import Sizes, buckets_of, check_rounds, damaged, earlier_of, random_ballot
+from scoup.uplift.vote_backends.native import Vote as NativeVote
+from scoup.uplift.vote_backends.reference import Vote as ReferenceVote
+from uplift.random_votes import Sizes, buckets_of, check_rounds, damaged, earlier_of, random_vote
 
 CPU = torch.device("cpu")
 
@@ -47,30 +47,30 @@ def test_the_core_agrees_with_the_reference(
     n_gaussians, views, levels, n_atoms, k, keep, halves, without, seed
 ):
     sizes = Sizes(n_gaussians, views, levels, n_atoms, k, 500, halves, without)
-    check_rounds(NativeBallot, sizes, keep, seed)
+    check_rounds(NativeVote, sizes, keep, seed)
 
 
-@pytest.mark.parametrize("backend", [pytest.param(NativeBallot, marks=needs_native), ReferenceBallot])
+@pytest.mark.parametrize("backend", [pytest.param(NativeVote, marks=needs_native), ReferenceVote])
 def test_a_process_may_have_no_share(backend):
-    arguments = random_ballot(Sizes(), 2)
+    arguments = random_vote(Sizes(), 2)
     earlier = earlier_of(arguments, 4, 3)
-    ballot = backend(**arguments, device=CPU)
+    prepared = backend(**arguments, device=CPU)
     for nothing in (range(0), range(2, 2)):
-        indices, weights = ballot.round(4, earlier, True, nothing)
+        indices, weights = prepared.round(4, earlier, True, nothing)
         assert indices.shape == weights.shape == (0, 3, 4)
-        assert [len(of_level) for of_level in ballot.deviations(earlier, nothing)] == [0, 0, 0]
+        assert [len(of_level) for of_level in prepared.deviations(earlier, nothing)] == [0, 0, 0]
 
 
 @needs_native
 @pytest.mark.parametrize("n_atoms", [24, 300])
 def test_all_atoms_may_be_kept(n_atoms):
-    check_rounds(NativeBallot, Sizes(n_atoms=n_atoms), n_atoms, 1)
+    check_rounds(NativeVote, Sizes(n_atoms=n_atoms), n_atoms, 1)
 
 
 def test_the_reference_adds_codes_up_as_written():
     """w_i = sum of A[i, r] W_r, with loops."""
-    arguments = random_ballot(Sizes(40, 3, 2, 6, 2, 60), 3)
-    sums = ReferenceBallot(**arguments, device=CPU).sums(None, range(1))
+    arguments = random_vote(Sizes(40, 3, 2, 6, 2, 60), 3)
+    sums = ReferenceVote(**arguments, device=CPU).sums(None, range(1))
     expected = torch.zeros_like(sums)
     for view in arguments["views"]:
         part = view.entries
@@ -87,14 +87,14 @@ def test_the_reference_adds_codes_up_as_written():
 
 @needs_native
 def test_same_bytes_on_any_number_of_threads_and_share_of_the_buckets(restore_threads):
-    arguments = random_ballot(Sizes(5000, 6, 3, 48, 4, 20_000, True), 5)
+    arguments = random_vote(Sizes(5000, 6, 3, 48, 4, 20_000, True), 5)
     earlier, buckets = earlier_of(arguments, 4, 3), buckets_of(arguments)
     found = []
     for threads in (1, 2, 3, 5):
         torch.set_num_threads(threads)
-        ballot = NativeBallot(**arguments, device=CPU)
-        found.append((*ballot.round(4, earlier, False, buckets), *ballot.deviations(earlier, buckets)))
-        parts = [ballot.round(4, earlier, False, some) for some in (buckets[:3], buckets[3:4], buckets[4:])]
+        prepared = NativeVote(**arguments, device=CPU)
+        found.append((*prepared.round(4, earlier, False, buckets), *prepared.deviations(earlier, buckets)))
+        parts = [prepared.round(4, earlier, False, some) for some in (buckets[:3], buckets[3:4], buckets[4:])]
         assert torch.equal(torch.cat([weights for _, weights in parts]), found[0][1])
     for others in found[1:]:
         assert all(torch.equal(one, other) for one, other in zip(others, found[0], strict=True))
@@ -109,7 +109,7 @@ def test_every_instruction_set_agrees_with_the_reference(asked):
     if not core.use_isa(asked):
         pytest.skip(f"this CPU does not run {asked}")
     try:
-        check_rounds(NativeBallot, Sizes(halves=True), 4, 7)
+        check_rounds(NativeVote, Sizes(halves=True), 4, 7)
     finally:
         core.use_isa(before)
 
@@ -125,7 +125,7 @@ def test_every_instruction_set_agrees_with_the_reference(asked):
 def test_the_largest_sums_are_kept(n_atoms, keep, kind, seed):
     """One region each, so that the sums are the codes themselves, to the last bit: ties go by index."""
     generator = torch.Generator().manual_seed(seed)
-    arguments = random_ballot(Sizes(50, 1, 1, n_atoms, 1), seed)
+    arguments = random_vote(Sizes(50, 1, 1, n_atoms, 1), seed)
     rows = torch.rand(50, n_atoms, generator=generator)
     if kind == "ties":
         rows = torch.randint(0, 3, rows.shape, generator=generator).float()
@@ -147,7 +147,7 @@ def test_the_largest_sums_are_kept(n_atoms, keep, kind, seed):
     )
     arguments["views"] = [replace(view, entries=entries, regions=np.arange(50)[:, None])]
     arguments["codes"] = [SparseCodes(atoms.to(dtype).contiguous(), rows, n_atoms)]
-    indices, weights = NativeBallot(**arguments, device=CPU).round(keep, None, False, range(1))
+    indices, weights = NativeVote(**arguments, device=CPU).round(keep, None, False, range(1))
     expected = SparseCodes.from_dense(rows, keep)
     assert indices.dtype == expected.indices.dtype
     assert torch.equal(indices[:, 0].int(), expected.indices.int())
@@ -157,17 +157,17 @@ def test_the_largest_sums_are_kept(n_atoms, keep, kind, seed):
 
 
 @needs_native
-@pytest.mark.parametrize("why", damaged(random_ballot(Sizes(), 2)))
+@pytest.mark.parametrize("why", damaged(random_vote(Sizes(), 2)))
 def test_damaged_sums_are_refused(why):
-    arguments = damaged(random_ballot(Sizes(), 2))[why]
+    arguments = damaged(random_vote(Sizes(), 2))[why]
     with pytest.raises(InputError, match="damaged"):
-        NativeBallot(**arguments, device=CPU).round(4, None, False, buckets_of(arguments))
+        NativeVote(**arguments, device=CPU).round(4, None, False, buckets_of(arguments))
 
 
 @needs_native
 def test_an_earlier_round_that_does_not_fit_is_refused():
-    arguments = random_ballot(Sizes(), 2)
-    ballot, buckets = NativeBallot(**arguments, device=CPU), buckets_of(arguments)
+    arguments = random_vote(Sizes(), 2)
+    prepared, buckets = NativeVote(**arguments, device=CPU), buckets_of(arguments)
     good = earlier_of(arguments, 4, 3)
     beyond_the_codebook = good.indices.clone()
     beyond_the_codebook[7, 0, 0] = 24
@@ -178,15 +178,15 @@ def test_an_earlier_round_that_does_not_fit_is_refused():
         EarlierRound(good.indices, good.weights, good.sharpness[:2]),
     ):
         with pytest.raises(InputError):
-            ballot.round(4, bad, False, buckets)
+            prepared.round(4, bad, False, buckets)
         with pytest.raises(InputError):
-            ballot.deviations(bad, buckets)
+            prepared.deviations(bad, buckets)
 
 
 @needs_native
-@pytest.mark.parametrize("backend", [NativeBallot, ReferenceBallot])
+@pytest.mark.parametrize("backend", [NativeVote, ReferenceVote])
 def test_codes_beyond_the_codebook_are_refused(backend):
-    arguments = random_ballot(Sizes(), 2)
+    arguments = random_vote(Sizes(), 2)
     arguments["codes"][0].indices[2, 0] = 24
     with pytest.raises(InputError, match=r"atom|indices"):
         backend(**arguments, device=CPU)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,9 +15,8 @@ from benchmarks.gpu.launches import launches
 
 from compiling import compile_kernel
 from interpreting import interpreter
-from scoup.base.errors import InputError
 from uplift import triton_checks
-from uplift.ballots import Sizes, random_ballot
+from uplift.random_votes import Sizes
 
 on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 
@@ -64,25 +62,6 @@ def test_compiles(needs_triton: None, tmp_path: Path, capability: int) -> None:
         usage = compile_kernel(*launch, capability, tmp_path)
         assert usage.spilled == 0, (name, usage)
         assert usage.shared <= 48 << 10, (name, usage)
-
-
-def test_votes_on_a_cpu_are_refused(needs_triton: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    from scoup.uplift.vote_backends.triton import Ballot
-
-    monkeypatch.delenv("TRITON_INTERPRET", raising=False)
-    with pytest.raises(InputError, match="these tensors are on cpu"):
-        Ballot(**random_ballot(Sizes(), 0), device=torch.device("cpu"))
-
-
-def test_without_triton_the_reason_is_told() -> None:
-    program = (
-        "import sys; sys.modules['triton'] = None; import torch, scoup; from scoup.base.errors import InputError; "
-        "from scoup.uplift import vote_triton; import os; os.environ['TRITON_INTERPRET'] = '1'\n"
-        "try: vote_triton.Ballot(0, [], [], torch.zeros(0), torch.device('cpu'))\n"
-        "except InputError as error: print(error)"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert "triton is not installed" in done.stdout
 
 
 @on_a_gpu

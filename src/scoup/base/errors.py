@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import functools
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -91,6 +93,12 @@ def looked_up(kind: str, name: str, table: Mapping[str, Entry]) -> Entry:
 
 class ScoupWarning(UserWarning):
     """Something was skipped, dropped or guessed, and the result may differ from what was expected."""
+
+
+@functools.cache
+def warn_once(message: str) -> None:
+    """Give a ``ScoupWarning``, once in the life of the process (``warn_once.cache_clear`` forgets all of them)."""
+    warnings.warn(message, ScoupWarning, stacklevel=3)
 
 
 def nearest_names(name: str, known: Iterable[str], count: int = 5) -> list[str]:

@@ -10,11 +10,10 @@ import functools
 import importlib
 import os
 import sys
-import warnings
 from types import ModuleType
 from typing import NamedTuple
 
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base.errors import InputError, warn_once
 
 _MODULE = "scoup._native"
 _INSTRUCTION_SETS = ("baseline", "v3", "v4")
@@ -30,7 +29,9 @@ _AGAIN = (
 )
 
 
-class _Loaded(NamedTuple):
+class LoadedCore(NamedTuple):
+    """The compiled core, or why there is none."""
+
     core: ModuleType | None
     reason: str | None  # why there is no core
     wanted: bool = True  # the user did not switch it off
@@ -42,26 +43,41 @@ def native_core() -> ModuleType | None:
     Raises:
         InputError: SCOUP_NATIVE has a value that cannot be used.
     """
-    return _loaded().core
+    return load_core().core
+
+
+def require_core() -> ModuleType:
+    """The module ``scoup._native``.
+
+    Raises:
+        InputError: there is none.
+    """
+    core, reason, _ = load_core()
+    if core is None:
+        raise InputError(f"the compiled core cannot be used: {reason}")
+    return core
 
 
 def missing_reason() -> str | None:
     """One sentence: why there is no compiled core, and the remedy. None if there is one."""
-    return _loaded().reason
+    return load_core().reason
 
 
-def warn_once_if_missing() -> None:
-    """Tell the user, once in the life of the process, that slower code serves. Silent if SCOUP_NATIVE is off."""
-    loaded = _loaded()
+def warn_if_missing() -> None:
+    """Warn once in the life of the process that slower code serves. Silent if SCOUP_NATIVE is off."""
+    loaded = load_core()
     if loaded.core is None and loaded.wanted:
-        _warn_once(f"slower code serves: {loaded.reason}")
+        warn_once(f"slower code serves: {loaded.reason}")
 
 
 @functools.cache
-def _loaded() -> _Loaded:
+def load_core() -> LoadedCore:
+    """Load the core, as SCOUP_NATIVE says; the answer is remembered (``load_core.cache_clear`` forgets it)."""
     setting = os.environ.get("SCOUP_NATIVE", "")
     if setting == "off":
-        return _Loaded(None, "the compiled core is switched off; unset SCOUP_NATIVE to use it", wanted=False)
+        return LoadedCore(
+            None, "the compiled core is switched off; unset SCOUP_NATIVE to use it", wanted=False
+        )
     if setting not in ("", *_INSTRUCTION_SETS):
         choices = ", ".join(("off", *_INSTRUCTION_SETS))
         raise InputError(f"SCOUP_NATIVE is {setting!r}; set it to one of {choices}, or unset it")
@@ -69,17 +85,17 @@ def _loaded() -> _Loaded:
         core = importlib.import_module(_MODULE)
     except ModuleNotFoundError as error:
         if error.name != _MODULE:
-            return _Loaded(None, _broken(error))
-        return _Loaded(
+            return LoadedCore(None, _broken(error))
+        return LoadedCore(
             None, f"the compiled core was not built; install a C++ compiler{_compiler()}, then {_AGAIN}"
         )
     except ImportError as error:
-        return _Loaded(None, _broken(error))
+        return LoadedCore(None, _broken(error))
     if setting and not core.use_isa(setting):
         raise InputError(
             f"SCOUP_NATIVE is {setting!r}, but this CPU or this build has no such instruction set; unset it"
         )
-    return _Loaded(core, None)
+    return LoadedCore(core, None)
 
 
 def _broken(error: ImportError) -> str:
@@ -88,8 +104,3 @@ def _broken(error: ImportError) -> str:
 
 def _compiler() -> str:
     return f" ({_COMPILERS[sys.platform]})" if sys.platform in _COMPILERS else ""
-
-
-@functools.cache
-def _warn_once(message: str) -> None:
-    warnings.warn(message, ScoupWarning, stacklevel=3)

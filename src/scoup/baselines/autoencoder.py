@@ -33,7 +33,7 @@ from torch import Tensor, nn
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
-from scoup.coding.rows import unit_rows
+from scoup.coding.embeddings import normalise_embeddings
 
 COSINE_WEIGHT = 1e-3
 KEPT_OF_LAST = 4  # epochs
@@ -111,7 +111,7 @@ class Autoencoder:
         Raises:
             InputError: if the rows are not [R, D] floating-point numbers with this D, or not finite.
         """
-        return _apply(self.encoder, _of_size(unit_rows(rows), self.dim, "rows"), self.code_size)
+        return _apply(self.encoder, _of_size(normalise_embeddings(rows), self.dim, "rows"), self.code_size)
 
     def decode(self, codes: Tensor) -> Tensor:
         """[R, D] float32 unit rows of ``codes`` [R, C] of any norm; zeros for codes of norm zero.
@@ -119,7 +119,7 @@ class Autoencoder:
         Raises:
             InputError: if the codes are not [R, C] floating-point numbers with this C, or not finite.
         """
-        return _apply(self.decoder, _of_size(unit_rows(codes), self.code_size, "codes"), self.dim)
+        return _apply(self.decoder, _of_size(normalise_embeddings(codes), self.code_size, "codes"), self.dim)
 
 
 def fit_autoencoder(
@@ -144,7 +144,7 @@ def fit_autoencoder(
     """
     _check(settings)
     started = time.perf_counter()
-    rows = unit_rows(embeddings)
+    rows = normalise_embeddings(embeddings)
     dim, code_size = rows.shape[1], settings.encoder[-1]
     rows = rows[rows.any(1)]
     random = torch.Generator().manual_seed(seed)  # on the CPU, so that every device draws the same

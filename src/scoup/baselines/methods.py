@@ -22,7 +22,8 @@ from scoup.baselines.dense import weighted_means
 from scoup.baselines.pixel_rules import CentrePixel, Gather, TopContributors, VisibleCentrePixel
 from scoup.baselines.product_quantisation import fit_product_quantiser
 from scoup.scene.codes import SparseCodes
-from scoup.uplift.build import BUILD_PRESETS, BuildSettings, learn_codebook
+from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
+from scoup.uplift.region_codes import learn_codebook
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import GaussianCodes, vote
 

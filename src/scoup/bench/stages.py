@@ -152,13 +152,13 @@ def stage_runs(
     names = tuple(names)
     scene = work.gaussians
     if prepared:
-        scene = raster.prepare(work.gaussians, backend)
+        scene = raster.prepare_gaussians(work.gaussians, backend)
         if (order := scene.order) is not None:
             moved = {name: getattr(work, name)[order] for name in ("indices", "weights", "values")}
             work = replace(work, **moved)
     view = raster.project(scene, work.camera, backend=backend)
     ones = torch.ones(len(work.gaussians), 1, device=work.gaussians.device)
-    moved_by = scene.order if isinstance(scene, raster.PreparedScene) else None
+    moved_by = scene.order if isinstance(scene, raster.PreparedGaussians) else None
     sums = region_sums_of_a_view(work, view, moved_by) if "vote" in names else None
     runs: dict[str, Run] = {
         "project": lambda: raster.project(scene, work.camera, backend=backend),
@@ -190,8 +190,7 @@ def region_sums_of_a_view(work: Workload, view: raster.Projection, order: Tensor
 def vote_of_a_view(work: Workload, sums: RegionSums | None, backend: str) -> GaussianCodes:
     """One round over one view; most of it is what does not depend on the number of views."""
     assert sums is not None
-    keep, device = work.indices.shape[2], work.gaussians.device
-    return vote(sums, work.codes, work.codebook, 1, keep, backend=backend, device=device)
+    return vote(sums, work.codes, work.codebook, 1, work.indices.shape[2], backend=backend)
 
 
 def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[list[str], dict[str, str]]:

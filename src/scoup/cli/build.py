@@ -108,7 +108,8 @@ class Build(WritesCommon):
             load_gaussians,
             load_regions,
         )
-        from scoup.uplift.build import build, build_settings
+        from scoup.uplift.build import build
+        from scoup.uplift.build_settings import build_settings
         from scoup.uplift.region_sums import sums_path
 
         device = device_of_process(self.device)

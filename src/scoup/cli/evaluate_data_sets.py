@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from scoup.evaluate.scores import PairScore, SceneScore
     from scoup.evaluate.scoring import Asked
     from scoup.field.language_field import LanguageField
-    from scoup.uplift.build import BuildSettings
+    from scoup.uplift.build_settings import BuildSettings
 
 Names = tyro.conf.UseAppendAction[tuple[str, ...]]
 
@@ -91,7 +91,7 @@ class Scored(DataSetOptions):
             score_selection,
             text_source,
         )
-        from scoup.uplift.build import build_settings
+        from scoup.uplift.build_settings import build_settings
 
         data_set = find_data_set(self.data_set_name)
         rules = data_set_preset(data_set, self.rules)

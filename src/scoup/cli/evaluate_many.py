@@ -167,7 +167,7 @@ class Presence(ManyOptions):
         from scoup.base.errors import InputError
         from scoup.evaluate.scoring import encode_words, text_source
         from scoup.evaluate.studies.presence import absent_words, ask_scene, presence_tables
-        from scoup.uplift.build import build_settings
+        from scoup.uplift.build_settings import build_settings
 
         self.check("presence")
         scenes = self.prepared(console)

@@ -143,7 +143,7 @@ class Consistency(ManyOptions):
             dominant_gaussians,
             tracked_points,
         )
-        from scoup.uplift.build import build_settings
+        from scoup.uplift.build_settings import build_settings
 
         self.check("consistency")
         settings = build_settings(self.preset_name, seed=self.seed)

@@ -115,7 +115,7 @@ class Update(AsksField):
         from scoup.base.errors import InputError, UnknownNameError
         from scoup.io import load_cameras, load_regions
         from scoup.io.regions.views import FOLDER_NAME
-        from scoup.uplift.rasterise import cameras_with_regions, is_taken, read_labels
+        from scoup.uplift.rasterise import cameras_with_regions, holds_view, read_labels
 
         if not self.add:
             return [], None
@@ -138,7 +138,7 @@ class Update(AsksField):
         changed = [
             camera
             for camera, labels in read_labels(regions, known, device)
-            if not is_taken(sums, camera, labels)
+            if not holds_view(sums, camera, labels)
         ]
         if not changed and not self.remove:
             raise InputError("nothing to do: these views are in the field, and have not changed")

@@ -13,9 +13,9 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.coding.adam import AdamSettings, solve_adam
 from scoup.coding.codebook import Codebook, Encoded
+from scoup.coding.embeddings import normalise_embeddings
 from scoup.coding.exact import EFFORTS, solve_exact
 from scoup.coding.report import CodingReport, report_on
-from scoup.coding.rows import unit_rows
 from scoup.scene.codes import SparseCodes, index_dtype
 
 __all__ = ["SOLVERS", "Codebook", "CodingReport", "Encoded", "fit_codes"]
@@ -23,16 +23,18 @@ __all__ = ["SOLVERS", "Codebook", "CodingReport", "Encoded", "fit_codes"]
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """What a solver may be told; each reads what concerns it.
+    """Settings of all solvers; each reads its own.
 
     Attributes:
         effort: of "exact": "fast" or "best".
         epochs, tolerance: of "adam".
+        backend: of "exact", see ``scoup.coding.backends``; by default what is fastest for the device of the rows.
     """
 
     effort: str = "best"
     epochs: int = 4000
     tolerance: float | None = None
+    backend: str | None = None
 
 
 Solver = Callable[[Tensor, int, int, int, SolverSettings, Progress], tuple[Tensor, SparseCodes, int]]
@@ -52,7 +54,7 @@ def _adam(
 def _exact(
     rows: Tensor, n_atoms: int, k: int, seed: int, settings: SolverSettings, progress: Progress
 ) -> tuple[Tensor, SparseCodes, int]:
-    solution = solve_exact(rows, n_atoms, k, seed, EFFORTS[settings.effort], progress)
+    solution = solve_exact(rows, n_atoms, k, seed, EFFORTS[settings.effort], progress, settings.backend)
     return solution.atoms, solution.codes, solution.steps
 
 
@@ -68,6 +70,7 @@ def fit_codes(
     epochs: int = 4000,
     tolerance: float | None = None,
     effort: str = "best",
+    backend: str | None = None,
     progress: Progress = no_progress,
 ) -> Codebook:
     """Learn a codebook of L atoms and a K-sparse non-negative code for every embedding (method.md, stage 1).
@@ -86,7 +89,8 @@ def fit_codes(
         epochs: full-batch optimisation steps of "adam" at most; "exact" has a schedule of its own (``solve_exact``).
         tolerance: "adam" stops early, once the mean of 1 - cosine has fallen by less than this over 100 epochs.
         effort: "fast" or "best" (the default): how long "exact" learns; see ``scoup.coding.exact.EFFORTS``.
-        progress: told after each epoch or step. An exception it raises (or Ctrl-C) stops the fit and nothing is kept.
+        backend: of "exact", by name (``scoup.coding.backends``); by default the fastest for the device.
+        progress: called after each epoch or step. An exception it raises (or Ctrl-C) stops the fit and nothing is kept.
 
     Raises:
         InputError: if the embeddings are not [R, D] or not finite, or a setting is out of range.
@@ -101,10 +105,10 @@ def fit_codes(
         raise InputError(f"there is no effort {effort!r}; efforts: {', '.join(map(repr, EFFORTS))}")
     index_dtype(n_atoms)  # checks its range
     started = time.perf_counter()
-    rows = unit_rows(embeddings)
+    rows = normalise_embeddings(embeddings)
     coded = (rows != 0).any(1)
     if coded.any():
-        settings = SolverSettings(effort, epochs, tolerance)
+        settings = SolverSettings(effort, epochs, tolerance, backend)
         atoms, codes, run = SOLVERS[solver](rows[coded], n_atoms, k, seed, settings, progress)
         codes = _spread(codes, coded)
     else:

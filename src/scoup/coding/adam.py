@@ -43,7 +43,7 @@ _TINY = 1e-30
 
 @dataclass(frozen=True)
 class AdamSettings:
-    """What the solver may be told.
+    """Settings of the solver.
 
     Attributes:
         epochs: full-batch steps.
@@ -88,7 +88,7 @@ def solve_adam(
         k: most atoms a row may use; more than L counts as L.
         seed: of the k-means start.
         settings: see ``AdamSettings``.
-        progress: told after every epoch, as stage "sparse coding".
+        progress: called after every epoch, as stage "sparse coding".
         initial_atoms: [L, D] float32 start of the codebook; by default spherical k-means of the rows.
     """
     settings = settings or AdamSettings()

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
+from scoup.coding.embeddings import normalise_embeddings
 from scoup.coding.encode import encode
 from scoup.coding.kmeans import spherical_kmeans
-from scoup.coding.report import CodingReport, code_cosines, report_with_more
-from scoup.coding.rows import unit_rows
+from scoup.coding.report import CodingReport, decoded_cosines, report_with_more
 from scoup.scene.codes import SparseCodes, index_dtype
 
 STARTS = 4  # of k-means for appended atoms; a single start often misses one of the new things
@@ -92,17 +92,17 @@ class Codebook:
         return Codebook(atoms, codes, report)
 
     def _checked(self, rows: Tensor) -> Tensor:
-        rows = unit_rows(rows)
+        rows = normalise_embeddings(rows)
         if rows.shape[1] != self.atoms.shape[1]:
             raise InputError(f"rows have {rows.shape[1]} dimensions, the codebook has {self.atoms.shape[1]}")
         return rows.to(self.atoms.device)
 
 
-def encode_rows(rows: Tensor, atoms: Tensor, k: int, bar: float) -> Encoded:
-    """``Codebook.encode`` of unit rows [R, D]: ``bar`` is the cosine below which a row is badly explained."""
+def encode_rows(rows: Tensor, atoms: Tensor, k: int, threshold: float) -> Encoded:
+    """``Codebook.encode`` of unit rows [R, D]: ``threshold`` is the cosine below which a row is badly explained."""
     codes = encode(rows, atoms, k)
-    cosines = code_cosines(rows, atoms, codes)
-    return Encoded(codes, cosines, (cosines < bar) & rows.any(1))
+    cosines = decoded_cosines(rows, atoms, codes)
+    return Encoded(codes, cosines, (cosines < threshold) & rows.any(1))
 
 
 def learn_atoms(rows: Tensor, atoms: Tensor, k: int, n_new: int, seed: int = 0) -> Tensor:
@@ -129,7 +129,7 @@ def learn_atoms(rows: Tensor, atoms: Tensor, k: int, n_new: int, seed: int = 0) 
     for start in range(STARTS):
         found = _different(spherical_kmeans(rows, count, STARTS * seed + start))
         both = torch.cat([atoms, found])
-        loss = float(1.0 - code_cosines(rows, both, encode(rows, both, k)).double().mean())
+        loss = float(1.0 - decoded_cosines(rows, both, encode(rows, both, k)).double().mean())
         if loss < least:
             best, least = found, loss
     return best

@@ -1,7 +1,7 @@
 """The exact solver: codes are solved for, so only the codebook is learned.
 
 Given the codebook, coding one region is a small non-negative least-squares problem with at most K non-zeros, which
-the coder (``exact_reference`` states it) solves almost always to the optimum. What is left is a problem in the atoms
+the coder (``reference.code`` states it) solves almost always to the optimum. What is left is a problem in the atoms
 C alone. With the least-squares weights w of a unit row f and their cosine c, the loss 1 - c has the gradient
 
     u (w w^T C - w f^T),  u = 1 / c    (w need not be differentiated: it is optimal)
@@ -23,14 +23,12 @@ import torch
 from torch import Tensor
 
 from scoup.base.progress import Progress, no_progress
-from scoup.coding.arithmetic import (
-    Arithmetic,
+from scoup.coding.arithmetic import ordered_sum, square_root, take_rows
+from scoup.coding.backends import (
+    CodingBackend,
     RowCodes,
-    arithmetic_at_hand,
     as_sparse_codes,
-    ordered_sum,
-    square_root,
-    take_rows,
+    coding_backend,
     working_device,
 )
 from scoup.coding.exact_start import starting_atoms, unit
@@ -49,7 +47,7 @@ _LEAST_COSINE = 0.1  # rows that are coded worse weigh no more than those coded 
 
 @dataclass(frozen=True)
 class ExactSettings:
-    """What the solver may be told.
+    """Settings of the solver.
 
     Attributes:
         steps: Adam steps on the codebook.
@@ -94,6 +92,7 @@ def solve_exact(
     seed: int = 0,
     settings: ExactSettings = BEST,
     progress: Progress = no_progress,
+    backend: str | None = None,
 ) -> ExactSolution:
     """Learn unit atoms and K-sparse codes of unit rows (method.md, stage 1) by exact coding.
 
@@ -107,10 +106,11 @@ def solve_exact(
         k: most atoms a row may use; more than L counts as L.
         seed: of the start and of the batches.
         settings: see ``ExactSettings``; ``FAST`` takes about half the time of ``BEST``.
-        progress: told after every step and pass, as stage "sparse coding".
+        progress: called after every step and pass, as stage "sparse coding".
+        backend: by name; by default the fastest for the device of the rows.
     """
     ours = rows.detach().to(working_device(rows)).float().contiguous()
-    learner = _Learner(ours, n_atoms, min(k, n_atoms), seed)
+    learner = Learner(ours, n_atoms, min(k, n_atoms), seed, coding_backend(ours.device, backend))
     total = settings.steps + settings.passes + 1
     progress("sparse coding", 0, total)
     done = 0
@@ -121,14 +121,22 @@ def solve_exact(
     return ExactSolution(learner.atoms.to(rows.device), codes, done, tuple(learner.losses))
 
 
-class _Learner:
-    def __init__(self, rows: Tensor, n_atoms: int, k: int, seed: int) -> None:
-        self._rows = rows
+class Learner:
+    """The codebook while it is learned.
+
+    Attributes:
+        rows: [R, D] float32 unit vectors.
+        atoms: [L, D] float32, of unit norm.
+        losses: see ``ExactSolution``.
+    """
+
+    def __init__(self, rows: Tensor, n_atoms: int, k: int, seed: int, backend: CodingBackend) -> None:
+        self.rows = rows
         self._k = k
         # On the CPU, so that every device draws the same.
         self._random = torch.Generator().manual_seed(seed)
-        self._arithmetic: Arithmetic = arithmetic_at_hand(rows.device)
-        self.atoms = starting_atoms(rows, n_atoms, self._random, self._arithmetic)
+        self._backend = backend
+        self.atoms = starting_atoms(rows, n_atoms, self._random, backend)
         self._codes: RowCodes | None = None
         self.losses: list[float] = []
 
@@ -136,12 +144,11 @@ class _Learner:
         """Take Adam steps, yielding after each."""
         first, second = torch.zeros_like(self.atoms), torch.zeros_like(self.atoms)
         supports: list[Tensor] = []  # since atoms were last placed anew
-        batches = self._batches(min(settings.batch, len(self._rows)))
+        batches = self._batches(min(settings.batch, len(self.rows)))
         for step in range(1, settings.steps + 1):
-            rows = take_rows(self._rows, next(batches))
-            codes = self._arithmetic.code_rows(rows, self.atoms, self._k, swap_passes=1)
-            within, toward = self._moments(rows, codes)
-            gradient = self._gradient(within, toward).div_(len(rows))
+            rows = take_rows(self.rows, next(batches))
+            codes = self._backend.code_rows(rows, self.atoms, self._k, swap_passes=1)
+            gradient = self.gradient(rows, codes)
             first += (gradient - first).mul_(1 - BETAS[0])
             second += (gradient * gradient).sub_(second).mul_(1 - BETAS[1])
             rate = settings.learning_rate * 0.5 * (1 + math.cos(math.pi * step / settings.steps))
@@ -152,7 +159,7 @@ class _Learner:
             if step < RESEED_UNTIL * settings.steps:
                 supports.append(codes.support)
                 if step % RESEED_EVERY == 0:
-                    placed = self._reseed(self._rare(torch.cat(supports)), rows, codes.cosines)
+                    placed = self.reseed(self._rare(torch.cat(supports)), rows, codes.cosines)
                     first[placed] = second[placed] = 0
                     supports.clear()
             yield
@@ -161,14 +168,14 @@ class _Learner:
         """Solve for the codebook over all rows again and again, keeping what lowers the loss; yields after each."""
         if settings.passes == 0:
             return
-        codes = self._code(self.atoms, swap_passes=1)
+        codes = self.code(self.atoms, swap_passes=1)
         loss = _loss(codes)
         self.losses.append(loss)
         overstep = 0.0  # not in the first pass
         for _ in range(settings.passes):
             target = self._least_squares_atoms(codes)
             atoms = unit(target + overstep * (target - self.atoms), self.atoms)
-            tried = self._code(atoms, swap_passes=1, warm=codes.support)
+            tried = self.code(atoms, swap_passes=1, warm=codes.support)
             better = _loss(tried) <= loss
             if better:
                 self.atoms, codes, loss = atoms, tried, _loss(tried)
@@ -181,42 +188,45 @@ class _Learner:
 
     def final_codes(self) -> RowCodes:
         """Codes of all rows, going on from those of the last pass if there was one."""
-        codes = self._code(self.atoms, FINAL_SWAPS, None if self._codes is None else self._codes.support)
+        codes = self.code(self.atoms, FINAL_SWAPS, None if self._codes is None else self._codes.support)
         self.losses.append(_loss(codes))
         return codes
 
     def _batches(self, size: int) -> Iterator[Tensor]:
         """Row numbers [size] without end, every row once before any comes again, but for a last few."""
         while True:
-            order = torch.randperm(len(self._rows), generator=self._random).to(self._rows.device)
+            order = torch.randperm(len(self.rows), generator=self._random).to(self.rows.device)
             for start in range(0, len(order) - size + 1, size):
                 yield order[start : start + size]
 
-    def _code(self, atoms: Tensor, swap_passes: int, warm: Tensor | None = None) -> RowCodes:
-        return self._arithmetic.code_rows(self._rows, atoms, self._k, swap_passes, warm)
+    def code(self, atoms: Tensor, swap_passes: int, warm: Tensor | None = None) -> RowCodes:
+        """Codes of all rows over ``atoms`` [L, D]."""
+        return self._backend.code_rows(self.rows, atoms, self._k, swap_passes, warm)
 
     def _moments(self, rows: Tensor, codes: RowCodes) -> tuple[Tensor, Tensor]:
         scale = codes.cosines.clamp(min=_LEAST_COSINE).reciprocal_()
-        return self._arithmetic.code_moments(rows, codes, scale, len(self.atoms))
+        return self._backend.code_moments(rows, codes, scale, len(self.atoms))
 
-    def _gradient(self, within: Tensor, toward: Tensor) -> Tensor:
+    def gradient(self, rows: Tensor, codes: RowCodes) -> Tensor:
+        """[L, D] float32: of the mean loss of some rows [n, D] with these codes, by the atoms."""
+        within, toward = self._moments(rows, codes)
         columns = self.atoms.T.contiguous()
-        return self._arithmetic.row_products(within.float(), columns) - toward.float()
+        return (self._backend.row_products(within.float(), columns) - toward.float()).div_(len(rows))
 
     def _least_squares_atoms(self, codes: RowCodes) -> Tensor:
-        within, toward = self._moments(self._rows, codes)
+        within, toward = self._moments(self.rows, codes)
         # Also holds atoms that nobody uses where they are.
         diagonal = within.diagonal()
         ridge = max(RIDGE * float(ordered_sum(diagonal, 0) / len(diagonal)), 1e-12)
         diagonal += ridge
-        return self._arithmetic.solve(within, toward + ridge * self.atoms).float()
+        return self._backend.solve(within, toward + ridge * self.atoms).float()
 
     def _rare(self, supports: Tensor) -> Tensor:
         """Numbers of the atoms that few of these codes [n, K] use."""
         uses = torch.bincount(supports[supports >= 0], minlength=len(self.atoms))
         return (uses < RARE * len(supports)).nonzero()[:, 0]
 
-    def _reseed(self, rare: Tensor, rows: Tensor, cosines: Tensor) -> Tensor:
+    def reseed(self, rare: Tensor, rows: Tensor, cosines: Tensor) -> Tensor:
         """Place rarely used atoms at the rows that are coded worst; which were placed."""
         worst = cosines.argsort(stable=True)[: len(rare)]
         worst = worst[cosines[worst] < 1 - 1e-6]

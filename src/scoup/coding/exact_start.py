@@ -1,6 +1,6 @@
 """The starting codebook of the exact solver: spherical k-means on a sample of the rows.
 
-``kmeans`` is the same idea for all rows. This form runs on the exact solver's arithmetic, so that the start does not
+``kmeans`` is the same idea for all rows. This form runs on the exact solver's backend, so that the start does not
 depend on the number of threads either.
 """
 
@@ -9,15 +9,16 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from scoup.coding.arithmetic import Arithmetic, RowCodes, ordered_sum, square_root, take_rows
+from scoup.coding.arithmetic import ordered_sum, square_root, take_rows
+from scoup.coding.backends import CodingBackend, RowCodes
 
-SAMPLE = 4000  # rows looked at
+SAMPLE = 4000  # rows used
 TRIALS = 4
 ITERATIONS = 2
 _SAME = 1e-6  # 1 - cosine under which two rows are the same
 
 
-def starting_atoms(rows: Tensor, n_atoms: int, random: torch.Generator, arithmetic: Arithmetic) -> Tensor:
+def starting_atoms(rows: Tensor, n_atoms: int, random: torch.Generator, backend: CodingBackend) -> Tensor:
     """[L, D] unit vectors: greedy k-means++ (Arthur and Vassilvitskii 2007, the best of 4 candidates a step) on a
     sample of the unit rows [R, D], then Lloyd iterations. With fewer distinct rows than atoms some atoms are equal.
     ``random`` is on the CPU, whatever the device of the rows.
@@ -26,9 +27,9 @@ def starting_atoms(rows: Tensor, n_atoms: int, random: torch.Generator, arithmet
     if len(rows) > SAMPLE:
         chosen = torch.randperm(len(rows), generator=random)[:SAMPLE].sort().values
         sample = take_rows(rows, chosen.to(rows.device))
-    atoms = sample[_plus_plus(sample, n_atoms, random, arithmetic)]
+    atoms = sample[_plus_plus(sample, n_atoms, random, backend)]
     for _ in range(ITERATIONS):
-        atoms = _lloyd(sample, atoms, arithmetic)
+        atoms = _lloyd(sample, atoms, backend)
     return atoms
 
 
@@ -43,9 +44,9 @@ def unit(vectors: Tensor, otherwise: Tensor) -> Tensor:
     return torch.where(whole, scaled, otherwise)
 
 
-def _plus_plus(rows: Tensor, n_atoms: int, random: torch.Generator, arithmetic: Arithmetic) -> list[int]:
+def _plus_plus(rows: Tensor, n_atoms: int, random: torch.Generator, backend: CodingBackend) -> list[int]:
     chosen = [int(torch.randint(len(rows), (1,), generator=random))]
-    distance = _distances(rows, chosen, arithmetic)[:, 0]
+    distance = _distances(rows, chosen, backend)[:, 0]
     while len(chosen) < n_atoms:
         # On the CPU, because running sums on a GPU round differently from time to time.
         cumulative = distance.cpu().double().cumsum(0)
@@ -55,24 +56,24 @@ def _plus_plus(rows: Tensor, n_atoms: int, random: torch.Generator, arithmetic: 
             picks.clamp_(max=len(rows) - 1)
         else:  # every row is already an atom
             picks = (draws * len(rows)).long()
-        reduced = torch.minimum(distance[:, None], _distances(rows, picks.tolist(), arithmetic))
+        reduced = torch.minimum(distance[:, None], _distances(rows, picks.tolist(), backend))
         winner = int(ordered_sum(reduced.double(), 0).argmin())
         chosen.append(int(picks[winner]))
         distance = reduced[:, winner]
     return chosen
 
 
-def _distances(rows: Tensor, picks: list[int], arithmetic: Arithmetic) -> Tensor:
+def _distances(rows: Tensor, picks: list[int], backend: CodingBackend) -> Tensor:
     """[R, P]: 1 - cosine to some of the rows, exactly 0 for equal rows."""
-    distance = 1 - arithmetic.row_products(rows, rows[picks])
+    distance = 1 - backend.row_products(rows, rows[picks])
     return torch.nn.functional.threshold(distance, _SAME, 0.0)
 
 
-def _lloyd(rows: Tensor, atoms: Tensor, arithmetic: Arithmetic) -> Tensor:
-    best, nearest = arithmetic.row_products(rows, atoms).max(1)
+def _lloyd(rows: Tensor, atoms: Tensor, backend: CodingBackend) -> Tensor:
+    best, nearest = backend.row_products(rows, atoms).max(1)
     ones = torch.ones_like(best)
     members = RowCodes(nearest.int()[:, None], ones[:, None], ones)
-    _, sums = arithmetic.code_moments(rows, members, ones, len(atoms))
+    _, sums = backend.code_moments(rows, members, ones, len(atoms))
     atoms = unit(sums.float(), atoms)
     empty = (torch.bincount(nearest, minlength=len(atoms)) == 0).nonzero()[:, 0]
     worst = best.argsort(stable=True)[: len(empty)]

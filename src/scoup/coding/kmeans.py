@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-SAMPLE = 16384  # rows looked at to choose the start; Lloyd iterations use all rows
+SAMPLE = 16384  # rows used to choose the start; Lloyd iterations use all rows
 TRIALS = 4
 ITERATIONS = 10
 

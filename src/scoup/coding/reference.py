@@ -1,7 +1,6 @@
-"""Exact sparse coding in Gram space, in plain torch: what the compiled coder computes, written to be read.
+"""Coding in plain torch, on any device that has float64: the readable specification of the faster backends.
 
-Everything is batched over rows and in float64. It is the oracle of the compiled coder and of the GPU's, and stands in
-for them where there is neither.
+The coder works in Gram space and in float64, batched over rows. On a CPU rounding may depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -12,23 +11,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from scoup.scene.codes import full_products
+from scoup.coding.backends import RowCodes
+from scoup.coding.least_squares import DEPENDENT, identity_outside, nonnegative_least_squares
+from scoup.scene.codes import float32_products
 
-DEPENDENT = 1e-5  # an atom with less than this share of its squared norm left depends on those chosen
 NO_GAIN = 1e-9  # share of the explained square below which another atom is rounding
 SWAP_GAIN = 1e-6  # share by which a swap must raise the explained square
-NO_WEIGHT = 1e-7  # weights below this share of the largest possible are rounding
 _BLOCK_NUMBERS = 1 << 21  # numbers of one temporary of ``code_rows``
-
-
-class Coded(NamedTuple):
-    """Codes of n rows. Weights are those of least squares; the norm of a decoded code is the cosine of a unit
-    row and its code.
-    """
-
-    support: Tensor  # [n, K] int64 by falling weight, -1 in slots that are not used
-    weights: Tensor  # [n, K] float64
-    cosines: Tensor  # [n] float64
+_BLOCK_ROWS = 4096  # of the sums of ``code_moments``
 
 
 def code(
@@ -37,7 +27,7 @@ def code(
     k: int,
     swap_passes: int = 0,
     warm: Tensor | None = None,  # [n, K]
-) -> Coded:
+) -> RowCodes:
     """For each row at most k atoms and weights >= 0 that bring the decoded code near to it in angle.
 
     Under the cosine loss only the direction of w C matters, so the best weights on a support solve non-negative
@@ -60,7 +50,7 @@ def code(
         if bool((found.explained == before).all()):
             break
     weights, order = torch.sort(found.weights, dim=1, descending=True, stable=True)
-    return Coded(found.support.gather(1, order), weights, found.explained.clamp(min=0).sqrt())
+    return RowCodes(found.support.gather(1, order), weights, found.explained.clamp(min=0).sqrt())
 
 
 def code_rows(
@@ -69,33 +59,62 @@ def code_rows(
     k: int,
     swap_passes: int = 0,
     warm: Tensor | None = None,  # [R, K]
-) -> Coded:
-    """``code`` of rows under atoms, in blocks of rows, so that memory does not grow with R x L."""
+) -> RowCodes:
+    """See ``CodingBackend.code_rows``."""
     size = max(1, _BLOCK_NUMBERS // (k * len(atoms)))
-    return code_in_blocks(
+    support, weights, cosines = code_in_blocks(
         lambda similarities, gram, start: code(similarities, gram, k, swap_passes, start),
         rows,
         atoms,
         size,
         warm,
     )
+    return RowCodes(support.int(), weights.float(), cosines.float())
+
+
+def row_products(rows: Tensor, others: Tensor) -> Tensor:
+    """See ``CodingBackend.row_products``."""
+    return float32_products(rows, others)
+
+
+def code_moments(rows: Tensor, codes: RowCodes, scale: Tensor, n_atoms: int) -> tuple[Tensor, Tensor]:
+    """See ``CodingBackend.code_moments``."""
+    within = rows.new_zeros(n_atoms, n_atoms, dtype=torch.float64)
+    toward = rows.new_zeros(n_atoms, rows.shape[1], dtype=torch.float64)
+    for first in range(0, len(rows), _BLOCK_ROWS):
+        part = slice(first, first + _BLOCK_ROWS)
+        # One column more takes the slots that are not used. Nothing is added up here: on a GPU sums that
+        # threads scatter come out in any order.
+        support = codes.support[part].long()
+        dense = rows.new_zeros(len(support), n_atoms + 1)
+        dense.scatter_(1, support.where(support >= 0, n_atoms), codes.weights[part])
+        dense = dense[:, :n_atoms]
+        scaled = (dense * scale[part, None]).T
+        within += float32_products(scaled, dense.T)
+        toward += float32_products(scaled, rows[part].T)
+    return within, toward
+
+
+def solve(matrix: Tensor, right: Tensor) -> Tensor:
+    """See ``CodingBackend.solve``."""
+    return torch.linalg.solve(matrix, right)
 
 
 def code_in_blocks(
-    coder: Callable[[Tensor, Tensor, Tensor | None], Coded],
+    coder: Callable[[Tensor, Tensor, Tensor | None], RowCodes],
     rows: Tensor,  # [R, D]
     atoms: Tensor,  # [L, D]
     size: int,
     warm: Tensor | None,  # [R, K]
-) -> Coded:
+) -> RowCodes:
     """Codes of rows, ``size`` rows at a time, by ``coder(similarities [n, L], gram [L, L], warm [n, K] or None)``."""
-    gram = full_products(atoms, atoms)
+    gram = float32_products(atoms, atoms)
     coded = []
     for start in range(0, max(1, len(rows)), size):
         block = slice(start, start + size)
-        similarities = full_products(rows[block], atoms)
+        similarities = float32_products(rows[block], atoms)
         coded.append(coder(similarities, gram, None if warm is None else warm[block]))
-    return Coded(*(torch.cat(parts) for parts in zip(*coded, strict=True)))
+    return RowCodes(*(torch.cat(parts) for parts in zip(*coded, strict=True)))
 
 
 class _Found(NamedTuple):
@@ -148,7 +167,7 @@ class _Problem:
         used = found.support >= 0
         atoms = found.support.clamp(min=0)
         rows = self.gram[atoms] * used[:, :, None]  # [n, K, L]
-        within = _identity_outside(self.gram[atoms[:, :, None], atoms[:, None, :]], used)
+        within = identity_outside(self.gram[atoms[:, :, None], atoms[:, None, :]], used)
         copies = torch.linalg.solve(within, rows)  # weights of the support in the copy of each atom
         residual = self.similarities - (found.weights[:, :, None] * rows).sum(1)
         left = self.norms - (copies * rows).sum(1)
@@ -183,71 +202,3 @@ class _Problem:
     def _gains(self, residual: Tensor, left: Tensor) -> Tensor:
         usable = (left > DEPENDENT * self.norms) & (residual > 0)
         return torch.where(usable, residual**2 / left, 0.0)
-
-
-def nonnegative_least_squares(
-    toward: Tensor,  # [n, K]
-    within: Tensor,  # [n, K, K]
-    valid: Tensor,  # [n, K]
-) -> Tensor:
-    """[n, K]: the w >= 0 that minimise w^T within w - 2 w . toward, zero outside ``valid`` and for atoms that depend
-    on others.
-
-    Where the solution without signs is positive it is the answer; elsewhere the active-set method of Lawson and
-    Hanson (Solving Least Squares Problems, 1974, chapter 23) finds it.
-    """
-    norms = within.diagonal(dim1=1, dim2=2)
-    alone = torch.where(valid & (norms > 0), toward / norms, 0.0)
-    smallest = NO_WEIGHT * alone.amax(1, keepdim=True).clamp(min=0)
-    weights, independent = _least_squares(toward, within, valid)
-    rest = (~(independent & ((weights > smallest) | ~valid).all(1))).nonzero()[:, 0]
-    if len(rest):
-        weights[rest] = _active_set(toward[rest], within[rest], valid[rest], smallest[rest])
-    return weights
-
-
-def _active_set(toward: Tensor, within: Tensor, valid: Tensor, smallest: Tensor) -> Tensor:
-    norms = within.diagonal(dim1=1, dim2=2)
-    weights = torch.zeros_like(toward)
-    used = torch.zeros_like(valid)
-    barred = ~valid
-    for _ in range(4 * valid.shape[1]):
-        pull = toward - (within @ weights[:, :, None])[:, :, 0]
-        helps = ~used & ~barred & (pull > smallest * norms) & (pull > 0)
-        if not bool(helps.any()):
-            break
-        steepest = torch.where(helps, pull, -torch.inf).argmax(1, keepdim=True)
-        enters = torch.zeros_like(used).scatter_(1, steepest, True) & helps
-        target, independent = _least_squares(toward, within, used | enters)
-        useless = ~independent | (target.gather(1, steepest) <= smallest)[:, 0]
-        barred |= enters & useless[:, None]
-        moving = enters.any(1) & ~useless
-        used |= enters & moving[:, None]
-        while bool(moving.any()):
-            target, _ = _least_squares(toward, within, used)
-            falls = used & (target <= 0)
-            step = torch.where(falls, weights / (weights - target), 1.0).amin(1, keepdim=True)
-            moved = weights + step * (target - weights)
-            keeps = used & ((step == 1) | (moved > smallest))
-            weights = torch.where(moving[:, None], torch.where(keeps, moved, 0.0), weights)
-            dropped = (keeps != used).any(1)
-            used = torch.where(moving[:, None], keeps, used)
-            moving &= dropped
-    return weights
-
-
-def _least_squares(toward: Tensor, within: Tensor, active: Tensor) -> tuple[Tensor, Tensor]:
-    """Weights [n, K], zero outside ``active``, and whether the active atoms are independent [n]."""
-    factor, info = torch.linalg.cholesky_ex(_identity_outside(within, active))
-    norms = torch.where(active, within.diagonal(dim1=1, dim2=2), 1.0)
-    pivots = factor.diagonal(dim1=1, dim2=2) ** 2
-    independent = (info == 0) & (pivots > DEPENDENT * norms).all(1)
-    identity = torch.eye(toward.shape[1], dtype=toward.dtype, device=toward.device)
-    factor = torch.where(independent[:, None, None], factor, identity)
-    weights = torch.cholesky_solve(torch.where(active, toward, 0.0)[:, :, None], factor)[:, :, 0]
-    return weights, independent
-
-
-def _identity_outside(within: Tensor, active: Tensor) -> Tensor:
-    both = active[:, :, None] & active[:, None, :]
-    return torch.where(both, within, torch.eye(active.shape[1], dtype=within.dtype, device=within.device))

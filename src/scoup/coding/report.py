@@ -51,7 +51,7 @@ class CodingReport:
         )
 
 
-def code_cosines(rows: Tensor, atoms: Tensor, codes: SparseCodes) -> Tensor:
+def decoded_cosines(rows: Tensor, atoms: Tensor, codes: SparseCodes) -> Tensor:
     """[R] float32: cosine between each row of ``rows`` [R, D] and its code decoded with ``atoms`` [L, D]; 0
     where either is zero. Decodes in chunks.
     """
@@ -72,7 +72,7 @@ def report_on(
 ) -> CodingReport:
     """Measure codes against the rows they stand for; zero rows are left out of the figures."""
     coded = torch.linalg.vector_norm(rows, dim=1) > 0
-    cosines = code_cosines(rows, atoms, codes)[coded].double()
+    cosines = decoded_cosines(rows, atoms, codes)[coded].double()
     # With no rows at all nothing is misrepresented.
     mean = float(cosines.mean()) if len(cosines) else 1.0
     low = float(torch.quantile(cosines, 0.05)) if len(cosines) else 1.0
@@ -94,16 +94,16 @@ def explained_from(low_cosine: float, regions: int, n_atoms: int) -> float:
 
     The 5th percentile of the training rows is no measure of others where atoms are many: an atom learned from n rows
     lies nearer to them than to the next row of the same thing. A fit errs by 1 - 1/n on its own rows and by 1 + 1/n on
-    others, n = regions / atoms (Akaike's final prediction error), so the distance is widened by the ratio of the two.
-    With no more rows than atoms nothing can be said, and whatever differs from the training rows is under the bar.
+    others, n = regions / atoms (Akaike's final prediction error), so the distance is scaled by the ratio of the two.
+    With no more rows than atoms nothing is known: whatever differs from the training rows is below the threshold.
 
     Args:
         low_cosine: see ``CodingReport``.
         regions: rows the atoms were learned from, those of norm zero not counted.
         n_atoms: atoms learned from them.
     """
-    widened = (regions + n_atoms) / (regions - n_atoms) if regions > n_atoms else 1.0
-    return max(1.0 - (1.0 - low_cosine) * widened - ROUNDING, LEAST_EXPLAINED)
+    factor = (regions + n_atoms) / (regions - n_atoms) if regions > n_atoms else 1.0
+    return max(1.0 - (1.0 - low_cosine) * factor - ROUNDING, LEAST_EXPLAINED)
 
 
 def report_with_more(

@@ -16,7 +16,7 @@ class Slots:
 
     Only logits in the support (the K largest of a row) have gradients. A logit that was never in the support
     has zero moments, so it stays at its start, and such logits enter in the order of their start: a row needs
-    to look at the next one only. It gives that one a slot when the support sinks below it.
+    to compare with the next one only. It gives that one a slot when the support sinks below it.
 
     Layout is [M, R], so that work over slots runs along contiguous rows; the support stands first, slots that
     a row does not use yet hold -inf.

@@ -19,7 +19,8 @@ from scoup.io import check_output, load_cameras, load_gaussians, load_regions
 from scoup.query.answers import QUERY_PRESETS
 from scoup.synthetic.folder import write_demo_scene
 from scoup.synthetic.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
-from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
@@ -156,9 +157,8 @@ def _sparse_variants(field: LanguageField, sums: RegionSums) -> list[Variant]:
     coded = RegionCodes.kept(sums)
     assert coded is not None  # the build has kept them there
     settings = field.info.provenance["settings"]
-    everything = vote(
-        sums, coded.codes, coded.codebook, settings["rounds"], None, settings["keep"], coded.rows
-    )
+    voters = sums.of_views(coded.rows[0], coded.rows)
+    everything = vote(voters, coded.codes, coded.codebook, settings["rounds"], None, settings["keep"])
     preset = field.info.raster_preset
     of_field = GaussianCodes(field.code_indices, field.code_weights.float())
     return [

@@ -24,7 +24,8 @@ from scoup.models.text import TextEncoder
 from scoup.query.answers import QueryPreset, select
 from scoup.scene.cameras import Camera
 from scoup.scene.regions import LEVELS
-from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import resumed
 
 

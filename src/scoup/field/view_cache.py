@@ -15,7 +15,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.field.relevancy import TEMPERATURE, relevancy
-from scoup.scene.codes import code_scores, full_products, row_products
+from scoup.scene.codes import code_scores, float32_products, stable_products
 
 MOST_CHANNELS = 18
 """Further queries and phrases times levels: beyond, it takes longer to render channels than cosines."""
@@ -111,7 +111,7 @@ def further_cosines(
     """[H, W, S, Q] cosines, the norms [H, W, S] known. Other than those of ``raster.render_cosines`` by rounding
     only: sums over Gaussians and atoms are taken in another order.
     """
-    products = row_products if queries.device.type == "cpu" else full_products
+    products = stable_products if queries.device.type == "cpu" else float32_products
     scores = torch.stack([products(atoms, queries) for atoms in codes.codebook])  # [S, L, Q]
     worth = code_scores(codes.indices, codes.weights, scores)  # [N, S, Q]
     image, _ = raster.render_channels(view, worth.flatten(1))

@@ -10,7 +10,7 @@ from torch import Tensor
 from scoup.raster.presets import ALPHA_MIN
 from scoup.raster.projection import ProjectedGaussians, tile_counts
 
-# Bounds are widened by this many pixels, so that only the per-pixel alpha test ever decides what is painted and
+# Bounds are relaxed by this many pixels, so that only the per-pixel alpha test ever decides what is painted and
 # the answer does not depend on the tile size.
 SLACK = 1e-2
 
@@ -22,7 +22,7 @@ class Bins:
     Attributes:
         tile: edge length of a tile in pixels.
         across, down: tiles across and down; tile number = row * across + column.
-        ranks: [P] int64 rows of the projection, tile after tile.
+        ranks: [P] int64 rows of the projected Gaussians, tile after tile.
         starts: [tiles + 1] int64, where each tile's rows begin in ``ranks``.
     """
 
@@ -33,18 +33,18 @@ class Bins:
     starts: Tensor  # [tiles + 1]
 
 
-def bin_to_tiles(projection: ProjectedGaussians, width: int, height: int, tile: int) -> Bins:
+def bin_to_tiles(projected: ProjectedGaussians, width: int, height: int, tile: int) -> Bins:
     """Expand every Gaussian to the tiles its ellipse touches and group by tile, keeping the depth order."""
     across, down = tile_counts(width, height, tile)
-    extents = projection.extents() + SLACK
+    extents = projected.extents() + SLACK
     limits = torch.tensor([across, down], dtype=torch.float64, device=extents.device)
     # Pixel centres lie at +0.5. Clamped as floats: an ellipse may be wider than any integer.
-    first = torch.ceil(projection.means2d - extents - 0.5).div(tile).floor().clamp(min=0)
-    last = torch.floor(projection.means2d + extents - 0.5).div(tile).floor()
+    first = torch.ceil(projected.means2d - extents - 0.5).div(tile).floor().clamp(min=0)
+    last = torch.floor(projected.means2d + extents - 0.5).div(tile).floor()
     last = torch.minimum(last, limits - 1)
     spans = (last - first + 1).clamp(min=0).long()
     ranks, row, column = tiles_in(first, spans)
-    touched = _ellipse_touches_tile(projection, ranks, column * tile, row * tile, tile)
+    touched = _ellipse_touches_tile(projected, ranks, column * tile, row * tile, tile)
     return grouped(ranks[touched], (row * across + column)[touched], tile, across, down)
 
 
@@ -75,18 +75,18 @@ def grouped(ranks: Tensor, tiles: Tensor, tile: int, across: int, down: int) -> 
 
 
 def _ellipse_touches_tile(
-    projection: ProjectedGaussians, ranks: Tensor, left: Tensor, top: Tensor, tile: int
+    projected: ProjectedGaussians, ranks: Tensor, left: Tensor, top: Tensor, tile: int
 ) -> Tensor:
     """Boolean [P]: does the ellipse alpha >= 1/255 reach the rectangle of the tile's pixel centres?
 
     The distance of the ellipse's metric is convex, so its minimum over a rectangle that does not hold the centre
     lies on an edge facing the centre; along an edge it is a parabola.
     """
-    xx, xy, yy = projection.covariances.unbind(1)
-    radius2 = 2.0 * torch.log(projection.opacities / ALPHA_MIN)
-    xx_yy_xy_det = torch.stack([xx, yy, xy, projection.determinants, radius2], 1)[ranks]
+    xx, xy, yy = projected.covariances.unbind(1)
+    radius2 = 2.0 * torch.log(projected.opacities / ALPHA_MIN)
+    xx_yy_xy_det = torch.stack([xx, yy, xy, projected.determinants, radius2], 1)[ranks]
     var_x, var_y, covariance, determinant, reach = xx_yy_xy_det.unbind(1)
-    centre = projection.means2d[ranks]
+    centre = projected.means2d[ranks]
     x0, y0 = left + 0.5 - SLACK - centre[:, 0], top + 0.5 - SLACK - centre[:, 1]
     span = tile - 1 + 2 * SLACK
     x1, y1 = x0 + span, y0 + span

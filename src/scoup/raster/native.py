@@ -8,26 +8,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.base.native import native_core
+from scoup.base.native import require_core
 from scoup.raster.presets import RasterPreset
 from scoup.scene.cameras import Camera
-from scoup.scene.codes import check_atoms, code_arrays, decoded, index_dtype, row_products
+from scoup.scene.codes import check_atoms, code_arrays, decoded, index_dtype, stable_products
 from scoup.scene.gaussians import Gaussians
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 
 @dataclass(frozen=True, eq=False)
 class NativeProjection:
-    """A scene as one camera sees it: projected, binned and sorted. Made by ``look``.
+    """A scene as one camera sees it: projected, binned and sorted. Made by ``project``.
 
     Attributes:
         n_gaussians: N of the scene.
@@ -50,15 +47,16 @@ PREPARES = True  # by ``make_scene``, and the order of the rows matters to cache
 
 
 def make_scene(gaussians: Gaussians, ties: Tensor | None = None, many_views: bool = False) -> Any:
-    """What the compiled core looks at. It refers to the tensors; with ``many_views`` it takes 48 bytes a Gaussian more.
+    """The Gaussians as the compiled core takes them. It refers to the tensors; ``many_views`` takes 48 bytes a Gaussian
+    more.
 
     Args:
         gaussians: N Gaussians. What is changed in them later may or may not be seen.
         ties: [N] int64, decides between equal depths; by default the rows do.
-        many_views: work out what does not depend on the camera now, not for every view.
+        many_views: compute what does not depend on the camera now, not for every projection.
     """
     with _refusals():
-        return _core().Scene(
+        return require_core().Scene(
             _array(gaussians.means),
             _array(gaussians.quats),
             _array(gaussians.scales),
@@ -75,7 +73,7 @@ def project(
     """See ``raster.project``. ``scene``: of these Gaussians, where ``make_scene`` has made it already."""
     scene = make_scene(gaussians) if scene is None else scene
     with _refusals():
-        handle = _core().project(
+        handle = require_core().project(
             scene,
             _array(camera.viewmat[:3], torch.float64),
             (camera.fx, camera.fy, camera.cx, camera.cy),
@@ -89,72 +87,76 @@ def project(
     return NativeProjection(len(gaussians), camera.width, camera.height, preset, handle)
 
 
-def region_sums(view: NativeProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def region_sums(projection: NativeProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
     with _refusals():
-        found = _core().region_sums(view.handle, _array(combinations, torch.int32), torch.get_num_threads())
+        found = require_core().region_sums(
+            projection.handle, _array(combinations, torch.int32), torch.get_num_threads()
+        )
     gaussian, combination, weight = (torch.from_numpy(part) for part in found)
     return gaussian, combination, weight
 
 
-def render_channels(view: NativeProjection, values: Tensor) -> tuple[Tensor, Tensor]:
+def render_channels(projection: NativeProjection, values: Tensor) -> tuple[Tensor, Tensor]:
     """See ``raster.render_channels``."""
     with _refusals():
-        image, alpha = _core().render_channels(view.handle, _array(values), torch.get_num_threads())
+        image, alpha = require_core().render_channels(
+            projection.handle, _array(values), torch.get_num_threads()
+        )
     return torch.from_numpy(image), torch.from_numpy(alpha)
 
 
-def render_codes(view: NativeProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
+def render_codes(projection: NativeProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
     table = _code_table(indices, weights, n_atoms)
     with _refusals():
-        return torch.from_numpy(_core().render_codes(view.handle, *table, n_atoms, torch.get_num_threads()))
+        return torch.from_numpy(
+            require_core().render_codes(projection.handle, *table, n_atoms, torch.get_num_threads())
+        )
 
 
 def render_cosines(
-    view: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+    projection: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> Tensor:
     """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
-    return render_cosines_and_norms(view, indices, weights, codebook, queries)[0]
+    return render_cosines_and_norms(projection, indices, weights, codebook, queries)[0]
 
 
 def render_cosines_and_norms(
-    view: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+    projection: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> tuple[Tensor, Tensor]:
     """See ``raster.render_cosines_and_norms``."""
     table = _code_table(indices, weights, codebook.shape[1])
-    levels, asked = codebook.cpu(), queries.cpu()
+    levels, words = codebook.cpu(), queries.cpu()
     with _refusals():
-        grams = _array(torch.stack([row_products(atoms, atoms) for atoms in levels]))
-        scores = _array(torch.stack([row_products(atoms, asked) for atoms in levels]))
-        found, norms = _core().render_cosines(view.handle, *table, grams, scores, torch.get_num_threads())
+        grams = _array(torch.stack([stable_products(atoms, atoms) for atoms in levels]))
+        scores = _array(torch.stack([stable_products(atoms, words) for atoms in levels]))
+        found, norms = require_core().render_cosines(
+            projection.handle, *table, grams, scores, torch.get_num_threads()
+        )
     return torch.from_numpy(found), torch.from_numpy(norms)
 
 
-def render_features(view: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
+def render_features(
+    projection: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor
+) -> Tensor:
     """See ``raster.render_features``. One level's coefficients are kept at a time."""
     levels = range(codebook.shape[0])
     codes = (
-        render_codes(view, indices[:, s : s + 1], weights[:, s : s + 1], codebook.shape[1])[0] for s in levels
+        render_codes(projection, indices[:, s : s + 1], weights[:, s : s + 1], codebook.shape[1])[0]
+        for s in levels
     )
     return torch.stack([decoded(of_level, atoms) for of_level, atoms in zip(codes, codebook, strict=True)])
 
 
-def count_work(view: NativeProjection) -> dict[str, int]:
-    """How much work the view is.
+def count_work(projection: NativeProjection) -> dict[str, int]:
+    """How much work the projection is.
 
     Returns:
-        "pairs": of a Gaussian and a tile that are looked at before the tile's pixels are finished; "blocks": vectors
+        "pairs": of a Gaussian and a tile that are visited before the tile's pixels are finished; "blocks": vectors
         of "lanes" pixels evaluated; "evaluations": pixels painted, alpha >= 1/255 and before the stop.
     """
-    return dict(_core().count_work(view.handle, torch.get_num_threads()))
-
-
-def _core() -> ModuleType:
-    core = native_core()
-    if core is None:
-        raise InputError("the compiled core is not there; use the backend 'reference'")
-    return core
+    return dict(require_core().count_work(projection.handle, torch.get_num_threads()))
 
 
 def _array(tensor: Tensor, dtype: torch.dtype = torch.float32) -> np.ndarray:
@@ -172,8 +174,8 @@ def _refusals() -> Iterator[None]:
 
 
 def _code_table(indices: Tensor, weights: Tensor, n_atoms: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indices as uint8 or uint16, weights as float32 or the bits of float16: the forms fields are stored in. These are
-    not looked through for atoms there are not: the core refuses those it meets.
+    """Indices as uint8 or uint16, weights as float32 or the bits of float16: the forms fields are stored in. They are
+    not searched for atoms beyond the codebook: the core refuses those it meets.
     """
     if indices.dtype not in (torch.uint8, torch.uint16):
         check_atoms(indices, n_atoms)

@@ -32,13 +32,13 @@ _BELOW_ALPHA_MIN = float(torch.nextafter(torch.tensor(ALPHA_MIN), torch.tensor(0
 
 @dataclass(frozen=True, eq=False)
 class ReferenceProjection:
-    """A scene as one camera sees it: projected, binned and sorted. Made by ``look``.
+    """A scene as one camera sees it: projected, binned and sorted. Made by ``project``.
 
     Attributes:
         n_gaussians: N of the scene.
         width, height: image size in pixels.
         preset: the rasteriser constants used.
-        projection: the visible Gaussians, nearest first.
+        visible: the Gaussians that the camera may see, nearest first.
         bins: which of them reach which tile.
         ellipses: [M, 4] float64 (ku, slope, kv, log opacity): see ``_alpha``.
     """
@@ -47,7 +47,7 @@ class ReferenceProjection:
     width: int
     height: int
     preset: RasterPreset
-    projection: ProjectedGaussians
+    visible: ProjectedGaussians
     bins: Bins
     ellipses: Tensor
 
@@ -58,37 +58,35 @@ def project(
     gaussians: Gaussians, camera: Camera, preset: RasterPreset, tile: int = TILE
 ) -> ReferenceProjection:
     """Project, bin and sort. ``tile`` changes the speed, never the answer beyond rounding."""
-    projection = project_gaussians(gaussians, camera, preset)
-    _, xy, yy = projection.covariances.unbind(1)
+    visible = project_gaussians(gaussians, camera, preset)
+    _, xy, yy = visible.covariances.unbind(1)
     # exp(-q/2) with q = (dx - slope dy)^2 / var(x | y) + dy^2 / yy: two squares instead of the conic's three
     # terms, which cancel badly for needles.
     ellipses = torch.stack(
         [
-            torch.sqrt(0.5 * yy / projection.determinants),
+            torch.sqrt(0.5 * yy / visible.determinants),
             xy / yy,
             torch.sqrt(0.5 / yy),
-            torch.log(projection.opacities),
+            torch.log(visible.opacities),
         ],
         1,
     )
-    bins = bin_to_tiles(projection, camera.width, camera.height, tile)
-    return ReferenceProjection(
-        len(gaussians), camera.width, camera.height, preset, projection, bins, ellipses
-    )
+    bins = bin_to_tiles(visible, camera.width, camera.height, tile)
+    return ReferenceProjection(len(gaussians), camera.width, camera.height, preset, visible, bins, ellipses)
 
 
-def region_sums(view: ReferenceProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def region_sums(projection: ReferenceProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
     n_combinations = int(combinations.max()) + 1 if combinations.numel() else 0
     found: list[tuple[Tensor, Tensor, Tensor]] = []
-    tiled = to_tiles(combinations[None].long(), view.bins, fill=-1)[:, 0]  # [tiles, P]
-    for batch in _batches(view):
+    tiled = to_tiles(combinations[None].long(), projection.bins, fill=-1)[:, 0]  # [tiles, P]
+    for batch in _batches(projection):
         one_hot, number_of_column = _one_hot_columns(tiled[batch.tiles], n_combinations)
-        for slots, ranks, weights in _blend(view, batch):
+        for slots, ranks, weights in _blend(projection, batch):
             sums = torch.bmm(weights, one_hot[slots])  # [t, G, C]
             at = torch.nonzero(sums, as_tuple=True)
             found.append(
-                (view.projection.ids[ranks[at[0], at[1]]], number_of_column[slots[at[0]], at[2]], sums[at])
+                (projection.visible.ids[ranks[at[0], at[1]]], number_of_column[slots[at[0]], at[2]], sums[at])
             )
     if not found:
         empty = torch.zeros(0, dtype=torch.int32, device=combinations.device)
@@ -97,37 +95,39 @@ def region_sums(view: ReferenceProjection, combinations: Tensor) -> tuple[Tensor
     return merge(gaussian, number, weight, max(1, n_combinations))
 
 
-def render_channels(view: ReferenceProjection, values: Tensor) -> tuple[Tensor, Tensor]:
+def render_channels(projection: ReferenceProjection, values: Tensor) -> tuple[Tensor, Tensor]:
     """See ``raster.render_channels``."""
     channels = values.shape[1]
-    tiles = _empty_tiles(view, channels + 1, values.device)
-    for tile, ids, weights in tile_weights(view):
+    tiles = _empty_tiles(projection, channels + 1, values.device)
+    for tile, ids, weights in tile_weights(projection):
         tiles[tile, :, :channels] = weights.T @ values[ids]
         tiles[tile, :, channels] = weights.sum(0)
-    image = _from_tiles(tiles, view)
+    image = _from_tiles(tiles, projection)
     return image[..., :channels], image[..., channels]
 
 
-def render_codes(view: ReferenceProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
+def render_codes(projection: ReferenceProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
     check_atoms(indices, n_atoms)
     levels = indices.shape[1]
-    tiles = _empty_tiles(view, levels * n_atoms, weights.device)
-    for tile, ids, blending in tile_weights(view):
+    tiles = _empty_tiles(projection, levels * n_atoms, weights.device)
+    for tile, ids, blending in tile_weights(projection):
         tiles[tile] = blending.T @ _dense_codes(indices[ids], weights[ids], n_atoms)
-    image = _from_tiles(tiles, view)
-    return image.reshape(view.height, view.width, levels, n_atoms).permute(2, 0, 1, 3).contiguous()
+    image = _from_tiles(tiles, projection)
+    return (
+        image.reshape(projection.height, projection.width, levels, n_atoms).permute(2, 0, 1, 3).contiguous()
+    )
 
 
 def render_cosines(
-    view: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+    projection: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> Tensor:
     """See ``raster.render_cosines``."""
-    return render_cosines_and_norms(view, indices, weights, codebook, queries)[0]
+    return render_cosines_and_norms(projection, indices, weights, codebook, queries)[0]
 
 
 def render_cosines_and_norms(
-    view: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+    projection: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> tuple[Tensor, Tensor]:
     """See ``raster.render_cosines_and_norms``. The coefficients of a tile are used up at once; no map of them is
     kept.
@@ -136,23 +136,26 @@ def render_cosines_and_norms(
     check_atoms(indices, n_atoms)
     count = len(queries)
     scores, grams = codebook @ queries.T, codebook @ codebook.transpose(1, 2)
-    tiles = _empty_tiles(view, levels * (count + 1), weights.device)
-    for tile, ids, blending in tile_weights(view):
+    tiles = _empty_tiles(projection, levels * (count + 1), weights.device)
+    for tile, ids, blending in tile_weights(projection):
         painted = blending.T @ _dense_codes(indices[ids], weights[ids], n_atoms)
         by_level = painted.view(-1, levels, n_atoms).transpose(0, 1)
         cosines, norms = cosines_and_norms(by_level, scores, grams)  # [S, P, Q] and [S, P]
         found = torch.cat([cosines, norms[..., None]], 2)
         tiles[tile] = found.transpose(0, 1).flatten(1)
-    image = _from_tiles(tiles, view).reshape(view.height, view.width, levels, count + 1)
+    image = _from_tiles(tiles, projection).reshape(projection.height, projection.width, levels, count + 1)
     image = image.permute(2, 3, 0, 1)
     return image[:, :count].contiguous(), image[:, count].contiguous()
 
 
-def render_features(view: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
+def render_features(
+    projection: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor
+) -> Tensor:
     """See ``raster.render_features``. One level's coefficients are kept at a time."""
     levels = range(codebook.shape[0])
     codes = (
-        render_codes(view, indices[:, s : s + 1], weights[:, s : s + 1], codebook.shape[1])[0] for s in levels
+        render_codes(projection, indices[:, s : s + 1], weights[:, s : s + 1], codebook.shape[1])[0]
+        for s in levels
     )
     return torch.stack([decoded(of_level, atoms) for of_level, atoms in zip(codes, codebook, strict=True)])
 
@@ -166,9 +169,9 @@ class _Batch:
     ends: Tensor
 
 
-def _batches(view: ReferenceProjection) -> Iterator[_Batch]:
+def _batches(projection: ReferenceProjection) -> Iterator[_Batch]:
     """Tiles that hold anything, the fullest first, so that tiles of a batch have about as many Gaussians."""
-    starts = view.bins.starts
+    starts = projection.bins.starts
     counts = starts[1:] - starts[:-1]
     order = torch.argsort(counts, descending=True, stable=True)
     order = order[: int((counts > 0).sum())]
@@ -177,39 +180,39 @@ def _batches(view: ReferenceProjection) -> Iterator[_Batch]:
         yield _Batch(tiles, starts[tiles], starts[tiles + 1])
 
 
-def tile_weights(view: ReferenceProjection) -> Iterator[tuple[int, Tensor, Tensor]]:
+def tile_weights(projection: ReferenceProjection) -> Iterator[tuple[int, Tensor, Tensor]]:
     """Tile by tile (tile, ids [G], weights [G, P]): the Gaussians that paint it and how much of each pixel."""
-    for batch in _batches(view):
+    for batch in _batches(projection):
         parts = []
-        for slots, ranks, weights in _blend(view, batch):
+        for slots, ranks, weights in _blend(projection, batch):
             painting = torch.nonzero(weights.amax(2), as_tuple=True)
             parts.append((slots[painting[0]], ranks[painting], weights[painting]))
         slots, ranks, weights = (torch.cat(items) for items in zip(*parts, strict=True))
         order = torch.argsort(
             slots, stable=True
         )  # chunks come front to back, so each tile stays front to back
-        ids, weights = view.projection.ids[ranks[order]], weights[order]
+        ids, weights = projection.visible.ids[ranks[order]], weights[order]
         counts = torch.bincount(slots, minlength=len(batch.tiles)).tolist()
         yield from zip(batch.tiles.tolist(), ids.split(counts), weights.split(counts), strict=True)
 
 
-def _blend(view: ReferenceProjection, batch: _Batch) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+def _blend(projection: ReferenceProjection, batch: _Batch) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """Blending weights of a batch, chunk by chunk, front to back.
 
     Yields (slots [t], ranks [t, G], weights [t, G, P]): the batch rows still unfinished, the projected Gaussians
     taken, and e = alpha * transmittance of each at each pixel. Rows beyond a tile's last Gaussian weigh zero.
     """
-    pixels = view.bins.tile**2
-    device = view.ellipses.device
+    pixels = projection.bins.tile**2
+    device = projection.ellipses.device
     slots = torch.arange(len(batch.tiles), device=device)
     start, end = batch.starts, batch.ends
     transmittance = torch.ones(len(slots), pixels, device=device)
     lane = torch.arange(CHUNK, device=device)
-    last_row = max(0, len(view.bins.ranks) - 1)
+    last_row = max(0, len(projection.bins.ranks) - 1)
     while len(slots):
         rows = start[:, None] + lane
-        ranks = view.bins.ranks[rows.clamp(max=last_row)]
-        alpha = _alpha(view, batch.tiles[slots], ranks, rows < end[:, None])
+        ranks = projection.bins.ranks[rows.clamp(max=last_row)]
+        alpha = _alpha(projection, batch.tiles[slots], ranks, rows < end[:, None])
         after = 1.0 - alpha
         after[:, 0] *= transmittance
         for row in range(1, after.shape[1]):
@@ -218,7 +221,11 @@ def _blend(view: ReferenceProjection, batch: _Batch) -> Iterator[tuple[Tensor, T
         alpha[:, 1:] *= after[:, :-1]
         # A pixel stops before the Gaussian that would take its transmittance below the bound. Transmittance only
         # falls, so that one and all behind it are the ones masked here.
-        kept = after > view.preset.stop if view.preset.stop_inclusive else after >= view.preset.stop
+        kept = (
+            after > projection.preset.stop
+            if projection.preset.stop_inclusive
+            else after >= projection.preset.stop
+        )
         yield slots, ranks, alpha.mul_(kept)
 
         transmittance = after[:, -1] * kept[:, -1]
@@ -228,17 +235,17 @@ def _blend(view: ReferenceProjection, batch: _Batch) -> Iterator[tuple[Tensor, T
             slots, start, end, transmittance = (part[going_on] for part in (slots, start, end, transmittance))
 
 
-def _alpha(view: ReferenceProjection, tiles: Tensor, ranks: Tensor, valid: Tensor) -> Tensor:
+def _alpha(projection: ReferenceProjection, tiles: Tensor, ranks: Tensor, valid: Tensor) -> Tensor:
     """[T, G, P] float32 alpha of each Gaussian at each pixel of its tile, zero where under 1/255 or not valid.
 
     alpha = exp(log opacity - (kv dy)^2 - (ku (dx - slope dy))^2). Offsets are formed in float64 from the tile's
     corner, so that the float32 work below sees small numbers however far away the Gaussian's centre lies.
     """
-    bins = view.bins
+    bins = projection.bins
     corner_x = (tiles % bins.across * bins.tile).double()[:, None] + 0.5
     corner_y = torch.div(tiles, bins.across, rounding_mode="floor").mul(bins.tile).double()[:, None] + 0.5
-    ku, slope, kv, log_opacity = view.ellipses[ranks].unbind(2)
-    centre_x, centre_y = view.projection.means2d[ranks].unbind(2)
+    ku, slope, kv, log_opacity = projection.ellipses[ranks].unbind(2)
+    centre_x, centre_y = projection.visible.means2d[ranks].unbind(2)
     dx, dy = corner_x - centre_x, corner_y - centre_y
     log_opacity = torch.where(valid, log_opacity, -torch.inf)
 
@@ -250,7 +257,7 @@ def _alpha(view: ReferenceProjection, tiles: Tensor, ranks: Tensor, valid: Tenso
 
     u = along_x[:, :, None, :] - skew[:, :, :, None]
     exponent = torch.addcmul(peak[..., None], u, u, value=-1.0)
-    alpha = exponent.exp_().clamp_(max=view.preset.alpha_max)
+    alpha = exponent.exp_().clamp_(max=projection.preset.alpha_max)
     torch.threshold_(alpha, _BELOW_ALPHA_MIN, 0.0)
     return alpha.flatten(2)
 
@@ -289,8 +296,10 @@ def _one_hot_columns(numbers: Tensor, n_numbers: int) -> tuple[Tensor, Tensor]:
     return one_hot[..., :columns].contiguous(), number_of_column
 
 
-def _empty_tiles(view: ReferenceProjection, channels: int, device: torch.device) -> Tensor:
-    return torch.zeros(view.bins.across * view.bins.down, view.bins.tile**2, channels, device=device)
+def _empty_tiles(projection: ReferenceProjection, channels: int, device: torch.device) -> Tensor:
+    return torch.zeros(
+        projection.bins.across * projection.bins.down, projection.bins.tile**2, channels, device=device
+    )
 
 
 def to_tiles(maps: Tensor, bins: Bins, fill: int) -> Tensor:
@@ -303,9 +312,9 @@ def to_tiles(maps: Tensor, bins: Bins, fill: int) -> Tensor:
     return blocks.permute(1, 3, 0, 2, 4).reshape(bins.across * bins.down, levels, bins.tile**2)
 
 
-def _from_tiles(tiles: Tensor, view: ReferenceProjection) -> Tensor:
+def _from_tiles(tiles: Tensor, projection: ReferenceProjection) -> Tensor:
     """[tiles, P, C] -> [H, W, C]."""
-    bins, channels = view.bins, tiles.shape[2]
+    bins, channels = projection.bins, tiles.shape[2]
     blocks = tiles.view(bins.down, bins.across, bins.tile, bins.tile, channels).permute(0, 2, 1, 3, 4)
     image = blocks.reshape(bins.down * bins.tile, bins.across * bins.tile, channels)
-    return image[: view.height, : view.width].contiguous()
+    return image[: projection.height, : projection.width].contiguous()

@@ -1,4 +1,4 @@
-"""What a rasteriser says of a view's regions: how much each Gaussian paints of each combination of them."""
+"""Region sums of one view: how much each Gaussian paints of each combination of its regions."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ def cosines_from_codes(weights: Tensor, codebook: Tensor, queries: Tensor) -> Te
 
 
 def cosines_from_products(weights: Tensor, scores: Tensor, gram: Tensor) -> Tensor:
-    """``cosines_from_codes`` with its two products at hand: A = C T^T [..., L, Q] and G = C C^T [..., L, L].
+    """``cosines_from_codes`` given its two products: A = C T^T [..., L, Q] and G = C C^T [..., L, L].
 
     Args:
         weights: [..., P, L].
@@ -175,7 +175,7 @@ def decoded(weights: Tensor, codebook: Tensor) -> Tensor:
     return torch.nn.functional.normalize(weights @ codebook, dim=-1)
 
 
-def full_products(rows: Tensor, others: Tensor) -> Tensor:
+def float32_products(rows: Tensor, others: Tensor) -> Tensor:
     """[..., R, N]: ``rows`` [..., R, D] times the transposed ``others`` [..., N, D], in full float32.
 
     Also where the user lets torch multiply with fewer bits on a GPU: a similarity rounded to 10 bits of mantissa picks
@@ -211,7 +211,7 @@ def full_float32() -> Iterator[None]:
         torch.set_float32_matmul_precision(before)
 
 
-def row_products(rows: Tensor, others: Tensor) -> Tensor:
+def stable_products(rows: Tensor, others: Tensor) -> Tensor:
     """[R, N] float32: ``rows`` [R, D] times the transposed ``others`` [N, D].
 
     With the compiled core the result is the same for any number of threads; that of torch's products is not, on some
@@ -219,7 +219,7 @@ def row_products(rows: Tensor, others: Tensor) -> Tensor:
     """
     core = native_core() if rows.device.type == "cpu" else None
     if core is None:
-        return full_products(rows, others)
+        return float32_products(rows, others)
     arrays = (part.detach().float().contiguous().numpy() for part in (rows, others))
     return torch.from_numpy(core.row_products(*arrays, torch.get_num_threads()))
 

@@ -4,4 +4,7 @@
 * ``vote``: sums and codes of the regions to a code of each Gaussian, in one round or several;
 * ``build``: all of it, from a splat, cameras and regions to a language field;
 * ``update``: views added to, removed from or changed in a field whose sums are kept.
+
+The method is read in ``region_sums``, ``vote``, ``reweighting``, ``build`` and ``update``. Behind them, ``rasterise``
+is the loop over views, ``region_codes`` the embeddings and codes of the regions, ``storage`` how sums are kept.
 """

@@ -32,13 +32,13 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
-from scoup.coding.rows import unit_rows
+from scoup.coding.embeddings import normalise_embeddings
 from scoup.uplift.region_sums import RegionSums, Rows
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-STAGE = "consensus"  # what progress is told
+STAGE = "consensus"  # of progress
 SAMPLE = 2048  # regions whose pairs tell kappa; the median of their many pairs is that of all to about 1 %
 LEAST_DISTANCE = 1e-4  # what 1 - cos is told from 0; bounds kappa where all embeddings are equal
 BLOCK_ENTRIES = 4_000_000  # of M before pruning, at a time
@@ -96,7 +96,7 @@ def consensus(
         embeddings: per level, [R, D] in the order of ``Regions.embeddings``.
         rows: of each view in them; by default those that ``sums`` has.
         settings: see ``ConsensusSettings``.
-        progress: told of stage "consensus" in regions, each counted once for M and once a round.
+        progress: called for the stage "consensus" in regions, each counted once for M and once a round.
 
     Returns:
         Per level, [R, D] float32 on the device of the input: see ``consensus_of``.
@@ -148,7 +148,7 @@ def covisible(
     Args:
         matrix: A [N, R], the region sums of one level.
         settings: see ``ConsensusSettings``.
-        progress: told of stage "consensus" in regions.
+        progress: called for the stage "consensus" in regions.
     """
     from scipy.sparse import csr_array
 
@@ -177,7 +177,7 @@ def _counted(progress: Progress, total: int) -> Step:
 
 
 def _consensus(matrix: csr_array, rows: Tensor, settings: ConsensusSettings, step: Step) -> Tensor:
-    unit = unit_rows(rows).cpu()
+    unit = normalise_embeddings(rows).cpu()
     if _shape(matrix)[1] != len(unit):
         raise InputError(
             f"the region sums are of {_shape(matrix)[1]} regions, but there are {len(unit)} embeddings"

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.coding.codebook import check_new_atoms, encode_rows, learn_atoms
+from scoup.coding.embeddings import normalise_embeddings
 from scoup.coding.encode import encode
-from scoup.coding.rows import unit_rows
 from scoup.scene.codes import SparseCodes
 from scoup.scene.regions import Regions
 
@@ -28,7 +28,7 @@ class CodedView:
         codebook: [S, L', D] float32; the field's own atoms come first, unchanged.
         n_new: atoms added at each level.
         n_regions: regions at all levels together, those of norm zero not counted.
-        n_badly_explained: how many of these the field's own atoms explain badly; None if the field does not tell what
+        n_badly_explained: how many of these the field's own atoms explain badly; None if the field does not record what
             to expect of its codebook.
     """
 
@@ -40,7 +40,7 @@ class CodedView:
 
 
 def embeddings_of(view_name: str, regions: Regions, levels: Sequence[str], dim: int) -> list[Tensor]:
-    """S x [R, D]: what a view shows at a field's levels.
+    """S x [R, D]: the embeddings of a view's regions at a field's levels.
 
     Raises:
         InputError: the regions have other levels, or embeddings of another size.
@@ -60,7 +60,7 @@ def code_view(
     codebook: Tensor,
     embeddings: Sequence[Tensor],
     k: int,
-    bars: Sequence[float] | None,
+    thresholds: Sequence[float] | None,
     new_atoms: int = 0,
 ) -> CodedView:
     """Code a view's regions, with atoms added for those badly explained if wanted.
@@ -69,21 +69,24 @@ def code_view(
         codebook: [S, L, D] float32.
         embeddings: S x [R_s, D].
         k: K, the most atoms of a code.
-        bars: per level, the cosine below which a region is badly explained (``bars_of``); None if not known.
+        thresholds: per level, the cosine below which a region is badly explained (``explained_thresholds``); None if
+            not known.
         new_atoms: add at most so many atoms a level.
 
     Raises:
-        InputError: embeddings are not finite, ``new_atoms`` is negative or too large, or wanted without ``bars``.
+        InputError: embeddings are not finite, ``new_atoms`` is negative or too large, or wanted without ``thresholds``.
     """
     check_new_atoms(codebook.shape[1], new_atoms)
-    if bars is None and new_atoms:
+    if thresholds is None and new_atoms:
         raise InputError(
-            "this field does not tell how well its codebook explains regions (provenance), so none can be called badly "
+            "this field does not record how well its codebook explains regions (provenance), so none counts as badly "
             "explained; build it again, or add the view with new_atoms=0"
         )
-    rows = [unit_rows(of_level) for of_level in embeddings]
-    expected = [0.0] * len(rows) if bars is None else bars
-    encoded = [encode_rows(r, atoms, k, bar) for r, atoms, bar in zip(rows, codebook, expected, strict=True)]
+    rows = [normalise_embeddings(of_level) for of_level in embeddings]
+    least = [0.0] * len(rows) if thresholds is None else thresholds
+    encoded = [
+        encode_rows(r, atoms, k, cosine) for r, atoms, cosine in zip(rows, codebook, least, strict=True)
+    ]
     new = [
         learn_atoms(r[coded.badly_explained], atoms, k, new_atoms)
         for r, atoms, coded in zip(rows, codebook, encoded, strict=True)
@@ -98,7 +101,7 @@ def code_view(
         codebook,
         [len(atoms) for atoms in new],
         sum(int(r.any(1).sum()) for r in rows),
-        None if bars is None else badly_explained,
+        None if thresholds is None else badly_explained,
     )
 
 
@@ -119,7 +122,7 @@ def append_atoms(codebook: Tensor, new: Sequence[Tensor]) -> Tensor:
     return grown
 
 
-def bars_of(provenance: dict[str, Any], levels: Sequence[str]) -> list[float] | None:
+def explained_thresholds(provenance: dict[str, Any], levels: Sequence[str]) -> list[float] | None:
     """Per level, the cosine below which its codebook explains a region badly; None where it is not recorded."""
     try:
         return [float(provenance["coding"][level]["explained_from"]) for level in levels]

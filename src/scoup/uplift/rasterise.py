@@ -1,4 +1,4 @@
-"""Views taken into region sums: each is rasterised once, unless it is in them already and has not changed."""
+"""Views added to region sums: each is rasterised once, unless it is in them already and has not changed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.uplift.region_sums import RegionSums, camera_digest
+from scoup.uplift.provenance import camera_digest
+from scoup.uplift.region_sums import RegionSums
 
 STAGE = "region sums"
 READERS = 4  # threads that read views for a GPU, each one ahead; for a CPU there is one
@@ -46,7 +47,7 @@ def region_sums(
         raster_preset, backend: see ``raster.project``.
         path: keep the sums in this file. Views that it holds already, of the same scene and with the same label maps
             and cameras, are not rasterised again.
-        progress: told of stage "region sums".
+        progress: called for the stage "region sums".
         more: further arguments of ``RegionSums``.
 
     Raises:
@@ -55,11 +56,11 @@ def region_sums(
     chosen = cameras_with_regions(cameras, regions)
     if path is not None and Path(path).exists():
         sums = RegionSums.open(path, writable=True)
-        check_fits(sums, gaussians.fingerprint(), regions, raster_preset)
+        check_fits(sums, gaussians, regions, raster_preset)
     else:
         new = None if path is None else Path(path)
         sums = RegionSums.of(gaussians, regions.levels, raster_preset, path=new, **more)
-    take_in(sums, gaussians, chosen, regions, backend, progress)
+    add_views(sums, gaussians, chosen, regions, backend, progress)
     sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
     return sums
 
@@ -70,27 +71,25 @@ def resumed(
     """Region sums in a file: those an interrupted build has left there, or new ones.
 
     Args:
-        path: the file; what is there and cannot be gone on from is replaced, with a warning.
+        path: the file; what is there and cannot be continued is replaced, with a warning.
         gaussians, regions, raster_preset: of the build.
         more: further arguments of ``RegionSums``.
     """
     if path.exists():
         try:
             sums = RegionSums.open(path, writable=True)
-            check_fits(sums, gaussians.fingerprint(), regions, raster_preset)
+            check_fits(sums, gaussians, regions, raster_preset)
             wanted = {"weights": "float32", "least_weight": 0.0, **more}
             if wanted != {name: getattr(sums, name) for name in wanted}:
                 raise InputError("its weights were kept in another way")
             return sums
         except (InputError, FileFormatError) as error:
-            warnings.warn(
-                f"{path}: cannot be gone on from ({error}); starting over", ScoupWarning, stacklevel=2
-            )
+            warnings.warn(f"{path}: cannot be continued ({error}); starting over", ScoupWarning, stacklevel=2)
             path.unlink()
     return RegionSums.of(gaussians, regions.levels, raster_preset, path=path, **more)
 
 
-def take_in(
+def add_views(
     sums: RegionSums,
     gaussians: Gaussians,
     cameras: Sequence[Camera],
@@ -106,39 +105,39 @@ def take_in(
     Args:
         sums: of the same Gaussians.
         cameras: views with regions.
-        processes: each takes in its share.
+        processes: each adds its share.
     """
     mine = processes.share(cameras)
-    scene: raster.PreparedScene | None = None
+    prepared: raster.PreparedGaussians | None = None
     progress(STAGE, 0, len(mine))
 
-    def keep(camera: Camera, combined: CombinedLabels, found: ViewSums, order: Tensor | None) -> None:
+    def append(camera: Camera, combined: CombinedLabels, found: ViewSums, order: Tensor | None) -> None:
         sums.append(camera.name, replace(found, labels_digest=combined.digest()), camera, order)
 
-    with ThreadPoolExecutor(1) as keeper:  # a view is kept while the next one is rasterised
-        kept: Future[None] | None = None
+    with ThreadPoolExecutor(1) as writer:  # a view is appended while the next one is rasterised
+        written: Future[None] | None = None
         for done, (camera, combined) in enumerate(read_labels(regions, mine, gaussians.device), start=1):
-            if is_taken(sums, camera, combined):
+            if holds_view(sums, camera, combined):
                 progress(STAGE, done, len(mine))
                 continue
             if not sums.writable:
                 raise InputError(
                     f"{sums.path}: lacks the view {camera.name!r}, or it has changed since (camera or label maps); "
-                    "take it in with scoup update, or build without these region sums"
+                    "add it with scoup update, or build without these region sums"
                 )
-            scene = scene or raster.prepare(gaussians, backend)
-            view = raster.project(scene, camera, sums.raster_preset)
-            found = raster.region_sums(view, combined)
-            if kept is not None:
-                kept.result()
-            kept = keeper.submit(keep, camera, combined, found, scene.order)
+            prepared = prepared or raster.prepare_gaussians(gaussians, backend)
+            projection = raster.project(prepared, camera, sums.raster_preset)
+            found = raster.region_sums(projection, combined)
+            if written is not None:
+                written.result()
+            written = writer.submit(append, camera, combined, found, prepared.order)
             progress(STAGE, done, len(mine))
-        if kept is not None:
-            kept.result()
+        if written is not None:
+            written.result()
 
 
-def is_taken(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:
-    """Whether the sums hold this very view."""
+def holds_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:
+    """Whether the sums hold this very view: same camera, same label maps."""
     view = sums.views.get(camera.name)
     return (
         view is not None
@@ -152,7 +151,7 @@ def read_labels(
 ) -> Iterator[tuple[Camera, CombinedLabels]]:
     """Cameras and the combinations of their regions, on a device, view by view.
 
-    The next views are read by other threads while one is worked on.
+    Other threads read the next views meanwhile.
     """
 
     def load(camera: Camera) -> CombinedLabels:
@@ -185,7 +184,7 @@ def _ahead(
 
 
 def exchanged(sums: RegionSums, view_names: Sequence[str], processes: Processes) -> RegionSums:
-    """What each process has taken in (``take_in``), brought to all; of the Gaussians it votes for only.
+    """What each process has added (``add_views``), brought to all: to each what the Gaussians need that it votes for.
 
     Args:
         sums: this process's.
@@ -195,7 +194,8 @@ def exchanged(sums: RegionSums, view_names: Sequence[str], processes: Processes)
     if processes.world == 1:
         return sums
     buckets = processes.share_range(sums.n_buckets)
-    mine = RegionSums(sums.fingerprint, sums.order, sums.levels, sums.raster_preset, weights=sums.weights)
+    kept_as = {"weights": sums.weights, "least_weight": sums.least_weight}
+    mine = RegionSums(sums.fingerprint, sums.order, sums.levels, sums.raster_preset, None, **kept_as)
     for position, name in enumerate(view_names):
         view = processes.from_rank(sums.views.get(name), processes.owner(position))
         parts = tuple(part.of_buckets(buckets.start, buckets.stop) for part in view.parts)
@@ -203,7 +203,7 @@ def exchanged(sums: RegionSums, view_names: Sequence[str], processes: Processes)
     return mine
 
 
-def check_fits(sums: RegionSums, fingerprint: str, regions: Regions, raster_preset: str) -> None:
+def check_fits(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_preset: str) -> None:
     """Refuse region sums of another scene.
 
     Raises:
@@ -212,7 +212,7 @@ def check_fits(sums: RegionSums, fingerprint: str, regions: Regions, raster_pres
     wrong = [
         what
         for what, same in (
-            ("Gaussians", sums.fingerprint == fingerprint),
+            ("Gaussians", sums.fingerprint == gaussians.fingerprint()),
             (f"levels ({', '.join(sums.levels)})", sums.levels == tuple(regions.levels)),
             (f"rasteriser preset ({sums.raster_preset})", sums.raster_preset == raster_preset),
         )

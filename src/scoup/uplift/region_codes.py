@@ -1,17 +1,56 @@
-"""Codes of the regions of all views, with their codebook: what the vote multiplies the region sums with."""
+"""Embeddings and codes of the regions of all views: what the vote multiplies the region sums with."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
+from scoup.base.processes import ALONE, Processes
+from scoup.base.progress import Progress, no_progress
+from scoup.coding import Codebook, fit_codes
 from scoup.scene.codes import SparseCodes
-from scoup.uplift.region_sums import RegionSums
+from scoup.scene.regions import Regions
+from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.provenance import inputs_digest
+from scoup.uplift.region_sums import RegionSums, Rows
+
+
+@dataclass(frozen=True, eq=False)
+class RegionEmbeddings:
+    """The embeddings of the regions of all views.
+
+    Attributes:
+        levels: level names.
+        of_levels: S x [R, D] float32, one row a region of any view.
+        rows: per level, the rows of each view in them.
+    """
+
+    levels: tuple[str, ...]
+    of_levels: Sequence[Tensor]
+    rows: Rows
+
+    @classmethod
+    def of(cls, regions: Regions) -> RegionEmbeddings:
+        """Those of all views of ``regions``.
+
+        Raises:
+            InputError: they cannot be coded: a level has none, or none but zeros, or the levels differ in size.
+        """
+        of_levels, rows = zip(*(regions.embeddings(level) for level in regions.levels), strict=True)
+        sizes = {level: part.shape[1] for level, part in zip(regions.levels, of_levels, strict=True)}
+        if len(set(sizes.values())) > 1:
+            raise InputError(f"the levels have embeddings of different sizes {sizes}: they mix models")
+        for level, part in zip(regions.levels, of_levels, strict=True):
+            if not len(part):
+                raise InputError(f"level {level!r} has no regions in any view; every level needs some")
+            if not part.any():
+                raise InputError(f"level {level!r} has only zero embeddings; make the region features again")
+        return cls(tuple(regions.levels), of_levels, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +66,7 @@ class RegionCodes:
 
     codebook: Tensor  # [S, L, D]
     codes: Sequence[SparseCodes]
-    rows: Sequence[Mapping[str, slice]]
+    rows: Rows
     reports: Sequence[dict[str, Any]]
 
     @property
@@ -69,7 +108,14 @@ class RegionCodes:
             raise InputError(f"{sums.path}: the codes in it make no sense ({error}); build again") from error
 
     def without(self, view_name: str) -> RegionCodes:
-        """The same, but for one view, whose codes stay unused."""
+        """The same, but for one view, whose codes stay unused.
+
+        Raises:
+            InputError: there is no such view.
+        """
+        if view_name not in self.rows[0]:
+            known = ", ".join(list(self.rows[0])[:5])
+            raise InputError(f"the view {view_name!r} is not in the field; there are {known}, ...")
         rows = [{name: part for name, part in level.items() if name != view_name} for level in self.rows]
         return RegionCodes(self.codebook, self.codes, rows, self.reports)
 
@@ -86,6 +132,47 @@ class RegionCodes:
             longer.append(joined(old, new))
             rows.append({**places, view_name: slice(len(old), len(old) + len(new))})
         return RegionCodes(codebook, longer, rows, self.reports)
+
+
+def learn_region_codes(
+    sums: RegionSums,
+    embeddings: RegionEmbeddings,
+    settings: BuildSettings,
+    device: torch.device,
+    processes: Processes = ALONE,
+    progress: Progress = no_progress,
+) -> RegionCodes:
+    """Codes of every level, each learned by one of the processes; kept beside the sums as soon as they are known.
+
+    Codes that are there already, of these embeddings and settings, are taken as they are.
+    """
+    key = inputs_digest("", [], embeddings, settings.of_codes)
+    kept = processes.gather(RegionCodes.kept(sums, key) if processes.first else None)[0]
+    if kept is not None:
+        return kept
+    learned: dict[str, tuple[Tensor, SparseCodes, dict[str, Any]]] = {}
+    by_level = dict(zip(embeddings.levels, embeddings.of_levels, strict=True))
+    for level in processes.share(embeddings.levels):
+        stage = f"coding {level}"
+        book = learn_codebook(
+            by_level[level].to(device),
+            settings,
+            lambda _, done, total, stage=stage: progress(stage, done, total),
+        )
+        # Seconds would make two equal builds write different bytes.
+        report = {name: value for name, value in asdict(book.report).items() if name != "seconds"}
+        learned[level] = book.atoms.cpu(), book.codes.to("cpu"), report
+    everything = {level: found for part in processes.gather(learned) for level, found in part.items()}
+    atoms, codes, reports = zip(*(everything[level] for level in embeddings.levels), strict=True)
+    coded = RegionCodes(torch.stack(atoms), codes, embeddings.rows, reports)
+    if processes.first and sums.writable:
+        coded.keep(sums, key)
+    return coded
+
+
+def learn_codebook(rows: Tensor, settings: BuildSettings, progress: Progress = no_progress) -> Codebook:
+    """Codebook and codes of the embeddings [R, D] of one level, by the settings of a build; see ``fit_codes``."""
+    return fit_codes(rows, **settings.of_codes, progress=progress)
 
 
 def joined(first: SparseCodes, second: SparseCodes) -> SparseCodes:

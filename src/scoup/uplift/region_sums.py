@@ -1,14 +1,12 @@
 """The region sums of all views: how much each Gaussian paints of each region, made once (method.md, stage 2).
 
 Everything after rasterising reads only these: codes, rounds of the vote, other embeddings, more or fewer views. They
-grow view by view, in memory or in a file, and a view that was taken in stays: a file is the checkpoint of a build.
+grow view by view, in memory or in a file, and a view that was added stays: a file is the checkpoint of a build.
 """
 
 from __future__ import annotations
 
 import copy
-import hashlib
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,14 +20,15 @@ from scoup.base.errors import FileFormatError, InputError
 from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.uplift.entries import BUCKET, Entries, TakenView, pack
-from scoup.uplift.matrices import csr_matrix, triplets_of
-from scoup.uplift.record_file import RecordFile, bytes_of
+from scoup.uplift.provenance import camera_digest
+from scoup.uplift.storage.entries import BUCKET, Entries, ViewRecord, pack
+from scoup.uplift.storage.matrices import csr_matrix, triplets_of
+from scoup.uplift.storage.record_file import Record, RecordFile
+from scoup.uplift.storage.store import MOST_IN_MEMORY, Store
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-MOST_IN_MEMORY = 256 << 20  # bytes; views beyond go to a temporary file
 VERSION = 1
 SUMS, VIEW, REMOVED, CODES = "region sums", "view", "removed", "codes"
 
@@ -53,7 +52,7 @@ class RegionSums:
         least_weight: entries below are left out; 0 keeps all.
 
     Attributes:
-        views: those taken in, by name, in the order in which they came.
+        views: by name, in the order in which they were added.
         rows: see ``Rows``; known where ``region_sums`` made them. ``matrix`` needs them.
         codes: what ``keep_codes`` was given last, None before.
     """
@@ -79,17 +78,15 @@ class RegionSums:
         self.raster_preset = raster_preset
         self.weights = weights
         self.least_weight = least_weight
-        self.views: dict[str, TakenView] = {}
+        self.views: dict[str, ViewRecord] = {}
         self.rows: Rows | None = None
         self.codes: dict[str, Any] | None = None
         self._place_of: dict[torch.device, Tensor] = {}
         self._same_order: Tensor | None = None
-        self._most_in_memory = most_in_memory
-        self._in_memory = 0
-        self._file: RecordFile | None = None
-        self._new_path = path  # no file is made before there is something to keep
         if path is not None and path.exists():
             raise InputError(f"{path}: is there already; open it, or name another file")
+        head = Record(SUMS, self._header(), {"order": self.order.int().numpy()})
+        self._store = Store(path, head, most_in_memory)
 
     @classmethod
     def of(
@@ -126,9 +123,9 @@ class RegionSums:
                 weights=str(first.header["weights"]),
                 least_weight=float(first.header["least_weight"]),
             )
-            sums._file = file
+            sums._store = Store.of_file(file)
             for record in file.records[1:]:
-                sums._replay(record.kind, record.header, record.arrays)
+                sums._apply(record)
         except (KeyError, TypeError, ValueError, InputError) as error:
             file.close()
             if isinstance(error, FileFormatError):
@@ -150,17 +147,22 @@ class RegionSums:
     @property
     def path(self) -> Path | None:
         """The file they are, or will be, kept in; None in memory."""
-        return self._new_path if self._file is None else self._file.path
+        return self._store.path
 
     @property
     def writable(self) -> bool:
         """Whether views can be appended."""
-        return self._file is None or self._file.writable
+        return self._store.writable
 
     @property
     def bytes(self) -> int:
         """What they take, in memory and on disk."""
-        return self._in_memory + (0 if self._file is None else self._file.size)
+        return self._store.bytes
+
+    @property
+    def bytes_in_memory(self) -> int:
+        """What they take in memory alone."""
+        return self._store.bytes_in_memory
 
     @property
     def is_empty(self) -> bool:
@@ -175,7 +177,7 @@ class RegionSums:
 
     def n_regions(self, view_name: str) -> list[int]:
         """[S]: one more than the highest region that an entry of a view can have at each level."""
-        tables = [part.table for part in self.views[view_name].parts]
+        tables = [part.table for part in self._require(view_name).parts]
         highest = np.max([table.max(0, initial=-1) for table in tables], axis=0)
         return (highest + 1).tolist()
 
@@ -184,12 +186,12 @@ class RegionSums:
     def append(
         self, view_name: str, sums: ViewSums, camera: Camera | None = None, order: Tensor | None = None
     ) -> None:
-        """Take in a view, or what it has become: the last one of a name counts.
+        """Add a view, or replace the one of this name.
 
         Args:
             view_name: its name.
             sums: from ``raster.region_sums``.
-            camera: its camera, to tell later whether it is the same.
+            camera: its camera, by which a later one is compared.
             order: the row of the scene that each of the Gaussians rasterised is; None where none was moved.
 
         Raises:
@@ -199,57 +201,43 @@ class RegionSums:
             raise InputError(
                 f"{view_name!r}: sums of {sums.table.shape[1]} levels, not of {list(self.levels)}"
             )
-        parts = self._packed(sums, order)
-        header = {
-            "name": view_name,
-            "camera": "" if camera is None else camera_digest(camera),
-            "labels": sums.labels_digest,
-        }
-        arrays = {
-            f"{name}.{i}": array for i, part in enumerate(parts) for name, array in part.arrays().items()
-        }
-        size = bytes_of(arrays.values())
-        if self.path is None and self._file is None and self._in_memory + size > self._most_in_memory:
-            self._file = RecordFile.temporary()
-        if self.path is not None or self._file is not None:
-            self._keep(VIEW, header, arrays)
-        else:
-            self._in_memory += size
-            self._replay(VIEW, header, arrays)
+        digest = "" if camera is None else camera_digest(camera)
+        view = ViewRecord(digest, sums.labels_digest, tuple(self._packed(sums, order)))
+        header = {"name": view_name, "camera": view.camera_digest, "labels": view.labels_digest}
+        self._apply(self._store.append(VIEW, header, view.arrays()))
 
     def remove(self, view_name: str) -> None:
-        """Forget a view."""
-        if view_name not in self.views:
-            raise InputError(f"there are no region sums of the view {view_name!r}")
-        if self.path is not None:
-            self._keep(REMOVED, {"name": view_name}, {})
-        else:
-            del self.views[view_name]
+        """Forget a view.
+
+        Raises:
+            InputError: there is none of this name, or the file cannot be written.
+        """
+        self._require(view_name)
+        self._apply(self._store.append(REMOVED, {"name": view_name}, {}))
 
     def keep_codes(self, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
         """Keep the codes of the regions beside the sums, as JSON values and tensors."""
         arrays = {name: tensor.cpu().contiguous().numpy() for name, tensor in tensors.items()}
-        if self.path is not None:
-            self._keep(CODES, header, arrays)
-        else:
-            self._replay(CODES, header, arrays)
+        self._apply(self._store.append(CODES, header, arrays))
 
     def of_views(self, view_names: Iterable[str], rows: Rows) -> RegionSums:
-        """The same sums of some views only, sharing memory, with the rows of these views."""
+        """The same sums of some views only, sharing memory, with the rows of these views.
+
+        Raises:
+            InputError: there are no sums of a view.
+        """
         part = copy.copy(self)
-        part.views = {name: self.views[name] for name in view_names}
+        part.views = {name: self._require(name) for name in view_names}
         part.rows = rows
         return part
 
     def forget_pages(self) -> None:
         """See ``RecordFile.forget_pages``."""
-        if self._file is not None:
-            self._file.forget_pages()
+        self._store.forget_pages()
 
     def close(self) -> None:
         """Close the file, if there is one."""
-        if self._file is not None:
-            self._file.close()
+        self._store.close()
 
     def matrix(self, level: int, rows: Mapping[str, slice] | None = None) -> csr_array:
         """A [N, R] of one level as a scipy CSR matrix, float32; R counts the regions of all views.
@@ -260,7 +248,7 @@ class RegionSums:
         """
         if rows is None:
             if self.rows is None:
-                raise InputError("say which rows the regions of each view have (Regions.embeddings)")
+                raise InputError("the rows of each view are not known; give them (Regions.embeddings)")
             rows = self.rows[level]
         views = {name: self.views[name] for name in rows if name in self.views}
         return csr_matrix(views, self.order.numpy(), level, rows)
@@ -283,51 +271,27 @@ class RegionSums:
             "least_weight": self.least_weight,
         }
 
-    def _keep(self, kind: str, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-        if self._file is None:
-            assert self._new_path is not None
-            self._file = RecordFile.create(self._new_path)
-            self._file.append(SUMS, self._header(), {"order": self.order.int().numpy()})
-        record = self._file.append(kind, header, arrays)
-        self._replay(kind, record.header, record.arrays)
-
-    def _replay(self, kind: str, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    def _apply(self, record: Record) -> None:
         """What a record changes."""
-        if kind == VIEW:
-            name = str(header["name"])
-            parts = []
-            while f"places.{len(parts)}" in arrays:
-                number = len(parts)
-                part = Entries(*(arrays[f"{field}.{number}"] for field in Entries.__annotations__))
-                self._check(part)
-                parts.append(part)
-            if not parts:
-                raise ValueError(f"the view {name!r} has no entries")
-            self.views.pop(name, None)
-            self.views[name] = TakenView(str(header["camera"]), str(header["labels"]), tuple(parts))
-        elif kind == REMOVED:
-            self.views.pop(str(header["name"]), None)
-        elif kind == CODES:
-            self.codes = {
-                "header": header,
-                "tensors": {name: torch.from_numpy(np.array(part)) for name, part in arrays.items()},
-            }
+        if record.kind == VIEW:
+            view = ViewRecord.of_arrays(record.header, record.arrays)
+            for part in view.parts:
+                part.check(self.n_buckets, len(self.levels), np.dtype(self.weights))
+            name = str(record.header["name"])
+            self.views.pop(name, None)  # the order is that in which they were added
+            self.views[name] = view
+        elif record.kind == REMOVED:
+            self.views.pop(str(record.header["name"]), None)
+        elif record.kind == CODES:
+            tensors = {name: torch.from_numpy(np.array(part)) for name, part in record.arrays.items()}
+            self.codes = {"header": record.header, "tensors": tensors}
         else:
-            raise ValueError(f"a record of the kind {kind!r}")
+            raise ValueError(f"a record of the kind {record.kind!r}")
 
-    def _check(self, part: Entries) -> None:
-        """Refuse arrays that do not fit; their numbers are checked where they are used."""
-        types = (np.uint32, np.uint8, np.uint16, np.dtype(self.weights), np.int32)
-        if [array.dtype for array in part.arrays().values()] != [np.dtype(kind) for kind in types]:
-            raise ValueError("arrays of other types")
-        if not (
-            part.starts.shape == (self.n_buckets + 1,)
-            and part.places.ndim == 1
-            and part.places.shape == part.combinations.shape == part.weights.shape
-            and part.table.ndim == 2
-            and part.table.shape[1] == len(self.levels)
-        ):
-            raise ValueError("arrays of other shapes")
+    def _require(self, view_name: str) -> ViewRecord:
+        if view_name not in self.views:
+            raise InputError(f"there are no region sums of the view {view_name!r}")
+        return self.views[view_name]
 
     def _packed(self, sums: ViewSums, order: Tensor | None) -> list[Entries]:
         gaussian, combination, weight = sums.gaussian, sums.combination, sums.weight
@@ -344,7 +308,7 @@ class RegionSums:
 
     def _is_order(self, order: Tensor | None) -> bool:
         if order is not None and order is not self._same_order and torch.equal(order.cpu(), self.order):
-            self._same_order = order  # asked again for each view
+            self._same_order = order  # compared again for each view
         return order is not None and order is self._same_order
 
     def _places(self, device: torch.device) -> Tensor:
@@ -357,10 +321,3 @@ class RegionSums:
 def sums_path(field: Path) -> Path:
     """Where the region sums of a field are kept: beside it."""
     return field.with_name(field.name + ".sums")
-
-
-def camera_digest(camera: Camera) -> str:
-    """SHA-256 of everything about a camera that decides what it sees."""
-    digest = hashlib.sha256(json.dumps([camera.width, camera.height, camera.distortion]).encode())
-    digest.update(torch.cat([camera.viewmat.flatten(), camera.K.flatten()]).double().numpy().data)
-    return digest.hexdigest()

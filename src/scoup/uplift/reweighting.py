@@ -1,9 +1,9 @@
-"""Rounds of the vote after the first: regions count by their agreement with what each Gaussian was found to be.
+"""Rounds of the vote after the first: regions count by their cosine with what each Gaussian was found to be.
 
 Own; the one-round vote is method.md, stage 2. In a later round region r counts for Gaussian i not A[i, r] but
-A[i, r] exp(sharpness (cos - 1)), and at least ``LEAST_AGREEMENT`` of A[i, r]. cos is the cosine between the decoded
-code of the region and that of the Gaussian. Masks that bleed over an edge and embeddings of something else so lose
-their say. A Gaussian without a code counts all regions alike.
+A[i, r] exp(sharpness (cos - 1)), and at least ``LEAST_FACTOR`` of A[i, r]. cos is the cosine between the decoded
+code of the region and that of the Gaussian. So masks that bleed over an edge and embeddings of something else count
+less. A Gaussian without a code counts all regions alike.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-LEAST_AGREEMENT = 1e-6  # no Gaussian loses its code for being odd
+LEAST_FACTOR = 1e-6  # no Gaussian loses its code for being odd
 SHARPNESS = 3.0  # times the inverse of the usual deviation
 LEAST_DEVIATION = 1e-3  # 1 - cosine; identical regions would make it infinite
 SAMPLED_VIEWS = 8

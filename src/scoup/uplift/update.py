@@ -1,10 +1,10 @@
-"""A field whose region sums are kept takes in views, lets them go, and follows what has changed in them."""
+"""``update``: views added to, changed in or removed from a field whose region sums are kept."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -14,8 +14,8 @@ from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
-from scoup.uplift.new_views import MANY, CodedView, bars_of, code_view, embeddings_of
-from scoup.uplift.rasterise import take_in
+from scoup.uplift.new_views import MANY, CodedView, code_view, embeddings_of, explained_thresholds
+from scoup.uplift.rasterise import add_views
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import vote
@@ -48,7 +48,7 @@ def update(
         new_atoms: add at most so many atoms a level and view. With 0 a warning is given if more than 30 % of a view's
             regions are badly explained.
         backend: of rasteriser and vote.
-        progress: told of stages "region sums" and "vote".
+        progress: called for the stages "region sums" and "vote".
 
     Raises:
         InputError: the sums are not those of the field, a view to remove is not there, none would be left, levels or
@@ -56,55 +56,73 @@ def update(
             record how well its codebook explains regions.
     """
     coded = codes_of(field, sums)
-    missing = [name for name in remove if name not in coded.rows[0]]
-    if missing:
-        raise InputError(
-            f"the view {missing[0]!r} is not in the field; there are {', '.join(list(coded.rows[0])[:5])}, ..."
-        )
-    if add and regions is None:
-        raise InputError("say what the regions of the new views are")
-    provenance = dict(field.info.provenance)
-    settings = provenance.get("settings", {})
-    kept = field.code_indices.shape[2]
-    k = int(settings.get("k", kept))  # of a region's code
     changed: list[CodedView] = []
     for camera in add:
-        assert regions is not None
-        rows = embeddings_of(camera.name, regions, field.levels, field.dim)
-        changed.append(code_view(coded.codebook, rows, k, bars_of(provenance, field.levels), new_atoms))
-        _warn_of_badly_explained(camera.name, changed[-1], new_atoms)
+        if regions is None:
+            raise InputError("say what the regions of the new views are")
+        changed.append(_code_new_view(field, coded, camera.name, regions, new_atoms))
         coded = coded.with_view(camera.name, changed[-1].codes, changed[-1].codebook)
     for name in remove:
         coded = coded.without(name)
     if not coded.rows[0]:
         raise InputError("no view would be left to vote")
-
     if add and regions is not None:
-        take_in(sums, field.gaussians, add, regions, backend, progress)
+        add_views(sums, field.gaussians, add, regions, backend, progress)
     for name in remove:
         sums.remove(name)
-    keep = int(settings.get("keep", kept))
+
+    settings = _Recorded.of(field)
+    device = field.codebook.device
+    voters = sums.of_views(coded.rows[0], coded.rows)
     found = vote(
-        sums, coded.codes, coded.codebook, int(settings.get("rounds", 1)), keep or None, keep or k, coded.rows, backend,
-        field.codebook.device, progress=progress,
+        voters, coded.codes, coded.codebook.to(device), settings.rounds, settings.keep or None,
+        settings.keep or settings.k, backend, progress,
     )  # fmt: skip
     coded.keep(sums, "")
+    provenance = dict(field.info.provenance)
     provenance["views"] = list(coded.rows[0])
     provenance["updates"] = [*provenance.get("updates", []), _record(add, changed, remove, field.levels)]
     if found.sharpness is not None:
         provenance["sharpness"] = found.sharpness.tolist()
-    grown = LanguageField(
+    updated = LanguageField(
         found.indices,
         found.weights,
         coded.codebook,
         replace(field.info, provenance=provenance),
-        None,
-        field.geometry_path,
-        _cameras(field.cameras, add, remove),
-    ).to(field.codebook.device)
+        geometry_path=field.geometry_path,
+        cameras=_cameras(field.cameras, add, remove),
+    ).to(device)
     if field.has_geometry:
-        grown.attach(field.gaussians, known=True)
-    return grown
+        updated.attach(field.gaussians, known=True)
+    return updated
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """Settings of the build that a field records: K of a region's code, atoms a Gaussian keeps (0: all), rounds."""
+
+    k: int
+    keep: int
+    rounds: int
+
+    @classmethod
+    def of(cls, field: LanguageField) -> _Recorded:
+        settings = field.info.provenance.get("settings", {})
+        kept = field.code_indices.shape[2]
+        return cls(
+            int(settings.get("k", kept)), int(settings.get("keep", kept)), int(settings.get("rounds", 1))
+        )
+
+
+def _code_new_view(
+    field: LanguageField, coded: RegionCodes, name: str, regions: Regions, new_atoms: int
+) -> CodedView:
+    """The regions of one view under the codebook of ``coded``; warns where it explains many of them badly."""
+    rows = embeddings_of(name, regions, field.levels, field.dim)
+    thresholds = explained_thresholds(field.info.provenance, field.levels)
+    found = code_view(coded.codebook, rows, _Recorded.of(field).k, thresholds, new_atoms)
+    _warn_of_badly_explained(name, found, new_atoms)
+    return found
 
 
 def codes_of(field: LanguageField, sums: RegionSums) -> RegionCodes:
@@ -131,7 +149,7 @@ def _warn_of_badly_explained(view_name: str, coded: CodedView, new_atoms: int) -
             f"{share:.0%} of the regions of {view_name!r} are badly explained by the field's codebook; add atoms for "
             "them (new_atoms=8, --new-atoms 8), or build again with this view among the others",
             ScoupWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
 
 

@@ -6,8 +6,7 @@ memory as a whole. The order of all additions is fixed: the same bytes for any n
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -16,15 +15,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup.base.backends import load_backend
 from scoup.base.errors import InputError
-from scoup.base.native import native_core
-from scoup.base.processes import ALONE, Processes
+from scoup.base.processes import at_work
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import restored
-from scoup.scene.codes import SparseCodes, index_dtype, row_products
-from scoup.uplift.entries import Entries
-from scoup.uplift.region_sums import RegionSums, Rows
+from scoup.scene.codes import SparseCodes, index_dtype, stable_products
+from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import EarlierRound, sampled, sharpness_from
+from scoup.uplift.storage.entries import Entries
 
 BATCHES = 16  # between which progress is reported and memory of a file is given back
 BACKENDS = {
@@ -47,8 +46,10 @@ class VotedEntries:
     regions: NDArray[np.int64]
 
 
-class Ballot(Protocol):
-    """Sums and codes, ready to be added up. One class a backend, made with (n_gaussians, views, codes, grams)."""
+class VoteBackend(Protocol):
+    """Sums and codes, ready to be added up. The class ``Vote`` of each module in ``BACKENDS``, made with
+    (n_gaussians, views, codes, grams, device).
+    """
 
     def round(
         self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
@@ -92,46 +93,45 @@ def vote(
     codebook: Tensor,  # [S, L, D]
     rounds: int = 1,
     keep: int | None = 4,
-    handed_on: int | None = None,
-    rows: Rows | None = None,
+    keep_between: int | None = None,
     backend: str | None = None,
-    device: torch.device | str = "cpu",
-    processes: Processes = ALONE,
     progress: Progress = no_progress,
 ) -> GaussianCodes:
     """The code of every Gaussian: the ``keep`` largest entries of w_i = sum of A[i, r] W_r, scaled to sum 1.
 
     In the first round all regions count by their blending weights alone (method.md, stage 2); see
-    ``scoup.uplift.reweighting`` for the others.
+    ``scoup.uplift.reweighting`` for the others. The work is done on the device of the codebook.
+
+    Where torch's process group is set up, each process votes for its share of the Gaussians; all of them must have the
+    same sums, and get the same codes.
 
     Args:
-        sums: of the views.
+        sums: of the views that vote, with the rows of their regions among the codes (``RegionSums.of_views``).
         codes: per level, of the regions of all views.
         codebook: [S, L, D] float32; only its inner products are used, and only after the first round.
         rounds: 1 or more.
         keep: atoms of a Gaussian; None keeps all.
-        handed_on: atoms of a Gaussian that a round hands on to the next; by default ``keep``, or the codes' own.
-        rows: of each view in the codes, the views that vote in their order; by default those that ``sums`` has.
+        keep_between: atoms of a Gaussian that a round hands to the next; by default ``keep``, or the codes' own K.
         backend: "native", "reference" or "triton"; by default what suits the device.
-        device: where it is worked out; the result is on the CPU.
-        processes: each votes for its share of the Gaussians; all of them must have the same sums.
-        progress: told of stage "vote".
+        progress: called for the stage "vote".
+
+    Returns:
+        Codes on the CPU.
 
     Raises:
-        InputError: a view has no sums or a region no code, or numbers make no sense.
+        InputError: a view has no sums or a region no code, numbers make no sense, or the backend cannot be used.
     """
-    rows = sums.rows if rows is None else rows
-    if rows is None:
-        raise InputError("say which rows the regions of each view have among the codes (Regions.embeddings)")
-    _check(sums, codes, codebook, rounds, keep, rows)
-    n_atoms = codes[0].n_atoms
-    kept = n_atoms if keep is None else keep
-    grams = torch.stack([row_products(atoms, atoms) for atoms in codebook.float().cpu()])
-    names = list(rows[0])
-    views = {name: _views_of(sums, name, rows) for name in names}
-    ballot = _ballot(
-        backend, device, sums.n_gaussians, [part for name in names for part in views[name]], codes, grams
-    )
+    _check_numbers(rounds, keep)
+    _check_codes(sums, codes, codebook)
+    grams = torch.stack([stable_products(atoms, atoms) for atoms in codebook.float().cpu()])
+    views = _views_of(sums)
+    module = load_backend(BACKENDS, codebook.device, backend, "vote")[1]
+
+    def prepare(names: Sequence[str]) -> VoteBackend:
+        parts = [part for name in names for part in views[name]]
+        return module.Vote(sums.n_gaussians, parts, codes, grams, codebook.device)
+
+    everybody, processes = prepare(list(views)), at_work()
     share = processes.share_range(sums.n_buckets)
     done, total = 0, rounds * len(_batches(share))
 
@@ -140,7 +140,7 @@ def vote(
         found = []
         for batch in _batches(share):
             progress("vote", done, total)
-            found.append(ballot.round(kept, earlier, not last, batch))
+            found.append(everybody.round(kept, earlier, not last, batch))
             sums.forget_pages()
             done += 1
         parts = [part for of_process in processes.gather(found) for part in of_process]
@@ -148,16 +148,14 @@ def vote(
 
     earlier = None
     for _ in range(1, rounds):
-        indices, weights = one_round(handed_on or keep or codes[0].k, earlier, last=False)
+        indices, weights = one_round(keep_between or keep or codes[0].k, earlier, last=False)
         if earlier is None:
             earlier = EarlierRound(indices, weights, torch.zeros(len(codes)))
-            of_sample = [part for name in sampled(names) for part in views[name]]
-            sample = _ballot(backend, device, sums.n_gaussians, of_sample, codes, grams)
-            found = processes.gather(sample.deviations(earlier, share))
-            sharpness = sharpness_from([torch.cat(of_level) for of_level in zip(*found, strict=True)])
+            deviations = processes.gather(prepare(sampled(list(views))).deviations(earlier, share))
+            sharpness = sharpness_from([torch.cat(of_level) for of_level in zip(*deviations, strict=True)])
             earlier = replace(earlier, sharpness=sharpness)
         earlier = replace(earlier, indices=indices, weights=weights)
-    indices, weights = one_round(kept, earlier, last=True)
+    indices, weights = one_round(codes[0].n_atoms if keep is None else keep, earlier, last=True)
     progress("vote", done, total)
     return GaussianCodes(
         restored(indices, sums.order),
@@ -166,32 +164,17 @@ def vote(
     )
 
 
-def _views_of(sums: RegionSums, name: str, rows: Rows) -> list[VotedEntries]:
-    firsts = np.array([of_level[name].start for of_level in rows], np.int64)
-    return [
-        VotedEntries(part, np.where(part.table >= 0, part.table + firsts, -1))
-        for part in sums.views[name].parts
-    ]
-
-
-def _ballot(
-    backend: str | None,
-    device: torch.device | str,
-    n_gaussians: int,
-    views: list[VotedEntries],
-    codes: Sequence[SparseCodes],
-    grams: Tensor,
-) -> Ballot:
-    device = torch.device(device)
-    if backend is None:
-        from scoup.raster import default_backend
-
-        backend = default_backend(device)
-    if backend not in BACKENDS:
-        raise InputError(f"there is no backend {backend!r} of the vote; there are {', '.join(BACKENDS)}")
-    if backend == "native" and native_core() is None:
-        backend = "reference"
-    return importlib.import_module(BACKENDS[backend]).Ballot(n_gaussians, views, codes, grams, device)
+def _views_of(sums: RegionSums) -> dict[str, list[VotedEntries]]:
+    """The entries of each view that has rows, in the order of these."""
+    assert sums.rows is not None
+    views = {}
+    for name in sums.rows[0]:
+        firsts = np.array([of_level[name].start for of_level in sums.rows], np.int64)
+        views[name] = [
+            VotedEntries(part, np.where(part.table >= 0, part.table + firsts, -1))
+            for part in sums.views[name].parts
+        ]
+    return views
 
 
 def _batches(buckets: range) -> list[range]:
@@ -199,24 +182,19 @@ def _batches(buckets: range) -> list[range]:
     return [buckets[first : first + size] for first in range(0, len(buckets), size)] or [buckets]
 
 
-def _check(
-    sums: RegionSums,
-    codes: Sequence[SparseCodes],
-    codebook: Tensor,
-    rounds: int,
-    keep: int | None,
-    rows: Sequence[Mapping[str, slice]],
-) -> None:
+def _check_numbers(rounds: int, keep: int | None) -> None:
     if rounds < 1:
         raise InputError(f"the vote takes at least one round, not {rounds}")
     if keep is not None and keep < 1:
         raise InputError(f"the vote keeps at least one atom, not {keep}; None keeps all")
-    shapes = {level.n_atoms for level in codes} | {codebook.shape[1]}
-    if (
-        len(codes) != len(sums.levels)
-        or len(codebook) != len(codes)
-        or len(rows) != len(codes)
-        or len(shapes) != 1
+
+
+def _check_codes(sums: RegionSums, codes: Sequence[SparseCodes], codebook: Tensor) -> None:
+    rows = sums.rows
+    if rows is None:
+        raise InputError("the rows of each view among the codes are not known (RegionSums.of_views)")
+    if not len(codes) == len(codebook) == len(rows) == len(sums.levels) or any(
+        level.n_atoms != codebook.shape[1] for level in codes
     ):
         raise InputError(
             f"{len(codes)} levels of codes and a codebook {list(codebook.shape)} do not fit sums of the levels "
@@ -224,8 +202,6 @@ def _check(
         )
     index_dtype(codes[0].n_atoms)
     for name in rows[0]:
-        if name not in sums:
-            raise InputError(f"there are no region sums of the view {name!r}")
         for level, (of_level, highest) in enumerate(zip(rows, sums.n_regions(name), strict=True)):
             if highest > len(range(*of_level[name].indices(len(codes[level])))):
                 raise InputError(

@@ -1,1 +1,1 @@
-"""The exact coder for GPUs, in Triton."""
+"""Coding for GPUs, in Triton."""

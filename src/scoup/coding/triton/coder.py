@@ -1,5 +1,6 @@
-"""The exact coder on a GPU: sizes and launch of the Triton kernel. Imports triton: import this module only where rows
-are on a GPU.
+"""Coding on a GPU: a Triton kernel codes rows; the rest is matrix products of torch.
+
+Imports triton: import this module only where rows are on a GPU. The same bytes again on the same kind of GPU.
 """
 
 from __future__ import annotations
@@ -10,7 +11,11 @@ import torch
 import triton
 from torch import Tensor
 
-from scoup.coding.reference import Coded, code_in_blocks
+from scoup.coding import reference
+from scoup.coding.backends import RowCodes
+from scoup.coding.reference import code_moments as code_moments
+from scoup.coding.reference import row_products as row_products
+from scoup.coding.reference import solve as solve
 from scoup.coding.triton.kernels import code_kernel
 
 MOST_ATOMS, MOST_SLOTS = 1024, 16  # what one program's registers hold
@@ -60,8 +65,8 @@ def code(
     swap_passes: int = 0,
     warm: Tensor | None = None,  # [n, K]
     sizes: Launch | None = None,
-) -> Coded:
-    """``exact_reference.code`` in float32, all tensors on one GPU: support [n, K] int32, weights [n, K] and cosines
+) -> RowCodes:
+    """``reference.code`` in float32, all tensors on one GPU: support [n, K] int32, weights [n, K] and cosines
     [n] float32. L and K as ``can_code`` allows. Similarities that are not finite count as 0.
     """
     sizes = sizes or launch_sizes(similarities.shape[1], k)
@@ -72,7 +77,7 @@ def code(
     weights = torch.empty(n_rows, k, dtype=torch.float32, device=device)
     cosines = torch.empty(n_rows, dtype=torch.float32, device=device)
     if n_rows == 0:
-        return Coded(support, weights, cosines)
+        return RowCodes(support, weights, cosines)
     code_kernel[(triton.cdiv(n_rows, sizes.block_rows),)](
         similarities,
         gram,
@@ -93,7 +98,7 @@ def code(
         # Nothing here relies on a product being rounded before it is added.
         enable_fp_fusion=True,  # pyright: ignore[reportCallIssue]
     )
-    return Coded(support, weights, cosines)
+    return RowCodes(support, weights, cosines)
 
 
 def code_rows(
@@ -102,12 +107,14 @@ def code_rows(
     k: int,
     swap_passes: int = 0,
     warm: Tensor | None = None,  # [R, K]
-) -> Coded:
-    """``code`` of float32 rows under atoms, in blocks of rows, so that memory does not grow with R x L."""
+) -> RowCodes:
+    """See ``CodingBackend.code_rows``; what does not fit into one program is coded as by ``reference``."""
+    if not can_code(len(atoms), k):
+        return reference.code_rows(rows, atoms, k, swap_passes, warm)
 
-    def coder(similarities: Tensor, gram: Tensor, start: Tensor | None) -> Coded:
+    def coder(similarities: Tensor, gram: Tensor, start: Tensor | None) -> RowCodes:
         # A kernel is launched on the current device, whichever the tensors are on.
         with torch.cuda.device_of(similarities):
             return code(similarities, gram, k, swap_passes, start)
 
-    return code_in_blocks(coder, rows, atoms, _CALL_NUMBERS // len(atoms), warm)
+    return reference.code_in_blocks(coder, rows, atoms, _CALL_NUMBERS // len(atoms), warm)

@@ -1,6 +1,6 @@
 """The exact coder as one Triton kernel: each program codes a few rows from their similarities, from start to end.
 
-``exact_reference`` states what is computed. Here it is in float32, and differently in one respect: with T the inverse
+``reference`` states what is computed. Here it is in float32, and differently in one respect: with T the inverse
 of the Cholesky factor of a support's Gram matrix G_S, everything follows from T. The least-squares weights of the
 support are T^T T s_S, the directions of its atoms, made orthogonal one after another, have the inner products T G_S:
 with all atoms, and what these leave of an atom's squared norm and of the row's similarity to it are sums over them.
@@ -19,12 +19,13 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-from scoup.coding import reference as exact_reference
+from scoup.coding import least_squares as plain
+from scoup.coding import reference
 
-DEPENDENT = tl.constexpr(exact_reference.DEPENDENT)
-NO_GAIN = tl.constexpr(exact_reference.NO_GAIN)
-SWAP_GAIN = tl.constexpr(exact_reference.SWAP_GAIN)
-NO_WEIGHT = tl.constexpr(exact_reference.NO_WEIGHT)
+DEPENDENT = tl.constexpr(plain.DEPENDENT)
+NO_GAIN = tl.constexpr(reference.NO_GAIN)
+SWAP_GAIN = tl.constexpr(reference.SWAP_GAIN)
+NO_WEIGHT = tl.constexpr(plain.NO_WEIGHT)
 TINY = tl.constexpr(1e-30)  # in place of zero divisors whose quotients are not used
 
 
@@ -246,7 +247,7 @@ def finite(values):
 @triton.jit
 def nonnegative_least_squares(toward, within, valid, K: tl.constexpr):
     """[B, K] the w >= 0 that minimise w^T within w - 2 w . toward, zero outside ``valid`` and for atoms that depend
-    on others. See ``exact_reference``.
+    on others. See ``reference``.
     """
     norms = diagonal(within)
     alone = tl.where(valid & (norms > 0), toward / tl.maximum(norms, TINY), 0.0)

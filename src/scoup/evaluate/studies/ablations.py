@@ -16,7 +16,7 @@ from scoup.baselines.channels import ChannelField
 from scoup.baselines.methods import MethodSettings, dense_field, voted_field
 from scoup.coding import fit_codes
 from scoup.coding.adam import AdamSettings, solve_adam
-from scoup.coding.rows import unit_rows
+from scoup.coding.embeddings import normalise_embeddings
 from scoup.evaluate.metrics import Interval, bootstrap_interval
 from scoup.evaluate.published import ABLATIONS as PUBLISHED
 from scoup.evaluate.scores import SceneScore
@@ -139,10 +139,10 @@ class _Workshop:
         if key not in self._codes:
             self._codes[key] = _code(rows, recipe, seed, self._epochs)
         codes, codebook = self._codes[key]
-        handed_on = recipe.keep or recipe.k
-        found = vote(sums, codes, codebook, recipe.rounds, recipe.keep, handed_on)
+        keep_between = recipe.keep or recipe.k
+        found = vote(sums, codes, codebook, recipe.rounds, recipe.keep, keep_between)
         if recipe.dropped is not None:
-            whole = vote(sums, codes, codebook, recipe.rounds, None, handed_on)
+            whole = vote(sums, codes, codebook, recipe.rounds, None, keep_between)
             found = _without(found, whole, recipe.dropped)
         return voted_field(found, codebook, recipe.keep is None)
 
@@ -175,7 +175,7 @@ def _code(rows: Sequence[Tensor], recipe: Recipe, seed: int, epochs: int) -> tup
     settings = AdamSettings(epochs, logit_scale=recipe.logit_scale)
     codes, atoms = [], []
     for of_level in rows:
-        unit = unit_rows(of_level)
+        unit = normalise_embeddings(of_level)
         start = _start(unit, recipe.n_atoms, recipe.start, seed)
         solution = solve_adam(unit, recipe.n_atoms, recipe.k, seed, settings, initial_atoms=start)
         codes.append(solution.codes)

@@ -30,7 +30,8 @@ from scoup.pictures.plots import interval_plot
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.uplift.build import BuildSettings, learn_codebook
+from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.region_codes import learn_codebook
 
 DOMINANT = 0.5  # of a pixel's weight: a Gaussian that paints this much is what one sees there
 MOST_PAIRS = 40_000  # of matched observations, drawn at random beyond

@@ -27,7 +27,7 @@ from scoup.field.language_field import FieldInfo, LanguageField
 from scoup.models.words import with_everyday
 from scoup.query.answers import QUERY_PRESETS, QueryPreset, choose_level, level_masks, select_with_level
 from scoup.query.presence import PRESENT_FROM, scene_standing, view_standing, vote_entropy
-from scoup.uplift.build import BuildSettings
+from scoup.uplift.build_settings import BuildSettings
 
 SIGNALS = ("standing", "peak", "inside", "contrast", "entropy", "vote entropy", "vote weight")
 """All signals measured: how far the query stands above everyday words (``scoup.query.presence``); the largest smoothed

@@ -41,7 +41,7 @@ _BLOCK = 128
 
 @dataclass(frozen=True, eq=False)
 class TritonProjection:
-    """A scene as one camera sees it: projected, binned and sorted. Made by ``look``.
+    """A scene as one camera sees it: projected, binned and sorted. Made by ``project``.
 
     Attributes:
         n_gaussians: N of the scene.
@@ -103,7 +103,7 @@ def project(
     """See ``raster.project``; ``precision`` as in ``TritonProjection``.
 
     Raises:
-        InputError: the view has more pairs of Gaussians and tiles than 31 bits can number.
+        InputError: the image has more pairs of Gaussians and tiles than 31 bits can number.
     """
     device = gaussians.device
     with torch.cuda.device_of(gaussians.means):
@@ -151,8 +151,8 @@ def _bin(
     n_candidates = int(firsts[-1])
     if n_candidates > MOST_PAIRS:
         raise InputError(
-            f"a view of {camera.width} x {camera.height} with {n_candidates} pairs of Gaussians and tiles is too much "
-            "for one pass; make the images smaller or prune the scene"
+            f"an image of {camera.width} x {camera.height} with {n_candidates} pairs of Gaussians and tiles is too "
+            "much for one pass; make the images smaller or prune the scene"
         )
     ranks = torch.repeat_interleave(firsts.diff(), output_size=n_candidates)
     # Radix sorts take as many passes as the keys have bytes.

@@ -1,4 +1,4 @@
-"""Region sums of a view on a GPU."""
+"""Region sums of a projection, on a GPU."""
 
 # A launch takes plain numbers as constants, and options beside the kernel's arguments.
 # pyright: reportArgumentType=false, reportCallIssue=false
@@ -51,30 +51,34 @@ class TileSums:
     bases: Tensor
 
 
-def region_sums(view: TritonProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def region_sums(projection: TritonProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
-    columns = columns_of(view, combinations)
-    gaussians = [torch.zeros(0, dtype=torch.int32, device=view.device)]
-    numbers, weights = gaussians[:], [torch.zeros(0, device=view.device)]
-    for sums in tile_sums(view, columns):
+    columns = columns_of(projection, combinations)
+    gaussians = [torch.zeros(0, dtype=torch.int32, device=projection.device)]
+    numbers, weights = gaussians[:], [torch.zeros(0, device=projection.device)]
+    for sums in tile_sums(projection, columns):
         at = torch.nonzero(sums.values).squeeze(1)
         here = torch.nonzero(sums.bases >= 0).squeeze(1)
         tile = here[torch.searchsorted(sums.bases[here], at, right=True) - 1]
         within = at - sums.bases[tile]
         row = torch.div(within, columns.counts[tile], rounding_mode="floor")
-        gaussians.append(view.pair_ids[view.starts[tile] + row])
+        gaussians.append(projection.pair_ids[projection.starts[tile] + row])
         numbers.append(columns.combinations[columns.firsts[tile] + within - row * columns.counts[tile]])
         weights.append(sums.values[at])
     n_combinations = int(combinations.max()) + 1 if combinations.numel() else 0
     return merge(torch.cat(gaussians), torch.cat(numbers), torch.cat(weights), max(1, n_combinations))
 
 
-def columns_of(view: TritonProjection, combinations: Tensor) -> Columns:
+def columns_of(projection: TritonProjection, combinations: Tensor) -> Columns:
     """See ``Columns``; combinations [H, W] int32."""
-    down = view.n_tiles // view.across
-    right, below = view.across * TILE - view.width, down * TILE - view.height
+    down = projection.n_tiles // projection.across
+    right, below = projection.across * TILE - projection.width, down * TILE - projection.height
     padded = torch.nn.functional.pad(combinations, (0, right, 0, below), value=-1)
-    tiled = padded.view(down, TILE, view.across, TILE).transpose(1, 2).reshape(view.n_tiles, TILE * TILE)
+    tiled = (
+        padded.view(down, TILE, projection.across, TILE)
+        .transpose(1, 2)
+        .reshape(projection.n_tiles, TILE * TILE)
+    )
     rising, pixel = torch.sort(tiled, dim=1)
     is_first = rising >= 0
     is_first[:, 1:] &= rising[:, 1:] != rising[:, :-1]
@@ -85,13 +89,13 @@ def columns_of(view: TritonProjection, combinations: Tensor) -> Columns:
     return Columns(of_pixel.short(), counts.int(), torch.cumsum(counts, 0) - counts, rising[is_first])
 
 
-def tile_sums(view: TritonProjection, columns: Columns) -> Iterator[TileSums]:
+def tile_sums(projection: TritonProjection, columns: Columns) -> Iterator[TileSums]:
     """Sums of all tiles, as many tiles at a time as ``MOST_SUMS`` allows; Gaussians that paint nothing have zeros."""
-    ends = torch.cumsum(view.starts.diff() * columns.counts, 0)
+    ends = torch.cumsum(projection.starts.diff() * columns.counts, 0)
     total = int(ends[-1]) if len(ends) else 0
     if total <= MOST_SUMS:
         if total:
-            yield _sums_of(view, columns, ends, 0, len(ends), total)
+            yield _sums_of(projection, columns, ends, 0, len(ends), total)
         return
     ends_here = ends.cpu()
     first, before = 0, 0
@@ -100,25 +104,27 @@ def tile_sums(view: TritonProjection, columns: Columns) -> Iterator[TileSums]:
         last = max(last, first + 1)
         behind = int(ends_here[last - 1])
         if behind > before:
-            yield _sums_of(view, columns, ends, first, last, behind - before)
+            yield _sums_of(projection, columns, ends, first, last, behind - before)
         first, before = last, behind
 
 
 def _sums_of(
-    view: TritonProjection, columns: Columns, ends: Tensor, first: int, last: int, count: int
+    projection: TritonProjection, columns: Columns, ends: Tensor, first: int, last: int, count: int
 ) -> TileSums:
     """Of the tiles from ``first`` to before ``last``, ``count`` numbers; ``ends`` [tiles] is where those of each tile
     end.
     """
-    device = view.device
+    device = projection.device
     begins = torch.nn.functional.pad(ends[:-1], (1, 0))
     values = torch.zeros(count, device=device)
-    tiles = torch.arange(view.n_tiles, device=device)
+    tiles = torch.arange(projection.n_tiles, device=device)
     here = (tiles >= first) & (tiles < last)
     bases = torch.where(here, begins - begins[first], -1)
+    preset = projection.preset
     region_sums_kernel[(last - first,)](
-        view.records, view.starts, columns.of_pixel, columns.counts, bases, values, view.width, view.height,
-        view.across, first, view.preset.alpha_max, view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive,
-        TILE=TILE, CHUNK=CHUNK, COLUMNS=COLUMNS, PRECISION=view.products(), num_warps=WARPS, **FUSED,
+        projection.records, projection.starts, columns.of_pixel, columns.counts, bases, values, projection.width,
+        projection.height, projection.across, first, preset.alpha_max, preset.stop,
+        STOP_INCLUSIVE=preset.stop_inclusive,
+        TILE=TILE, CHUNK=CHUNK, COLUMNS=COLUMNS, PRECISION=projection.products(), num_warps=WARPS, **FUSED,
     )  # fmt: skip
     return TileSums(values, bases)

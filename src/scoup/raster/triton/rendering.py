@@ -17,14 +17,14 @@ import torch
 import triton
 from torch import Tensor
 
-from scoup.raster.triton import region_sums as gpu_regions
 from scoup.raster.triton.kernels.blending import LOW_SCALE
 from scoup.raster.triton.kernels.channels import channels_kernel
 from scoup.raster.triton.kernels.codes import SLOTS, codes_kernel, pack_kernel
 from scoup.raster.triton.kernels.products import products_kernel
 from scoup.raster.triton.projection import FUSED, TILE, Precision, TritonProjection
 from scoup.raster.triton.projection import project as project
-from scoup.scene.codes import cosines_from_products, full_products
+from scoup.raster.triton.region_sums import region_sums as sum_regions
+from scoup.scene.codes import cosines_from_products, float32_products
 
 PREPARES = False  # rows in another order have not been seen to pay here
 # Coefficients of a pixel that stay on the chip; with more, products leave no registers.
@@ -36,23 +36,24 @@ _COEFFICIENTS = 128 * 32 * WARPS  # of a program: 128 registers of each thread
 _BLOCK = 128
 
 
-def region_sums(view: TritonProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def region_sums(projection: TritonProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
-    with torch.cuda.device_of(view.records):
-        return gpu_regions.region_sums(view, combinations.to(view.device))
+    with torch.cuda.device_of(projection.records):
+        return sum_regions(projection, combinations.to(projection.device))
 
 
-def render_channels(view: TritonProjection, values: Tensor) -> tuple[Tensor, Tensor]:
+def render_channels(projection: TritonProjection, values: Tensor) -> tuple[Tensor, Tensor]:
     """See ``raster.render_channels``."""
-    channels, device = values.shape[1], view.device
+    channels, device = values.shape[1], projection.device
     values = values.to(device).contiguous()
-    image = torch.empty(view.height, view.width, channels, device=device)
-    alpha = torch.empty(view.height, view.width, device=device)
+    image = torch.empty(projection.height, projection.width, channels, device=device)
+    alpha = torch.empty(projection.height, projection.width, device=device)
     blocks = channel_blocks(channels)
     with torch.cuda.device_of(values):
-        channels_kernel[(view.n_tiles, max(1, triton.cdiv(channels, blocks.channels)))](
-            *_lists(view), values, image, alpha, *_size(view), channels, *_bounds(view), **_constants(view),
-            CHUNK=blocks.chunk, CHANNELS=blocks.channels, PRECISION=view.products(wide=True), num_warps=blocks.warps,
+        channels_kernel[(projection.n_tiles, max(1, triton.cdiv(channels, blocks.channels)))](
+            *_lists(projection), values, image, alpha, *_size(projection), channels, *_bounds(projection),
+            **_constants(projection), CHUNK=blocks.chunk, CHANNELS=blocks.channels,
+            PRECISION=projection.products(wide=True), num_warps=blocks.warps,
         )  # fmt: skip
     return image, alpha
 
@@ -89,80 +90,84 @@ class PackedCodes:
         return self.words.shape[2] // SLOTS.value
 
 
-def is_wide(view: TritonProjection, weights: Tensor, n_atoms: int) -> bool:
+def is_wide(projection: TritonProjection, weights: Tensor, n_atoms: int) -> bool:
     """Whether codes are multiplied as float32: numbers of float32 may be beyond what float16 can hold."""
-    return weights.dtype != torch.float16 or view.products() != "fp16x3" or n_atoms > 2**16
+    return weights.dtype != torch.float16 or projection.products() != "fp16x3" or n_atoms > 2**16
 
 
-def pack(view: TritonProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> PackedCodes:
+def pack(projection: TritonProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> PackedCodes:
     """[N, S, K] sparse codes, packed."""
     count, levels, k = indices.shape
-    wide = is_wide(view, weights, n_atoms)
-    indices, weights = indices.to(view.device).contiguous(), weights.to(view.device).contiguous()
+    wide = is_wide(projection, weights, n_atoms)
+    indices, weights = indices.to(projection.device).contiguous(), weights.to(projection.device).contiguous()
     groups = triton.cdiv(k, SLOTS.value)
     shape = count, levels, groups * SLOTS.value
-    words = torch.empty(shape, dtype=torch.int64 if wide else torch.int32, device=view.device)
+    words = torch.empty(shape, dtype=torch.int64 if wide else torch.int32, device=projection.device)
     pack_kernel[(triton.cdiv(count * levels, _BLOCK),)](
         indices, weights, words, count * levels, n_atoms, K=k, GROUPS=groups, WIDE=wide, BLOCK=_BLOCK, **FUSED
     )  # fmt: skip
     return PackedCodes(words, wide)
 
 
-def render_codes(view: TritonProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
+def render_codes(projection: TritonProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
     levels, k = indices.shape[1:]
-    shape = (levels, view.height, view.width, n_atoms)
-    if 0 in (view.n_gaussians, k, *shape):
-        return torch.zeros(shape, device=view.device)
-    out = torch.empty(shape, device=view.device)  # every number is written
+    shape = (levels, projection.height, projection.width, n_atoms)
+    if 0 in (projection.n_gaussians, k, *shape):
+        return torch.zeros(shape, device=projection.device)
+    out = torch.empty(shape, device=projection.device)  # every number is written
     with torch.cuda.device_of(out):
-        codes = pack(view, indices, weights, n_atoms)
-        blocks = code_blocks(levels, n_atoms, view.products(codes.wide))
+        codes = pack(projection, indices, weights, n_atoms)
+        blocks = code_blocks(levels, n_atoms, projection.products(codes.wide))
         for first in range(0, levels, blocks.levels):
-            codes_kernel[(view.n_tiles, triton.cdiv(n_atoms, blocks.atoms))](
-                *_lists(view), codes.words, out, *_size(view), levels, n_atoms, first, *_bounds(view),
-                **_constants(view), **_of_codes(view, codes, blocks, levels - first), num_warps=WARPS,
+            codes_kernel[(projection.n_tiles, triton.cdiv(n_atoms, blocks.atoms))](
+                *_lists(projection), codes.words, out, *_size(projection), levels, n_atoms, first, *_bounds(projection),
+                **_constants(projection), **_of_codes(projection, codes, blocks, levels - first), num_warps=WARPS,
             )  # fmt: skip
     return out
 
 
 def render_cosines(
-    view: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+    projection: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> Tensor:
     """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
     levels, count = len(codebook), len(queries)
-    codebook, queries = codebook.to(view.device), queries.to(view.device)
-    scores = full_products(codebook, queries)
-    shape = (levels, count, view.height, view.width)
-    return _render_products(view, indices, weights, codebook, scores, shape, pixels_last=True)
+    codebook, queries = codebook.to(projection.device), queries.to(projection.device)
+    scores = float32_products(codebook, queries)
+    shape = (levels, count, projection.height, projection.width)
+    return _render_products(projection, indices, weights, codebook, scores, shape, pixels_last=True)
 
 
 def render_cosines_and_norms(
-    view: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+    projection: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> tuple[Tensor, Tensor]:
     """See ``raster.render_cosines_and_norms``."""
     levels, count = len(codebook), len(queries)
-    codebook, queries = codebook.to(view.device), queries.to(view.device)
-    scores = full_products(codebook, queries)
+    codebook, queries = codebook.to(projection.device), queries.to(projection.device)
+    scores = float32_products(codebook, queries)
     # One column more, of ones: the sum of the coefficients by the norm. The sum itself is a render of channels.
     table = torch.cat([scores, scores.new_ones(*scores.shape[:2], 1)], 2)
-    shape = (levels, count + 1, view.height, view.width)
-    found = _render_products(view, indices, weights, codebook, table, shape, pixels_last=True)
-    sums = render_channels(view, weights.to(view.device).float().sum(-1))[0].permute(2, 0, 1)  # [S, H, W]
+    shape = (levels, count + 1, projection.height, projection.width)
+    found = _render_products(projection, indices, weights, codebook, table, shape, pixels_last=True)
+    sums = render_channels(projection, weights.to(projection.device).float().sum(-1))[0].permute(
+        2, 0, 1
+    )  # [S, H, W]
     shares = found[:, count]
     return found[:, :count].contiguous(), torch.where(shares > 0, sums / shares, 0.0)
 
 
-def render_features(view: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
+def render_features(
+    projection: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor
+) -> Tensor:
     """See ``raster.render_features``."""
     levels, _, dim = codebook.shape
-    codebook = codebook.to(view.device)
-    shape = (levels, view.height, view.width, dim)
-    return _render_products(view, indices, weights, codebook, codebook, shape, pixels_last=False)
+    codebook = codebook.to(projection.device)
+    shape = (levels, projection.height, projection.width, dim)
+    return _render_products(projection, indices, weights, codebook, codebook, shape, pixels_last=False)
 
 
 def _render_products(
-    view: TritonProjection,
+    projection: TritonProjection,
     indices: Tensor,  # [N, S, K]
     weights: Tensor,  # [N, S, K]
     codebook: Tensor,  # [S, L, D]
@@ -173,26 +178,26 @@ def _render_products(
     """Coefficients times ``table`` over the norm of the decoded feature."""
     n_atoms, columns = table.shape[1:]
     levels, k = indices.shape[1:]
-    if 0 in (view.n_gaussians, k, n_atoms, *shape):
-        return torch.zeros(shape, device=view.device)
-    out = torch.empty(shape, device=view.device)  # every number is written
-    grams = full_products(codebook, codebook)
-    of_codes = view.products(wide=is_wide(view, weights, n_atoms))
+    if 0 in (projection.n_gaussians, k, n_atoms, *shape):
+        return torch.zeros(shape, device=projection.device)
+    out = torch.empty(shape, device=projection.device)  # every number is written
+    grams = float32_products(codebook, codebook)
+    of_codes = projection.products(wide=is_wide(projection, weights, n_atoms))
     if n_atoms > most_atoms_of_products(of_codes):
-        return _products_by_level(view, indices, weights, grams, table, out, pixels_last)
+        return _products_by_level(projection, indices, weights, grams, table, out, pixels_last)
     # The quotient stays the same, and entries are within float16.
     scale = grams.amax((1, 2), keepdim=True).clamp(min=torch.finfo(torch.float32).tiny)
-    precision = "fp16x3" if view.precision == "tf32x3" else view.products()
+    precision = "fp16x3" if projection.precision == "tf32x3" else projection.products()
     tables = [grams / scale, table / scale.sqrt()]
     if precision == "fp16x3":
         tables = [halves(part) for part in tables]
     blocks = code_blocks(levels, n_atoms, of_codes)
     with torch.cuda.device_of(out):
-        codes = pack(view, indices, weights, n_atoms)
+        codes = pack(projection, indices, weights, n_atoms)
         for first in range(0, levels, blocks.levels):
-            products_kernel[(view.n_tiles,)](
-                *_lists(view), codes.words, *tables, out, *_size(view), levels, n_atoms, columns, first,
-                *_bounds(view), **_constants(view), **_of_codes(view, codes, blocks, levels - first),
+            products_kernel[(projection.n_tiles,)](
+                *_lists(projection), codes.words, *tables, out, *_size(projection), levels, n_atoms, columns, first,
+                *_bounds(projection), **_constants(projection), **_of_codes(projection, codes, blocks, levels - first),
                 COLUMNS=product_columns(blocks, pixels_last), PIXELS_LAST=pixels_last, TABLE_PRECISION=precision,
                 num_warps=WARPS,
             )  # fmt: skip
@@ -211,7 +216,7 @@ def halves(table: Tensor) -> Tensor:
 
 
 def _products_by_level(
-    view: TritonProjection,
+    projection: TritonProjection,
     indices: Tensor,
     weights: Tensor,
     grams: Tensor,
@@ -222,7 +227,7 @@ def _products_by_level(
     """The slower path for large codebooks: the coefficient map of one level at a time."""
     for level in range(len(table)):
         chosen = slice(level, level + 1)
-        codes = render_codes(view, indices[:, chosen], weights[:, chosen], table.shape[1])[0]
+        codes = render_codes(projection, indices[:, chosen], weights[:, chosen], table.shape[1])[0]
         for row, line in enumerate(codes):  # [W, L]
             found = cosines_from_products(line, table[level], grams[level])
             if pixels_last:
@@ -258,25 +263,25 @@ def product_columns(blocks: CodeBlocks, pixels_last: bool) -> int:
     return 16 if pixels_last or blocks.atoms > 128 else 32
 
 
-def _lists(view: TritonProjection) -> tuple[Tensor, ...]:
-    return view.records, view.numbers, view.starts
+def _lists(projection: TritonProjection) -> tuple[Tensor, ...]:
+    return projection.records, projection.numbers, projection.starts
 
 
-def _size(view: TritonProjection) -> tuple[int, int, int]:
-    return view.width, view.height, view.across
+def _size(projection: TritonProjection) -> tuple[int, int, int]:
+    return projection.width, projection.height, projection.across
 
 
-def _bounds(view: TritonProjection) -> tuple[float, float]:
-    return view.preset.alpha_max, view.preset.stop
+def _bounds(projection: TritonProjection) -> tuple[float, float]:
+    return projection.preset.alpha_max, projection.preset.stop
 
 
-def _constants(view: TritonProjection) -> dict[str, object]:
+def _constants(projection: TritonProjection) -> dict[str, object]:
     """What is compiled into every kernel, and how."""
-    return {**FUSED, "STOP_INCLUSIVE": view.preset.stop_inclusive, "TILE": TILE}
+    return {**FUSED, "STOP_INCLUSIVE": projection.preset.stop_inclusive, "TILE": TILE}
 
 
 def _of_codes(
-    view: TritonProjection, codes: PackedCodes, blocks: CodeBlocks, levels_left: int
+    projection: TritonProjection, codes: PackedCodes, blocks: CodeBlocks, levels_left: int
 ) -> dict[str, object]:
     """What is compiled into a kernel that renders codes."""
     return {
@@ -285,5 +290,5 @@ def _of_codes(
         "GROUPS": codes.groups,
         "ATOMS": blocks.atoms,
         "WIDE": codes.wide,
-        "PRECISION": view.products(wide=codes.wide),
+        "PRECISION": projection.products(wide=codes.wide),
     }

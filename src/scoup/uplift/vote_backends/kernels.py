@@ -13,7 +13,7 @@ import triton.language as tl
 
 from scoup.uplift import reweighting
 
-LEAST_AGREEMENT = tl.constexpr(reweighting.LEAST_AGREEMENT)
+LEAST_FACTOR = tl.constexpr(reweighting.LEAST_FACTOR)
 
 
 @triton.jit(do_not_specialize=["n_levels", "n_atoms"])
@@ -60,7 +60,7 @@ def vote_kernel(
             cosine = tl.sum(codes * products[None, :], axis=1) * inverse_norm
             # A Gaussian without a code counts all regions alike.
             cosine = tl.where(total > 0, tl.minimum(cosine, 1.0), 1.0)
-            share *= tl.maximum(tl.exp(strictness * (cosine - 1.0)), LEAST_AGREEMENT)
+            share *= tl.maximum(tl.exp(strictness * (cosine - 1.0)), LEAST_FACTOR)
         sums += tl.sum(codes * share[:, None], axis=0)
         first += ENTRIES
     tl.store(out + own * n_atoms + atom, sums, mask=atom < n_atoms)

@@ -9,15 +9,15 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.base.native import native_core
+from scoup.base.native import require_core
 from scoup.scene.codes import SparseCodes, index_dtype
-from scoup.uplift.entries import BUCKET
 from scoup.uplift.reweighting import EarlierRound
+from scoup.uplift.storage.entries import BUCKET
 from scoup.uplift.vote import VotedEntries
 
 
-class Ballot:
-    """See ``scoup.uplift.vote.Ballot``."""
+class Vote:
+    """See ``scoup.uplift.vote.VoteBackend``."""
 
     def __init__(
         self,
@@ -27,9 +27,6 @@ class Ballot:
         grams: Tensor,
         device: torch.device,
     ) -> None:
-        core = native_core()
-        if core is None or device.type != "cpu":
-            raise InputError("the compiled core votes on a CPU, and must be there")
         self._shape = n_gaussians, len(codes), codes[0].n_atoms
         arrays = []
         for view in views:
@@ -38,7 +35,7 @@ class Ballot:
             arrays.append((part.starts, part.places, part.combinations, weights, view.regions))
         tables = [tuple(_array(part) for part in (level.indices, level.weights)) for level in codes]
         try:
-            self._vote = core.Vote(n_gaussians, _array(grams), arrays, tables)
+            self._vote = require_core().Vote(n_gaussians, _array(grams), arrays, tables)
         except ValueError as error:
             raise InputError(str(error)) from None
 

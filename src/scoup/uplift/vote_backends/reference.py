@@ -9,15 +9,15 @@ import torch
 from torch import Tensor
 
 from scoup.scene.codes import SparseCodes, check_atoms
-from scoup.uplift.entries import BUCKET
-from scoup.uplift.reweighting import LEAST_AGREEMENT, EarlierRound
+from scoup.uplift.reweighting import LEAST_FACTOR, EarlierRound
+from scoup.uplift.storage.entries import BUCKET
 from scoup.uplift.vote import VotedEntries
 
 BUCKETS_AT_A_TIME = 64
 
 
-class Ballot:
-    """See ``scoup.uplift.vote.Ballot``."""
+class Vote:
+    """See ``scoup.uplift.vote.VoteBackend``."""
 
     def __init__(
         self,
@@ -39,7 +39,7 @@ class Ballot:
         self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
     ) -> tuple[Tensor, Tensor]:
         found = []
-        for some in self._chunks(buckets):
+        for some in self.chunks(buckets):
             sums = self.sums(earlier, some)
             levels = [SparseCodes.from_dense(sums[:, level], keep) for level in range(len(self._codes))]
             weights = torch.stack([level.weights for level in levels], 1)
@@ -62,8 +62,8 @@ class Ballot:
                 row, place, share = regions[there, level], gaussian[there], weight[there]
                 if earlier is not None:
                     cosines = self._cosines(earlier, level, first + place, row)
-                    agreement = torch.exp(earlier.sharpness[level] * (cosines - 1).clamp(max=0))
-                    share = share * agreement.clamp(min=LEAST_AGREEMENT)
+                    factor = torch.exp(earlier.sharpness[level] * (cosines - 1).clamp(max=0))
+                    share = share * factor.clamp(min=LEAST_FACTOR)
                 target = place[:, None] * n_atoms + codes.indices.long()[row]
                 sums[:, level] += (
                     torch.zeros(count * n_atoms, device=self._device)
@@ -85,7 +85,7 @@ class Ballot:
             found.append((1 - cosines).cpu())
         return found
 
-    def _chunks(self, buckets: range) -> Iterator[range]:
+    def chunks(self, buckets: range) -> Iterator[range]:
         """The buckets whose sums are in memory at a time; one lot at least, be it of none."""
         if not buckets:
             yield buckets

@@ -1,4 +1,7 @@
-"""The vote on a GPU: entries are brought there and sorted by Gaussian, some Gaussians at a time; a kernel adds up."""
+"""The vote on a GPU: entries are brought there and sorted by Gaussian, some Gaussians at a time; a kernel adds up.
+
+Imports triton: import this module only where tensors are on a GPU.
+"""
 
 # A launch takes plain numbers as constants, and options beside the kernel's arguments.
 # pyright: reportArgumentType=false, reportCallIssue=false
@@ -13,13 +16,12 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.base.triton import why_not
-from scoup.raster import serves
 from scoup.scene.codes import SparseCodes
-from scoup.uplift.entries import BUCKET
 from scoup.uplift.reweighting import EarlierRound
+from scoup.uplift.storage.entries import BUCKET
 from scoup.uplift.vote import VotedEntries
-from scoup.uplift.vote_backends import reference as vote_reference
+from scoup.uplift.vote_backends import reference
+from scoup.uplift.vote_backends.kernels import vote_kernel
 
 MOST_BUCKETS = 256  # at a time: 65,536 Gaussians
 MOST_ENTRIES = 1 << 24  # at a time: half a gigabyte, most of it to sort them
@@ -42,8 +44,8 @@ class SortedEntries:
     weights: Tensor
 
 
-class Ballot(vote_reference.Ballot):
-    """See ``scoup.uplift.vote.Ballot``."""
+class Vote(reference.Vote):
+    """See ``scoup.uplift.vote.VoteBackend``."""
 
     def __init__(
         self,
@@ -53,9 +55,6 @@ class Ballot(vote_reference.Ballot):
         grams: Tensor,
         device: torch.device,
     ) -> None:
-        reason = why_not(device) if serves("triton", device) else f"these tensors are on {device}"
-        if reason is not None:
-            raise InputError(f"the vote on a GPU cannot be taken: {reason}")
         super().__init__(n_gaussians, views, codes, grams, device)
         self._entries_of_bucket = np.zeros(-(-n_gaussians // BUCKET), np.int64)
         for view in views:
@@ -72,9 +71,7 @@ class Ballot(vote_reference.Ballot):
         )
 
     def sums(self, earlier: EarlierRound | None, buckets: range) -> Tensor:
-        """See ``vote_reference.Ballot.sums``; the order of all additions is fixed."""
-        from scoup.uplift.vote_backends.kernels import vote_kernel  # imports triton, which not everyone has
-
+        """See ``reference.Vote.sums``; the order of all additions is fixed."""
         entries = self._sorted(buckets)
         first, count = buckets.start * BUCKET, len(entries.starts) - 1
         levels, n_atoms = len(self._codes), self._codes[0].n_atoms
@@ -101,10 +98,10 @@ class Ballot(vote_reference.Ballot):
         there = EarlierRound(
             earlier.indices.to(self._device), earlier.weights.to(self._device), earlier.sharpness
         )
-        found = [super(Ballot, self).deviations(there, some) for some in self._chunks(buckets)]
+        found = [super(Vote, self).deviations(there, some) for some in self.chunks(buckets)]
         return [torch.cat(of_level) for of_level in zip(*found, strict=True)]
 
-    def _chunks(self, buckets: range) -> Iterator[range]:
+    def chunks(self, buckets: range) -> Iterator[range]:
         """As many as the bounds above allow, and one at least."""
         if not buckets:
             yield buckets

@@ -15,7 +15,7 @@ import triton.language as tl
 
 from scoup.raster.triton.kernels.blending import RECORD, ROW
 
-# Places in the camera's float64 table, see ``gpu_view.camera_table``: 0 to 11 are the rows of the view matrix.
+# Places in the camera's float64 table, see ``triton.projection.camera_table``: 0 to 11 are the rows of the view matrix.
 FX, FY, CX, CY = tl.constexpr(12), tl.constexpr(13), tl.constexpr(14), tl.constexpr(15)
 LOW_X, HIGH_X, LOW_Y, HIGH_Y = tl.constexpr(16), tl.constexpr(17), tl.constexpr(18), tl.constexpr(19)
 NEAR, WIDTH, HEIGHT = tl.constexpr(20), tl.constexpr(21), tl.constexpr(22)

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.uplift.entries import TakenView
+from scoup.uplift.storage.entries import ViewRecord
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
 def triplets_of(
-    view: TakenView, order: NDArray[np.int64], level: int
+    view: ViewRecord, order: NDArray[np.int64], level: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
     """(gaussian, region, weight) [T] of a view and level, sorted, each pair once; ``order`` [N] names the Gaussians."""
     gaussians, regions, weights = [], [], []
@@ -33,7 +33,7 @@ def triplets_of(
 
 
 def csr_matrix(
-    views: Mapping[str, TakenView], order: NDArray[np.int64], level: int, rows: Mapping[str, slice]
+    views: Mapping[str, ViewRecord], order: NDArray[np.int64], level: int, rows: Mapping[str, slice]
 ) -> csr_array:
     """See ``RegionSums.matrix``. Entries are placed view by view: 8 bytes a non-zero in all."""
     from scipy.sparse import csr_array

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +34,24 @@ class Entries:
     def arrays(self) -> dict[str, NDArray[Any]]:
         return dict(vars(self))
 
+    def check(self, n_buckets: int, n_levels: int, weight_type: np.dtype) -> None:
+        """Refuse arrays that do not fit; their numbers are checked where they are used.
+
+        Raises:
+            ValueError: types or shapes are others.
+        """
+        types = (np.uint32, np.uint8, np.uint16, weight_type, np.int32)
+        if [array.dtype for array in self.arrays().values()] != [np.dtype(kind) for kind in types]:
+            raise ValueError("arrays of other types")
+        if not (
+            self.starts.shape == (n_buckets + 1,)
+            and self.places.ndim == 1
+            and self.places.shape == self.combinations.shape == self.weights.shape
+            and self.table.ndim == 2
+            and self.table.shape[1] == n_levels
+        ):
+            raise ValueError("arrays of other shapes")
+
     def gaussians(self) -> NDArray[np.int64]:
         """[E] places in the order of the sums."""
         counts = np.diff(self.starts.astype(np.int64))
@@ -47,8 +66,8 @@ class Entries:
 
 
 @dataclass(frozen=True, eq=False)
-class TakenView:
-    """A view whose sums are kept.
+class ViewRecord:
+    """The region sums of one view.
 
     Attributes:
         camera_digest: of everything about the camera that decides the sums.
@@ -59,6 +78,27 @@ class TakenView:
     camera_digest: str
     labels_digest: str
     parts: tuple[Entries, ...]
+
+    @classmethod
+    def of_arrays(cls, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> ViewRecord:
+        """From the header and the arrays of a record.
+
+        Raises:
+            KeyError, ValueError: something is missing.
+        """
+        parts: list[Entries] = []
+        while f"places.{len(parts)}" in arrays:
+            number = len(parts)
+            parts.append(Entries(*(arrays[f"{field}.{number}"] for field in Entries.__annotations__)))
+        if not parts:
+            raise ValueError(f"the view {header['name']!r} has no entries")
+        return cls(str(header["camera"]), str(header["labels"]), tuple(parts))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Those of all parts, by names that ``of_arrays`` knows."""
+        return {
+            f"{name}.{i}": array for i, part in enumerate(self.parts) for name, array in part.arrays().items()
+        }
 
 
 def pack(

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.parametrize("backend", BACKENDS)
 def test_views_show_the_same(backend):
     gaussians = random_gaussians(200, 4, KINDS)
     gaussians.means[50:100] = gaussians.means[:50]  # equal depths: the original rows decide
-    scene = raster.prepare(gaussians, backend)
+    scene = raster.prepare_gaussians(gaussians, backend)
     camera, values = make_camera(60, 44, seed=2), torch.rand(200, 3)
     expected, _ = raster.render_channels(raster.project(gaussians, camera, backend=backend), values)
     moved = values if scene.order is None else values[scene.order]
@@ -31,7 +31,7 @@ def test_views_show_the_same(backend):
 def test_hard_scenes_show_the_same(backend, scene):
     """Behind the camera, huge, needles, not finite, opacities of 0 and infinity; empty scenes, images of one pixel."""
     gaussians, camera = scene
-    prepared = raster.prepare(gaussians, backend)
+    prepared = raster.prepare_gaussians(gaussians, backend)
     values = torch.arange(3.0 * len(gaussians)).reshape(-1, 3)
     moved = values if prepared.order is None else values[prepared.order]
     expected = raster.render_channels(raster.project(gaussians, camera, backend=backend), values)
@@ -42,7 +42,7 @@ def test_hard_scenes_show_the_same(backend, scene):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.uint8, torch.uint16])
 def test_rows_are_restored(backend, dtype):
     gaussians = random_gaussians(100, 1)
-    scene = raster.prepare(gaussians, backend)
+    scene = raster.prepare_gaussians(gaussians, backend)
     numbers = torch.arange(100).to(dtype)
     rows = torch.stack([numbers, numbers], 1)
     moved = (
@@ -58,7 +58,7 @@ def test_rows_are_restored(backend, dtype):
 def test_region_sums_are_in_the_new_order(backend):
     gaussians, camera = random_gaussians(80, 3), make_camera()
     labels = random_labels(2, 30, 40, 5, 0)
-    scene = raster.prepare(gaussians, backend)
+    scene = raster.prepare_gaussians(gaussians, backend)
     order = torch.arange(80) if scene.order is None else scene.order
     expected = raster.region_sums(raster.project(gaussians, camera, backend=backend), labels)
     found = raster.region_sums(raster.project(scene, camera), labels)

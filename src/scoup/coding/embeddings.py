@@ -1,4 +1,4 @@
-"""Checking embeddings before they are coded."""
+"""Embeddings before they are coded: checked, and brought to unit norm."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 
 
-def unit_rows(embeddings: Tensor) -> Tensor:
+def normalise_embeddings(embeddings: Tensor) -> Tensor:
     """[R, D] float32: the rows scaled to unit norm; rows of norm zero stay zero.
 
     Raises:

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from raster.parity import beyond
-from scoup.scene.codes import SparseCodes, row_products
-from scoup.uplift.entries import BUCKET, pack
+from scoup.scene.codes import SparseCodes, stable_products
 from scoup.uplift.reweighting import EarlierRound
+from scoup.uplift.storage.entries import BUCKET, pack
 from scoup.uplift.vote import VotedEntries
-from scoup.uplift.vote_backends.reference import Ballot as ReferenceBallot
+from scoup.uplift.vote_backends.reference import Vote as ReferenceVote
 
 SHARPNESS = torch.tensor([3.0, 0.0, 20.0])
 
@@ -38,8 +38,8 @@ class Sizes:
     without: int | None = None
 
 
-def random_ballot(sizes: Sizes, seed: int) -> dict[str, Any]:
-    """Arguments of a ballot but for the device. The second view is empty; some codes are; Gaussians have no, few or
+def random_vote(sizes: Sizes, seed: int) -> dict[str, Any]:
+    """Arguments of a vote but for the device. The second view is empty; some codes are; Gaussians have no, few or
     many entries.
     """
     generator = torch.Generator().manual_seed(seed)
@@ -69,7 +69,7 @@ def random_ballot(sizes: Sizes, seed: int) -> dict[str, Any]:
         dense[torch.rand(total, generator=generator) < 0.1] = 0
         codes.append(SparseCodes.from_dense(dense, sizes.k))
     atoms = torch.randn(sizes.levels, sizes.n_atoms, 16, generator=generator) + 0.3
-    grams = torch.stack([row_products(of_level, of_level) for of_level in atoms])
+    grams = torch.stack([stable_products(of_level, of_level) for of_level in atoms])
     return {"n_gaussians": sizes.n_gaussians, "views": views, "codes": codes, "grams": grams}
 
 
@@ -79,17 +79,17 @@ def buckets_of(arguments: dict[str, Any]) -> range:
 
 def earlier_of(arguments: dict[str, Any], keep: int, levels: int) -> EarlierRound:
     """The first round as the reference has it, a tenth of the Gaussians without a code."""
-    reference = ReferenceBallot(**arguments, device=torch.device("cpu"))
+    reference = ReferenceVote(**arguments, device=torch.device("cpu"))
     indices, weights = reference.round(keep, None, True, buckets_of(arguments))
     weights[::10] = 0
     return EarlierRound(indices, weights, SHARPNESS.repeat(levels)[:levels])
 
 
-def check_rounds(ballot: type[Any], sizes: Sizes, keep: int, seed: int, device: str = "cpu") -> None:
+def check_rounds(prepared: type[Any], sizes: Sizes, keep: int, seed: int, device: str = "cpu") -> None:
     """One round and a second give what the reference gives, and the same bytes again."""
-    arguments = random_ballot(sizes, seed)
-    reference = ReferenceBallot(**arguments, device=torch.device("cpu"))
-    tested = ballot(**arguments, device=torch.device(device))
+    arguments = random_vote(sizes, seed)
+    reference = ReferenceVote(**arguments, device=torch.device("cpu"))
+    tested = prepared(**arguments, device=torch.device(device))
     buckets = buckets_of(arguments)
     earlier = earlier_of(arguments, min(keep, 8), sizes.levels)
     found = tested.round(keep, None, True, buckets)
@@ -105,7 +105,7 @@ def check_rounds(ballot: type[Any], sizes: Sizes, keep: int, seed: int, device: 
 
 def assert_same_codes(
     found: tuple[Tensor, Tensor],
-    reference: ReferenceBallot,
+    reference: ReferenceVote,
     keep: int,
     earlier: EarlierRound | None,
     unit_norm: bool,

@@ -1,0 +1,104 @@
+"""Which implementation serves: the one guard and the one loader of everything that has several backends.
+
+A room with backends has a table of names and modules, all with the same functions:
+
+* ``reference``: plain torch, any device; the specification that the others are tested against;
+* ``native``: the compiled core, for tensors on a CPU;
+* ``triton``: kernels for tensors on a GPU.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+from collections.abc import Mapping
+from types import ModuleType
+
+import torch
+
+from scoup.base.errors import InputError, UnknownNameError, warn_once
+from scoup.base.native import missing_reason, native_core, warn_if_missing
+
+OLDEST_TRITON = (3, 3)  # 3.0 to 3.2 end the process while they compile the kernels
+LEAST_CAPABILITY = (8, 0)  # older GPUs have too little shared memory for a program
+
+_DEVICES = {"native": "cpu", "triton": "cuda"}  # torch calls AMD's GPUs "cuda", too
+
+
+def load_backend(
+    table: Mapping[str, str], device: torch.device, name: str | None = None, room: str = ""
+) -> tuple[str, ModuleType]:
+    """Name and module of a backend for tensors on a device.
+
+    Args:
+        table: names and modules.
+        device: where the tensors are.
+        name: of the backend; by default the fastest that serves the device, see ``default_backend``.
+        room: what has these backends, for the error.
+
+    Raises:
+        UnknownNameError: the table has no such name.
+        InputError: the backend does not serve the device, or cannot be used on this machine.
+    """
+    name = name or default_backend(device)
+    if name not in table:
+        raise UnknownNameError(f"{room} backend".strip(), name, table)
+    require_backend(name, device)
+    return name, importlib.import_module(table[name])
+
+
+def default_backend(device: torch.device) -> str:
+    """The fastest backend for tensors on a device. Warns once where the fast one cannot be used."""
+    if device.type == "cuda":
+        reason = triton_problem(device)
+        if reason is None:
+            return "triton"
+        warn_once(f"tensors on a GPU take the slow reference path: {reason}")
+    elif device.type == "cpu":
+        if native_core() is not None:
+            return "native"
+        warn_if_missing()
+    return "reference"
+
+
+def require_backend(name: str, device: torch.device) -> None:
+    """Refuse a backend that cannot be used for tensors on a device.
+
+    Raises:
+        InputError: it is for other devices, or this machine lacks what it needs.
+    """
+    interpreted = name == "triton" and os.environ.get("TRITON_INTERPRET") == "1"
+    if not interpreted and _DEVICES.get(name, device.type) != device.type:
+        place = "a GPU" if name == "triton" else "a CPU"
+        raise InputError(f"the backend {name!r} serves tensors on {place}, these are on {device}")
+    reason = None
+    if name == "native" and native_core() is None:
+        reason = missing_reason()
+    elif name == "triton":
+        reason = triton_problem(device)
+    if reason is not None:
+        raise InputError(f"the backend {name!r} cannot be used: {reason}")
+
+
+def triton_problem(device: torch.device) -> str | None:
+    """One sentence: why Triton kernels cannot serve tensors on this device. None if they can.
+
+    Imports triton, if it is there.
+    """
+    try:
+        import triton
+    except ImportError:
+        return "triton is not installed (pip install triton)"
+    if _numbers(triton.__version__) < OLDEST_TRITON:
+        return f"triton {triton.__version__} is too old, 3.3 is needed: update torch to 2.7 or newer"
+    if device.type == "cuda" and torch.version.hip is None:
+        capability = torch.cuda.get_device_capability(device)
+        if capability < LEAST_CAPABILITY:
+            found, needed = (".".join(map(str, numbers)) for numbers in (capability, LEAST_CAPABILITY))
+            return f"{device} has compute capability {found}, the kernels need {needed} (Ampere) or newer"
+    return None
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(map(int, re.findall(r"\d+", version)[:2]))

@@ -1,0 +1,89 @@
+"""Settings of a build, and the named ones."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from scoup.base.errors import InputError, looked_up
+
+_OF_CODES = ("n_atoms", "k", "solver", "effort", "epochs", "tolerance", "seed")
+
+
+@dataclass(frozen=True)
+class BuildSettings:
+    """Everything that decides what a build computes. ``BUILD_PRESETS`` names two: "default" (what answers best, and
+    what ``BuildSettings()`` is) and "paper".
+
+    Attributes:
+        n_atoms: L, atoms in each level's codebook.
+        k: K, atoms in the code of a region.
+        keep: atoms kept for each Gaussian by the vote; None (default) keeps k, 0 keeps all (no top-K step).
+        rounds: of the vote, 1 or more. One is the paper's; in each further one regions count by their cosine with the
+            outcome of the round before (``scoup.uplift.reweighting``).
+        consensus: give regions that the same Gaussians see similar embeddings before coding
+            (``scoup.uplift.consensus``).
+        solver: how codes are learned, see ``fit_codes``.
+        effort: of the "exact" solver, "fast" or "best".
+        epochs: epochs of the "adam" solver.
+        tolerance: stop the "adam" solver once its loss has fallen by less than this over 100 epochs; None never.
+        seed: of the codebook's start.
+        raster_preset: rasteriser constants the scene was trained with: "inria" or "gsplat".
+    """
+
+    n_atoms: int = 128
+    k: int = 4
+    keep: int | None = None
+    rounds: int = 2
+    consensus: bool = False
+    solver: str = "exact"
+    effort: str = "best"
+    epochs: int = 4000
+    tolerance: float | None = None
+    seed: int = 0
+    raster_preset: str = "inria"
+
+    @property
+    def of_codes(self) -> dict[str, Any]:
+        """Those that decide the codes of the regions."""
+        return {name: getattr(self, name) for name in _OF_CODES}
+
+    def __post_init__(self) -> None:
+        if self.keep is None:
+            object.__setattr__(self, "keep", self.k)
+        keep = self.keep or 0
+        if not 1 <= self.k <= self.n_atoms or not 0 <= keep <= self.n_atoms:
+            raise InputError(
+                f"k ({self.k}) and keep ({keep}) must not exceed the {self.n_atoms} atoms, and k must be at "
+                "least 1"
+            )
+        if self.rounds < 1:
+            raise InputError(f"the vote takes at least one round, not {self.rounds}")
+        if self.tolerance is not None and not self.tolerance >= 0:
+            raise InputError(f"the tolerance must be 0 or more, got {self.tolerance}")
+        if not 0 <= self.seed < 1 << 63:
+            raise InputError(f"the seed must be 0 to 2^63 - 1, got {self.seed}")
+
+
+BUILD_PRESETS: dict[str, BuildSettings] = {
+    "default": BuildSettings(),
+    "paper": BuildSettings(n_atoms=64, rounds=1, solver="adam"),
+}
+"""What answers best at little cost (docs/benchmarks.md, "Codes and votes"), and the paper's method as published."""
+
+
+def build_settings(settings: BuildSettings | str = "default", **changes: Any) -> BuildSettings:
+    """Settings, or a preset by name, with some fields changed; None leaves a field as it is.
+
+    Raises:
+        UnknownNameError: there is no such preset.
+        InputError: the settings do not go together.
+    """
+    if isinstance(settings, str):
+        settings = looked_up("build preset", settings, BUILD_PRESETS)
+    changes = {name: value for name, value in changes.items() if value is not None}
+    # By default as many atoms stay as a code has.
+    if "k" in changes and "keep" not in changes and settings.keep == settings.k:
+        changes["keep"] = changes["k"]
+    return dataclasses.replace(settings, **changes)

@@ -1,0 +1,86 @@
+"""What a field was made from: digests of its inputs, and the record that goes into its file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from scoup.base.version import VERSION
+from scoup.scene.cameras import Camera
+
+if TYPE_CHECKING:
+    from scoup.uplift.build_settings import BuildSettings
+    from scoup.uplift.region_codes import RegionCodes, RegionEmbeddings
+    from scoup.uplift.region_sums import RegionSums
+
+
+def camera_digest(camera: Camera) -> str:
+    """SHA-256 of everything about a camera that decides what it sees."""
+    digest = hashlib.sha256(json.dumps([camera.width, camera.height, camera.distortion]).encode())
+    digest.update(torch.cat([camera.viewmat.flatten(), camera.K.flatten()]).double().numpy().data)
+    return digest.hexdigest()
+
+
+def inputs_digest(
+    fingerprint: str, cameras: Sequence[Camera], embeddings: RegionEmbeddings, settings: Mapping[str, Any]
+) -> str:
+    """SHA-256 of everything that a result depends on but the label maps, which have a digest for each view.
+
+    Args:
+        fingerprint: of the Gaussians.
+        cameras: the views.
+        embeddings: of their regions.
+        settings: plain JSON values.
+    """
+    digest = hashlib.sha256(json.dumps([VERSION, fingerprint, settings], sort_keys=True).encode())
+    for camera in cameras:
+        digest.update(json.dumps([camera.name, camera_digest(camera)]).encode())
+    for level, of_level, rows in zip(embeddings.levels, embeddings.of_levels, embeddings.rows, strict=True):
+        ends = {name: part.stop for name, part in rows.items()}
+        digest.update(json.dumps([level, list(of_level.shape), ends]).encode())
+        digest.update(of_level.contiguous().numpy().data)
+    return digest.hexdigest()
+
+
+def labels_digest(sums: RegionSums, view_names: Sequence[str]) -> str:
+    """SHA-256 of the label maps of views."""
+    digests = {name: sums.views[name].labels_digest for name in view_names}
+    return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
+
+
+def build_record(
+    settings: BuildSettings,
+    inputs: str,
+    sums: RegionSums,
+    codes: RegionCodes,
+    sharpness: Tensor | None,
+) -> dict[str, Any]:
+    """What a field records of its build.
+
+    Args:
+        settings: of the build.
+        inputs: the ``inputs_digest``.
+        sums: of the views that voted.
+        codes: of their regions.
+        sharpness: [S], of the rounds after the first; None after a single round.
+    """
+    names = list(sums.views)
+    record: dict[str, Any] = {
+        "software": f"scoup {VERSION}",
+        "settings": asdict(settings),
+        "inputs": inputs,
+        "label_maps": labels_digest(sums, names),
+        "views": names,
+        "coding": dict(zip(sums.levels, codes.reports, strict=True)),
+    }
+    if sharpness is not None:
+        record["sharpness"] = sharpness.tolist()
+    if (sums.weights, sums.least_weight) != ("float32", 0):
+        record["region_sums"] = {"weights": sums.weights, "least_weight": sums.least_weight}
+    return record
