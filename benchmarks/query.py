@@ -38,7 +38,7 @@ from scoup.field.language_field import FieldInfo, LanguageField
 from scoup.io import check_output
 from scoup.models.text import save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.query.answers import localize_and_segment
+from scoup.query.segment import localize_and_segment
 from scoup.scene.cameras import Camera
 from scoup.synthetic.room import HEIGHT, WIDTH, clip_like, codes_in_space
 

@@ -32,9 +32,9 @@ _HOMES = {
     "build": "scoup.uplift.build",
     "update": "scoup.uplift.update",
     "TextEncoder": "scoup.models.text",
-    "localize": "scoup.query.answers",
-    "segment": "scoup.query.answers",
-    "select": "scoup.query.answers",
+    "localize": "scoup.query.localize",
+    "segment": "scoup.query.segment",
+    "select": "scoup.query.select",
 }
 
 __all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
@@ -50,9 +50,9 @@ if TYPE_CHECKING:
     from scoup.io import load_regions as load_regions
     from scoup.io import save_gaussians as save_gaussians
     from scoup.models.text import TextEncoder as TextEncoder
-    from scoup.query.answers import localize as localize
-    from scoup.query.answers import segment as segment
-    from scoup.query.answers import select as select
+    from scoup.query.localize import localize as localize
+    from scoup.query.segment import segment as segment
+    from scoup.query.select import select as select
     from scoup.raster import project as project
     from scoup.scene.cameras import Camera as Camera
     from scoup.scene.cameras import Cameras as Cameras

@@ -17,7 +17,7 @@ from cli_support import run, run_json, snapshot
 from scoup.base.errors import InputError
 from scoup.cli.query import Query
 from scoup.io import write_colmap
-from scoup.query.answers import QUERY_PRESETS
+from scoup.query.presets import QUERY_PRESETS
 from scoup.scene.cameras import Cameras
 from support import make_camera
 
