@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
+from query.conftest import Queried, random_vectors
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
 from scoup.models.words import LEAST_WORDS
 from scoup.query.presence import (
     mean_embedding,
@@ -22,12 +21,6 @@ from scoup.query.presence import (
 )
 from scoup.query.segment import segment
 from scoup.query.select import select, select_each
-from scoup.uplift.build import build
-from support import small_scene, unit
-
-
-def random(*shape: int, seed: int = 0) -> Tensor:
-    return unit(torch.randn(*shape, generator=torch.Generator().manual_seed(seed)))
 
 
 def test_entropy_of_votes() -> None:
@@ -39,7 +32,11 @@ def test_entropy_of_votes() -> None:
 
 
 def test_z_scores_by_hand() -> None:
-    embeddings, queries, words = random(3, 16), random(3, 16, seed=1), random(20, 16, seed=2)
+    embeddings, queries, words = (
+        random_vectors(3, 16),
+        random_vectors(3, 16, seed=1),
+        random_vectors(20, 16, seed=2),
+    )
     cosines = (embeddings @ words.T).double().numpy()
     own = (embeddings * queries).sum(1).double().numpy()
     expected = (own - cosines.mean(1)) / cosines.std(1)
@@ -53,14 +50,14 @@ def test_z_scores_by_hand() -> None:
 
 
 def test_the_query_itself_scores_high_and_nothing_scores_minus_infinity() -> None:
-    queries, words = random(2, 64), random(50, 64, seed=2)
+    queries, words = random_vectors(2, 64), random_vectors(50, 64, seed=2)
     found = z_scores(torch.stack([queries[0], torch.zeros(64)]), queries, words)
     assert float(found[0]) > 5
     assert float(found[1]) == -np.inf
 
 
 def test_what_does_not_fit_is_refused() -> None:
-    queries, words = random(2, 16), random(LEAST_WORDS, 16, seed=2)
+    queries, words = random_vectors(2, 16), random_vectors(LEAST_WORDS, 16, seed=2)
     with pytest.raises(InputError, match="everyday words or more"):
         z_scores(queries, queries, words[1:])
     with pytest.raises(InputError, match="do not fit"):
@@ -69,24 +66,12 @@ def test_what_does_not_fit_is_refused() -> None:
         z_scores(queries, queries, words[:, 1:])
 
 
-def queried() -> tuple[LanguageField, raster.Projection, Tensor, Tensor, Tensor, Tensor]:
-    gaussians, cameras, regions = small_scene(count=80, views=3)
-    field = build(gaussians, cameras, regions, n_atoms=8)
-    projection = field.project(cameras[0])
-    queries, canonical, words = random(11, 16), random(3, 16, seed=1), random(30, 16, seed=2)
-    return (
-        field,
-        projection,
-        field.relevancy(cameras[0], queries, canonical, projection),
-        queries,
-        canonical,
-        words,
-    )
-
-
-def test_z_scores_in_a_view_against_pixel_by_pixel() -> None:
+def test_z_scores_in_a_view_against_pixel_by_pixel(queried: Queried) -> None:
     """The embedding is that of the pixels of the core, each a sum of decoded codes by blending weights."""
-    field, projection, maps, queries, _, words = queried()
+    field, texts = queried.field, queried.texts
+    queries, words = texts.queries, texts.everyday
+    projection = field.project(queried.camera)
+    maps = field.relevancy(queried.camera, queries, texts.canonical, projection)
     segmentations = [segment(each) for each in maps.unbind(1)]
     found = view_z_scores(field, projection, segmentations, queries, words)
     blended = raster.render_channels(projection, torch.eye(len(field)))[0]  # [H, W, N]
@@ -100,8 +85,9 @@ def test_z_scores_in_a_view_against_pixel_by_pixel() -> None:
         assert float(found[query]) == pytest.approx(float(expected[0]), abs=1e-3)
 
 
-def test_z_scores_in_a_scene_are_of_the_gaussians_selected() -> None:
-    field, _, _, queries, canonical, words = queried()
+def test_z_scores_in_a_scene_are_of_the_gaussians_selected(queried: Queried) -> None:
+    field, texts = queried.field, queried.texts
+    queries, canonical, words = texts.queries, texts.canonical, texts.everyday
     selections = list(select_each(field, queries, canonical))
     assert torch.equal(torch.stack([each.mask for each in selections]), select(field, queries, canonical))
     found = scene_z_scores(field, selections, queries, words)
