@@ -123,7 +123,7 @@ def test_geometry_is_found_by_relative_path_and_checked(scene, tmp_path):
     assert LanguageField.load(path, stored).gaussians is stored
 
 
-def test_nothing_is_overwritten_unasked(field, tmp_path):
+def test_nothing_is_overwritten_unless_wanted(field, tmp_path):
     path = tmp_path / "f.scoup"
     path.write_bytes(b"precious")
     with pytest.raises(OutputExistsError, match="overwrite"):

@@ -17,7 +17,7 @@ from scoup.query.select import select
 
 
 def fake_field(relevancy: Tensor, coded: Tensor, means: Tensor) -> SimpleNamespace:
-    """What ``select`` asks of a field: relevancy [S, N] looked up by the query's first number."""
+    """What ``select`` needs of a field: relevancy [S, N] looked up by the query's first number."""
 
     def gaussian_relevancy(queries: Tensor, canonical: Tensor) -> Tensor:
         assert canonical.shape == (4, 2)

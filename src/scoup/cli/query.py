@@ -77,26 +77,20 @@ class Query(TextOptions, CameraOptions):
         present_from = self._present_from(texts)
         texts = texts.with_everyday() if self.rule == "default" else texts
         folders = unique_slugs(camera.stem for camera in cameras)
-        names = self._picture_names()
-        files = [f"{folder}/{name}" for folder in folders for of_text in names for name in of_text.values()]
+        names = [name for of_text in self._picture_names() for name in of_text.values()]
+        files = [RECORD, *(f"{folder}/{name}" for folder in folders for name in names)]
         records: list[dict[str, Any]] = []
         blind: list[Camera] = []
-        with staged(out, [RECORD, *files], self.overwrite) as hidden, console.progress() as progress:
+        with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
             progress("query", 0, len(cameras))
             for done, (camera, folder) in enumerate(zip(cameras, folders, strict=True), start=1):
                 projection = field.project(camera)
                 answers = answer_view(field, camera, texts, preset, present_from, projection)
-                if all((each.relevancy == 0.5).all() for each in answers) and not field.is_visible(
-                    projection
-                ):
+                if _sees_nothing(field, projection, answers):
                     blind.append(camera)
                 if self.pictures == "all":
                     self._draw(field, camera, projection, answers, hidden / folder)
-                for text, answer, of_text in zip(self.texts, answers, names, strict=True):
-                    records.append({"camera": camera.name, "text": text, **answer.record()})
-                    if of_text:
-                        paths = {kind: (out / folder / name).as_posix() for kind, name in of_text.items()}
-                        records[-1]["files"] = paths
+                records += self._records(camera, answers, out / folder)
                 progress("query", done, len(cameras))
             self.check_seen(blind, len(cameras))
             write_text(hidden / RECORD, json.dumps({"field": str(self.field), "answers": records}, indent=2))
@@ -116,6 +110,16 @@ class Query(TextOptions, CameraOptions):
         kinds = PICTURES if self.pictures == "all" else ()
         return [{kind: f"{name}_{kind}.png" for kind in kinds} for name in unique_slugs(self.texts)]
 
+    def _records(self, camera: Camera, answers: list[Answer], folder: Path) -> list[dict[str, Any]]:
+        """The answers of one view as JSON values."""
+        records = []
+        for text, answer, names in zip(self.texts, answers, self._picture_names(), strict=True):
+            record = {"camera": camera.name, "text": text, **answer.record()}
+            if names:
+                record["files"] = {kind: (folder / name).as_posix() for kind, name in names.items()}
+            records.append(record)
+        return records
+
     def _draw(
         self,
         field: LanguageField,
@@ -134,6 +138,12 @@ class Query(TextOptions, CameraOptions):
             drawn = draw_answer(answer, rgb, text)
             for kind, name in names.items():
                 save_png(drawn[kind], folder / name)
+
+
+def _sees_nothing(field: LanguageField, projection: Projection, answers: list[Answer]) -> bool:
+    """Whether nothing of the field is visible."""
+    # Relevancy is 0.5 wherever nothing is rendered; only then is it worth a render to find out.
+    return all((each.relevancy == 0.5).all() for each in answers) and not field.is_visible(projection)
 
 
 def _sentence(record: dict[str, Any], present_from: float | None) -> str:

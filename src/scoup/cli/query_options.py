@@ -134,8 +134,8 @@ class TextOptions(FieldOptions):
         """Vectors of the texts and of what they are compared with.
 
         Raises:
-            InputError, UnknownNameError: as ``scoup.query.text_vectors.encode_texts``; or there are no texts, or
-                neither the options nor the field name an encoder.
+            InputError, UnknownNameError: as ``scoup.query.text_vectors.encode_texts``; or neither the options nor
+                the field name a model or table.
         """
         from scoup.base.errors import InputError
         from scoup.models.text import TextEncoder

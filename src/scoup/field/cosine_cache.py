@@ -116,8 +116,8 @@ def channel_cosines(
 ) -> Tensor:
     """[H, W, S, Q] cosines with vectors [Q, D] by one rendered channel a vector and level.
 
-    They differ from those of ``raster.render_cosines`` by rounding only: sums over Gaussians and atoms are taken in
-    another order.
+    They differ from those of ``raster.render_cosines`` by rounding only: the order of sums over Gaussians and atoms is
+    another.
 
     Args:
         inverse_norms: [H, W, S], see ``CachedCosines``.
