@@ -1,4 +1,4 @@
-"""What it costs to ask: a query through a new camera, a further one through the same, and `scoup query` as a whole.
+"""What a query costs: with a new camera, a further one with the same camera, and `scoup query` as a whole.
 
     python -m benchmarks.query [--n-gaussians 1000000] [--n-atoms 128] [--k 4] [--threads 1] [--repeats 7]
         [--command-repeats 3] [--backend NAME] [--out FILE.json]
@@ -38,16 +38,16 @@ from scoup.field.language_field import FieldInfo, LanguageField
 from scoup.io import check_output
 from scoup.models.text import save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.query.answers import localize_and_segment
+from scoup.query.segment import localize_and_segment
 from scoup.scene.cameras import Camera
 from scoup.synthetic.room import HEIGHT, WIDTH, clip_like, codes_in_space
 
 STAGES = {
     "project": "project, bin and sort",
-    "first relevancy": "relevancy through a view that was not asked before",
-    "further relevancy": "relevancy to another query through the same view",
+    "first relevancy": "relevancy with a new projection",
+    "further relevancy": "relevancy to another query with the same projection",
     "place and mask": "localize and segment",
-    "query, new camera": "look, first relevancy, place and mask",
+    "query, new camera": "project, first relevancy, place and mask",
     "query, same camera": "further relevancy, place and mask",
     "scoup query": "the command: read the splat and the field, one text, one camera, no pictures",
 }
@@ -111,7 +111,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
     for stage in seconds:
         print(f"{stage}: {STAGES[stage]}")
     record = {
-        "what": "benchmarks.query: what it costs to ask",
+        "what": "benchmarks.query: what a query costs",
         "machine": environment,
         "settings": {
             "gaussians": arguments.n_gaussians,
@@ -156,9 +156,9 @@ def stage_seconds(field: LanguageField, camera: Camera, arguments: Arguments) ->
 
     for number in range(arguments.repeats + 1):
         query, other = queries[number][None], queries[number - 1][None]
-        view = timed("project", field.project, camera, arguments.backend)
-        timed("first relevancy", field.relevancy, camera, other, canonical, view)
-        maps = timed("further relevancy", field.relevancy, camera, query, canonical, view)
+        projection = timed("project", field.project, camera, arguments.backend)
+        timed("first relevancy", field.relevancy, camera, other, canonical, projection)
+        maps = timed("further relevancy", field.relevancy, camera, query, canonical, projection)
         timed("place and mask", localize_and_segment, maps[:, 0])
     kept = {stage: times[1:] for stage, times in seconds.items()}
 

@@ -14,7 +14,9 @@ from scoup.baselines.dense import dense_relevancy
 from scoup.evaluate.metrics import any_inside, iou
 from scoup.evaluate.protocols.lerf_ovs import LabelledFrame
 from scoup.field.relevancy import relevancy
-from scoup.query.answers import QUERY_PRESETS, choose_level, level_masks, localize
+from scoup.query.localize import localize
+from scoup.query.presets import QUERY_PRESETS
+from scoup.query.segment import choose_level, level_masks
 from scoup.synthetic.faults import LevelSums
 
 PRESET = QUERY_PRESETS["scoup"]

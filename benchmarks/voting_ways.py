@@ -11,7 +11,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.coding import fit_codes
-from scoup.query.answers import QUERY_PRESETS, LevelChoice
+from scoup.query.presets import QUERY_PRESETS, LevelChoice
 from scoup.scene.codes import SparseCodes
 from scoup.synthetic.faults import LevelSums
 from scoup.uplift import vote as uplift

@@ -1,4 +1,4 @@
-"""Build a language field and ask it where something is.
+"""Build a language field and query it for where something is.
 
     python examples/01_build_and_ask.py demo/scene demo/scene/text.npz teapot
 
@@ -17,9 +17,7 @@ cameras = scoup.load_cameras(scene)
 regions = scoup.load_regions(scene, cameras)
 field = scoup.build(gaussians, cameras, regions)
 
-text = scoup.TextEncoder.open(words)
-query, canonical = text.encode([thing]), text.canonical(everyday=True)
+texts = scoup.encode_texts(scoup.TextEncoder.open(words), field, [thing]).with_everyday()
 for camera in cameras[:3]:
-    relevancy = field.relevancy(camera, query, canonical)[:, 0]  # [levels, H, W]
-    place, shape = scoup.localize(relevancy), scoup.segment(relevancy)
-    print(f"{camera.name}: pixel {place.pixel}, box {shape.box}, level {field.levels[shape.level]}")
+    (answer,) = scoup.answer_view(field, camera, texts)
+    print(f"{camera.name}: pixel {answer.point}, box {answer.box}, level {answer.level}")

@@ -33,9 +33,13 @@ _HOMES = {
     "BuildSettings": "scoup.uplift.build_settings",
     "update": "scoup.uplift.update",
     "TextEncoder": "scoup.models.text",
-    "localize": "scoup.query.answers",
-    "segment": "scoup.query.answers",
-    "select": "scoup.query.answers",
+    "Answer": "scoup.query.answer",
+    "answer_view": "scoup.query.answer",
+    "answer_scene": "scoup.query.answer",
+    "encode_texts": "scoup.query.text_vectors",
+    "localize": "scoup.query.localize",
+    "segment": "scoup.query.segment",
+    "select": "scoup.query.select",
 }
 
 __all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
@@ -51,9 +55,13 @@ if TYPE_CHECKING:
     from scoup.io import load_regions as load_regions
     from scoup.io import save_gaussians as save_gaussians
     from scoup.models.text import TextEncoder as TextEncoder
-    from scoup.query.answers import localize as localize
-    from scoup.query.answers import segment as segment
-    from scoup.query.answers import select as select
+    from scoup.query.answer import Answer as Answer
+    from scoup.query.answer import answer_scene as answer_scene
+    from scoup.query.answer import answer_view as answer_view
+    from scoup.query.localize import localize as localize
+    from scoup.query.segment import segment as segment
+    from scoup.query.select import select as select
+    from scoup.query.text_vectors import encode_texts as encode_texts
     from scoup.raster import project as project
     from scoup.scene.cameras import Camera as Camera
     from scoup.scene.cameras import Cameras as Cameras

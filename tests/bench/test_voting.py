@@ -16,7 +16,7 @@ from scoup.base.errors import InputError, UnknownNameError
 from scoup.evaluate.metrics import bootstrap_interval
 from scoup.evaluate.protocols.lerf_ovs import score_frame
 from scoup.field.relevancy import relevancy
-from scoup.query.answers import QUERY_PRESETS
+from scoup.query.presets import QUERY_PRESETS
 from scoup.synthetic.faults import as_region_sums
 from scoup.uplift.build_settings import BuildSettings
 

@@ -183,7 +183,7 @@ def test_features_of_another_model_than_the_table():
     )
     assert run("build", "scene", *QUICK, "--out", "a.scoup")[0] == 0
     message = refused("query", "a.scoup", "kettle", "--text", TABLE)
-    assert "scene/words.npz: gives vectors of 16 dimensions, but a.scoup holds embeddings of 8" in message
+    assert "scene/words.npz: gives vectors of 16 dimensions, but the field holds embeddings of 8" in message
 
 
 @pytest.mark.parametrize(
@@ -305,7 +305,7 @@ def test_a_table_of_another_dimension():
     save_table("wide.npz", names, np.random.default_rng(0).normal(size=(len(names), 24)))
     for arguments in ASK.values():
         message = refused(*arguments, "--text", "wide.npz")
-        assert "wide.npz: gives vectors of 24 dimensions, but f.scoup holds embeddings of 16" in message
+        assert "wide.npz: gives vectors of 24 dimensions, but the field holds embeddings of 16" in message
 
 
 def test_a_table_without_the_canonical_phrases():

@@ -183,7 +183,7 @@ def test_consistency(here: Path) -> None:
 def test_presence_to_query_and_select(here: Path) -> None:
     record = run_json("eval", "presence", "lerf-ovs")
     assert record["rules"]["the protocols' rule (paints always)"]["absent_refused"] == 0
-    assert record["auc"]["standing"]["absent"] > 0.5
+    assert record["auc"]["z-score"]["absent"] > 0.5
     assert set(record["bounds"]) == {"query", "select"}
     run_json("eval", "lerf-ovs", "lerf-ovs", *QUICK, "--scenes", "table", "--sheets", "none")
     field = here / "eval_lerf-ovs" / "fields" / "table.scoup"
@@ -192,13 +192,13 @@ def test_presence_to_query_and_select(here: Path) -> None:
     for bound, present in ((-100, True), (100, False)):
         for answer in run_json(*ask, "--presence", bound)["answers"]:
             assert answer["present"] == present
-            assert -20 < answer["standing"] < 20
+            assert -20 < answer["z_score"] < 20
             if not present:
                 assert (answer["box"], answer["pixel"], answer["coverage"]) == (None, None, 0)
         select = ("select", field, "table", "--presence", bound, "--out", "s.ply", "--overwrite")
         code, out, err = run(*select)
         assert (code, "nothing to write" in err) == ((0, False) if present else (2, True))
-        assert ("table: not in this scene (standing" in out + err) != present
+        assert ("table: not in this scene (z-score" in out + err) != present
     assert run_json(*ask)["answers"][0]["present"], "the table fills the view"
     # The systems' rules find something always, unless told otherwise.
     for options in (["--always"], ["--rule", "scoup"]):

@@ -17,7 +17,9 @@ from cli_support import run, run_json, snapshot
 from scoup.base.errors import InputError
 from scoup.cli.query import Query
 from scoup.io import write_colmap
-from scoup.query.answers import QUERY_PRESETS
+from scoup.models.word_table import load_table, save_table
+from scoup.query import drawing
+from scoup.query.presets import QUERY_PRESETS
 from scoup.scene.cameras import Cameras
 from support import make_camera
 
@@ -114,7 +116,7 @@ def test_cameras_of_another_scene():
     assert code == 0
     record = json.loads(out)
     assert record["answers"][0]["camera"] == "new.png"
-    # Nobody needs photographs to be asked, but it is said that there are none.
+    # No photographs are needed, but it is said that there are none.
     assert all("image" in warning for warning in record.get("warnings", []))
     assert len(err.splitlines()) == len(record.get("warnings", []))
 
@@ -145,7 +147,7 @@ def test_words_that_look_alike_or_strange_get_files_of_their_own():
     assert all(Path(file).is_file() for file in files)
 
 
-def test_nothing_is_replaced_unasked():
+def test_nothing_is_replaced_without_overwrite():
     run_json("query", "f.scoup", "kettle")
     Path("f_queries/query.json").unlink()  # as if only pictures were left
     before = snapshot(Path())
@@ -161,9 +163,7 @@ def test_nothing_is_replaced_unasked():
 def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
     run_json("query", "f.scoup", "kettle", "--camera", "all")
     before = snapshot(Path())
-    from scoup import pictures
-
-    overlay, drawn = pictures.mask_overlay, []
+    overlay, drawn = drawing.mask_overlay, []
 
     def failing(*arguments):
         drawn.append(arguments)
@@ -171,7 +171,7 @@ def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
             raise error
         return overlay(*arguments)
 
-    monkeypatch.setattr(pictures, "mask_overlay", failing)
+    monkeypatch.setattr(drawing, "mask_overlay", failing)
     code, out, err = run(
         "query", "f.scoup", "mug", "kettle", "--camera", "all", "--overwrite", "--threshold", "0.1"
     )
@@ -182,8 +182,6 @@ def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
 
 
 def test_the_table_named_on_the_command_line_wins():
-    from scoup.models.word_table import load_table, save_table
-
     table = load_table("scene/words.npz")
     swapped = torch.from_numpy(table.vectors)[[1, 0, *range(2, len(table.names))]]
     save_table("swapped.npz", table.names, swapped.numpy())

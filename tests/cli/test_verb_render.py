@@ -10,7 +10,10 @@ from PIL import Image
 
 from cli_support import refused, run, run_json
 from scoup.field.language_field import LanguageField
+from scoup.io import write_colmap
 from scoup.raster import render_colors
+from scoup.scene.cameras import Cameras
+from support import make_camera
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -69,7 +72,7 @@ def test_an_animation(name):
         assert picture.info["duration"] == 200
 
 
-def test_nothing_is_replaced_unasked():
+def test_nothing_is_replaced_without_overwrite():
     run_json("render", "f.scoup", "--camera", "view_01", "--out", "all")
     assert "view_01.png: already exists" in refused("render", "f.scoup", "--camera", "all", "--out", "all")
     assert [path.name for path in Path("all").iterdir()] == ["view_01.png"]
@@ -85,4 +88,9 @@ def test_bad_options():
     for number in ("0", "nan", "inf", "-3"):
         assert "--frames-per-second" in refused("render", "f.scoup", "--frames-per-second", number)
         assert "--scale" in refused("render", "f.scoup", "--scale", number)
+    cameras = Cameras([make_camera(name="a.png"), make_camera(64, 48, name="b.png")])
+    write_colmap(cameras, "other/sparse/0")
+    assert "the views differ in size" in refused(
+        "render", "f.scoup", "--scene", "other", "--camera", "all", "--out", "a.gif"
+    )
     assert "several files" in refused("render", "f.scoup", "--out", "film.mp4", "--camera", "all")

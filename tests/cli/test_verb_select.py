@@ -57,7 +57,7 @@ def test_rows_that_are_not_finite_belong_to_nobody():
     assert (code, len(err.splitlines())) == (0, 1)
     code, _, err = run("select", "a.scoup", "kettle", "--out", "ids.ply", "--write", "ids")
     assert code == 0
-    assert len(err.splitlines()) == 1  # told once, though the file is read twice
+    assert len(err.splitlines()) == 1  # one warning, though the file is read twice
     assert len(read_ply_table("ids.ply")) == 150
     assert read_ply_table("ids.ply").rows["selected"][7] == 0
     rest = run("select", "a.scoup", "kettle", "--out", "rest.ply", "--write", "rest")

@@ -13,8 +13,8 @@ from scoup.evaluate.studies.ablation_recipes import ABLATIONS, BASE, find_ablati
 from scoup.evaluate.studies.ablations import _rule, _start, _without
 from scoup.evaluate.studies.curves import FAULTS, displaced_masks, find_fault
 from scoup.evaluate.studies.rasterised import every_nth_pixel, of_views
-from scoup.query.answers import QUERY_PRESETS
 from scoup.query.presence import vote_entropy
+from scoup.query.presets import QUERY_PRESETS
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.vote import GaussianCodes
 from support import small_scene, unit

@@ -19,7 +19,7 @@ from scoup.evaluate.protocols.lerf_ovs import (
     score_frame,
     score_scene,
 )
-from scoup.query.answers import segment
+from scoup.query.segment import segment
 from scoup.scene.cameras import Camera, Cameras
 
 

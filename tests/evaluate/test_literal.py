@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from scoup.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
 from scoup.io.labels import LabelledFrame
-from scoup.query.answers import QUERY_PRESETS, box_mean, query_preset
+from scoup.query.presets import QUERY_PRESETS, query_preset
+from scoup.query.smoothing import box_mean
 
 HEIGHT, WIDTH = 13, 17
 

@@ -26,7 +26,7 @@ from scoup.evaluate.studies.presence import (
     rendered_mean,
     signals_of,
 )
-from scoup.query.answers import segment
+from scoup.query.segment import segment
 from support import small_scene
 
 
@@ -142,7 +142,7 @@ def test_tables() -> None:
     assert record["auc"]["peak"][OUT_OF_VIEW] is None
     assert record["rules"]["the protocols' rule (paints always)"]["recall"] == 1
     assert record["questions"] == {PRESENT: 40, OUT_OF_VIEW: 0, ABSENT: 40}
-    fixed = record["scene_rules"]["standing, 2 or more (the default)"]
+    fixed = record["scene_rules"]["z-score, 2 or more (the default)"]
     assert (fixed["recall"], fixed["absent_refused"]) == (1, 0.5)
     assert len(tables) == 3
 

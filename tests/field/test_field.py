@@ -12,7 +12,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import scoup
-from scoup import raster
 from scoup.base.errors import (
     FileFormatError,
     GeometryMismatchError,
@@ -125,7 +124,7 @@ def test_geometry_is_found_by_relative_path_and_checked(scene, tmp_path):
     assert LanguageField.load(path, stored).gaussians is stored
 
 
-def test_nothing_is_overwritten_unasked(field, tmp_path):
+def test_nothing_is_overwritten_unless_wanted(field, tmp_path):
     path = tmp_path / "f.scoup"
     path.write_bytes(b"precious")
     with pytest.raises(OutputExistsError, match="overwrite"):
@@ -223,22 +222,3 @@ def test_other_files_are_named_for_what_they_are(tmp_path):
     save_file({"a": torch.zeros(3)}, path, metadata)
     with pytest.raises(FileFormatError, match="newer"):
         LanguageField.load(path)
-
-
-def test_importing_scoup_is_light():
-    """`import scoup` loads neither torch nor model code."""
-    import subprocess
-    import sys
-
-    heavy = ("torch", "numpy", "transformers", "PIL", "scipy")
-    code = f"import sys, scoup; print([name for name in {heavy} if name in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
-
-
-def test_every_public_name_loads():
-    for name in scoup.__all__:
-        assert getattr(scoup, name) is not None
-    assert callable(scoup.build)
-    assert raster.BACKENDS
-    with pytest.raises(AttributeError, match="no attribute"):
-        _ = scoup.nonsense

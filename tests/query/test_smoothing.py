@@ -10,7 +10,9 @@ from torch import Tensor
 
 from scoup.base.native import missing_reason, native_core
 from scoup.bench.measure import torch_threads
-from scoup.query.answers import QUERY_PRESETS, averaged_by, localize, localize_and_segment, segment
+from scoup.query.localize import averaged_relevancy, localize
+from scoup.query.presets import QUERY_PRESETS
+from scoup.query.segment import localize_and_segment, segment
 from scoup.query.smoothing import (
     box_mean,
     mask_sums,
@@ -117,7 +119,7 @@ def test_other_types_take_the_plain_way() -> None:
 def test_both_at_once_is_one_after_the_other(preset) -> None:
     maps = random_maps((3, 40, 60), 0)
     place, shape = localize_and_segment(maps, preset)
-    alone, other = localize(maps, preset), segment(maps, preset, averaged_by(maps, preset))
+    alone, other = localize(maps, preset), segment(maps, preset, averaged_relevancy(maps, preset))
     assert (place.pixel, place.level, place.score) == (alone.pixel, alone.level, alone.score)
     assert_same(place.pixels, alone.pixels)
     assert (shape.level, shape.score, shape.box) == (other.level, other.score, other.box)

@@ -1,4 +1,4 @@
-"""What all verbs share: output for people or machines, progress, warnings, one sentence for every error."""
+"""What all verbs share: output for people or machines, progress, warnings, errors as one line."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Console:
         if self.common.quiet or self.common.as_json:
             return
         if all(isinstance(part, str) for part in parts):
-            print(*parts)  # as it stands: file names and texts may look like rich's markup
+            print(*parts)  # not by rich: file names and texts may contain what it takes for markup
             return
         from rich.console import Console as RichConsole
 
@@ -47,7 +47,7 @@ class Console:
             print(json.dumps(record, indent=2, default=_plain))
 
     def warn(self, message: str) -> None:
-        """Print a warning, once however often it comes, and keep it for the JSON result."""
+        """Print a warning the first time it comes, and keep it for the JSON result."""
         if message not in self.warnings:
             self.warnings.append(message)
             print(f"warning: {message}", file=sys.stderr)
@@ -87,7 +87,7 @@ class Console:
 
 
 def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
-    """Run a verb; print errors a user can mend as one line.
+    """Run a verb; print errors that the user can correct as one line.
 
     Returns:
         Exit code: 0 done, 2 bad input, 130 interrupted. Faults of the program itself raise (exit code 1).
@@ -117,17 +117,15 @@ def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
         except BrokenPipeError:  # whoever read the output, such as head, has seen enough
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
-        except (
-            OSError
-        ) as error:  # a full disk, a file that vanished: the system's refusals, not faults of ours
+        except OSError as error:  # such as a full disk: no fault of the program
             where = f"{error.filename}: " if error.filename else ""
             return console.fail(
-                f"{where}the system refused ({error.strerror or error}); mend it and try again", 2
+                f"{where}the system refused ({error.strerror or error}); remove the cause and try again", 2
             )
         except RuntimeError as error:
             if "allocate" not in str(error) and "out of memory" not in str(error):
                 raise
-            return console.fail(_OUT_OF_MEMORY, 2)  # as torch tells it
+            return console.fail(_OUT_OF_MEMORY, 2)  # as torch reports it
 
 
 def check_device(device: str) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from scoup.evaluate.studies.rasterised import PreparedScene
     from scoup.evaluate.tables import Table
     from scoup.pictures.colors import Picture
-    from scoup.query.answers import QueryPreset
+    from scoup.query.presets import QueryPreset
 
 
 @dataclass(frozen=True, kw_only=True)

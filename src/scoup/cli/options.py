@@ -11,7 +11,7 @@ import tyro
 Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 """A switch that is off by default."""
 
-# The help of these tells the default in words, which says more than "None".
+# Their help gives the default in words, which say more than "None".
 OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
 OptionalText = Annotated[str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")]
 OptionalInteger = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]

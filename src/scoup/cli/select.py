@@ -6,20 +6,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from scoup.cli.asking import AsksText, not_there
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalNumber, Texts, common_last
+from scoup.cli.query_options import TextOptions, absence_message, check_texts, presence_threshold
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from scoup.field.language_field import LanguageField
     from scoup.io import PlyTable
+    from scoup.query.answer import SceneAnswer
 
 
 @common_last
 @dataclass(frozen=True, kw_only=True)
-class Select(AsksText):
+class Select(TextOptions):
     """Write the Gaussians that answer a text as a 3DGS PLY: those chosen, the rest, or all with an id column.
 
     Gaussians are judged by their own codes, without rendering. Where the field's geometry is a PLY, its rows are
@@ -37,25 +36,52 @@ class Select(AsksText):
     absolute: Flag = False
     """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases and everyday words."""
     presence: OptionalNumber = None
-    """A text is in the scene if what was found lies this many standard deviations nearer to it than to everyday words;
-    otherwise nothing is chosen for it. Default: 2, where the table of --text has 16 words or more."""
+    """A text is in the scene if its z-score is at least this: how many standard deviations what was found lies nearer
+    to it than to everyday words. Otherwise nothing is chosen for it. Default: 2, where the table of --text has 16 words
+    or more."""
     always: Flag = False
-    """Choose something whatever is asked, unless the threshold is absolute."""
+    """Choose something for any text, unless the threshold is absolute."""
     neighbours: int = 0
     """Blend each half and half with the mean of so many nearest neighbours: 10 is usual, 0 is off."""
 
     def run(self, console: Console) -> None:
         """Choose and write."""
-        import torch
+        from scoup.io import write_ply_table
+        from scoup.query.answer import answer_scene
 
+        self._check_options()
+        field = self.open_field()
+        self._check_out(field)
+        texts = self.encode(field, self.texts)
+        present_from = None if self.always else presence_threshold(texts, self.presence)
+        answers = answer_scene(
+            field,
+            texts.with_everyday(),
+            self.threshold,
+            self.neighbours or None,
+            not self.absolute,
+            present_from,
+        )
+        absent = [
+            f"{text}: {absence_message('scene', answer.z_score, present_from)}"
+            for text, answer in zip(self.texts, answers, strict=True)
+            if not answer.is_present
+        ]
+        for message in absent:
+            console.say(message)
+        table = self._table(field, answers, absent)
+        write_ply_table(table, self.out, self.overwrite)
+        counts = {text: int(answer.mask.sum()) for text, answer in zip(self.texts, answers, strict=True)}
+        for text, count in counts.items():
+            console.say(f"{text}: {count:,} of {len(field):,} Gaussians")
+        console.say(f"{self.out}: {len(table):,} Gaussians written")
+        console.result({"out": self.out, "written": len(table), "chosen": counts, "gaussians": len(field)})
+
+    def _check_options(self) -> None:
         from scoup.base.errors import InputError
-        from scoup.io import check_output, write_ply_table
-        from scoup.models.words import with_everyday
-        from scoup.query.answers import select_with_level
-        from scoup.query.presence import PRESENT_FROM, scene_standing
+        from scoup.io import check_output
 
-        if not self.texts:
-            raise InputError('name at least one text to look for, for example "kettle"')
+        check_texts(self.texts)
         if not 0 <= self.threshold <= 1:
             raise InputError(f"--threshold must be 0 to 1, got {self.threshold}")
         if self.neighbours < 0:
@@ -63,80 +89,39 @@ class Select(AsksText):
         if self.out.suffix.lower() != ".ply":
             raise InputError(f"{self.out}: selections are written as PLY; give a name that ends in .ply")
         check_output(self.out, self.overwrite)
-        field = self.open_field()
+
+    def _check_out(self, field: LanguageField) -> None:
+        """Refuse to replace the field's own splat."""
+        from scoup.base.errors import InputError
+
         for geometry in (self.gaussians, field.geometry_path):
-            if (
-                geometry is not None
-                and self.out.exists()
-                and geometry.exists()
-                and self.out.samefile(geometry)
-            ):
+            if geometry and self.out.exists() and geometry.exists() and self.out.samefile(geometry):
                 raise InputError(
                     f"{self.out}: is the splat the field was built on; give another name with --out"
                 )
-        vectors = self.encode(field, self.texts)
-        canonical = with_everyday(vectors.canonical, vectors.everyday)
-        selections = list(
-            select_with_level(
-                field, vectors.queries, canonical, self.threshold, self.neighbours or None, not self.absolute
-            )
-        )
-        found = torch.stack([chosen for chosen, _, _ in selections])
-        absent: list[str] = []
-        words = None if self.always else vectors.standing_words(self.presence is not None)
-        if words is not None:
-            standings = scene_standing(field, selections, vectors.queries, words)
-            bound = PRESENT_FROM if self.presence is None else self.presence
-            found = found & (standings >= bound).to(found.device)[:, None]
-            absent = [
-                f"{text}: {not_there('scene', standing, bound)}"
-                for text, standing in zip(self.texts, standings.tolist(), strict=True)
-                if standing < bound
-            ]
-            for told in absent:
-                console.say(told)
-        chosen = found.any(0)
-        counts = {text: int(row.sum()) for text, row in zip(self.texts, found, strict=True)}
 
-        table, kept = self._table(field)
-        ids = torch.zeros(len(kept), dtype=torch.int32)
-        for number, row in enumerate(found, start=1):
-            ids[kept] = torch.where(row, number, ids[kept])
-        if self.write == "ids":
-            table = table.with_column("selected", ids.numpy())
-        else:
-            wanted = torch.zeros(len(kept), dtype=torch.bool)
-            wanted[kept] = chosen if self.write == "chosen" else ~chosen
-            if not wanted.any():
-                advice = "try a lower --threshold" if self.write == "chosen" else "try a higher --threshold"
-                if absent and self.write == "chosen":
-                    advice = f"{'; '.join(absent)}; --always chooses something all the same"
-                raise InputError(
-                    f"{self.out}: nothing to write, {int(chosen.sum())} of {len(chosen)} Gaussians answer; {advice}"
-                )
-            table = table.select(wanted.numpy())
-        write_ply_table(table, self.out, self.overwrite)
-        for text, count in counts.items():
-            console.say(f"{text}: {count:,} of {len(field):,} Gaussians")
-        console.say(f"{self.out}: {len(table):,} Gaussians written")
-        console.result({"out": self.out, "written": len(table), "chosen": counts, "gaussians": len(field)})
+    def _table(self, field: LanguageField, answers: list[SceneAnswer], absent: list[str]) -> PlyTable:
+        """The rows to write.
 
-    def _table(self, field: LanguageField) -> tuple[PlyTable, Tensor]:
-        """Rows to write from, and which of them [M] are the field's Gaussians, in order."""
+        Raises:
+            InputError: there are none.
+        """
         import torch
 
         from scoup.base.errors import InputError
-        from scoup.io import find_gaussians, gaussians_from_table, read_ply_table
-        from scoup.io.splats.ply import table_from_gaussians
+        from scoup.query.splat_table import SplatTable
 
-        path = self.gaussians or field.geometry_path
-        try:
-            path = None if path is None else find_gaussians(path)
-            if path is not None and path.suffix.lower() == ".ply":
-                table = read_ply_table(path)
-                gaussians, kept = gaussians_from_table(table)
-                if gaussians.fingerprint() == field.info.fingerprint:
-                    return table, torch.from_numpy(kept)
-        except InputError:
-            pass  # compressed, so its rows do not stand alone; or gone, and the field has its geometry embedded
-        return table_from_gaussians(field.gaussians.to("cpu")), torch.ones(len(field), dtype=torch.bool)
+        masks = [answer.mask for answer in answers]
+        rows = SplatTable.of(field, self.gaussians)
+        if self.write == "ids":
+            return rows.with_ids(masks)
+        chosen = torch.stack(masks).any(0)
+        table = rows.select(chosen if self.write == "chosen" else ~chosen)
+        if not len(table):
+            advice = "try a lower --threshold" if self.write == "chosen" else "try a higher --threshold"
+            if absent and self.write == "chosen":
+                advice = f"{'; '.join(absent)}; --always chooses something all the same"
+            raise InputError(
+                f"{self.out}: nothing to write, {int(chosen.sum())} of {len(chosen)} Gaussians answer; {advice}"
+            )
+        return table

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from scoup.cli.asking import AsksField
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, common_last
+from scoup.cli.query_options import FieldOptions
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -25,7 +25,7 @@ Names = Annotated[
 
 @common_last
 @dataclass(frozen=True, kw_only=True)
-class Update(AsksField):
+class Update(FieldOptions):
     """Add views to a field, remove some, or take in anew those whose regions have changed.
 
     The field must have been built with --keep-sums. Only the views named are rasterised; then all vote again. The atoms

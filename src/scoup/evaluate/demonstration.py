@@ -16,7 +16,7 @@ from scoup.evaluate.protocols.lerf_ovs import PairScore, SceneScore
 from scoup.evaluate.variants import Variant, dense_variant, score_variants, sparse_variant
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output, load_cameras, load_gaussians, load_regions
-from scoup.query.answers import QUERY_PRESETS
+from scoup.query.presets import QUERY_PRESETS
 from scoup.synthetic.folder import write_demo_scene
 from scoup.synthetic.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
 from scoup.uplift.build import build

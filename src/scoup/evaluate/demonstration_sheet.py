@@ -8,7 +8,7 @@ from scoup.evaluate.demonstration import METHOD, DemoResult, rows_by_name
 from scoup.evaluate.protocols.lerf_ovs import PairScore
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
-from scoup.query.answers import localize_and_segment
+from scoup.query.segment import localize_and_segment
 from scoup.raster import render_colors
 from scoup.synthetic.layouts import find_layout
 

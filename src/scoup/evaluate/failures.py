@@ -10,7 +10,9 @@ from scoup.evaluate.scores import PairScore, SceneScore
 from scoup.io.labels import LabelledFrame
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import ArrayOrTensor, Picture
-from scoup.query.answers import QueryPreset, localize, segment
+from scoup.query.localize import localize
+from scoup.query.presets import QueryPreset
+from scoup.query.segment import segment
 
 TRUTH_COLOR = (70, 200, 110)
 MOST = 6  # queries on a sheet

@@ -21,7 +21,8 @@ from scoup.field.language_field import LanguageField
 from scoup.io import default_preset, load_gaussians, load_regions
 from scoup.io.labels import LabelledFrame
 from scoup.models.text import TextEncoder
-from scoup.query.answers import QueryPreset, select
+from scoup.query.presets import QueryPreset
+from scoup.query.select import select
 from scoup.scene.cameras import Camera
 from scoup.scene.regions import LEVELS
 from scoup.uplift.build import build

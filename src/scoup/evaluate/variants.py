@@ -17,7 +17,7 @@ from scoup.base.progress import Progress, no_progress
 from scoup.baselines.dense import dense_relevancy, weighted_means
 from scoup.evaluate.protocols.lerf_ovs import LabelledFrame, PairScore, SceneScore, score_frame
 from scoup.field.language_field import FieldInfo, LanguageField
-from scoup.query.answers import QUERY_PRESETS, QueryPreset
+from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.region_sums import RegionSums

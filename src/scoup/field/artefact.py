@@ -17,6 +17,7 @@ from scoup.base.atomic import atomic_path, check_output
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.io.reading import safetensors_damage_named
 from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
 
 SCHEMA = "scoup.language_field"
@@ -35,7 +36,7 @@ class FieldInfo:
         embedding_model: id of the model whose embeddings were coded; queries must come from the same model.
         fingerprint: of the geometry the field belongs to (``Gaussians.fingerprint``).
         n_gaussians: N of that geometry.
-        raster_preset: rasteriser constants the field was lifted with and is rendered with.
+        raster_preset: rasteriser constants the field was built with and is rendered with.
         provenance: software version, settings, source hashes, coding reports; plain JSON values.
     """
 
@@ -61,6 +62,38 @@ class FieldParts:
     gaussians: Gaussians | None
     geometry_path: Path | None
     cameras: Cameras | None
+
+
+def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, info: FieldInfo) -> None:
+    """Check the codes of a field; see ``LanguageField``.
+
+    Raises:
+        InputError: shapes, dtypes or values do not fit together.
+    """
+    shape = tuple(code_indices.shape)
+    if len(shape) != 3 or shape != tuple(code_weights.shape) or shape[0] != info.n_gaussians:
+        raise InputError(
+            f"code indices {list(shape)} and weights {list(code_weights.shape)} must both be "
+            f"[{info.n_gaussians}, S, K]"
+        )
+    if codebook.dim() != 3 or not len(codebook) == shape[1] == len(info.levels):
+        raise InputError(
+            f"codebook {list(codebook.shape)} does not fit {shape[1]} levels of codes and "
+            f"{len(info.levels)} level names"
+        )
+    n_atoms = codebook.shape[1]
+    if code_indices.dtype != index_dtype(n_atoms):
+        raise InputError(f"code indices are {code_indices.dtype}, expected {index_dtype(n_atoms)}")
+    # The smallest and the largest are not finite if any is not, and need no copy of the weights.
+    low, high = torch.aminmax(code_weights) if code_weights.numel() else torch.zeros(2)
+    if not torch.isfinite(codebook).all() or not bool(torch.isfinite(low) & torch.isfinite(high)):
+        raise InputError("codebook or code weights hold values that are not finite")
+    if low < 0:
+        raise InputError("a code weight is negative")
+    # torch finds no largest of uint16.
+    indices = code_indices if code_indices.dtype == torch.uint8 else code_indices.int()
+    if indices.numel() and int(indices.max()) >= n_atoms:
+        raise InputError(f"a code index is beyond the {n_atoms} atoms of the codebook")
 
 
 def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int) -> None:

@@ -1,4 +1,4 @@
-"""The artefact: a language field over the Gaussians of one scene, and what can be asked of it directly."""
+"""The artefact: a language field over the Gaussians of one scene, with its renders and its relevancy."""
 
 from __future__ import annotations
 
@@ -9,11 +9,18 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import GeometryMismatchError, InputError
-from scoup.field.artefact import FieldInfo, FieldParts, field_damage_named, read_field, write_field
+from scoup.field.artefact import (
+    FieldInfo,
+    FieldParts,
+    check_codes,
+    field_damage_named,
+    read_field,
+    write_field,
+)
+from scoup.field.cosine_cache import CosineCache, FieldCodes
 from scoup.field.relevancy import relevancy
-from scoup.field.view_cache import AskedViews, FieldCodes
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import cosines_from_codes, index_dtype
+from scoup.scene.codes import cosines_from_codes
 from scoup.scene.gaussians import Gaussians
 
 GAUSSIANS_AT_A_TIME = 65536
@@ -24,12 +31,12 @@ class LanguageField:
 
     Args:
         code_indices: [N, S, K] uint8 (uint16 beyond 256 atoms).
-        code_weights: [N, S, K] float16; a Gaussian that nothing painted has only zeros.
+        code_weights: [N, S, K] float16; a Gaussian that paints no region has only zeros.
         codebook: [S, L, D] float32.
         info: levels, model, fingerprint, provenance.
         gaussians: the geometry; None loads it from ``geometry_path`` when first needed.
-        geometry_path: where the geometry lies.
-        cameras: the views it was built from, so that it can be asked without its scene folder.
+        geometry_path: the file with the geometry.
+        cameras: of the views it was built from, so that it can be queried without its scene folder.
 
     Raises:
         InputError: shapes, dtypes or values do not fit together.
@@ -46,15 +53,16 @@ class LanguageField:
         geometry_path: Path | None = None,
         cameras: Cameras | None = None,
     ) -> None:
+        code_weights = code_weights.to(torch.float16)
+        check_codes(code_indices, code_weights, codebook, info)
         self.code_indices = code_indices
-        self.code_weights = code_weights.to(torch.float16)
+        self.code_weights = code_weights
         self.codebook = codebook
         self.info = info
         self.geometry_path = geometry_path
         self.cameras = cameras
         self._gaussians = None
-        self._asked = AskedViews()
-        self._check()
+        self._cosine_cache = CosineCache()
         if gaussians is not None:
             self.attach(gaussians)
 
@@ -109,7 +117,7 @@ class LanguageField:
 
         Raises:
             GeometryMismatchError: the file holds other Gaussians than the field was built on.
-            InputError: the field does not say where its geometry lies.
+            InputError: the field does not say where its geometry is.
         """
         if self._gaussians is None:
             if self.geometry_path is None:
@@ -128,85 +136,96 @@ class LanguageField:
         Raises:
             GeometryMismatchError: it is not.
         """
-        same = len(gaussians) == self.info.n_gaussians
-        if not same or (not known and gaussians.fingerprint() != self.info.fingerprint):
-            difference = (
-                "as many Gaussians, but others"
-                if len(gaussians) == self.info.n_gaussians
-                else f"{len(gaussians)} Gaussians, the field has {self.info.n_gaussians}"
-            )
+        as_many = len(gaussians) == self.info.n_gaussians
+        if not as_many or (not known and gaussians.fingerprint() != self.info.fingerprint):
+            difference = "as many Gaussians, but others"
+            if not as_many:
+                difference = f"{len(gaussians)} Gaussians, the field has {self.info.n_gaussians}"
             raise GeometryMismatchError(
                 f"{source}: not the geometry this field was built on ({difference}); "
                 "give the original splat, or build the field again"
             )
         self._gaussians = gaussians
 
-    # ---- what can be asked of it
+    # ---- renders and relevancy
 
     def project(self, camera: Camera, backend: str | None = None) -> raster.Projection:
-        """The scene as the camera sees it; pass it to the methods below to ask several things of one view.
+        """The scene projected to a camera; pass it to the methods below to do several things with one camera.
 
-        The first ``relevancy`` through it takes longest: for as long as the view lives, the field keeps what its next
-        queries go by (``scoup.field.view_cache``), 8 bytes a pixel and level.
+        The first ``relevancy`` with it takes longest: for as long as the projection lives, the field keeps what further
+        queries reuse (``scoup.field.cosine_cache``), 8 bytes a pixel and level.
         """
         return raster.project(self.gaussians, camera, self.info.raster_preset, backend)
 
-    def render_codes(self, camera: Camera, view: raster.Projection | None = None) -> Tensor:
+    def is_visible(self, projection: raster.Projection) -> bool:
+        """Whether a Gaussian with a code paints any pixel."""
+        image, _ = raster.render_channels(projection, self.coded()[:, None].float())
+        return bool(image.any())
+
+    def render_codes(self, camera: Camera, projection: raster.Projection | None = None) -> Tensor:
         """[S, H, W, L] float32 rendered coefficients of every level."""
-        view = view or self.project(camera)
-        return raster.render_codes(view, self.code_indices, self.code_weights, self.n_atoms)
+        projection = self.project(camera) if projection is None else projection
+        return raster.render_codes(projection, self.code_indices, self.code_weights, self.n_atoms)
 
     def render_features(
-        self, camera: Camera, level: str | int, view: raster.Projection | None = None
+        self, camera: Camera, level: str | int, projection: raster.Projection | None = None
     ) -> Tensor:
         """[H, W, D] float32 decoded features of one level, unit norm per pixel, zero where nothing is rendered."""
         index = self.level_index(level)
-        view = view or self.project(camera)
+        projection = self.project(camera) if projection is None else projection
         chosen = slice(index, index + 1)
         indices, weights = self.code_indices[:, chosen], self.code_weights[:, chosen]
-        return raster.render_features(view, indices, weights, self.codebook[chosen])[0]
+        return raster.render_features(projection, indices, weights, self.codebook[chosen])[0]
 
     def relevancy(
-        self, camera: Camera, queries: Tensor, canonical: Tensor, view: raster.Projection | None = None
+        self,
+        camera: Camera,
+        queries: Tensor,
+        canonical: Tensor,
+        projection: raster.Projection | None = None,
     ) -> Tensor:
         """Relevancy of every pixel to every query at every level (method.md, stage 3).
 
-        Another query through the same ``view`` is answered sooner: the norms of its pixels and the canonical phrases'
-        largest cosine are known by then. Answers differ from those of a fresh view by rounding, about 1e-6.
+        Another query with the same ``projection`` takes less time: the norms of its pixels and the canonical phrases'
+        largest cosine are known by then. Results differ from those of a fresh projection by rounding, about 1e-6.
 
         Args:
-            camera: the view.
+            camera: of the view.
             queries: [Q, D] unit-norm text embeddings.
             canonical: [P, D] unit-norm embeddings of the canonical phrases.
-            view: the camera's view from ``look``, if already looked; keep it for further queries.
+            projection: what ``project`` gave for this camera, if it is known; keep it for further queries.
 
         Returns:
             [S, Q, H, W] float32 in 0..1; 0.5 where no code is rendered.
+
+        Raises:
+            InputError: there is no query or no phrase, or they have another size than the field's embeddings.
         """
-        both = self._check_queries(queries, canonical)
-        if view is None:
-            view = self.project(camera)
-            cosines = raster.render_cosines(view, self.code_indices, self.code_weights, self.codebook, both)
-            return relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
+        both = self._checked_vectors(queries, canonical)
         codes = FieldCodes(self.code_indices, self.code_weights, self.codebook)
-        return self._asked.relevancy(view, codes, both[: len(queries)], both[len(queries) :])
+        if projection is None:
+            cosines = raster.render_cosines(
+                self.project(camera), codes.indices, codes.weights, codes.codebook, both
+            )
+            return relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
+        return self._cosine_cache.relevancy(projection, codes, both[: len(queries)], both[len(queries) :])
 
     def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
-        """Relevancy of every Gaussian's own code, without rendering: [S, Q, N] float32; 0.5 without a code."""
-        both = self._check_queries(queries, canonical)
-        count, levels, _ = self.code_indices.shape
-        out = torch.empty(levels, len(queries), count, device=both.device)
-        for start in range(0, count, GAUSSIANS_AT_A_TIME):
-            rows = slice(start, min(count, start + GAUSSIANS_AT_A_TIME))
-            for level in range(levels):
-                dense = torch.zeros(rows.stop - rows.start, self.n_atoms, device=both.device)
-                dense.scatter_add_(
-                    1, self.code_indices[rows, level].long(), self.code_weights[rows, level].float()
-                )
-                cosines = cosines_from_codes(dense, self.codebook[level], both).T
-                out[level, :, rows] = relevancy(cosines[None, : len(queries)], cosines[None, len(queries) :])[
-                    0
-                ]
+        """Relevancy of every Gaussian's own code, without rendering: [S, Q, N] float32; 0.5 without a code.
+
+        Raises:
+            InputError: as ``relevancy``.
+        """
+        both, count = self._checked_vectors(queries, canonical), len(queries)
+        out = torch.empty(len(self.levels), count, len(self), device=both.device)
+        for start in range(0, len(self), GAUSSIANS_AT_A_TIME):
+            rows = slice(start, start + GAUSSIANS_AT_A_TIME)
+            for level, atoms in enumerate(self.codebook):
+                indices, weights = self.code_indices[rows, level].long(), self.code_weights[rows, level]
+                dense = torch.zeros(len(indices), self.n_atoms, device=both.device)
+                dense.scatter_add_(1, indices, weights.float())
+                cosines = cosines_from_codes(dense, atoms, both).T[None]
+                out[level, :, rows] = relevancy(cosines[:, :count], cosines[:, count:])[0]
         return out
 
     def level_index(self, level: str | int) -> int:
@@ -219,7 +238,7 @@ class LanguageField:
             raise InputError(f"there is no level {level!r}; levels: {', '.join(self.levels)}")
         return self.levels.index(level)
 
-    # ---- how it lasts
+    # ---- its file
 
     def save(
         self,
@@ -265,49 +284,16 @@ class LanguageField:
         path = Path(path)
         parts = read_field(path)
         with field_damage_named(path):
-            loaded = cls(
-                parts.code_indices,
-                parts.code_weights,
-                parts.codebook,
-                parts.info,
-                None,
-                parts.geometry_path,
-                parts.cameras,
-            )
+            codes = parts.code_indices, parts.code_weights, parts.codebook
+            loaded = cls(*codes, parts.info, geometry_path=parts.geometry_path, cameras=parts.cameras)
         if gaussians is not None:
             loaded.attach(gaussians, f"{path} with the Gaussians given")
         elif parts.gaussians is not None:
             loaded.attach(parts.gaussians, f"{path}, the Gaussians embedded in it")
         return loaded
 
-    def _check(self) -> None:
-        shape = tuple(self.code_indices.shape)
-        levels, n_atoms = self.codebook.shape[0], self.codebook.shape[1] if self.codebook.dim() > 1 else 0
-        if len(shape) != 3 or shape != tuple(self.code_weights.shape) or shape[0] != self.info.n_gaussians:
-            raise InputError(
-                f"code indices {list(shape)} and weights {list(self.code_weights.shape)} must both be "
-                f"[{self.info.n_gaussians}, S, K]"
-            )
-        if self.codebook.dim() != 3 or levels != shape[1] or levels != len(self.levels):
-            raise InputError(
-                f"codebook {list(self.codebook.shape)} does not fit {shape[1]} levels of codes and "
-                f"{len(self.levels)} level names"
-            )
-        if self.code_indices.dtype != index_dtype(n_atoms):
-            raise InputError(f"code indices are {self.code_indices.dtype}, expected {index_dtype(n_atoms)}")
-        # The smallest and the largest tell of what is no number, too, and need no copy of the weights.
-        low, high = torch.aminmax(self.code_weights) if self.code_weights.numel() else torch.zeros(2)
-        if not torch.isfinite(self.codebook).all() or not bool(torch.isfinite(low) & torch.isfinite(high)):
-            raise InputError("codebook or code weights hold values that are not finite")
-        if low < 0:
-            raise InputError("a code weight is negative")
-        indices = self.code_indices
-        # torch finds no largest of uint16.
-        wide = indices if indices.dtype == torch.uint8 else indices.int()
-        if wide.numel() and int(wide.max()) >= n_atoms:
-            raise InputError(f"a code index is beyond the {n_atoms} atoms of the codebook")
-
-    def _check_queries(self, queries: Tensor, canonical: Tensor) -> Tensor:
+    def _checked_vectors(self, queries: Tensor, canonical: Tensor) -> Tensor:
+        """Queries and phrases in one [Q + P, D] float32 on the field's device."""
         for name, vectors in (("queries", queries), ("canonical", canonical)):
             if vectors.dim() != 2 or vectors.shape[1] != self.dim or not len(vectors):
                 raise InputError(

@@ -1,1 +1,1 @@
-"""Questions to a language field: where, which pixels, which Gaussians, and whether at all."""
+"""Queries to a language field: where, which pixels, which Gaussians, and whether at all."""

@@ -69,8 +69,9 @@ class Neighbourhood:
 
 
 def _without_self(found: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """[M, B + 1] neighbours with the point itself taken out, wherever it stands among points at its place;
-    where more points share the place than were asked for, the last goes instead.
+    """[M, B] neighbours without the point itself, which may be anywhere among points at its place.
+
+    If more points share the place than were searched for, it may be missing; then the last neighbour is left out.
     """
     itself = found == own[:, None]
     itself[:, -1] |= ~itself.any(1)

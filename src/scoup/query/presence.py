@@ -1,17 +1,18 @@
-"""Is it there at all? So that a query for something absent can return nothing.
+"""Whether the thing is there at all, so that a query for something absent can return nothing.
 
-The protocols rescale relevancy over the view before they cut it, so that something is painted whatever is asked.
-How relevant that place is says little: some places are near to any word. What tells is how far the query stands above
-everyday words *there*: the embedding of the answer is compared with the query and with words that have nothing to do
-with it, and the query counts as present if its cosine lies some standard deviations above theirs.
+The protocols rescale relevancy over the view before they cut it, so that every query gets a mask. The relevancy of the
+mask says little: some places are near to any word. The z-score compares the query with other words *there*: the
+embedding of what was found has a cosine with the query and one with each of many everyday words, and
 
-Own; the method's paper and the protocols have nothing of the kind, and scores by their rules never use it. Measured in
-docs/evaluation.md.
+    z = (cosine with the query - mean cosine with everyday words) / their standard deviation.
+
+The query counts as present from a z-score of 2 on. This is ours; the method's paper and the protocols have nothing of
+the kind, and scores by their rules never use it. Measured in docs/evaluation.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import torch
 from torch import Tensor
@@ -20,110 +21,100 @@ from scoup import raster
 from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
 from scoup.models.words import LEAST_WORDS
-from scoup.query.answers import QUERY_PRESETS, QueryPreset, choose_level, level_masks
+from scoup.query.segment import Segmentation
+from scoup.query.select import Selection
 
 PRESENT_FROM = 2.0
-"""Standard deviations that the query must stand above everyday words."""
-_SAME_WORD = 0.99  # cosine between texts from which one is the other, and not a word to compare it with
+"""The z-score from which a query counts as present, unless another is given."""
+_SAME_WORD = 0.99  # cosine from which an everyday word is the query itself, and not compared with it
 _AT_A_TIME = 8  # masks in one pass over a view
 
 
-def standing(answers: Tensor, queries: Tensor, words: Tensor) -> Tensor:
-    """How many standard deviations each query's cosine with its answer lies above those of everyday words.
+def z_scores(embeddings: Tensor, queries: Tensor, words: Tensor) -> Tensor:
+    """(cosine with the query - mean cosine with everyday words) / their standard deviation, for each embedding.
 
     Args:
-        answers: [Q, D] embedding of what was found for each query; of any length, zero for nothing found.
+        embeddings: [Q, D] of what was found for each query; of any length, zero if nothing was found.
         queries: [Q, D] unit vectors.
         words: [B, D] unit vectors of everyday words. A word that is the query is left out.
 
     Returns:
-        [Q] float32; minus infinity where nothing was found.
+        [Q] float32 on the CPU; minus infinity where nothing was found.
 
     Raises:
         InputError: there are fewer than ``LEAST_WORDS`` words, or shapes do not fit.
     """
-    if answers.shape != queries.shape or words.dim() != 2 or words.shape[1:] != queries.shape[1:]:
+    if embeddings.shape != queries.shape or words.dim() != 2 or words.shape[1:] != queries.shape[1:]:
         raise InputError(
-            f"answers {list(answers.shape)}, queries {list(queries.shape)} and words {list(words.shape)} do not fit"
+            f"embeddings {list(embeddings.shape)}, queries {list(queries.shape)} and words {list(words.shape)} "
+            "do not fit"
         )
     if len(words) < LEAST_WORDS:
         raise InputError(f"presence is judged against {LEAST_WORDS} everyday words or more, got {len(words)}")
-    found, asked, others = (
-        torch.nn.functional.normalize(each.double().cpu(), dim=1) for each in (answers, queries, words)
+    found, wanted, others = (
+        torch.nn.functional.normalize(each.double().cpu(), dim=1) for each in (embeddings, queries, words)
     )
     cosines = found @ others.T  # [Q, B]
-    kept = (asked @ others.T < _SAME_WORD).double()
-    count = kept.sum(1).clamp(min=1)
-    mean = (cosines * kept).sum(1) / count
-    spread = ((cosines - mean[:, None]).square() * kept).sum(1).div(count).sqrt()
-    own = (found * asked).sum(1)
-    above = (own - mean) / spread.clamp(min=1e-6)
-    return torch.where(answers.cpu().any(1), above, -torch.inf).float()
+    counted = (wanted @ others.T < _SAME_WORD).double()
+    count = counted.sum(1).clamp(min=1)
+    mean = (cosines * counted).sum(1) / count
+    deviation = ((cosines - mean[:, None]).square() * counted).sum(1).div(count).sqrt()
+    own = (found * wanted).sum(1)
+    scores = (own - mean) / deviation.clamp(min=1e-6)
+    return torch.where(embeddings.cpu().any(1), scores, -torch.inf).float()
 
 
-def view_standing(
+def view_z_scores(
     field: LanguageField,
-    view: raster.Projection,
-    relevancy: Tensor,
+    projection: raster.Projection,
+    segmentations: Sequence[Segmentation],
     queries: Tensor,
     words: Tensor,
-    preset: QueryPreset = QUERY_PRESETS["default"],
 ) -> Tensor:
-    """[Q] how far each query stands above everyday words in what a view answers (``standing``).
+    """[Q] z-scores of what was found in a view: the Gaussians that paint the more relevant half of each mask.
 
     Args:
-        field: that was asked.
-        view: of its Gaussians.
-        relevancy: [S, Q, H, W] that the field gave in that view.
-        queries: [Q, D] unit vectors that it was asked with.
-        words: [B, D] unit vectors of everyday words.
-        preset: by which answers are made.
-    """
-    cores = [answer_core(maps, preset) for maps in relevancy.unbind(1)]
-    answers = torch.zeros(len(cores), field.dim)
-    for start in range(0, len(cores), _AT_A_TIME):
-        part = cores[start : start + _AT_A_TIME]
-        labels = torch.stack([core.int() - 1 for _, core in part])
-        sums = raster.region_sums(view, labels)
-        for number, (level, _) in enumerate(part):
-            gaussian, _, weight = sums.triplets(number)
-            answers[start + number] = mean_embedding(field, level, gaussian, weight)
-    return standing(answers, queries, words)
-
-
-def scene_standing(
-    field: LanguageField, selections: Iterable[tuple[Tensor, Tensor, int]], queries: Tensor, words: Tensor
-) -> Tensor:
-    """[Q] how far each query stands above everyday words in the Gaussians selected for it, without rendering.
-
-    Args:
-        field: that was asked.
-        selections: for each query, what ``select_with_level`` gives.
+        field: that was queried.
+        projection: of its Gaussians to the camera.
+        segmentations: one a query, from ``segment``.
         queries: [Q, D] unit vectors.
         words: [B, D] unit vectors of everyday words.
+
+    Raises:
+        InputError: as ``z_scores``.
     """
-    answers = torch.zeros(len(queries), field.dim)
-    for row, (chosen, relevancy, level) in enumerate(selections):
-        if chosen.any():
-            core = (chosen & (relevancy >= relevancy[chosen].median())).nonzero()[:, 0]
-            answers[row] = mean_embedding(field, level, core, field.gaussians.opacities[core])
-    return standing(answers, queries, words)
+    embeddings = torch.zeros(len(segmentations), field.dim)
+    for start in range(0, len(segmentations), _AT_A_TIME):
+        part = segmentations[start : start + _AT_A_TIME]
+        labels = torch.stack([each.core().int() - 1 for each in part])
+        sums = raster.region_sums(projection, labels)
+        for number, each in enumerate(part):
+            gaussian, _, weight = sums.triplets(number)
+            embeddings[start + number] = mean_embedding(field, each.level, gaussian, weight)
+    return z_scores(embeddings, queries, words)
 
 
-def answer_core(relevancy: Tensor, preset: QueryPreset = QUERY_PRESETS["default"]) -> tuple[int, Tensor]:
-    """The level that answers, and the more relevant half of its mask [H, W]: borders, where things mix, stay out. Of
-    an empty mask, the most relevant pixels.
+def scene_z_scores(
+    field: LanguageField, selections: Iterable[Selection], queries: Tensor, words: Tensor
+) -> Tensor:
+    """[Q] z-scores of the more relevant half of the Gaussians selected, without rendering.
 
     Args:
-        relevancy: [S, H, W] of one query.
-        preset: by which the answer is made.
+        field: that was queried.
+        selections: one a query, from ``scoup.query.select.select_each``.
+        queries: [Q, D] unit vectors.
+        words: [B, D] unit vectors of everyday words.
+
+    Raises:
+        InputError: as ``z_scores``.
     """
-    smoothed, masks = level_masks(relevancy, preset)
-    level = choose_level(smoothed, masks, preset.level_choice)
-    shown, mask = smoothed[level], masks[level]
-    if not mask.any():
-        return level, shown == shown.max()
-    return level, mask & (shown >= shown[mask].median())
+    embeddings = torch.zeros(len(queries), field.dim)
+    for row, found in enumerate(selections):
+        if found.mask.any():
+            middle = found.relevancy[found.mask].median()
+            core = (found.mask & (found.relevancy >= middle)).nonzero()[:, 0]
+            embeddings[row] = mean_embedding(field, found.level, core, field.gaussians.opacities[core])
+    return z_scores(embeddings, queries, words)
 
 
 def mean_embedding(field: LanguageField, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:

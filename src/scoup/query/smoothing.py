@@ -1,7 +1,7 @@
 """Box means of maps, and which pixels relevancy singles out (docs/protocols.md, LERF-OVS, steps 1 to 3).
 
-On a CPU the compiled core does the work. The torch code says the same, and serves where there is no core, on other
-devices and for other types; box means and masks are the same to the last bit.
+On a CPU the compiled core does the work. The torch code (``plain_...``) is its specification, and is used where there
+is no core, on other devices and for other types; box means and masks are the same to the last bit.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def plain_smoothed_masks(
 
 
 def mask_sums(smoothed: Tensor, masks: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """What the choice between levels goes by.
+    """What the level is chosen by.
 
     Args:
         smoothed: [S, H, W] smoothed relevancy, not empty.

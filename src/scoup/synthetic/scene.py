@@ -16,7 +16,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.io.labels import LabelledFrame
-from scoup.query.answers import mask_box
+from scoup.query.segment import mask_box
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, Regions

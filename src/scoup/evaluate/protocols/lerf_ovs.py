@@ -14,7 +14,8 @@ from scoup.base.errors import InputError
 from scoup.evaluate.metrics import any_inside, iou
 from scoup.evaluate.scores import PairScore, SceneScore, overall, scene_score
 from scoup.io.labels import LabelledFrame, match_frames, read_frame, read_labels
-from scoup.query.answers import QUERY_PRESETS, QueryPreset, localize_and_segment
+from scoup.query.presets import QUERY_PRESETS, QueryPreset
+from scoup.query.segment import localize_and_segment
 
 __all__ = [
     "LabelledFrame",

@@ -16,7 +16,8 @@ from scoup.evaluate.metrics import iou
 from scoup.evaluate.protocols.lerf_ovs import maps_by_label
 from scoup.evaluate.scores import PairScore, SceneScore, scene_score
 from scoup.io.labels import LabelledFrame
-from scoup.query.answers import QueryPreset, query_preset, segment
+from scoup.query.presets import QueryPreset, query_preset
+from scoup.query.segment import segment
 
 PROTOCOL = "mipnerf360 2D"
 

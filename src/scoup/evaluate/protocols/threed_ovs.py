@@ -21,7 +21,8 @@ from scoup.evaluate.protocols.lerf_ovs import maps_by_label
 from scoup.evaluate.scores import PairScore, SceneScore, scene_score
 from scoup.io.labels import LabelledFrame
 from scoup.io.reading import MAX_IMAGE_SIDE
-from scoup.query.answers import QueryPreset, query_preset, segment
+from scoup.query.presets import QueryPreset, query_preset
+from scoup.query.segment import segment
 from scoup.scene.regions import LEVELS
 
 PROTOCOL = "3d-ovs 2D"

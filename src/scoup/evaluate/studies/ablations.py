@@ -26,8 +26,8 @@ from scoup.evaluate.studies.rasterised import PreparedScene, Rule, every_nth_pix
 from scoup.evaluate.tables import CAVEATS, Table
 from scoup.pictures.colors import Picture
 from scoup.pictures.plots import interval_plot
-from scoup.query.answers import QueryPreset
 from scoup.query.presence import vote_entropy
+from scoup.query.presets import QueryPreset
 from scoup.scene.codes import SparseCodes
 from scoup.scene.regions import Regions
 from scoup.uplift.rasterise import region_sums

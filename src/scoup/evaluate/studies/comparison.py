@@ -20,8 +20,9 @@ from scoup.evaluate.scoring import map_size
 from scoup.evaluate.studies.cost import Cost, Meter
 from scoup.evaluate.studies.rasterised import PreparedScene, Rule
 from scoup.evaluate.tables import CAVEATS, Table, accuracy_interval, miou_interval
-from scoup.query.answers import QueryPreset, select_by_relevancy
 from scoup.query.neighbours import Neighbourhood
+from scoup.query.presets import QueryPreset
+from scoup.query.select import select_by_relevancy
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def _selected(scene: PreparedScene, made: ChannelField) -> SceneScore:
     chosen = {}
     for label, query in scene.asked.vectors.items():
         own = made.gaussian_relevancy(query[None], scene.asked.canonical)[:, 0]
-        chosen[label] = select_by_relevancy(own, coded, around, VALA_3D.threshold)
+        chosen[label] = select_by_relevancy(own, coded, around, VALA_3D.threshold).mask
     return score_selection(scene.name, scene.gaussians, scene.scene.frames, chosen, scene.raster_preset)
 
 

@@ -21,7 +21,7 @@ from scoup.evaluate.studies.rasterised import PreparedScene, Rule
 from scoup.evaluate.tables import CAVEATS, Table, miou_interval
 from scoup.pictures.colors import Picture
 from scoup.pictures.plots import Series, line_plot
-from scoup.query.answers import QueryPreset
+from scoup.query.presets import QueryPreset
 from scoup.scene.regions import RegionMap, Regions
 from scoup.synthetic.faults import LevelSums, as_region_sums, level_sums, perturbed
 from scoup.uplift.region_sums import RegionSums

@@ -25,17 +25,19 @@ from scoup.evaluate.studies.rasterised import PreparedScene
 from scoup.evaluate.tables import Table
 from scoup.field.language_field import FieldInfo, LanguageField
 from scoup.models.words import with_everyday
-from scoup.query.answers import QUERY_PRESETS, QueryPreset, choose_level, level_masks, select_with_level
-from scoup.query.presence import PRESENT_FROM, scene_standing, view_standing, vote_entropy
+from scoup.query.presence import PRESENT_FROM, scene_z_scores, view_z_scores, vote_entropy
+from scoup.query.presets import QUERY_PRESETS, QueryPreset
+from scoup.query.segment import choose_level, level_masks, segment
+from scoup.query.select import select_each
 from scoup.uplift.build_settings import BuildSettings
 
-SIGNALS = ("standing", "peak", "inside", "contrast", "entropy", "vote entropy", "vote weight")
-"""All signals measured: how far the query stands above everyday words (``scoup.query.presence``); the largest smoothed
+SIGNALS = ("z-score", "peak", "inside", "contrast", "entropy", "vote entropy", "vote weight")
+"""All signals measured: the z-score (``scoup.query.presence``); the largest smoothed
 relevancy; its mean inside the mask; how far that lies above the mean outside; the mean inside the mask of the entropy
 of the stored codes, of that of the whole votes, and of the logarithm of the weight painted."""
 PRESENT, OUT_OF_VIEW, ABSENT, IN_SCENE = "present", "out of view", "absent", "in the scene"
 _WORDS = "absent.txt"
-_LOWEST = -1e3  # of a standing, where nothing was found: tables and JSON know no infinity
+_LOWEST = -1e3  # z-score where nothing was found: tables and JSON know no infinity
 
 
 @dataclass(frozen=True)
@@ -102,16 +104,17 @@ def ask_scene(
         view = field.project(camera)
         extra = [rendered_mean(view, each, field.code_weights.any(-1)) for each in told]
         maps = field.relevancy(camera, queries, canonical, view)
-        standings = view_standing(field, view, maps, queries, everyday, preset).clamp(min=_LOWEST).tolist()
-        for position, (word, standing) in enumerate(zip(words, standings, strict=True)):
+        segmentations = [segment(each, preset) for each in maps.unbind(1)]
+        scores = view_z_scores(field, view, segmentations, queries, everyday).clamp(min=_LOWEST).tolist()
+        for position, (word, z_score) in enumerate(zip(words, scores, strict=True)):
             found = signals_of(maps[:, position], extra, preset)
             kind = ABSENT if word in absent else PRESENT if word in frame.masks else OUT_OF_VIEW
-            questions.append(Question(scene.name, frame.name, word, kind, (standing, *found)))
+            questions.append(Question(scene.name, frame.name, word, kind, (z_score, *found)))
         progress(f"presence {scene.name}", done, len(scene.scene.frames))
-    selections = select_with_level(field, queries, canonical)
-    standings = scene_standing(field, selections, queries, everyday).clamp(min=_LOWEST).tolist()
-    for word, standing in zip(words, standings, strict=True):
-        questions.append(Question(scene.name, "", word, ABSENT if word in absent else IN_SCENE, (standing,)))
+    selections = select_each(field, queries, canonical)
+    scores = scene_z_scores(field, selections, queries, everyday).clamp(min=_LOWEST).tolist()
+    for word, z_score in zip(words, scores, strict=True):
+        questions.append(Question(scene.name, "", word, ABSENT if word in absent else IN_SCENE, (z_score,)))
     return questions
 
 
@@ -256,18 +259,18 @@ def presence_tables(questions: Sequence[Question]) -> tuple[list[Table], dict[st
     of_scenes = [question for question in questions if not question.frame]
     first, by_signal = _signal_table(in_views)
     rules = {"the protocols' rule (paints always)": np.ones(len(in_views), bool)}
-    rules[f"standing, {PRESENT_FROM:g} or more (the default)"] = _standing(in_views) >= PRESENT_FROM
+    rules[f"z-score, {PRESENT_FROM:g} or more (the default)"] = _z_scores(in_views) >= PRESENT_FROM
     rules |= {
         f"{signal}, bound chosen on the other scenes": held_out_answers(in_views, signal)
-        for signal in ("standing", "inside", "peak")
+        for signal in ("z-score", "inside", "peak")
     }
     second, of_rules = _rule_table(in_views, rules, "Presence in a view")
     rules = {"always there": np.ones(len(of_scenes), bool)}
-    rules[f"standing, {PRESENT_FROM:g} or more (the default)"] = _standing(of_scenes) >= PRESENT_FROM
-    rules["standing, bound chosen on the other scenes"] = held_out_answers(of_scenes, "standing")
+    rules[f"z-score, {PRESENT_FROM:g} or more (the default)"] = _z_scores(of_scenes) >= PRESENT_FROM
+    rules["z-score, bound chosen on the other scenes"] = held_out_answers(of_scenes, "z-score")
     third, in_scene = _rule_table(of_scenes, rules, "Presence in a scene, by the Gaussians selected")
     bounds = {
-        name: best_bound(_standing(part), np.array([q.kind in (PRESENT, IN_SCENE) for q in part]))
+        name: best_bound(_z_scores(part), np.array([q.kind in (PRESENT, IN_SCENE) for q in part]))
         for name, part in (("query", in_views), ("select", of_scenes))
     }
     record = {
@@ -280,7 +283,7 @@ def presence_tables(questions: Sequence[Question]) -> tuple[list[Table], dict[st
     return [first, second, third], record
 
 
-def _standing(questions: Sequence[Question]) -> np.ndarray:
+def _z_scores(questions: Sequence[Question]) -> np.ndarray:
     return np.array([question.signals[0] for question in questions])
 
 

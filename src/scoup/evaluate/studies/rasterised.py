@@ -19,7 +19,7 @@ from scoup.evaluate.scoring import Asked, map_size, score
 from scoup.io import default_preset, load_gaussians, load_regions
 from scoup.io.labels import LabelledFrame
 from scoup.models.words import with_everyday
-from scoup.query.answers import QueryPreset
+from scoup.query.presets import QueryPreset
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions

@@ -1,10 +1,10 @@
-"""What verbs that ask a field share: opening it, its cameras, its text encoder."""
+"""Options that verbs on a language field share: the field, its cameras, the text encoder."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,10 +13,8 @@ import tyro
 from scoup.cli.options import FieldFile, OptionalPath, OptionalText, WritesCommon
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from scoup.field.language_field import LanguageField
-    from scoup.raster import Projection
+    from scoup.query.text_vectors import TextVectors
     from scoup.scene.cameras import Camera, Cameras
 
 LONGEST_SIDE = 16384  # of a picture, in pixels
@@ -25,7 +23,7 @@ _SAME_FRAME = "check that cameras and splat are in the same frame"
 
 
 @dataclass(frozen=True, kw_only=True)
-class AsksField(WritesCommon):
+class FieldOptions(WritesCommon):
     """Options of verbs that open a language field."""
 
     field: FieldFile
@@ -34,7 +32,8 @@ class AsksField(WritesCommon):
     """The splat the field was built on, if it has moved since. Default: the one the field names."""
 
     def open_field(self) -> LanguageField:
-        """The field with its geometry: a missing or wrong one is told now, not after other work.
+        """The field with its geometry, on the device; a missing or wrong geometry is an error at once, not after
+        other work.
 
         Raises:
             MissingFileError, FileFormatError: the field or its geometry is missing or damaged.
@@ -61,20 +60,20 @@ class AsksField(WritesCommon):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AsksViews(AsksField):
-    """Options of verbs that look through cameras."""
+class CameraOptions(FieldOptions):
+    """Options of verbs that render a field in the views of cameras."""
 
     camera: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
     ] = ()
     """Name of a camera (with or without extension), or all; repeat it for several. Default: the first."""
     scene: OptionalPath = None
-    """Look through the cameras of this scene folder or cameras file. Default: those the field was built from."""
+    """Take the cameras of this scene folder or cameras file. Default: those the field was built from."""
     scale: float = 1.0
     """Size of the pictures relative to the cameras' own."""
 
     def open_cameras(self, field: LanguageField) -> list[Camera]:
-        """The cameras asked for.
+        """The cameras named.
 
         Raises:
             UnknownNameError: there is no camera of that name.
@@ -106,11 +105,11 @@ class AsksViews(AsksField):
             ) from error
         return list(dict.fromkeys(found))
 
-    def tell_blind(self, blind: list[Camera], count: int) -> None:
-        """Say which of ``count`` cameras see nothing.
+    def check_seen(self, blind: list[Camera], count: int) -> None:
+        """Warn of the cameras, among ``count``, in which nothing of the field is visible.
 
         Raises:
-            InputError: none of them sees anything.
+            InputError: nothing is visible in any of them.
         """
         from scoup.base.errors import InputError, ScoupWarning
 
@@ -124,87 +123,29 @@ class AsksViews(AsksField):
             warnings.warn(message, ScoupWarning, stacklevel=2)
 
 
-@dataclass(frozen=True, eq=False)
-class TextVectors:
-    """What a field is asked with.
-
-    Attributes:
-        source: the table or model they are from.
-        queries: [Q, D].
-        canonical: [P, D] of the canonical phrases.
-        everyday: [B, D] of everyday words.
-    """
-
-    source: str
-    queries: Tensor
-    canonical: Tensor
-    everyday: Tensor
-
-    def standing_words(self, wanted: bool) -> Tensor | None:
-        """Everyday words to judge presence by; None where a table has too few.
-
-        Raises:
-            InputError: it has too few, and presence was ``wanted`` by name.
-        """
-        from scoup.base.errors import InputError
-        from scoup.models.words import LEAST_WORDS
-
-        if len(self.everyday) >= LEAST_WORDS:
-            return self.everyday
-        if wanted:
-            raise InputError(
-                f"{self.source}: has {len(self.everyday)} words; --presence compares with {LEAST_WORDS} or more, so "
-                "add any words to the table"
-            )
-        return None
-
-
-def not_there(place: str, standing: float | None, bound: float) -> str:
-    """What is said of a text that is judged to be absent; ``standing`` is None or infinite where nothing was found."""
-    found = standing is not None and math.isfinite(standing)
-    return (
-        f"not in this {place} ({f'standing {standing:.1f}' if found else 'nothing found'}, {bound:g} asked)"
-    )
-
-
 @dataclass(frozen=True, kw_only=True)
-class AsksText(AsksField):
+class TextOptions(FieldOptions):
     """Options of verbs that take words."""
 
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
     """Turns words into vectors: a table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
-    def encode(self, field: LanguageField, phrases: Iterable[str]) -> TextVectors:
-        """Vectors of the phrases, of the canonical phrases, and of everyday words.
+    def encode(self, field: LanguageField, texts: Sequence[str]) -> TextVectors:
+        """Vectors of the texts and of what they are compared with.
 
         Raises:
-            UnknownNameError: a word is not in the table; the nearest names are listed.
-            InputError: the vectors have another size than the field's embeddings, or the table lacks the
-                canonical phrases.
+            InputError, UnknownNameError: as ``scoup.query.text_vectors.encode_texts``; or neither the options nor
+                the field name a model or table.
         """
-        from scoup.base.errors import InputError, UnknownNameError
+        from scoup.base.errors import InputError
         from scoup.models.text import TextEncoder
-        from scoup.models.words import CANONICAL_PHRASES
+        from scoup.query.text_vectors import encode_texts
 
         source = self.text or self._named_by(field)
         if not source:
             raise InputError(f"{self.field}: names no embedding model; give a table or model with --text")
         with TextEncoder.open(source, device=self.device) as encoder:
-            if encoder.dim != field.dim:
-                raise InputError(
-                    f"{source}: gives vectors of {encoder.dim} dimensions, but {self.field} holds embeddings of "
-                    f"{field.dim}; name the model its regions were encoded with ({field.info.embedding_model}) "
-                    "or a table made with it"
-                )
-            queries = encoder.encode(list(phrases))
-            try:
-                canonical = encoder.canonical()
-            except UnknownNameError as error:
-                raise InputError(
-                    f"{source}: lacks {error.name!r}; relevancy compares every text with the phrases "
-                    f"{', '.join(CANONICAL_PHRASES)}, so encode them into the table too"
-                ) from error
-            return TextVectors(source, queries, canonical, encoder.everyday())
+            return encode_texts(encoder, field, texts, source)
 
     def _named_by(self, field: LanguageField) -> str:
         """The model the field names; a table is sought beside the field, as its geometry is."""
@@ -215,9 +156,40 @@ class AsksText(AsksField):
         return str(beside) if name and is_table(name) and beside.is_file() else name
 
 
-def sees_nothing(field: LanguageField, view: Projection) -> bool:
-    """Whether no Gaussian with a code paints a pixel of the view."""
-    from scoup.raster import render_channels
+def check_texts(texts: tuple[str, ...]) -> None:
+    """Refuse a call without any text."""
+    from scoup.base.errors import InputError
 
-    image, _ = render_channels(view, field.coded()[:, None].float())
-    return not bool(image.any())
+    if not texts:
+        raise InputError('name at least one text to look for, for example "kettle"')
+
+
+def presence_threshold(texts: TextVectors, wanted: float | None) -> float | None:
+    """The z-score from which a text counts as present; None where a table has too few words to judge it.
+
+    Args:
+        texts: with the everyday words to compare with.
+        wanted: the value of --presence, None if it was not given.
+
+    Raises:
+        InputError: there are too few words, and --presence was given.
+    """
+    from scoup.base.errors import InputError
+    from scoup.models.words import LEAST_WORDS
+    from scoup.query.presence import PRESENT_FROM
+
+    if texts.can_judge_presence:
+        return PRESENT_FROM if wanted is None else wanted
+    if wanted is not None:
+        raise InputError(
+            f"{texts.source}: has {len(texts.everyday)} words; --presence compares with {LEAST_WORDS} or more, so "
+            "add any words to the table"
+        )
+    return None
+
+
+def absence_message(place: str, z_score: float | None, threshold: float | None) -> str:
+    """What is said of a text that is not in a place; its z-score is None or infinite where nothing was found."""
+    found = z_score is not None and math.isfinite(z_score)
+    reason = f"z-score {z_score:.1f}" if found else "nothing found"
+    return f"not in this {place} ({reason}, threshold {threshold:g})"

@@ -1,9 +1,11 @@
-"""Further queries through a kept view against those of a fresh one, in every backend."""
+"""Further queries through one projection against those of a fresh one, in every backend."""
 
 from __future__ import annotations
 
 import copy
 import gc
+import pickle
+import weakref
 
 import pytest
 import torch
@@ -11,12 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from raster.parity import BACKENDS, needs_native
+from raster.parity import BACKENDS
 from scoup import raster
-from scoup.base.errors import InputError
-from scoup.field import view_cache as asking
+from scoup.field.cosine_cache import CosineCache, FieldCodes
 from scoup.field.language_field import FieldInfo, LanguageField
-from scoup.scene.codes import code_scores, plain_code_scores
 from scoup.scene.gaussians import Gaussians
 from support import KINDS, make_camera, random_gaussians, scenes, unit
 
@@ -59,20 +59,20 @@ def count_first(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 @pytest.mark.parametrize("backend", BACKENDS)
 @settings(max_examples=25, deadline=None)
 @given(scene=scenes(25), seed=st.integers(0, 999), n_queries=st.integers(1, 4))
-def test_further_queries_are_those_of_a_fresh_view(backend, scene, seed, n_queries) -> None:
+def test_further_queries_are_those_of_a_fresh_projection(backend, scene, seed, n_queries) -> None:
     gaussians, camera = scene
     field = field_of(gaussians, seed)
     canonical, others = vectors(4, seed + 1), vectors(2, seed + 2)
-    view = field.project(camera, backend)
-    asked = [
+    projection = field.project(camera, backend)
+    rounds = [
         (vectors(n_queries, seed + 3), canonical),
         (vectors(n_queries, seed + 4), canonical),
         (vectors(1, seed + 5), others),  # other phrases
         (vectors(9, seed + 6), others),  # more than are rendered as channels
         (vectors(1, seed + 7), canonical),
     ]
-    for queries, phrases in asked:
-        found = field.relevancy(camera, queries, phrases, view)
+    for queries, phrases in rounds:
+        found = field.relevancy(camera, queries, phrases, projection)
         expected = field.relevancy(camera, queries, phrases, field.project(camera, backend))
         assert found.shape == expected.shape == (3, len(queries), camera.height, camera.width)
         assert found.is_contiguous()
@@ -80,13 +80,13 @@ def test_further_queries_are_those_of_a_fresh_view(backend, scene, seed, n_queri
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_every_ugly_kind_and_a_view_of_nothing(backend) -> None:
+def test_every_ugly_kind_and_a_scene_of_nothing(backend) -> None:
     gaussians, camera = random_gaussians(60, 3, KINDS), make_camera(seed=2)
     queries, canonical = vectors(2, 0), vectors(4, 1)
     for scene in (gaussians, gaussians.select(torch.zeros(60, dtype=torch.bool))):
         field = field_of(scene, 5)
-        view = field.project(camera, backend)
-        first, again = (field.relevancy(camera, queries, canonical, view) for _ in range(2))
+        projection = field.project(camera, backend)
+        first, again = (field.relevancy(camera, queries, canonical, projection) for _ in range(2))
         assert_close(again, first)
         assert torch.isfinite(again).all()
     assert (again == 0.5).all()
@@ -97,23 +97,23 @@ def test_what_is_known_is_rendered_once(backend, monkeypatch) -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
     field, canonical = field_of(gaussians, 1), vectors(4, 1)
     calls = count_first(monkeypatch)
-    view = field.project(camera, backend)
+    projection = field.project(camera, backend)
     for seed in range(3):
-        field.relevancy(camera, vectors(2, seed), canonical, view)
-    field.relevancy(camera, vectors(1, 9), vectors(3, 9), view)
+        field.relevancy(camera, vectors(2, seed), canonical, projection)
+    field.relevancy(camera, vectors(1, 9), vectors(3, 9), projection)
     assert len(calls) == 1
     field.relevancy(camera, vectors(1, 9), canonical, field.project(camera, backend))
     assert len(calls) == 2
 
 
-def test_two_fields_through_one_view_and_changed_codes() -> None:
+def test_two_fields_through_one_projection_and_changed_codes() -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
     fields, canonical, queries = [field_of(gaussians, seed) for seed in (1, 2)], vectors(4, 1), vectors(2, 2)
-    view = fields[0].project(camera)
+    projection = fields[0].project(camera)
 
     def check(field: LanguageField) -> Tensor:
         expected = field.relevancy(camera, queries, canonical)
-        found = field.relevancy(camera, queries, canonical, view)
+        found = field.relevancy(camera, queries, canonical, projection)
         assert_close(found, expected)
         return found
 
@@ -130,57 +130,45 @@ def test_two_fields_through_one_view_and_changed_codes() -> None:
 def test_phrases_written_to_are_other_phrases() -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
     field, canonical, queries = field_of(gaussians, 1), vectors(4, 1), vectors(2, 2)
-    view = field.project(camera)
-    field.relevancy(camera, queries, canonical, view)
+    projection = field.project(camera)
+    field.relevancy(camera, queries, canonical, projection)
     canonical[:] = vectors(4, 5)
-    found = field.relevancy(camera, queries, canonical, view)
+    found = field.relevancy(camera, queries, canonical, projection)
     assert_close(found, field.relevancy(camera, queries, canonical))
 
 
-def test_what_is_kept_goes_with_the_view() -> None:
+def test_what_is_kept_lives_as_long_as_the_projection() -> None:
+    gaussians, camera = random_gaussians(40, 1), make_camera()
+    field, cache = field_of(gaussians, 1), CosineCache()
+    codes = FieldCodes(field.code_indices, field.code_weights, field.codebook)
+    projection = field.project(camera)
+    cache.relevancy(projection, codes, vectors(1, 2), vectors(4, 1))
+    assert len(cache) == 1
+    assert len(copy.deepcopy(cache)) == len(pickle.loads(pickle.dumps(cache))) == 0
+    del projection
+    gc.collect()
+    assert len(cache) == 0
+
+
+def test_a_field_keeps_no_projection_alive_and_its_copy_starts_afresh(monkeypatch) -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
     field = field_of(gaussians, 1)
-    view = field.project(camera)
-    field.relevancy(camera, vectors(1, 2), vectors(4, 1), view)
-    assert len(field._asked._kept) == 1
-    assert len(copy.deepcopy(field)._asked._kept) == 0
-    del view
+    projection = field.project(camera)
+    found = field.relevancy(camera, vectors(1, 2), vectors(4, 1), projection)
+    calls = count_first(monkeypatch)
+    assert_close(copy.deepcopy(field).relevancy(camera, vectors(1, 2), vectors(4, 1), projection), found)
+    assert len(calls) == 1
+    kept = weakref.ref(projection)
+    del projection
     gc.collect()
-    assert len(field._asked._kept) == 0
-
-
-@needs_native
-@settings(max_examples=40)
-@given(
-    count=st.integers(0, 70),
-    k=st.integers(0, 6),
-    n_atoms=st.sampled_from([1, 7, 256, 300]),
-    columns=st.integers(0, 5),
-    half=st.booleans(),
-    seed=st.integers(0, 999),
-)
-def test_code_scores(count, k, n_atoms, columns, half, seed) -> None:
-    generator = torch.Generator().manual_seed(seed)
-    dtype = torch.uint8 if n_atoms <= 256 else torch.uint16
-    indices = torch.randint(n_atoms, (count, 2, k), generator=generator).to(dtype)
-    weights = torch.rand(count, 2, k, generator=generator)
-    weights = weights.half() if half else weights
-    scores = torch.randn(2, n_atoms, columns, generator=generator)
-    found, expected = (way(indices, weights, scores) for way in (code_scores, plain_code_scores))
-    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)
-
-
-def test_code_scores_refuse_atoms_there_are_not() -> None:
-    indices = torch.full((5, 1, 2), 7, dtype=torch.uint8)
-    with pytest.raises(InputError):
-        code_scores(indices, torch.ones(5, 1, 2), torch.zeros(1, 7, 1))
+    assert kept() is None
 
 
 def test_codes_know_when_they_were_written_to() -> None:
     with torch.inference_mode():
-        codes = asking.FieldCodes(torch.zeros(1), torch.zeros(1), torch.zeros(1))
+        codes = FieldCodes(torch.zeros(1), torch.zeros(1), torch.zeros(1))
         assert codes.versions() == codes.versions()  # such tensors count no versions
-    codes = asking.FieldCodes(torch.zeros(1), torch.zeros(1), torch.zeros(1))
+    codes = FieldCodes(torch.zeros(1), torch.zeros(1), torch.zeros(1))
     before = codes.versions()
     codes.weights.add_(1)
     assert codes.versions() != before

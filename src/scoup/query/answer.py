@@ -1,0 +1,200 @@
+"""The answer to a query: in one view, or in the scene as a whole."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from scoup import raster
+from scoup.field.language_field import LanguageField
+from scoup.query.localize import Localization
+from scoup.query.presence import scene_z_scores, view_z_scores
+from scoup.query.presets import QUERY_PRESETS, QueryPreset
+from scoup.query.segment import Segmentation, localize_and_segment
+from scoup.query.select import select_each
+from scoup.query.text_vectors import TextVectors
+from scoup.scene.cameras import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What one query gives in one view. Tensors are on the CPU.
+
+    Attributes:
+        mask: [H, W] boolean; empty if the thing is not there.
+        box: (x0, y0, x1, y1) around the mask in pixels, x1 and y1 one past the last; None if it is empty.
+        coverage: share of the view in the mask, 0..1.
+        level: name of the level of the mask.
+        score: the largest smoothed relevancy at that level, 0..1.
+        point: (x, y), the pixel that fits best; None if the thing is not there.
+        point_level: name of the level of the point.
+        point_score: averaged relevancy at the point, 0..1.
+        relevancy: [H, W] float32 at the level of the mask.
+        z_score: of what was found (``scoup.query.presence``), minus infinity if nothing was found; None if presence
+            was not judged.
+        is_present: whether the thing is there; true if presence was not judged.
+    """
+
+    mask: Tensor  # [H, W]
+    box: tuple[int, int, int, int] | None
+    coverage: float
+    level: str
+    score: float
+    point: tuple[int, int] | None
+    point_level: str
+    point_score: float
+    relevancy: Tensor  # [H, W]
+    z_score: float | None = None
+    is_present: bool = True
+
+    def record(self) -> dict[str, Any]:
+        """The answer as plain JSON values, rounded; ``z_score`` and ``present`` only if presence was judged."""
+        return {
+            "level": self.level,
+            "score": round(self.score, 4),
+            "pixel": None if self.point is None else list(self.point),
+            "pixel_level": self.point_level,
+            "pixel_score": round(self.point_score, 4),
+            "coverage": round(self.coverage, 6),
+            "box": None if self.box is None else list(self.box),
+            **_presence_record(self.z_score, self.is_present),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class SceneAnswer:
+    """What one query gives in a scene as a whole, by the Gaussians' own codes. Tensors are on the CPU.
+
+    Attributes:
+        mask: [N] boolean, the Gaussians that answer; empty if the thing is not there.
+        level: name of the level chosen.
+        score: the largest relevancy of a Gaussian at that level; minus infinity if none has a code.
+        z_score, is_present: as in ``Answer``.
+    """
+
+    mask: Tensor  # [N]
+    level: str
+    score: float
+    z_score: float | None = None
+    is_present: bool = True
+
+    def record(self) -> dict[str, Any]:
+        """The answer as plain JSON values, rounded; ``z_score`` and ``present`` only if presence was judged."""
+        return {
+            "gaussians": int(self.mask.sum()),
+            "level": self.level,
+            "score": _rounded(self.score, 4),
+            **_presence_record(self.z_score, self.is_present),
+        }
+
+
+def answer_view(
+    field: LanguageField,
+    camera: Camera,
+    texts: TextVectors,
+    preset: QueryPreset = QUERY_PRESETS["default"],
+    present_from: float | None = None,
+    projection: raster.Projection | None = None,
+) -> list[Answer]:
+    """Where each query is in one view, and which pixels are it.
+
+    Args:
+        field: to be queried.
+        camera: of the view.
+        texts: queries and what they are compared with (``scoup.query.text_vectors.encode_texts``);
+            ``texts.with_everyday()`` is what `scoup query` uses.
+        preset: how relevancy becomes points and masks.
+        present_from: the z-score from which a thing counts as present (``scoup.query.presence.PRESENT_FROM``); None:
+            presence is not judged, and something is found always.
+        projection: what ``field.project(camera)`` gave, if it is known; keep it for further queries.
+
+    Returns:
+        One answer a query, in their order.
+
+    Raises:
+        InputError: the vectors do not fit the field, or there are too few everyday words to judge presence.
+    """
+    projection = field.project(camera) if projection is None else projection
+    maps = field.relevancy(camera, texts.queries, texts.canonical, projection).unbind(1)
+    found = [localize_and_segment(each, preset) for each in maps]
+    judged: list[float | None] = [None] * len(found)
+    if present_from is not None:
+        segmentations = [segmentation for _, segmentation in found]
+        judged = view_z_scores(field, projection, segmentations, texts.queries, texts.everyday).tolist()
+    return [
+        _answer(field.levels, *places, relevancy, z_score, present_from)
+        for places, relevancy, z_score in zip(found, maps, judged, strict=True)
+    ]
+
+
+def answer_scene(
+    field: LanguageField,
+    texts: TextVectors,
+    threshold: float = 0.6,
+    neighbours: int | None = None,
+    rescaled: bool = True,
+    present_from: float | None = None,
+) -> list[SceneAnswer]:
+    """Which Gaussians answer each query, without rendering.
+
+    Args:
+        field: to be queried.
+        texts: as for ``answer_view``.
+        threshold, neighbours, rescaled: as for ``scoup.query.select.select``.
+        present_from: as for ``answer_view``.
+
+    Returns:
+        One answer a query, in their order.
+
+    Raises:
+        InputError: as ``answer_view``, or ``neighbours`` is below 1.
+    """
+    found = list(select_each(field, texts.queries, texts.canonical, threshold, neighbours, rescaled))
+    judged: list[float | None] = [None] * len(found)
+    if present_from is not None:
+        judged = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
+    answers = []
+    for each, z_score in zip(found, judged, strict=True):
+        is_present = _is_present(z_score, present_from)
+        mask = each.mask.cpu() & is_present
+        answers.append(SceneAnswer(mask, field.levels[each.level], each.score, z_score, is_present))
+    return answers
+
+
+def _answer(
+    levels: tuple[str, ...],
+    place: Localization,
+    shape: Segmentation,
+    relevancy: Tensor,  # [S, H, W]
+    z_score: float | None,
+    present_from: float | None,
+) -> Answer:
+    is_present = _is_present(z_score, present_from)
+    return Answer(
+        mask=shape.mask.cpu() & is_present,
+        box=shape.box if is_present else None,
+        coverage=shape.coverage if is_present else 0.0,
+        level=levels[shape.level],
+        score=shape.score,
+        point=place.pixel if is_present else None,
+        point_level=levels[place.level],
+        point_score=place.score,
+        relevancy=relevancy[shape.level].clone().cpu(),  # a copy, so that the other levels can be freed
+        z_score=z_score,
+        is_present=is_present,
+    )
+
+
+def _is_present(z_score: float | None, present_from: float | None) -> bool:
+    return z_score is None or present_from is None or z_score >= present_from
+
+
+def _presence_record(z_score: float | None, is_present: bool) -> dict[str, Any]:
+    return {} if z_score is None else {"z_score": _rounded(z_score, 3), "present": is_present}
+
+
+def _rounded(value: float, digits: int) -> float | None:
+    return round(value, digits) if math.isfinite(value) else None  # JSON knows no infinity

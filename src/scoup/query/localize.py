@@ -1,0 +1,67 @@
+"""The point of a view that fits a query best (docs/protocols.md, LERF-OVS, "Localisation")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.query.presets import QUERY_PRESETS, QueryPreset
+from scoup.query.smoothing import box_mean
+
+
+@dataclass(frozen=True, eq=False)
+class Localization:
+    """Where a query is.
+
+    Attributes:
+        pixels: [M, 2] int64 (x, y), all pixels of maximal averaged relevancy, M >= 1, row by row.
+        pixel: (x, y), the one of them nearest to their mean.
+        level: position of the level chosen.
+        score: the maximum, 0..1.
+    """
+
+    pixels: Tensor  # [M, 2]
+    pixel: tuple[int, int]
+    level: int
+    score: float
+
+
+def localize(
+    relevancy: Tensor, preset: QueryPreset = QUERY_PRESETS["default"], averaged: Tensor | None = None
+) -> Localization:
+    """The most relevant place in one view.
+
+    Each level is averaged by the preset's box; the level with the largest maximum is chosen, the first of
+    equals, whatever the preset's ``level_choice``.
+
+    Args:
+        relevancy: [S, H, W] of one query, 0..1.
+        preset: its box is used.
+        averaged: what ``averaged_relevancy`` gives for both, if it is known already.
+
+    Raises:
+        InputError: relevancy has another shape, or is empty.
+    """
+    averaged = averaged_relevancy(relevancy, preset) if averaged is None else averaged
+    peaks = averaged.flatten(1).amax(1)
+    level = int(peaks.argmax())
+    pixels = (averaged[level] == peaks[level]).nonzero().flip(1)
+    # Of a plateau, a pixel in its middle says more than its first corner.
+    offsets = pixels.double() - pixels.double().mean(0)
+    x, y = pixels[int(offsets.square().sum(1).argmin())].tolist()
+    return Localization(pixels, (x, y), level, float(peaks[level]))
+
+
+def averaged_relevancy(relevancy: Tensor, preset: QueryPreset) -> Tensor:
+    """[S, H, W] means of relevancy [S, H, W] over the preset's box, which ``localize`` and ``segment`` both use.
+
+    Raises:
+        InputError: relevancy has another shape, or is empty.
+    """
+    if relevancy.dim() != 3 or 0 in relevancy.shape:
+        raise InputError(
+            f"relevancy of one query must be [S, H, W] and not empty, got {list(relevancy.shape)}"
+        )
+    return box_mean(relevancy, preset.kernel, preset.border)

@@ -1,0 +1,82 @@
+"""Named settings of a query: how relevancy maps become points and masks (docs/protocols.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.query.smoothing import Border
+
+LevelChoice = Literal["peak", "mask"]
+
+
+@dataclass(frozen=True)
+class QueryPreset:
+    """How relevancy maps become points and masks.
+
+    Attributes:
+        name: of the system it follows.
+        kernel: side of the box that averages the relevancy, in pixels.
+        border: "inside" averages over the pixels of the box inside the image; "reflect" mirrors the image at
+            its edge pixels (which are not repeated).
+        threshold: a pixel belongs to the mask if its rescaled relevancy is above this.
+        smoothing: side of the box that smooths the mask by majority; 1 leaves it alone.
+        level_choice: which level answers. "peak": the level with the largest smoothed relevancy, as in the papers'
+            protocol for LERF-OVS; "mask": the level whose own mask has the largest mean of smoothed relevancy.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    name: str
+    kernel: int
+    border: Border
+    threshold: float
+    smoothing: int
+    level_choice: LevelChoice = "peak"
+
+    def __post_init__(self) -> None:
+        if self.kernel < 1 or self.smoothing < 1:
+            raise InputError(f"box sides must be at least 1 pixel, got {self.kernel} and {self.smoothing}")
+        if not 0 <= self.threshold <= 1:
+            raise InputError(f"the threshold must be 0 to 1, got {self.threshold}")
+        if self.level_choice not in get_args(LevelChoice):
+            raise InputError(f"the level is chosen by 'peak' or 'mask', not by {self.level_choice!r}")
+
+
+QUERY_PRESETS: dict[str, QueryPreset] = {
+    "default": QueryPreset(
+        "default", kernel=7, border="inside", threshold=0.6, smoothing=7, level_choice="mask"
+    ),
+    "scoup": QueryPreset("scoup", kernel=7, border="inside", threshold=0.6, smoothing=7),
+    "langsplatv2": QueryPreset("langsplatv2", kernel=29, border="inside", threshold=0.4, smoothing=7),
+    "langsplat": QueryPreset("langsplat", kernel=30, border="reflect", threshold=0.4, smoothing=1),
+}
+"""Presets by name: "default" for everyday use, the others by the rules of the systems of their names for LERF-OVS."""
+
+DATASET_THRESHOLDS: dict[str, dict[str, float]] = {
+    "lerf-ovs": {"default": 0.6, "scoup": 0.6, "langsplatv2": 0.4, "langsplat": 0.4},
+    "3d-ovs": {"default": 0.3, "scoup": 0.3, "langsplatv2": 0.25},
+    "mipnerf360": {"default": 0.45, "scoup": 0.45, "langsplatv2": 0.4},
+}
+"""Thresholds as the papers tuned them per data set. Only the thresholds: ``scoup.evaluate`` has one file a data set
+with the rest of its rules."""
+
+
+def query_preset(name: str, dataset: str = "lerf-ovs", threshold: float | None = None) -> QueryPreset:
+    """A preset by name, with the threshold of a data set or the one given.
+
+    Raises:
+        UnknownNameError: there is no such preset, or it has no threshold for that data set.
+        InputError: the threshold is not 0 to 1.
+    """
+    if name not in QUERY_PRESETS:
+        raise UnknownNameError("query preset", name, QUERY_PRESETS)
+    if threshold is None:
+        if dataset not in DATASET_THRESHOLDS:
+            raise UnknownNameError("data set with thresholds", dataset, DATASET_THRESHOLDS)
+        if name not in DATASET_THRESHOLDS[dataset]:
+            raise UnknownNameError(f"query preset for {dataset}", name, DATASET_THRESHOLDS[dataset])
+        threshold = DATASET_THRESHOLDS[dataset][name]
+    return replace(QUERY_PRESETS[name], threshold=threshold)

@@ -1,0 +1,130 @@
+"""The pixels of a view that answer a query (docs/protocols.md, LERF-OVS, steps 1 to 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup.query.localize import Localization, averaged_relevancy, localize
+from scoup.query.presets import QUERY_PRESETS, LevelChoice, QueryPreset
+from scoup.query.smoothing import mask_sums, smoothed_masks
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """Which pixels a query is.
+
+    Attributes:
+        mask: [H, W] boolean.
+        smoothed: [H, W] smoothed relevancy at the level chosen, dtype of the relevancy.
+        level: position of the level chosen.
+        score: the largest smoothed relevancy at that level, 0..1.
+        coverage: share of the image in the mask, 0..1.
+        box: (x0, y0, x1, y1) around the mask in pixels, x1 and y1 one past the last; None if it is empty.
+    """
+
+    mask: Tensor  # [H, W]
+    smoothed: Tensor  # [H, W]
+    level: int
+    score: float
+    coverage: float
+    box: tuple[int, int, int, int] | None
+
+    def core(self) -> Tensor:
+        """[H, W] boolean: the more relevant half of the mask; of an empty mask, the most relevant pixels.
+
+        Borders, where things mix, are not in it.
+        """
+        if not self.mask.any():
+            return self.smoothed == self.smoothed.max()
+        return self.mask & (self.smoothed >= self.smoothed[self.mask].median())
+
+
+def segment(
+    relevancy: Tensor, preset: QueryPreset = QUERY_PRESETS["default"], averaged: Tensor | None = None
+) -> Segmentation:
+    """The pixels of one view that answer a query.
+
+    Args:
+        relevancy: [S, H, W] of one query, 0..1.
+        preset: box, threshold, mask smoothing and choice of the level.
+        averaged: what ``averaged_relevancy`` gives for both, if it is known already.
+
+    Raises:
+        InputError: relevancy has another shape, or is empty.
+    """
+    smoothed, masks = level_masks(relevancy, preset, averaged)
+    peaks, areas, sums = mask_sums(smoothed, masks)
+    level = _chosen_level(peaks, areas, sums, preset.level_choice)
+    mask = masks[level]
+    # A copy, so that the other levels can be freed.
+    shown = smoothed[level].clone()
+    coverage = int(areas[level]) / mask.numel()
+    return Segmentation(mask, shown, level, float(peaks[level]), coverage, mask_box(mask))
+
+
+def localize_and_segment(
+    relevancy: Tensor, preset: QueryPreset = QUERY_PRESETS["default"]
+) -> tuple[Localization, Segmentation]:
+    """Point and mask of one view; the box means are computed once.
+
+    Args:
+        relevancy: [S, H, W] of one query, 0..1.
+        preset: how relevancy becomes points and masks.
+
+    Raises:
+        InputError: relevancy has another shape, or is empty.
+    """
+    averaged = averaged_relevancy(relevancy, preset)
+    return localize(relevancy, preset, averaged), segment(relevancy, preset, averaged)
+
+
+def level_masks(
+    relevancy: Tensor, preset: QueryPreset, averaged: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """The mask of every level (protocols.md, LERF-OVS, steps 1 to 3).
+
+    Args:
+        relevancy: [S, H, W] of one query, 0..1.
+        preset: box, threshold and mask smoothing.
+        averaged: what ``averaged_relevancy`` gives for both, if it is known already.
+
+    Returns:
+        smoothed relevancy [S, H, W], dtype of ``relevancy``, and masks [S, H, W] boolean.
+    """
+    averaged = averaged_relevancy(relevancy, preset) if averaged is None else averaged
+    return smoothed_masks(relevancy, averaged, preset.threshold, preset.smoothing)
+
+
+def choose_level(smoothed: Tensor, masks: Tensor, choice: LevelChoice) -> int:
+    """Position of the level that answers (protocols.md, LERF-OVS, step 4); the first of equals.
+
+    With "mask", a level with an empty mask is never chosen, unless all are empty: then the peak decides.
+
+    Args:
+        smoothed, masks: [S, H, W] each, from ``level_masks``.
+        choice: see ``QueryPreset``.
+    """
+    return _chosen_level(*mask_sums(smoothed, masks), choice)
+
+
+def _chosen_level(peaks: Tensor, areas: Tensor, sums: Tensor, choice: LevelChoice) -> int:
+    """``choose_level`` from what ``mask_sums`` gives."""
+    if choice == "peak" or not areas.any():
+        return int(peaks.argmax())
+    return int(torch.where(areas > 0, sums / areas, -torch.inf).argmax())
+
+
+def mask_box(mask: Tensor) -> tuple[int, int, int, int] | None:
+    """(x0, y0, x1, y1) around the true pixels of [H, W], x1 and y1 one past the last; None if there are
+    none.
+    """
+    if not mask.numel():
+        return None
+    bits = mask.view(torch.uint8)  # torch finds their largest much sooner than any of a boolean
+    rows, columns = bits.amax(1).nonzero()[:, 0], bits.amax(0).nonzero()[:, 0]
+    if not len(rows):
+        return None
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1

@@ -1,0 +1,63 @@
+"""The selected Gaussians as rows of a 3DGS PLY, copied byte for byte where the field was built on one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.field.language_field import LanguageField
+from scoup.io import PlyTable, find_gaussians, gaussians_from_table, read_ply_table
+from scoup.io.splats.ply import table_from_gaussians
+
+
+@dataclass(frozen=True, eq=False)
+class SplatTable:
+    """The PLY rows of a splat, and which of them are the N Gaussians of a field.
+
+    Attributes:
+        table: M rows.
+        is_gaussian: [M] boolean, true N times; rows that are not finite are no Gaussians.
+    """
+
+    table: PlyTable
+    is_gaussian: Tensor  # [M]
+
+    @classmethod
+    def of(cls, field: LanguageField, geometry: Path | None = None) -> SplatTable:
+        """The rows of the PLY the field was built on; made from its Gaussians if it was built on something else.
+
+        Args:
+            field: whose Gaussians are wanted.
+            geometry: where its splat is; by default where the field says.
+        """
+        path = geometry or field.geometry_path
+        try:
+            path = None if path is None else find_gaussians(path)
+            if path is not None and path.suffix.lower() == ".ply":
+                table = read_ply_table(path)
+                gaussians, kept = gaussians_from_table(table)
+                if gaussians.fingerprint() == field.info.fingerprint:
+                    return cls(table, torch.from_numpy(kept))
+        except InputError:
+            pass  # compressed, so its rows cannot be copied; or gone, and the field has its geometry embedded
+        return cls(table_from_gaussians(field.gaussians.to("cpu")), torch.ones(len(field), dtype=torch.bool))
+
+    def select(self, mask: Tensor) -> PlyTable:
+        """The rows of the Gaussians in ``mask`` [N] boolean."""
+        rows = torch.zeros(len(self.is_gaussian), dtype=torch.bool)
+        rows[self.is_gaussian] = mask
+        return self.table.select(rows.numpy())
+
+    def with_ids(self, masks: list[Tensor]) -> PlyTable:
+        """All rows with a property `selected`: 1 for the first of ``masks`` [N], 2 for the second ..., 0 for none.
+
+        Of several masks that hold a Gaussian, the last counts.
+        """
+        ids = torch.zeros(len(self.is_gaussian), dtype=torch.int32)
+        for number, mask in enumerate(masks, start=1):
+            ids[self.is_gaussian] = torch.where(mask, number, ids[self.is_gaussian])
+        return self.table.with_column("selected", ids.numpy())

@@ -1,0 +1,75 @@
+"""Texts as vectors: the queries, and what they are compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.field.language_field import LanguageField
+from scoup.models.text import TextEncoder
+from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
+
+
+@dataclass(frozen=True, eq=False)
+class TextVectors:
+    """Queries, and the vectors that they are compared with; all of unit norm and from one encoder.
+
+    Attributes:
+        source: the table or model they are from.
+        queries: [Q, D].
+        canonical: [P, D] of the canonical phrases.
+        everyday: [B, D] of everyday words.
+    """
+
+    source: str
+    queries: Tensor  # [Q, D]
+    canonical: Tensor  # [P, D]
+    everyday: Tensor  # [B, D]
+
+    @property
+    def can_judge_presence(self) -> bool:
+        """Whether there are enough everyday words for a z-score (``scoup.query.presence``)."""
+        return len(self.everyday) >= LEAST_WORDS
+
+    def with_everyday(self) -> TextVectors:
+        """The same, with the mean of the everyday words as one more canonical phrase, which only protocols do without.
+
+        The same as before where there are too few words.
+        """
+        return replace(self, canonical=with_everyday(self.canonical, self.everyday))
+
+
+def encode_texts(
+    encoder: TextEncoder, field: LanguageField, texts: Sequence[str], source: str | None = None
+) -> TextVectors:
+    """Vectors of texts to query a field with, of the canonical phrases, and of everyday words.
+
+    Args:
+        encoder: of the model whose embeddings the field holds.
+        field: to be queried.
+        texts: Q phrases, encoded as they stand.
+        source: what messages call the encoder; by default its model.
+
+    Raises:
+        UnknownNameError: a text is not in the encoder's table; the nearest names are listed.
+        InputError: the vectors have another size than the field's embeddings, or the table lacks the
+            canonical phrases.
+    """
+    source = source or encoder.name or "the word table"
+    if encoder.dim != field.dim:
+        raise InputError(
+            f"{source}: gives vectors of {encoder.dim} dimensions, but the field holds embeddings of {field.dim}; "
+            f"name the model its regions were encoded with ({field.info.embedding_model}) or a table made with it"
+        )
+    queries = encoder.encode(texts)
+    try:
+        canonical = encoder.canonical()
+    except UnknownNameError as error:
+        raise InputError(
+            f"{source}: lacks {error.name!r}; relevancy compares every text with the phrases "
+            f"{', '.join(CANONICAL_PHRASES)}, so encode them into the table too"
+        ) from error
+    return TextVectors(source, queries, canonical, encoder.everyday())

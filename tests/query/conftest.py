@@ -1,0 +1,36 @@
+"""A field of a small scene, built once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+import torch
+from torch import Tensor
+
+from scoup.field.language_field import LanguageField
+from scoup.query.text_vectors import TextVectors
+from scoup.scene.cameras import Camera
+from scoup.uplift.build import build
+from support import small_scene, unit
+
+
+def random_vectors(*shape: int, seed: int = 0) -> Tensor:
+    return unit(torch.randn(*shape, generator=torch.Generator().manual_seed(seed)))
+
+
+@dataclass(frozen=True, eq=False)
+class Queried:
+    """A field, one of its cameras, and texts to query it with; nobody changes them."""
+
+    field: LanguageField
+    camera: Camera
+    texts: TextVectors
+
+
+@pytest.fixture(scope="session")
+def queried() -> Queried:
+    gaussians, cameras, regions = small_scene(count=80, views=3)
+    field = build(gaussians, cameras, regions, n_atoms=8)
+    vectors = random_vectors(11, 16), random_vectors(3, 16, seed=1), random_vectors(30, 16, seed=2)
+    return Queried(field, cameras[0], TextVectors("words.npz", *vectors))

@@ -1,0 +1,103 @@
+"""Answers in views and in scenes against their parts."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import torch
+
+from query.conftest import Queried
+from scoup.base.errors import InputError
+from scoup.models.words import LEAST_WORDS
+from scoup.query.answer import Answer, SceneAnswer, answer_scene, answer_view
+from scoup.query.localize import localize
+from scoup.query.presence import scene_z_scores, view_z_scores
+from scoup.query.presets import QUERY_PRESETS
+from scoup.query.segment import segment
+from scoup.query.select import select_each
+from scoup.query.text_vectors import TextVectors
+
+
+@pytest.mark.parametrize("name", QUERY_PRESETS)
+def test_an_answer_is_point_and_mask(queried: Queried, name: str) -> None:
+    preset, field, texts = QUERY_PRESETS[name], queried.field, queried.texts
+    maps = field.relevancy(queried.camera, texts.queries, texts.canonical, field.project(queried.camera))
+    answers = answer_view(field, queried.camera, texts, preset)
+    assert len(answers) == len(texts.queries)
+    for relevancy, answer in zip(maps.unbind(1), answers, strict=True):
+        place, shape = localize(relevancy, preset), segment(relevancy, preset)
+        assert answer.mask.equal(shape.mask)
+        assert (answer.box, answer.coverage, answer.score) == (shape.box, shape.coverage, shape.score)
+        assert answer.level == field.levels[shape.level]
+        assert answer.relevancy.equal(relevancy[shape.level])
+        assert (answer.point, answer.point_score) == (place.pixel, place.score)
+        assert answer.point_level == field.levels[place.level]
+        assert (answer.z_score, answer.is_present) == (None, True)
+        assert not {"z_score", "present"} & set(answer.record())
+
+
+def test_what_is_absent_gets_neither_mask_nor_point(queried: Queried) -> None:
+    field, camera, texts = queried.field, queried.camera, queried.texts
+    projection = field.project(camera)
+    maps = field.relevancy(camera, texts.queries, texts.canonical, projection)
+    shapes = [segment(each) for each in maps.unbind(1)]
+    scores = view_z_scores(field, projection, shapes, texts.queries, texts.everyday).tolist()
+    middle = sorted(scores)[5]
+    answers = answer_view(field, camera, texts, present_from=middle, projection=projection)
+    assert sum(answer.is_present for answer in answers) == 6
+    for answer, shape, z_score in zip(answers, shapes, scores, strict=True):
+        assert answer.z_score == pytest.approx(z_score, abs=1e-4)
+        assert answer.is_present == (answer.z_score is not None and answer.z_score >= middle)
+        assert answer.score == pytest.approx(shape.score, abs=1e-5)
+        if not answer.is_present:
+            assert (answer.point, answer.box, answer.coverage) == (None, None, 0.0)
+            assert not answer.mask.any()
+        record = json.loads(json.dumps(answer.record(), allow_nan=False))
+        assert record["present"] == answer.is_present
+        assert record["z_score"] == pytest.approx(z_score, abs=1e-3)
+
+
+def test_answers_of_a_scene(queried: Queried) -> None:
+    field, texts = queried.field, queried.texts
+    found = list(select_each(field, texts.queries, texts.canonical, 0.5, 10))
+    scores = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
+    answers = answer_scene(field, texts, 0.5, 10)
+    judged = answer_scene(field, texts, 0.5, 10, present_from=sorted(scores)[5])
+    assert sum(answer.is_present for answer in judged) == 6
+    for each, z_score, answer, other in zip(found, scores, answers, judged, strict=True):
+        assert answer.mask.equal(each.mask)
+        assert (answer.level, answer.score) == (field.levels[each.level], each.score)
+        assert (answer.z_score, other.z_score) == (None, z_score)
+        assert other.mask.equal(each.mask & other.is_present)
+        record = json.loads(json.dumps(other.record(), allow_nan=False))
+        assert record["gaussians"] == int(other.mask.sum())
+        assert record["present"] == other.is_present
+
+
+def test_records_hold_no_infinity() -> None:
+    nothing = torch.zeros(2, 3, dtype=torch.bool)
+    answer = Answer(nothing, None, 0.0, "s", 0.5, None, "m", 0.5, nothing.float(), -torch.inf, False)
+    assert answer.record() == {
+        "level": "s",
+        "score": 0.5,
+        "pixel": None,
+        "pixel_level": "m",
+        "pixel_score": 0.5,
+        "coverage": 0.0,
+        "box": None,
+        "z_score": None,
+        "present": False,
+    }
+    record = SceneAnswer(nothing[0], "s", -torch.inf).record()
+    assert record == {"gaussians": 0, "level": "s", "score": None}
+
+
+def test_presence_needs_enough_words(queried: Queried) -> None:
+    texts = queried.texts
+    few = TextVectors(texts.source, texts.queries, texts.canonical, texts.everyday[: LEAST_WORDS - 1])
+    assert len(answer_view(queried.field, queried.camera, few)) == len(texts.queries)
+    with pytest.raises(InputError, match="everyday words or more"):
+        answer_view(queried.field, queried.camera, few, present_from=2)
+    with pytest.raises(InputError, match="everyday words or more"):
+        answer_scene(queried.field, few, present_from=2)

@@ -1,0 +1,160 @@
+"""Segmentation against literal loops and hand-made cases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from query.box_means import literal_box_mean
+from scoup.base.errors import InputError
+from scoup.query.localize import localize
+from scoup.query.presets import QUERY_PRESETS, QueryPreset
+from scoup.query.segment import choose_level, level_masks, segment
+
+
+def literal_segment(relevancy: np.ndarray, preset: QueryPreset) -> tuple[np.ndarray, int, float]:
+    answers = []
+    for level, image in enumerate(relevancy.astype(np.float64)):
+        smoothed = 0.5 * (image + literal_box_mean(image, preset.kernel, preset.border))
+        stretched = (smoothed - smoothed.min()) / (smoothed.max() - smoothed.min() + 1e-9)
+        mask = np.clip(2 * stretched - 1, 0, 1) > preset.threshold
+        mask = literal_box_mean(mask.astype(np.float64), preset.smoothing, "inside") > 0.5
+        answers.append((mask, level, smoothed.max(), smoothed[mask].mean() if mask.any() else -np.inf))
+    by_mask = preset.level_choice == "mask" and any(mask.any() for mask, *_ in answers)
+    mask, level, peak, _ = max(answers, key=lambda answer: answer[3 if by_mask else 2])  # the first of equals
+    return mask, level, peak
+
+
+shapes = st.tuples(st.integers(1, 11), st.integers(1, 11))
+
+
+@settings(max_examples=40)
+@given(shapes, st.sampled_from(list(QUERY_PRESETS)), st.integers(1, 3), st.integers(0, 2**31))
+def test_segment_equals_the_protocol_read_literally(
+    shape: tuple[int, int], name: str, levels: int, seed: int
+) -> None:
+    # Coarse values, so that nothing lies within rounding of the threshold by chance of float32.
+    relevancy = torch.randint(0, 256, (levels, *shape), generator=torch.Generator().manual_seed(seed)) / 256
+    preset = QUERY_PRESETS[name]
+    mask, level, score = literal_segment(relevancy.numpy(), preset)
+    found = segment(relevancy, preset)
+    assert found.level == level
+    assert found.score == pytest.approx(score, abs=1e-6)
+    assert float((found.mask.numpy() != mask).mean()) == 0
+    assert found.coverage == pytest.approx(mask.mean())
+    rows, columns = np.nonzero(mask)
+    expected = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1) if mask.any() else None
+    assert found.box == expected
+
+
+def test_segment_finds_a_square_at_the_level_that_shows_it() -> None:
+    relevancy = torch.full((3, 60, 80), 0.5)
+    relevancy[1, 20:40, 30:60] = 0.9
+    relevancy[2, 5:30, 5:30] = 0.8
+    found = segment(relevancy)
+    # At a straight edge the box is 4 / 7 inside: 0.786 of the range, just below the threshold's 0.8.
+    assert (found.level, found.box) == (1, (31, 21, 59, 39))
+    assert found.mask[24:36, 34:56].all()
+    assert found.coverage == pytest.approx(18 * 28 / (60 * 80), rel=0.06)
+
+
+def two_levels() -> Tensor:
+    """A small spot of high relevancy at the first level, a large square a little lower at the second."""
+    relevancy = torch.full((2, 60, 80), 0.5)
+    relevancy[0, 20:40, 30:60] = 0.84
+    relevancy[0, 27:34, 40:47] = 0.92  # its mask is wider than the spot, and lower on average
+    relevancy[1, 20:40, 30:60] = 0.88
+    return relevancy
+
+
+def test_the_level_by_its_peak_or_by_its_mask() -> None:
+    relevancy = two_levels()
+    by_peak, by_mask = (
+        segment(relevancy, QUERY_PRESETS["scoup"]),
+        segment(relevancy, QUERY_PRESETS["default"]),
+    )
+    assert (by_peak.level, by_mask.level, segment(relevancy).level) == (0, 1, 1)
+    smoothed, masks = level_masks(relevancy, QUERY_PRESETS["scoup"])
+    assert [float(level[mask].mean()) for level, mask in zip(smoothed, masks, strict=True)] == pytest.approx(
+        [0.845, 0.87], abs=0.01
+    )
+    assert by_mask.mask.equal(masks[1])
+    assert by_mask.smoothed.equal(smoothed[1])
+    # The score is the largest smoothed relevancy of the level chosen, by either rule.
+    assert by_mask.score == pytest.approx(0.88)
+    assert by_peak.score == pytest.approx(float(smoothed[0].max()))
+    assert (
+        localize(relevancy, QUERY_PRESETS["default"]).level
+        == localize(relevancy, QUERY_PRESETS["scoup"]).level
+    )
+
+
+def test_levels_with_empty_masks_answer_only_if_all_are_empty() -> None:
+    relevancy = two_levels()
+    relevancy[0] = 0.5
+    relevancy[0, 10, 10] = 1.0  # the majority of 7 x 7 pixels removes so small a mask
+    smoothed, masks = level_masks(relevancy, QUERY_PRESETS["default"])
+    assert [bool(mask.any()) for mask in masks] == [False, True]
+    assert choose_level(smoothed, masks, "mask") == 1
+    nothing = torch.full((3, 20, 20), 0.5)
+    nothing[1:, 10, 10] = 1.0
+    found = segment(nothing, QUERY_PRESETS["default"])
+    assert (found.level, found.box) == (1, None)
+
+
+@pytest.mark.parametrize("choice", ["peak", "mask"])
+def test_the_first_of_equal_levels_answers(choice) -> None:
+    relevancy = two_levels()[[1, 1, 1]]
+    assert choose_level(*level_masks(relevancy, QUERY_PRESETS["scoup"]), choice) == 0
+    masks = torch.zeros(2, 4, 4, dtype=torch.bool)
+    masks[0, 0, :3] = masks[1] = True
+    # Means of different areas may be equal too.
+    assert choose_level(torch.full((2, 4, 4), 0.1), masks, choice) == 0
+
+
+def test_constant_maps_give_empty_masks_and_every_pixel_as_maximum() -> None:
+    relevancy = torch.full((2, 9, 15), 0.5)
+    found = segment(relevancy)
+    assert (found.level, found.box, found.coverage) == (0, None, 0.0)
+    assert found.score == pytest.approx(0.5)
+    place = localize(relevancy)
+    assert len(place.pixels) == 9 * 15
+    assert place.pixel == (7, 4)
+    assert place.level == 0
+
+
+@pytest.mark.parametrize("preset", QUERY_PRESETS.values(), ids=QUERY_PRESETS)
+def test_one_pixel(preset: QueryPreset) -> None:
+    place = localize(torch.tensor([[[0.4]], [[0.6]]]), preset)
+    assert (place.pixel, place.level, place.pixels.tolist()) == ((0, 0), 1, [[0, 0]])
+    assert place.score == pytest.approx(0.6)
+    assert segment(torch.tensor([[[0.4]]]), preset).mask.tolist() == [[False]]
+
+
+@pytest.mark.parametrize("shape", [(3, 4), (0, 3, 4), (2, 0, 4), (1, 2, 3, 4)])
+def test_shapes_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError):
+        localize(torch.zeros(shape))
+    with pytest.raises(InputError):
+        segment(torch.zeros(shape))
+
+
+def test_the_core_is_the_more_relevant_half_of_the_mask() -> None:
+    maps = torch.full((2, 24, 30), 0.4)
+    maps[1, 4:14, 6:20] = torch.linspace(0.7, 0.9, 14)
+    found = segment(maps)
+    mask, core = found.mask, found.core()
+    assert found.level == 1
+    assert bool((core & ~mask).any()) is False
+    assert 0.4 < int(core.sum()) / int(mask.sum()) < 0.7
+    columns = core.nonzero()[:, 1].float()
+    assert columns.mean() > mask.nonzero()[:, 1].float().mean()
+
+
+def test_an_empty_mask_gives_the_peak() -> None:
+    found = segment(torch.full((3, 9, 9), 0.5))
+    assert (found.level, int(found.core().sum())) == (0, 81)

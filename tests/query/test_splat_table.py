@@ -1,0 +1,36 @@
+"""Selected Gaussians as rows of a PLY."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from query.conftest import Queried
+from scoup.io import gaussians_from_table, read_ply_table, save_gaussians
+from scoup.query.splat_table import SplatTable
+
+
+def test_rows_are_those_of_the_splat(queried: Queried, tmp_path: Path) -> None:
+    gaussians = queried.field.gaussians
+    save_gaussians(gaussians, tmp_path / "a.ply")
+    stored = read_ply_table(tmp_path / "a.ply")
+    mask = torch.arange(len(gaussians)) % 3 == 0
+    # The file holds rounded numbers, so it is not the geometry of this field: rows are made from the Gaussians.
+    for rows in (SplatTable.of(queried.field), SplatTable.of(queried.field, tmp_path / "a.ply")):
+        assert rows.is_gaussian.all()
+        assert len(rows.table) == len(gaussians)
+        chosen, _ = gaussians_from_table(rows.select(mask))
+        assert torch.equal(chosen.means, gaussians.means[mask])
+    rows = SplatTable(stored, torch.ones(len(gaussians), dtype=torch.bool))
+    assert rows.select(mask).rows.tobytes() == stored.rows[mask.numpy()].tobytes()
+
+
+def test_ids_number_the_masks_and_the_last_counts(queried: Queried) -> None:
+    rows = SplatTable.of(queried.field)
+    whole = SplatTable(rows.table, torch.arange(len(rows.table)) >= 2)  # the first two rows are no Gaussians
+    first = torch.arange(len(rows.table) - 2) < 3
+    second = torch.arange(len(rows.table) - 2) == 2
+    ids = whole.with_ids([first, second]).rows["selected"]
+    assert ids[:6].tolist() == [0, 0, 1, 1, 2, 0]
+    assert ids[6:].sum() == 0

@@ -1,0 +1,55 @@
+"""Texts as vectors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from query.conftest import Queried, random_vectors
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.models.text import TextEncoder
+from scoup.models.word_table import save_table
+from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
+from scoup.query.text_vectors import TextVectors, encode_texts
+
+WORDS = ("kettle", "mug")
+
+
+def encoder_of(path: Path, names: tuple[str, ...], dim: int = 16) -> TextEncoder:
+    save_table(path, names, random_vectors(len(names), dim).numpy())
+    return TextEncoder.open(path)
+
+
+def test_queries_and_what_they_are_compared_with(queried: Queried, tmp_path: Path) -> None:
+    encoder = encoder_of(tmp_path / "words.npz", (*WORDS, *CANONICAL_PHRASES))
+    texts = encode_texts(encoder, queried.field, ["mug", "kettle", "mug"], "words.npz")
+    vectors = random_vectors(6, 16)
+    torch.testing.assert_close(texts.queries, vectors[[1, 0, 1]])
+    torch.testing.assert_close(texts.canonical, vectors[2:])
+    torch.testing.assert_close(texts.everyday, vectors[:2])
+    assert texts.source == "words.npz"
+    assert not texts.can_judge_presence
+
+
+def test_what_does_not_fit_is_refused(queried: Queried, tmp_path: Path) -> None:
+    wide = encoder_of(tmp_path / "wide.npz", (*WORDS, *CANONICAL_PHRASES), dim=24)
+    with pytest.raises(InputError, match="wide: gives vectors of 24 dimensions, but the field holds"):
+        encode_texts(wide, queried.field, ["mug"], "wide")
+    bare = encoder_of(tmp_path / "bare.npz", WORDS)
+    with pytest.raises(InputError, match="the word table: lacks 'object'; relevancy compares"):
+        encode_texts(bare, queried.field, ["mug"])
+    with pytest.raises(UnknownNameError, match="ketle"):
+        encode_texts(bare, queried.field, ["ketle"])
+
+
+def test_everyday_words_are_one_more_phrase() -> None:
+    vectors = random_vectors(2, 16), random_vectors(4, 16), random_vectors(LEAST_WORDS, 16, seed=1)
+    texts = TextVectors("", *vectors)
+    assert texts.can_judge_presence
+    assert texts.with_everyday().canonical.equal(with_everyday(texts.canonical, texts.everyday))
+    assert texts.with_everyday().everyday is texts.everyday
+    few = TextVectors("", texts.queries, texts.canonical, texts.everyday[1:])
+    assert not few.can_judge_presence
+    assert few.with_everyday().canonical is texts.canonical
