@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 import torch
 
-from demo_support import SMALL
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.raster import project, render_channels, render_colors
 from scoup.scene.regions import LEVELS
 from scoup.synthetic import DemoScene, make_demo_scene
-from scoup.synthetic.layouts.table import make_room
-from scoup.synthetic.things import Parts
+from scoup.synthetic.art.table import table_things
+from scoup.synthetic.art.things import Parts
+from synthetic.sizes import SMALL
 
 
 def test_the_room_holds_what_the_demo_promises():
-    parts = Parts.of(make_room())
+    parts = Parts.of(table_things())
     assert len(parts.objects) >= 18
     assert len(parts.parts) > len(parts.objects) > len(parts.groups) >= 5
     assert set(parts.object_of_part.tolist()) == set(range(len(parts.objects)))
@@ -142,6 +142,6 @@ def test_sizes_too_small_are_refused(wrong: dict[str, Any]):
 
 
 def test_two_things_of_one_name_are_refused():
-    room = make_room()
+    room = table_things()
     with pytest.raises(InputError, match="share a name"):
         Parts.of((*room, room[-1]))

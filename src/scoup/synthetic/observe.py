@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.synthetic.art.meshes import Floats
+from scoup.synthetic.art.things import Parts
 from scoup.synthetic.masks import Mask, components, grown, shrunk
-from scoup.synthetic.meshes import Floats
-from scoup.synthetic.things import Parts
 from scoup.synthetic.words import Words, unit
 
 REFERENCE_WIDTH = 480  # pixels in the constants below refer to an image this wide

@@ -12,9 +12,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from scoup.scene.gaussians import Gaussians
-from scoup.synthetic.lighting import Light, lit
-from scoup.synthetic.meshes import Floats, Ints, Mesh, merged
-from scoup.synthetic.things import Parts, Piece, Thing
+from scoup.synthetic.art.lighting import Light, lit
+from scoup.synthetic.art.meshes import Floats, Ints, Mesh, merged
+from scoup.synthetic.art.things import Parts, Piece, Thing
 
 SH_C0 = 0.28209479177387814
 DISTANCES = (0.8, 0.65, 0.5)  # least distance of discs, as a share of the mean: tried in this order

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from scoup.scene.regions import LEVELS
-from scoup.synthetic.meshes import Floats
-from scoup.synthetic.things import Parts
+from scoup.synthetic.art.meshes import Floats
+from scoup.synthetic.art.things import Parts
 
 CANONICAL = ("object", "things", "stuff", "texture")
 DISTRACTORS = (

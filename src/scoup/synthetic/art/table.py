@@ -7,12 +7,11 @@ from __future__ import annotations
 import numpy as np
 
 from scoup.scene.cameras import Camera, Cameras
-from scoup.synthetic import desk_things as desk
-from scoup.synthetic import furniture, tableware
-from scoup.synthetic.layouts.layout import Layout
-from scoup.synthetic.lighting import Light
-from scoup.synthetic.things import Thing
-from scoup.synthetic.views import look_at
+from scoup.synthetic.art import desk_things as desk
+from scoup.synthetic.art import furniture, tableware
+from scoup.synthetic.art.layout import Layout, aimed_camera
+from scoup.synthetic.art.lighting import Light
+from scoup.synthetic.art.things import Thing
 
 LEFT, BACK, REACH, HEIGHT = -1.55, 1.3, 5.4, 2.3  # metres: the walls x = LEFT and y = BACK
 TOP = furniture.TABLE_HEIGHT / 100
@@ -20,7 +19,7 @@ TARGET = np.array([0.0, 0.02, 0.86])  # metres: just above the middle of the tab
 LAMP = np.array([0.5, 0.26, 1.1])  # metres: the light bulb, just below the shade
 
 
-def make_room() -> tuple[Thing, ...]:
+def table_things() -> tuple[Thing, ...]:
     """All things of the room, placed. z is up, metres; the table's centre is above the origin."""
     floor, wall = furniture.room_shell(LEFT * 100, BACK * 100, REACH * 100, HEIGHT * 100)
     return (
@@ -124,14 +123,14 @@ def _swing(
         distance = 1.42 + 0.2 * np.cos(2 * np.pi * (along * 2 + phase)) + 0.25 * along
         eye = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), 1.44 + 0.24 * rise])
         aim = TARGET + rng.uniform(-1, 1, 3) * [0.1, 0.08, 0.04]
-        cameras.append(look_at(eye, aim, f"{kind}_{step:02d}.png", width, height))
+        cameras.append(aimed_camera(eye, aim, f"{kind}_{step:02d}.png", width, height))
     return cameras
 
 
 TABLE = Layout(
     "table",
     "table-top",
-    make_room,
+    table_things,
     make_cameras,
     Light(LAMP, frozenset({"wall", "floor"})),
     ("teapot", "rubber duck", "fruit bowl", "alarm clock", "sunflowers"),

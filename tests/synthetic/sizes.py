@@ -1,4 +1,4 @@
-"""The size of the scene that the tests of the demo share."""
+"""The size of the demo scene that tests share."""
 
 from __future__ import annotations
 

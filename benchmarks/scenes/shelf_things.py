@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.alterations import plain
-from scoup.synthetic.meshes import (
+from benchmarks.scenes.alterations import plain
+from scoup.synthetic.art.meshes import (
     Floats,
     box,
     cylinder,
@@ -17,8 +17,18 @@ from scoup.synthetic.meshes import (
     torus,
     tube,
 )
-from scoup.synthetic.paints import bands, checked, color, gradient, mix, smooth_noise, solid, spotted, wood
-from scoup.synthetic.things import Piece, Thing
+from scoup.synthetic.art.paints import (
+    bands,
+    checked,
+    color,
+    gradient,
+    mix,
+    smooth_noise,
+    solid,
+    spotted,
+    wood,
+)
+from scoup.synthetic.art.things import Piece, Thing
 
 
 def jar(name: str, fill: str, lid: str) -> Thing:

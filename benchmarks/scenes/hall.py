@@ -6,18 +6,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.scenes import hall_things as standing
+from benchmarks.scenes import large_furniture as large
+from benchmarks.scenes.alterations import broader, called, finer, painted, several
 from scoup.scene.cameras import Camera, Cameras
-from scoup.synthetic import desk_things as desk
-from scoup.synthetic import furniture, tableware
-from scoup.synthetic import hall_things as standing
-from scoup.synthetic import large_furniture as large
-from scoup.synthetic.alterations import broader, called, finer, painted, several
-from scoup.synthetic.layouts.layout import Layout
-from scoup.synthetic.lighting import Light
-from scoup.synthetic.meshes import Floats, box, merged, plane
-from scoup.synthetic.paints import checked, color, smooth_noise, solid, wood
-from scoup.synthetic.things import Piece, Thing
-from scoup.synthetic.views import look_at
+from scoup.synthetic.art import desk_things as desk
+from scoup.synthetic.art import furniture, tableware
+from scoup.synthetic.art.layout import Layout, aimed_camera
+from scoup.synthetic.art.lighting import Light
+from scoup.synthetic.art.meshes import Floats, box, merged, plane
+from scoup.synthetic.art.paints import checked, color, smooth_noise, solid, wood
+from scoup.synthetic.art.things import Piece, Thing
 
 EAST, NORTH, HEIGHT = 4.4, 3.6, 2.9  # metres: walls at x = +-EAST and y = +-NORTH
 LOOP = (1.15, 0.8)  # metres: half the axes of the loop that the cameras stand on
@@ -201,7 +200,7 @@ def _loop(
         eye = np.array([LOOP[0] * np.cos(turn), LOOP[1] * np.sin(turn), 1.45 + rise])
         away = turn + np.radians(rng.uniform(-8, 8))
         aim = eye + np.array([3 * np.cos(away), 3 * np.sin(away), -0.42 - rise + rng.uniform(-0.12, 0.12)])
-        cameras.append(look_at(eye, aim, f"{kind}_{step:02d}.png", width, height, angle=66))
+        cameras.append(aimed_camera(eye, aim, f"{kind}_{step:02d}.png", width, height, field_of_view=66))
     return cameras
 
 
