@@ -7,28 +7,21 @@ import shutil
 from pathlib import Path
 
 import pytest
-from benchmarks.scenes.shelves import SHELVES
 from PIL import Image
 
 from cli_support import refused, run, run_json
 from scoup.evaluate.datasets import find_data_set, find_scenes
 from scoup.evaluate.protocols.lerf_ovs import read_labels
-from scoup.synthetic import TABLE
-from scoup.synthetic.data_sets import DataSetSize, write_data_set
 
 pytestmark = pytest.mark.slow
 
-SMALL = DataSetSize(n_gaussians=4000, width=96, height=72, n_views=6, n_labelled=2)
 QUICK = ("--n-atoms", 16)
 
 
 @pytest.fixture(scope="session")
-def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def original(synthetic_data_sets: Path) -> Path:
     """A folder with a synthetic version of each data set; nobody writes into it."""
-    folder = tmp_path_factory.mktemp("eval")
-    for name in ("lerf-ovs", "3d-ovs", "mipnerf360"):
-        write_data_set(name, folder / name, (TABLE, SHELVES), SMALL)
-    return folder
+    return synthetic_data_sets
 
 
 @pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360"])

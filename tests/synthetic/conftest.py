@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from scoup.synthetic import DemoScene, make_demo_scene
-from synthetic.sizes import SMALL
+from synthetic.small_scenes import SMALL
 
 
 @pytest.fixture(scope="session")

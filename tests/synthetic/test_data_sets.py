@@ -17,6 +17,7 @@ from scoup.io.labels import read_labels
 from scoup.models.word_table import load_table
 from scoup.synthetic import TABLE, make_demo_scene
 from scoup.synthetic.data_sets import DataSetSize, write_data_set
+from synthetic.small_scenes import one_light
 
 
 @pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360"])
@@ -79,7 +80,8 @@ def test_labels_of_mipnerf360_may_have_their_own_size(synthetic_data_sets: Path)
 
 def test_a_scene_for_each_seed(tmp_path: Path) -> None:
     size = DataSetSize(n_gaussians=2000, width=48, height=36, n_views=2, n_labelled=1)
-    names = write_data_set("lerf-ovs", tmp_path, size=size, seeds=(4, 5))
+    with one_light():
+        names = write_data_set("lerf-ovs", tmp_path, size=size, seeds=(4, 5))
     assert names == ("table_4", "table_5")
     assert find_scenes(find_data_set("lerf-ovs"), tmp_path) == list(names)
     first, second = (load_gaussians(tmp_path / name / "point_cloud.ply") for name in names)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,11 +17,11 @@ from scoup.scene.regions import LEVELS
 from scoup.synthetic import TABLE, DemoScene, make_demo_scene
 from scoup.synthetic.art.things import Parts, Surface, Thing
 from scoup.synthetic.masks import piece_boxes
-from scoup.synthetic.splat import make_splat
 from scoup.synthetic.words import CANONICAL
+from synthetic.small_scenes import one_light
 
-SMALL = {"n_gaussians": 5000, "width": 160, "height": 120, "n_building": 10, "n_held_out": 3}
-# Of the table as it was before there were layouts: figures in the documents rest on it.
+SIZES: dict[str, Any] = {"n_gaussians": 5000, "width": 160, "height": 120, "n_building": 10, "n_held_out": 3}
+# Of the table: figures in the documents rest on it.
 GOLDEN = {
     "means": 7054.8336,
     "scales": 182.20105,
@@ -31,7 +31,7 @@ GOLDEN = {
     "truth": 499158,
     "regions": 7822.3353,
 }
-NEW = [name for name in LAYOUTS if name != "table"]
+STUDY_LAYOUTS = [name for name in LAYOUTS if name != "table"]
 
 
 @cache
@@ -39,16 +39,10 @@ def things_of(layout: str) -> tuple[Thing, ...]:
     return LAYOUTS[layout].things()
 
 
-def in_little_light(**sizes: Any) -> DemoScene:
-    """A scene lit from one direction: lighting is most of the work on a small scene, and nothing here needs it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("scoup.synthetic.scene.make_splat", partial(make_splat, n_directions=1))
-        return make_demo_scene(**sizes)
-
-
-@pytest.fixture(scope="module", params=NEW)
+@pytest.fixture(scope="module", params=STUDY_LAYOUTS)
 def made(request: pytest.FixtureRequest) -> DemoScene:
-    return in_little_light(**SMALL, layout=LAYOUTS[request.param])
+    with one_light():
+        return make_demo_scene(layout=LAYOUTS[request.param], **SIZES)
 
 
 def test_the_table_is_what_it_always_was():
@@ -66,10 +60,11 @@ def test_the_table_is_what_it_always_was():
     assert {name: float(value) for name, value in found.items()} == pytest.approx(GOLDEN, rel=1e-4)
 
 
-@pytest.mark.parametrize("name", NEW)
+@pytest.mark.parametrize("name", STUDY_LAYOUTS)
 def test_the_same_seed_gives_the_same_scene(name: str):
-    sizes = {"n_gaussians": 2000, "width": 48, "height": 36, "n_building": 1, "n_held_out": 1}
-    first, again = (in_little_light(seed=5, layout=LAYOUTS[name], **sizes) for _ in range(2))
+    sizes: dict[str, Any] = {"n_gaussians": 2000, "width": 48, "height": 36, "n_building": 1, "n_held_out": 1}
+    with one_light():
+        first, again = (make_demo_scene(5, layout=LAYOUTS[name], **sizes) for _ in range(2))
     assert first.gaussians.fingerprint() == again.gaussians.fingerprint()
     assert torch.equal(first.gaussians.sh, again.gaussians.sh)
     for view, truth in first.part_maps.items():
@@ -78,14 +73,14 @@ def test_the_same_seed_gives_the_same_scene(name: str):
         assert torch.equal(first.regions.embeddings(level)[0], again.regions.embeddings(level)[0])
 
 
-def test_every_object_is_in_sight_and_can_be_asked_for(made: DemoScene):
+def test_every_object_is_visible_and_can_be_queried(made: DemoScene):
     in_building = [made.labelled_frame(name) for name in made.building.names]
     views = {name: sum(name in frame.labels for frame in in_building) for name in made.parts.objects}
     assert np.mean([count > 0 for count in views.values()]) > 0.97
-    asked = [label for name in made.held_out.names for label in made.labelled_frame(name).labels]
-    assert len(asked) > 20
-    # With twice as many views, which is what the demo takes, it is more than nine in ten.
-    assert np.mean([views[label] >= 2 for label in asked]) > 0.6
+    queried = [label for name in made.held_out.names for label in made.labelled_frame(name).labels]
+    assert len(queried) > 20
+    # With twice as many views, as in the demo, it is more than nine in ten.
+    assert np.mean([views[label] >= 2 for label in queried]) > 0.6
     names = dict.fromkeys(name for level in LEVELS for name in made.parts.names(level))
     assert made.text_vectors([*names, *CANONICAL]).norm(dim=1) == pytest.approx(1, abs=1e-5)
     assert all(made.level_of(name) in LEVELS for name in made.layout.favourites)

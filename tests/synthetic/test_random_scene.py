@@ -1,4 +1,4 @@
-"""The synthetic room: the same again from the same seed, of the sizes asked for, seen by every camera."""
+"""The random scene: the same from the same seed, of the requested sizes, visible to every camera."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from scoup.synthetic.random_scene import (
 )
 
 
-def test_the_same_seed_gives_the_same_room():
+def test_the_same_seed_gives_the_same_gaussians():
     one, same, other = (
         random_scene_gaussians(500),
         random_scene_gaussians(500),
@@ -35,25 +35,25 @@ def test_the_same_seed_gives_the_same_room():
 
 
 @pytest.mark.parametrize("count", [1, 2, 30, 1000])
-def test_a_room_of_any_size(count):
-    room = random_scene_gaussians(count)
-    assert len(room) == count
-    assert room.finite().all()
-    assert torch.allclose(room.quats.norm(dim=1), torch.ones(count))
-    assert ((room.opacities > 0) & (room.opacities < 1)).all()
-    assert (room.means >= -0.1).all()
-    assert (room.means <= torch.from_numpy(SIZE) + 0.1).all()
+def test_a_scene_of_any_size(count):
+    gaussians = random_scene_gaussians(count)
+    assert len(gaussians) == count
+    assert gaussians.finite().all()
+    assert torch.allclose(gaussians.quats.norm(dim=1), torch.ones(count))
+    assert ((gaussians.opacities > 0) & (gaussians.opacities < 1)).all()
+    assert (gaussians.means >= -0.1).all()
+    assert (gaussians.means <= torch.from_numpy(SIZE) + 0.1).all()
 
 
-def test_no_room_without_gaussians():
+def test_a_scene_without_gaussians_is_refused():
     with pytest.raises(InputError, match="at least one"):
         random_scene_gaussians(0)
 
 
 def test_gaussians_lie_flat_on_their_surfaces():
-    room = random_scene_gaussians(2000)
-    assert (room.scales.argmin(1) == 2).float().mean() > 0.95
-    floor = room.select((room.means[:, 2].abs() < 0.02) & (room.opacities > 0))
+    gaussians = random_scene_gaussians(2000)
+    assert (gaussians.scales.argmin(1) == 2).float().mean() > 0.95
+    floor = gaussians.select((gaussians.means[:, 2].abs() < 0.02) & (gaussians.opacities > 0))
     # The third axis of the rotation, from the quaternion: its z component is 1 - 2 (x^2 + y^2).
     up = 1 - 2 * (floor.quats[:, 1] ** 2 + floor.quats[:, 2] ** 2)
     assert (up.abs() > 0.999).float().mean() > 0.8
@@ -69,12 +69,12 @@ def test_orders_hold_the_same_gaussians():
     assert steps(morton.means) < 0.4 * steps(random.means)
 
 
-def test_every_camera_is_inside_and_sees_the_room():
-    room = random_scene_gaussians(2000)
+def test_every_camera_is_inside_and_sees_the_scene():
+    gaussians = random_scene_gaussians(2000)
     for camera in random_scene_cameras(9, 64, 48):
         assert (camera.position.numpy() > 0.2).all()
         assert (camera.position.numpy() < SIZE - 0.2).all()
-        _, alpha = raster.render_channels(raster.project(room, camera), torch.ones(len(room), 1))
+        _, alpha = raster.render_channels(raster.project(gaussians, camera), torch.ones(len(gaussians), 1))
         assert alpha.mean() > 0.5, camera.name
 
 
@@ -138,8 +138,8 @@ def test_regions_of_every_view():
 
 @pytest.mark.parametrize("n_atoms", [64, 300])
 def test_codes_are_shared_by_neighbours(n_atoms):
-    room = random_scene_gaussians(1000)
-    indices, weights = random_scene_codes(room.means, 2, n_atoms, 3)
+    gaussians = random_scene_gaussians(1000)
+    indices, weights = random_scene_codes(gaussians.means, 2, n_atoms, 3)
     assert indices.shape == weights.shape == (1000, 2, 3)
     assert torch.allclose(weights.sum(2), torch.ones(1000, 2))
     assert int(indices.long().max()) < n_atoms
@@ -148,7 +148,7 @@ def test_codes_are_shared_by_neighbours(n_atoms):
     assert all(len(set(row)) == 3 for row in indices[:, 0].tolist())
 
 
-def test_the_middle_of_the_first_view_is_what_the_camera_looks_at():
+def test_the_first_camera_looks_at_the_middle():
     camera = random_scene_cameras(1)[0]
     x, y, z = (
         camera.viewmat[:3, :3] @ torch.tensor([4.2, 3.6, 0.7]).double() + camera.viewmat[:3, 3]
