@@ -1,4 +1,4 @@
-"""The garden itself: what lies under and behind its things. All sizes in centimetres, standing on z = 0."""
+"""The garden under and behind its things. All sizes in centimetres, standing on z = 0."""
 
 from __future__ import annotations
 
@@ -48,8 +48,7 @@ def tree(seed: int, height: float) -> Thing:
 
 def hedge(half: float, height: float, thick: float, gap: float) -> Thing:
     """A clipped hedge along three sides of a square of half width ``half``, open to +y, and on the fourth up to a
-    ``gap`` in its middle.
-    """
+    ``gap`` in its middle."""
     side = (2 * half - gap) / 2
     blocks = [
         box((thick, 2 * half, height), 12, (-half, 0, height / 2)),

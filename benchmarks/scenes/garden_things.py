@@ -1,4 +1,4 @@
-"""Things that stand in a garden. All sizes in centimetres, standing on z = 0."""
+"""Things in a garden. All sizes in centimetres, standing on z = 0."""
 
 from __future__ import annotations
 

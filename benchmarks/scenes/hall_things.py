@@ -1,4 +1,4 @@
-"""What stands and hangs in a large room besides furniture. All sizes in centimetres, the back at y = 0, facing -y."""
+"""Things in a large room besides furniture. All sizes in centimetres, the back at y = 0, facing -y."""
 
 from __future__ import annotations
 

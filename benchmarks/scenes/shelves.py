@@ -1,6 +1,5 @@
-"""The shelves: a wall of shelves full of small things, seen from the front along a flat arc. Many names and fine parts,
-little parallax; boards and neighbours hide one thing behind another.
-"""
+"""The shelves: a wall of shelves full of small things, seen from the front along a flat arc. Many names and fine
+parts, little parallax; boards and neighbours hide one thing behind another."""
 
 from __future__ import annotations
 
@@ -261,7 +260,7 @@ def _lowest() -> list[list[Thing]]:
 def make_cameras(
     n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
 ) -> tuple[Cameras, Cameras]:
-    """A flat arc before the shelves, at changing heights; each camera looks at its own stretch of the wall."""
+    """A flat arc before the shelves at changing heights; each camera looks at its own part of the wall."""
     return (
         Cameras(_arc("view", n_building, 0.0, width, height, rng)),
         Cameras(_arc("held_out", n_held_out, 0.37, width, height, rng)),

@@ -1,6 +1,5 @@
 """The yard: a group of things round a fountain in the middle of a garden, seen from a ring of cameras at two heights.
-Few things, each in many views, before large surfaces far behind: lawn, hedge, sky.
-"""
+Few things, each in many views, before large surfaces far behind: lawn, hedge, sky."""
 
 from __future__ import annotations
 

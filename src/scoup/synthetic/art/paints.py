@@ -109,9 +109,7 @@ def checked(code: str, other: str, axes: tuple[int, int], size: float) -> Paint:
 
 
 def wood(code: str, along: int = 0, size: float = 4.0, planks: float = 0.0, contrast: float = 0.16) -> Paint:
-    """Wood grain running along an axis; ``planks`` is the width of boards laid side by side (0: one
-    board).
-    """
+    """Wood grain running along an axis; ``planks`` is the width of boards laid side by side (0: one board)."""
     across = 1 if along == 0 else 0
 
     def paint(points: Floats, normals: Floats) -> Floats:

@@ -1,6 +1,4 @@
-"""The table: a table-top in the corner of a room, with everything on and around it, seen in a swing around
-its open sides.
-"""
+"""The table: a table-top in the corner of a room with everything on and around it, seen from its open sides."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ LAMP = np.array([0.5, 0.26, 1.1])  # metres: the light bulb, just below the shad
 
 
 def table_things() -> tuple[Thing, ...]:
-    """All things of the room, placed. z is up, metres; the table's centre is above the origin."""
+    """All things, placed. z is up, metres; the table's centre is above the origin."""
     floor, wall = furniture.room_shell(LEFT * 100, BACK * 100, REACH * 100, HEIGHT * 100)
     return (
         floor,
@@ -101,10 +99,10 @@ def _toys() -> tuple[Thing, ...]:
 def make_cameras(
     n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
 ) -> tuple[Cameras, Cameras]:
-    """Cameras to build the field from, and others to judge it by: a swing around the table's open sides.
+    """Building and held-out cameras on a swing around the table's open sides.
 
-    Height and distance vary along the way, and each camera looks at its own point on the table. No held-out
-    camera stands where a building camera does.
+    Height and distance vary along the way, and each camera looks at its own point on the table. No held-out camera
+    has the position of a building camera.
     """
     return (
         Cameras(_swing("view", n_building, 0.0, width, height, rng)),
