@@ -54,7 +54,7 @@ from scoup.bench import describe_environment, write_json
 from scoup.bench.measure import torch_threads
 from scoup.coding.exact import solve_exact
 from scoup.io import check_output
-from scoup.synthetic.room import clip_like_objects
+from scoup.synthetic.random_scene import clip_like_objects
 
 AUTOENCODER = "autoencoder"
 _WARM_ROWS = 500
@@ -114,7 +114,7 @@ def main(arguments: Arguments) -> Record:
             "exact_with": default_backend(torch.device("cpu")),
             "schedules": {name: vars(settings) for name, settings in EXACT.items()},
         },
-        "data": f"scoup.synthetic.room.clip_like, seed {arguments.seed}: unit, 300 objects, the i-th as often as 1/i",
+        "data": f"random_scene.clip_like, seed {arguments.seed}: unit, 300 objects, the i-th as often as 1/i",
         "extrapolated": extrapolated(sizes),
         "sizes": sizes,
         "seconds": time.perf_counter() - started,

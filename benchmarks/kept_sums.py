@@ -26,14 +26,21 @@ import tyro
 import scoup
 from benchmarks.kitchen import make_features
 from benchmarks.raster import report
-from scoup.bench import describe_environment, make_room, markdown, room_cameras, room_regions, write_json
+from scoup.bench import (
+    describe_environment,
+    markdown,
+    random_scene_cameras,
+    random_scene_gaussians,
+    random_scene_regions,
+    write_json,
+)
 from scoup.bench.environment import in_one_line
 from scoup.bench.measure import torch_threads
 from scoup.io import check_output
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.synthetic.room import HEIGHT, REGIONS, WIDTH
+from scoup.synthetic.random_scene import HEIGHT, REGIONS, WIDTH
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
@@ -112,11 +119,11 @@ def main(arguments: Arguments) -> dict[str, Any]:
 
 def scenes(arguments: Arguments, folder: Path) -> Iterator[Scene]:
     """One after the other: they are large."""
-    cameras = room_cameras(arguments.views, arguments.width, arguments.height)
-    regions, others = (room_regions(cameras, REGIONS, seed=seed) for seed in (0, 1))
+    cameras = random_scene_cameras(arguments.views, arguments.width, arguments.height)
+    regions, others = (random_scene_regions(cameras, REGIONS, seed=seed) for seed in (0, 1))
     # The label maps of one seed with the embeddings of another: as a second model would give them.
     swapped = Regions(regions.levels, regions.view_names, regions.load, others.load_embeddings)
-    yield Scene("room", make_room(arguments.n_gaussians), cameras, regions, swapped)
+    yield Scene("room", random_scene_gaussians(arguments.n_gaussians), cameras, regions, swapped)
     kitchen = arguments.data / "kitchen"
     if arguments.kitchen and kitchen.is_dir():
         cameras = scoup.load_cameras(kitchen)

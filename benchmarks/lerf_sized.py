@@ -23,17 +23,17 @@ from benchmarks.raster import report
 from scoup.bench import (
     StageClock,
     describe_environment,
-    make_room,
     markdown,
-    room_cameras,
-    room_regions,
+    random_scene_cameras,
+    random_scene_gaussians,
+    random_scene_regions,
     usable_backends,
     write_json,
 )
 from scoup.bench.environment import in_one_line
 from scoup.bench.measure import torch_threads
 from scoup.io import check_output
-from scoup.synthetic.room import HEIGHT, REGIONS, WIDTH, Order
+from scoup.synthetic.random_scene import HEIGHT, REGIONS, WIDTH, Order
 from scoup.uplift.build_settings import build_settings
 
 PAPER_SECONDS = 42.0
@@ -85,11 +85,11 @@ def main(arguments: Arguments) -> dict[str, Any]:
         usable_backends([arguments.backend])
     environment = describe_environment()
     started = time.perf_counter()
-    gaussians = make_room(arguments.n_gaussians, arguments.seed, arguments.order)
-    cameras = room_cameras(arguments.views, arguments.width, arguments.height)
-    regions = room_regions(cameras, arguments.regions, seed=arguments.seed)
+    gaussians = random_scene_gaussians(arguments.n_gaussians, arguments.seed, arguments.order)
+    cameras = random_scene_cameras(arguments.views, arguments.width, arguments.height)
+    regions = random_scene_regions(cameras, arguments.regions, seed=arguments.seed)
     preparing = time.perf_counter() - started
-    backend = scoup.raster.project(make_room(8), cameras[0], backend=arguments.backend).backend
+    backend = scoup.raster.project(random_scene_gaussians(8), cameras[0], backend=arguments.backend).backend
     before = peak_memory()
 
     settings = build_settings(

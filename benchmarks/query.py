@@ -26,9 +26,9 @@ import tyro
 import scoup
 from scoup.bench import (
     describe_environment,
-    make_room,
     markdown,
-    room_cameras,
+    random_scene_cameras,
+    random_scene_gaussians,
     usable_backends,
     write_json,
 )
@@ -40,7 +40,7 @@ from scoup.models.text import save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.segment import localize_and_segment
 from scoup.scene.cameras import Camera
-from scoup.synthetic.room import HEIGHT, WIDTH, clip_like, codes_in_space
+from scoup.synthetic.random_scene import HEIGHT, WIDTH, clip_like, random_scene_codes
 
 STAGES = {
     "project": "project, bin and sort",
@@ -87,7 +87,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
     if arguments.backend is not None:
         usable_backends([arguments.backend])
     environment = describe_environment()
-    cameras = room_cameras(4, arguments.width, arguments.height)
+    cameras = random_scene_cameras(4, arguments.width, arguments.height)
     field = room_field(arguments)
     with torch_threads(arguments.threads):
         seconds = stage_seconds(field, cameras[2], arguments)
@@ -133,8 +133,8 @@ def main(arguments: Arguments) -> dict[str, Any]:
 
 def room_field(arguments: Arguments) -> LanguageField:
     """A field over the room whose codes are made up."""
-    gaussians = make_room(arguments.n_gaussians)
-    indices, weights = codes_in_space(gaussians.means, 3, arguments.n_atoms, arguments.k)
+    gaussians = random_scene_gaussians(arguments.n_gaussians)
+    indices, weights = random_scene_codes(gaussians.means, 3, arguments.n_atoms, arguments.k)
     codebook = clip_like(3 * arguments.n_atoms).view(3, arguments.n_atoms, -1)
     info = FieldInfo(("s", "m", "l"), "words.npz", gaussians.fingerprint(), len(gaussians))
     return LanguageField(indices, weights, codebook, info, gaussians)
@@ -174,7 +174,7 @@ def stage_seconds(field: LanguageField, camera: Camera, arguments: Arguments) ->
 
 def command_seconds(field: LanguageField, folder: Path, arguments: Arguments) -> list[float]:
     """User and system seconds of `scoup query` on files, after one run that is not counted."""
-    cameras = room_cameras(4, arguments.width, arguments.height)
+    cameras = random_scene_cameras(4, arguments.width, arguments.height)
     scoup.save_gaussians(field.gaussians, folder / "room.ply")
     gaussians = scoup.load_gaussians(folder / "room.ply")
     words = list(dict.fromkeys([*CANONICAL_PHRASES, WORD, *EVERYDAY_WORDS]))

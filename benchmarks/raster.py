@@ -47,7 +47,7 @@ from scoup.bench.environment import in_one_line
 from scoup.bench.report import SPECIFICATION, milliseconds, ratios
 from scoup.bench.stages import make_workload
 from scoup.io import check_output
-from scoup.synthetic.room import Order
+from scoup.synthetic.random_scene import Order
 
 Setting = tuple[str, str, int]  # stage, backend, threads
 

@@ -26,10 +26,10 @@ from scoup.bench import (
     Workload,
     describe_environment,
     fit_slope,
-    make_room,
     markdown,
-    room_cameras,
-    room_regions,
+    random_scene_cameras,
+    random_scene_gaussians,
+    random_scene_regions,
     room_workload,
     stage_runs,
     time_tasks,
@@ -41,7 +41,7 @@ from scoup.bench.report import SPECIFICATION, milliseconds
 from scoup.io import check_output
 from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes
-from scoup.synthetic.room import REGIONS
+from scoup.synthetic.random_scene import REGIONS
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.vote import vote
 
@@ -174,7 +174,7 @@ def grow_gaussians(arguments: Arguments, backend: str) -> Runs:
 
 
 def grow_pixels(arguments: Arguments, backend: str) -> Runs:
-    room = make_room(arguments.n_gaussians)
+    room = random_scene_gaussians(arguments.n_gaussians)
 
     works = []
     for zoom in arguments.zooms:
@@ -185,7 +185,7 @@ def grow_pixels(arguments: Arguments, backend: str) -> Runs:
 
 
 def grow_regions(arguments: Arguments, backend: str) -> Runs:
-    room = make_room(arguments.n_gaussians)
+    room = random_scene_gaussians(arguments.n_gaussians)
 
     size = (arguments.width, arguments.height)
     works = (
@@ -196,7 +196,7 @@ def grow_regions(arguments: Arguments, backend: str) -> Runs:
 
 
 def grow_levels(arguments: Arguments, backend: str) -> Runs:
-    room = make_room(arguments.n_gaussians)
+    room = random_scene_gaussians(arguments.n_gaussians)
     size = (arguments.width, arguments.height)
     works = (
         (count, room_workload(len(room), *size, [100] * count, gaussians=room)) for count in arguments.levels
@@ -206,9 +206,9 @@ def grow_levels(arguments: Arguments, backend: str) -> Runs:
 
 def grow_views(arguments: Arguments, backend: str) -> Runs:
     most = max(arguments.views)
-    room = make_room(arguments.n_gaussians)
-    cameras = room_cameras(most, arguments.width, arguments.height)
-    regions = room_regions(cameras, dim=8)  # embeddings play no part here
+    room = random_scene_gaussians(arguments.n_gaussians)
+    cameras = random_scene_cameras(most, arguments.width, arguments.height)
+    regions = random_scene_regions(cameras, dim=8)  # embeddings play no part here
     generator = torch.Generator().manual_seed(0)
     codebook = torch.randn(len(REGIONS), 64, 8, generator=generator)
 

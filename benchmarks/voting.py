@@ -43,7 +43,7 @@ CASES = ("clean", "wrong20", "noise60", "wrong20+noise60", "missing40", "rare")
 @dataclass(frozen=True)
 class Arguments:
     scenes: tuple[str, ...] = SCENES
-    """kitchen, or a layout of the demo and its seed."""
+    """kitchen, or a layout of benchmarks.scenes and its seed."""
     cases: tuple[str, ...] = CASES
     """Faults joined by "+", see scoup.synthetic.faults."""
     ways: tuple[str, ...] = tuple(WAYS)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 import scoup
 from benchmarks.kitchen import make_features
+from benchmarks.scenes import find_layout
 from scoup import raster
 from scoup.evaluate.protocols.lerf_ovs import LabelledFrame, match_frames, read_labels
 from scoup.scene.cameras import Camera, Cameras
@@ -70,7 +71,7 @@ class VotingScene:
 
 
 def make_scene(name: str, data: Path, size: SceneSize) -> VotingScene:
-    """A scene by name: "kitchen", or a layout of the demo and a seed, such as "shelves-0"."""
+    """A scene by name: "kitchen", or a layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
     if name == "kitchen":
         return _kitchen(data, size.kitchen_scale)
     layout, _, seed = name.rpartition("-")
@@ -81,7 +82,7 @@ def make_scene(name: str, data: Path, size: SceneSize) -> VotingScene:
         size.height,
         size.n_building,
         size.n_held_out,
-        layout,
+        find_layout(layout),
     )
     labelled = [(demo.labelled_frame(camera.name, LEVELS_ASKED), camera) for camera in demo.held_out]
     frames = [(frame, camera) for frame, camera in labelled if frame.labels]

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib.util
 import os
+import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package ``benchmarks``
 
 from scoup.base import native
 
@@ -42,12 +46,18 @@ def needs_triton() -> None:
 @pytest.fixture(scope="session")
 def synthetic_data_sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a small synthetic version of each data set, named after it; read-only."""
+    from benchmarks.scenes import LAYOUTS
+
+    from scoup.synthetic import make_demo_scene
     from scoup.synthetic.data_sets import DataSetSize, write_data_set
 
+    layouts = [LAYOUTS["table"], LAYOUTS["shelves"]]
     size = DataSetSize(n_gaussians=4000, width=96, height=72, n_views=6, n_labelled=2)
     folder = tmp_path_factory.mktemp("data_sets")
-    for name in ("lerf-ovs", "3d-ovs"):
-        write_data_set(name, folder / name, ("table", "shelves"), size)
-    half = dataclasses.replace(size, label_scale=0.5)
-    write_data_set("mipnerf360", folder / "mipnerf360", ("table", "shelves"), half)
+    with pytest.MonkeyPatch.context() as patch:  # the same scenes are written three times
+        patch.setattr("scoup.synthetic.data_sets.make_demo_scene", functools.cache(make_demo_scene))
+        for name in ("lerf-ovs", "3d-ovs"):
+            write_data_set(name, folder / name, layouts, size)
+        half = dataclasses.replace(size, label_scale=0.5)
+        write_data_set("mipnerf360", folder / "mipnerf360", layouts, half)
     return folder

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 import scoup
-from scoup.bench import make_room, room_cameras, room_regions
+from scoup.bench import random_scene_cameras, random_scene_gaussians, random_scene_regions
 from scoup.uplift.build_settings import build_settings
 
 EPOCHS = 30  # of the paper preset's solver, which is not what is frozen
@@ -38,8 +38,12 @@ def build(name: str, gaussians, cameras, regions, **more) -> scoup.LanguageField
 
 def room():
     """(gaussians, cameras, regions) of a small synthetic room."""
-    cameras = room_cameras(6, 96, 72)
-    return make_room(800, seed=3), cameras, room_regions(cameras, (14, 9, 5), dim=48, seed=3)
+    cameras = random_scene_cameras(6, 96, 72)
+    return (
+        random_scene_gaussians(800, seed=3),
+        cameras,
+        random_scene_regions(cameras, (14, 9, 5), dim=48, seed=3),
+    )
 
 
 def kitchen(folder: Path, features: Path):

@@ -1,4 +1,4 @@
-"""The examples run as they stand in the repository."""
+"""The examples run unchanged."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def example(name: str, *arguments: object) -> str:
     return done.stdout
 
 
-def test_build_and_ask(scene):
-    printed = example("01_build_and_ask.py", scene, scene / "words.npz", "kettle")
+def test_build_and_query(scene):
+    printed = example("01_build_and_query.py", scene, scene / "words.npz", "kettle")
     assert printed.count("view_0") == 3
     assert "level" in printed
 

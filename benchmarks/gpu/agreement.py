@@ -19,7 +19,7 @@ from benchmarks.gpu.timing import reason
 from scoup import raster
 from scoup.bench import Workload
 from scoup.bench.stages import region_sums_of_a_view
-from scoup.synthetic.room import clip_like
+from scoup.synthetic.random_scene import clip_like
 from scoup.uplift.vote import vote
 
 CLOSE = 1e-4  # of the greatest number: what counts as the same

@@ -18,7 +18,7 @@ import scoup
 from benchmarks.gpu.context import PRESET, Context, project
 from benchmarks.gpu.peers import plain_adam
 from benchmarks.gpu.timing import Row, Unavailable, Work
-from scoup.bench import StageClock, room_cameras, room_regions
+from scoup.bench import StageClock, random_scene_cameras, random_scene_regions
 from scoup.coding import fit_codes
 from scoup.coding.adam import LEARNING_RATE
 from scoup.coding.kmeans import spherical_kmeans
@@ -48,8 +48,8 @@ def building(context: Context) -> None:
     sizes = context.sizes
     context.forget_rooms()
     gaussians = context.room(sizes.n_gaussians)
-    cameras = room_cameras(sizes.build_views, sizes.width, sizes.height)
-    regions = room_regions(cameras, sizes.build_regions, sizes.dim)
+    cameras = random_scene_cameras(sizes.build_views, sizes.width, sizes.height)
+    regions = random_scene_regions(cameras, sizes.build_regions, sizes.dim)
     context.result["about"] = (
         f"{sizes.n_gaussians:,} Gaussians, {sizes.build_views} views of {sizes.width} x {sizes.height}, "
         f"{'/'.join(map(str, sizes.build_regions))} regions a view, D = {sizes.dim}; one run each"

@@ -15,11 +15,11 @@ from benchmarks.gpu.peers import Gsplat
 from benchmarks.gpu.sizes import Sizes
 from benchmarks.gpu.timing import Clock, Row, Unavailable, Work, add_ratios, measure, measure_once, reason
 from scoup import raster
-from scoup.bench import Workload, make_room, room_cameras
+from scoup.bench import Workload, random_scene_cameras, random_scene_gaussians
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.gaussians import Gaussians
-from scoup.synthetic.room import CELLS, clip_like, voronoi_labels
+from scoup.synthetic.random_scene import CELLS, clip_like, voronoi_labels
 
 PRESET = "gsplat"  # of both rasterisers, so that they draw the same picture
 
@@ -132,7 +132,7 @@ class Context:
         """The room of that size, on the device. One is kept."""
         if n_gaussians not in self._rooms:
             self._rooms.clear()
-            self._rooms[n_gaussians] = make_room(n_gaussians).to(self.device)
+            self._rooms[n_gaussians] = random_scene_gaussians(n_gaussians).to(self.device)
         return self._rooms[n_gaussians]
 
     def forget_rooms(self) -> None:
@@ -154,7 +154,7 @@ class Context:
         n_gaussians = n_gaussians or sizes.n_gaussians
         width, height = size or (sizes.width, sizes.height)
         gaussians = self.room(n_gaussians)
-        camera = room_cameras(1, width, height)[0]
+        camera = random_scene_cameras(1, width, height)[0]
         counts = [sizes.regions[level % len(sizes.regions)] for level in range(levels)]
         generator = torch.Generator().manual_seed(0)
         codes = [SparseCodes.from_dense(torch.rand(n, n_atoms, generator=generator), sizes.k) for n in counts]
@@ -180,7 +180,7 @@ def project(gaussians: Gaussians, camera: Camera) -> raster.Projection:
 
 
 def codes_nearby(means: Tensor, n_levels: int, n_atoms: int, k: int) -> tuple[Tensor, Tensor]:
-    """``bench.room.codes_in_space`` where the Gaussians are: neighbours share their atoms, and weights differ.
+    """``random_scene_codes`` where the Gaussians are: neighbours share their atoms, and weights differ.
 
     Returns:
         indices [N, S, K] unsigned and weights [N, S, K] float32, each code summing to 1.

@@ -52,7 +52,7 @@ from benchmarks.gpu.tile_walks import (
 )
 from benchmarks.gpu.timing import Row
 from scoup.base.errors import InputError, ScoupError
-from scoup.bench import make_room, markdown, room_cameras, write_json
+from scoup.bench import markdown, random_scene_cameras, random_scene_gaussians, write_json
 from scoup.io import check_output
 from scoup.raster.binning import Bins, bin_to_tiles
 from scoup.raster.presets import RASTER_PRESETS, RasterPreset
@@ -150,9 +150,9 @@ def count_view(gaussians: Gaussians, camera: Camera, n_blocks: int, seed: int = 
 
 def views(arguments: argparse.Namespace) -> Iterator[tuple[str, Gaussians, Camera]]:
     """What is counted, one after the other, so that only one scene is in memory."""
-    camera = room_cameras(3, arguments.width, arguments.height)[1]
+    camera = random_scene_cameras(3, arguments.width, arguments.height)[1]
     for count in arguments.n_gaussians:
-        yield f"room {count:,}", make_room(count), camera
+        yield f"room {count:,}", random_scene_gaussians(count), camera
     if arguments.data is not None:
         folder = arguments.data / "kitchen"
         yield (

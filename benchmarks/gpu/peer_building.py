@@ -81,14 +81,14 @@ def main() -> None:
     import torch
 
     from benchmarks.gpu.peers import Gsplat
-    from scoup.bench import make_room, room_cameras
+    from scoup.bench import random_scene_cameras, random_scene_gaussians
 
     os.environ.setdefault("MAX_JOBS", str(max(1, (os.cpu_count() or 1) - 2)))
     device = torch.device("cuda")
     peer = Gsplat.found(device)
-    gaussians = make_room(100).to(device)
+    gaussians = random_scene_gaussians(100).to(device)
     values = torch.zeros(100, 40, device=device, requires_grad=True)  # more than are drawn at a time
-    image = peer.render(gaussians, room_cameras(1, 32, 32)[0], values)
+    image = peer.render(gaussians, random_scene_cameras(1, 32, 32)[0], values)
     (gradient,) = torch.autograd.grad(image, values, torch.ones_like(image))
     if not float(gradient.sum()) > 0:
         sys.exit("error: the gradients of gsplat's render are zero")

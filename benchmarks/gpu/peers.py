@@ -13,7 +13,7 @@ from torch import Tensor
 
 from benchmarks.gpu.timing import Unavailable
 from scoup import raster
-from scoup.bench import Workload, make_room, room_cameras
+from scoup.bench import Workload, random_scene_cameras, random_scene_gaussians
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 
@@ -43,9 +43,9 @@ class Gsplat:
         major, minor = torch.cuda.get_device_capability(device)
         os.environ.setdefault("TORCH_CUDA_ARCH_LIST", f"{major}.{minor}")
         peer = cls(importlib.import_module("gsplat"))
-        gaussians = make_room(100).to(device)
+        gaussians = random_scene_gaussians(100).to(device)
         try:
-            peer.render(gaussians, room_cameras(1, 32, 32)[0], torch.rand(100, 3, device=device))
+            peer.render(gaussians, random_scene_cameras(1, 32, 32)[0], torch.rand(100, 3, device=device))
             torch.cuda.synchronize()
         except Exception as error:
             raise Unavailable(f"gsplat {peer.version} does not work here: {str(error)[:300]}") from error

@@ -17,7 +17,7 @@ from benchmarks.gpu.timing import Work
 from scoup import raster
 from scoup.bench import Workload
 from scoup.bench.stages import region_sums_of_a_view, vote_of_a_view
-from scoup.synthetic.room import clip_like
+from scoup.synthetic.random_scene import clip_like
 
 OURS = "ours: region sums of all levels"
 DENSE = "dense uplift of all levels, D channels, by gsplat's backward"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scoup.synthetic.room import HEIGHT, REGIONS, WIDTH
+from scoup.synthetic.random_scene import HEIGHT, REGIONS, WIDTH
 
 
 @dataclass(frozen=True)

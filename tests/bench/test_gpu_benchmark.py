@@ -45,7 +45,7 @@ from compiling import F32, I32, I64, compile_kernel
 from interpreting import interpreter
 from scoup import raster
 from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
-from scoup.bench import count_evaluations, make_room, room_cameras, room_workload
+from scoup.bench import count_evaluations, random_scene_cameras, random_scene_gaussians, room_workload
 
 ROOT = Path(__file__).resolve().parents[2]
 CPU = Clock(torch.device("cpu"))
@@ -83,7 +83,7 @@ def test_every_stage_runs(needs_triton: None, tmp_path: Path) -> None:
 def test_walking_counts_what_paints(needs_triton: None) -> None:
     with interpreter() as worker:
         found = worker.submit(walked).result()
-    gaussians, camera = make_room(40), room_cameras(1, 19, 13)[0]
+    gaussians, camera = random_scene_gaussians(40), random_scene_cameras(1, 19, 13)[0]
     for painting, lanes in found:
         assert painting == count_evaluations(gaussians, camera) > 0
         assert lanes >= painting
@@ -92,7 +92,7 @@ def test_walking_counts_what_paints(needs_triton: None) -> None:
 def walked() -> list[tuple[int, int]]:
     from benchmarks.gpu.walking import walk
 
-    view = raster.project(make_room(40), room_cameras(1, 19, 13)[0], "inria", "triton")
+    view = raster.project(random_scene_gaussians(40), random_scene_cameras(1, 19, 13)[0], "inria", "triton")
     walks = [walk(view, chunk) for chunk in (64, 32, 16)]  # pyright: ignore
     return [(item.painting, item.lanes) for item in walks]
 
@@ -390,8 +390,8 @@ def test_the_quick_parity_is_what_runs_on_a_gpu() -> None:
 
 def test_the_peer_takes_our_arguments() -> None:
     gsplat = pytest.importorskip("gsplat")
-    camera = room_cameras(1, 20, 10)[0]
-    arguments = Gsplat.arguments(make_room(5), camera, torch.rand(5, 3), False, 32)
+    camera = random_scene_cameras(1, 20, 10)[0]
+    arguments = Gsplat.arguments(random_scene_gaussians(5), camera, torch.rand(5, 3), False, 32)
     bound = inspect.signature(gsplat.rasterization).bind(**arguments)
     assert bound.arguments["viewmats"].shape == (1, 4, 4)
     with pytest.raises(Unavailable, match="needs a CUDA device"):

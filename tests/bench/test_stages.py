@@ -14,7 +14,7 @@ from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.bench import bound
 from scoup.bench.stages import STAGES, make_workload, room_workload, stage_runs, usable_backends
-from scoup.synthetic.room import make_room, room_cameras
+from scoup.synthetic.random_scene import random_scene_cameras, random_scene_gaussians
 
 BACKENDS = usable_backends()[0]
 
@@ -63,7 +63,7 @@ def test_stages_in_the_order_wanted(work):
 
 
 def test_a_workload_of_any_scene():
-    room, camera = make_room(100), room_cameras(1, 20, 10)[0]
+    room, camera = random_scene_gaussians(100), random_scene_cameras(1, 20, 10)[0]
     labels = torch.full((2, 10, 20), -1, dtype=torch.int32)
     work = make_workload("own", room, camera, labels, n_atoms=8, k=2, dim=16, n_queries=3).to("cpu")
     assert (work.name, work.codebook.shape, work.queries.shape) == ("own", (2, 8, 16), (3, 16))
@@ -85,7 +85,7 @@ def test_backends_that_do_not_work_are_named(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize(("width", "height"), [(40, 30), (32, 32), (17, 5)])
 def test_evaluations_are_counted_inside_the_image(width, height):
-    room, camera = make_room(60), room_cameras(1, width, height)[0]
+    room, camera = random_scene_gaussians(60), random_scene_cameras(1, width, height)[0]
     truth = blending_weights(room, camera, "inria")
     counted = bound.count_evaluations(room, camera)
     assert abs(counted - int((truth.weights > 0).sum())) <= int(np.sum(truth.unsure)) * len(room)

@@ -10,24 +10,18 @@ import pytest
 from PIL import Image
 
 from cli_support import refused, run, run_json
+from scoup.evaluate.datasets import find_data_set, find_scenes
 from scoup.evaluate.protocols.lerf_ovs import read_labels
 
 pytestmark = pytest.mark.slow
 
-TINY = ("--n-gaussians", 4000, "--width", 96, "--height", 72, "--views", 6, "--labelled", 2)
 QUICK = ("--n-atoms", 16)
 
 
 @pytest.fixture(scope="session")
-def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def original(synthetic_data_sets: Path) -> Path:
     """A folder with a synthetic version of each data set; nobody writes into it."""
-    folder = tmp_path_factory.mktemp("eval")
-    for name in ("lerf-ovs", "3d-ovs", "mipnerf360"):
-        code, _, err = run(
-            "eval", "synthetic", name, folder / name, "--scenes", "table", "--scenes", "shelves", *TINY
-        )
-        assert code == 0, err
-    return folder
+    return synthetic_data_sets
 
 
 @pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360"])
@@ -212,11 +206,14 @@ def test_presence_to_query_and_select(here: Path) -> None:
     assert "two scenes or more" in refused("eval", "presence", "lerf-ovs", "--scenes", "table", "--overwrite")
 
 
-def test_synthetic_data_sets_do_not_replace_others(here: Path) -> None:
-    message = refused(
-        "eval", "synthetic", "lerf-ovs", "lerf-ovs", "--scenes", "table", *TINY, folder=here / "lerf-ovs"
-    )
-    assert "--overwrite" in message
+def test_synthetic_data_sets(tmp_path: Path) -> None:
+    size = ("--n-gaussians", 2000, "--width", 64, "--height", 48, "--views", 2, "--labelled", 1)
+    command = ("eval", "synthetic", "lerf-ovs", tmp_path / "lerf-ovs", *size)
+    code, out, err = run(*command, "--seed", 3, "--json")
+    assert code == 0, err
+    assert json.loads(out)["scenes"] == ["table_3", "table_4"]
+    assert find_scenes(find_data_set("lerf-ovs"), tmp_path / "lerf-ovs") == ["table_3", "table_4"]
+    assert "--overwrite" in refused(*command, "--seed", 3, folder=tmp_path / "lerf-ovs")
 
 
 def test_help() -> None:

@@ -12,6 +12,7 @@ from scoup.field.language_field import LanguageField
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
 from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
 from support import small_scene, unit
 
 
@@ -31,6 +32,6 @@ class Queried:
 @pytest.fixture(scope="session")
 def queried() -> Queried:
     gaussians, cameras, regions = small_scene(count=80, views=3)
-    field = build(gaussians, cameras, regions, n_atoms=8)
+    field = build(gaussians, cameras, regions, BuildSettings(n_atoms=8))
     vectors = random_vectors(11, 16), random_vectors(3, 16, seed=1), random_vectors(30, 16, seed=2)
     return Queried(field, cameras[0], TextVectors("words.npz", *vectors))

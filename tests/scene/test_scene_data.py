@@ -89,6 +89,63 @@ def test_camera_position():
     assert torch.allclose(at_camera, torch.zeros(3, dtype=torch.float64), atol=1e-12)
 
 
+def test_pose_in_the_world_gives_the_same_camera():
+    camera = make_camera(seed=5)
+    pose = torch.linalg.inv(camera.viewmat)
+    for given_pose in (pose, pose[:3], pose.tolist()):
+        back = Camera.from_c2w("a.png", given_pose, camera.K, camera.width, camera.height)
+        assert torch.allclose(back.viewmat, camera.viewmat, atol=1e-12)
+        assert torch.allclose(back.position, pose[:3, 3], atol=1e-12)
+    assert torch.equal(back.K, camera.K)
+    with pytest.raises(InputError, match="c2w"):
+        Camera.from_c2w("a.png", pose[:3, :3], camera.K, 4, 4)
+    with pytest.raises(InputError, match="determinant"):
+        Camera.from_c2w("a.png", pose * 2, camera.K, 4, 4)
+
+
+def test_look_at_puts_the_target_in_the_middle():
+    eye, target = [1.0, -2.0, 1.5], [0.1, 0.2, 0.8]
+    camera = Camera.look_at(eye, target, "a.png", 40, 30, 35.0)
+    assert camera.position.tolist() == pytest.approx(eye)
+    x, y, z, _ = (camera.viewmat @ torch.tensor([*target, 1.0], dtype=torch.float64)).tolist()
+    assert (x, y) == pytest.approx((0, 0), abs=1e-12)
+    assert z == pytest.approx(((torch.tensor(eye) - torch.tensor(target)) ** 2).sum().sqrt().item())
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (35, 35, 20, 15)
+
+
+def test_look_at_has_opencv_axes():
+    camera = Camera.look_at([0, 0, 0], [0, 5, 0], "a.png", 40, 30, 35.0)  # towards +y, z up
+    right, down, forward = camera.viewmat[:3, :3].tolist()
+    assert right == pytest.approx([1, 0, 0])
+    assert down == pytest.approx([0, 0, -1])
+    assert forward == pytest.approx([0, 1, 0])
+
+
+@pytest.mark.parametrize("up", [[0, -1, 0], [0, -7, 0], [0.3, -1, 0.9]])
+def test_look_at_turns_up_to_the_top_of_the_image(up):
+    camera = Camera.look_at([1, 2, 3], [1, 2, 4], "a.png", 40, 30, 35.0, up)
+    rotation = camera.viewmat[:3, :3]
+    seen = rotation @ torch.tensor(up, dtype=torch.float64)
+    assert seen[0] == pytest.approx(0, abs=1e-12)
+    assert seen[1] < 0  # image rows run downwards
+    assert torch.allclose(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("eye", "target", "up", "message"),
+    [
+        ([1, 2, 3], [1, 2, 3], [0, 0, 1], "direction"),
+        ([1, 2, 3], [1, 2, float("nan")], [0, 0, 1], "direction"),
+        ([1, 2, 3], [1, 2, 4], [0, 0, 0], "direction"),
+        ([1, 2, 3], [1, 2, 9], [0, 0, 1], "parallel"),
+        ([1, 2, 3], [1, 2, -9], [0, 0, 1], "parallel"),
+    ],
+)
+def test_look_at_refuses_degenerate_directions(eye, target, up, message):
+    with pytest.raises(InputError, match=message):
+        Camera.look_at(eye, target, "a.png", 40, 30, 35.0, up)
+
+
 @given(st.integers(1, 20), st.integers(1, 20), st.integers(1, 40), st.integers(1, 40))
 def test_labels_are_resized_to_the_nearest_pixel(rows, columns, height, width):
     labels = torch.arange(rows * columns, dtype=torch.int32).view(rows, columns)

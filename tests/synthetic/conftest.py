@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from demo_support import SMALL
 from scoup.synthetic import DemoScene, make_demo_scene
+from synthetic.small_scenes import SMALL
 
 
 @pytest.fixture(scope="session")

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
+from benchmarks.scenes import LAYOUTS, find_layout
+from benchmarks.scenes import __main__ as scenes_script
 from PIL import Image
 
 from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
@@ -14,12 +17,13 @@ from scoup.evaluate.protocols import threed_ovs
 from scoup.io import load_cameras, load_gaussians, load_regions, read_points
 from scoup.io.labels import read_labels
 from scoup.models.word_table import load_table
-from scoup.synthetic import make_demo_scene
+from scoup.synthetic import TABLE, make_demo_scene
 from scoup.synthetic.data_sets import DataSetSize, write_data_set
+from synthetic.small_scenes import one_light
 
 
 @pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360"])
-def test_twins_are_complete(synthetic_data_sets: Path, name: str) -> None:
+def test_synthetic_data_sets_are_complete(synthetic_data_sets: Path, name: str) -> None:
     root = synthetic_data_sets / name
     data_set = find_data_set(name)
     assert find_scenes(data_set, root) == ["shelves", "table"]
@@ -53,7 +57,7 @@ def test_image_names_are_those_of_the_data_sets_and_no_positions(synthetic_data_
 
 
 def test_labels_are_the_truth_of_the_scene(synthetic_data_sets: Path) -> None:
-    demo = make_demo_scene(0, 4000, 96, 72, 6, 0, "table")
+    demo = make_demo_scene(0, 4000, 96, 72, 6, 0)
     frames = read_labels(synthetic_data_sets / "lerf-ovs" / "label" / "table")
     truth = demo.labelled_frame(demo.building[0].name, ("m", "l"))
     assert frames[0].labels == truth.labels
@@ -76,16 +80,39 @@ def test_labels_of_mipnerf360_may_have_their_own_size(synthetic_data_sets: Path)
     assert (frames[0].width, frames[0].height) == (48, 36)
 
 
-def test_refusals(synthetic_data_sets: Path, tmp_path: Path) -> None:
+def test_a_scene_for_each_seed(tmp_path: Path) -> None:
+    size = DataSetSize(n_gaussians=2000, width=48, height=36, n_views=2, n_labelled=1)
+    with one_light():
+        names = write_data_set("lerf-ovs", tmp_path, size=size, seeds=(4, 5))
+    assert names == ("table_4", "table_5")
+    assert find_scenes(find_data_set("lerf-ovs"), tmp_path) == list(names)
+    first, second = (load_gaussians(tmp_path / name / "point_cloud.ply") for name in names)
+    assert first.fingerprint() != second.fingerprint()
+
+
+def test_the_script_writes_a_scene_of_each_layout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    size: dict[str, Any] = {"n_gaussians": 2000, "width": 64, "height": 48, "views": 1, "labelled": 1}
+    assert scenes_script.Arguments("lerf-ovs", tmp_path).layout == tuple(LAYOUTS)
+    with one_light():
+        scenes_script.main(scenes_script.Arguments("lerf-ovs", tmp_path, ("yard", "hall"), **size))
+    assert "yard, hall" in capsys.readouterr().out
+    assert find_scenes(find_data_set("lerf-ovs"), tmp_path) == ["hall", "yard"]
+
+
+def test_refusals(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="data set"):
         write_data_set("scannet", tmp_path)
-    with pytest.raises(UnknownNameError, match="layout"):
-        write_data_set("lerf-ovs", tmp_path, ("attic",))
+    with pytest.raises(UnknownNameError, match="table"):
+        find_layout("tabel")
     with pytest.raises(InputError, match="labelled views"):
-        write_data_set("lerf-ovs", tmp_path, ("table",), DataSetSize(n_views=3, n_labelled=4))
+        write_data_set("lerf-ovs", tmp_path, size=DataSetSize(n_views=3, n_labelled=4))
+    with pytest.raises(InputError, match="at least one scene"):
+        write_data_set("lerf-ovs", tmp_path, seeds=())
+    with pytest.raises(InputError, match="different names"):
+        write_data_set("lerf-ovs", tmp_path, (TABLE, TABLE))
     (tmp_path / "table").mkdir()
     with pytest.raises(OutputExistsError):
-        write_data_set("lerf-ovs", tmp_path, ("table",))
+        write_data_set("lerf-ovs", tmp_path)
     assert not list((tmp_path / "table").iterdir())
 
 

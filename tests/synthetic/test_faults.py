@@ -63,6 +63,7 @@ def test_region_sums_and_back(case: str) -> None:
     levels = perturbed(level_sums(region_sums(gaussians, cameras, regions), regions), case)
     sums = as_region_sums(levels)
     assert sums.n_gaussians == len(gaussians)
+    assert sums.rows is not None
     for position, level in enumerate(levels):
         count = len(level.embeddings)
         assert np.array_equal(sums.matrix(position).toarray()[:, :count], level.matrix.toarray())

@@ -15,7 +15,7 @@ from scoup.io.labels import match_frames, read_labels
 from scoup.models.word_table import load_table
 from scoup.scene.regions import LEVELS
 from scoup.synthetic import DemoScene, write_demo_scene
-from scoup.synthetic.polygons import mask_polygons
+from scoup.synthetic.masks import mask_polygons
 
 
 @pytest.fixture(scope="module")

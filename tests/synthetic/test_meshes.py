@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.scenes import LAYOUTS
 
-from scoup.synthetic.layouts import LAYOUTS
-from scoup.synthetic.meshes import Mesh, box, cylinder, ellipsoid, lathe, rotation, smooth_curve, torus, tube
-from scoup.synthetic.paints import smooth_noise
+from scoup.synthetic.art.meshes import (
+    Mesh,
+    box,
+    cylinder,
+    ellipsoid,
+    lathe,
+    rotation,
+    smooth_curve,
+    torus,
+    tube,
+)
+from scoup.synthetic.art.paints import smooth_noise
 from scoup.synthetic.splat import evenly
 
 SHAPES = {

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.scenes import LAYOUTS
 
 from scoup.scene.regions import LEVELS
-from scoup.synthetic.layouts import LAYOUTS
-from scoup.synthetic.things import Parts
+from scoup.synthetic.art.things import Parts
 from scoup.synthetic.words import CANONICAL, DISTRACTORS, Words, make_words
 
 PARTS = {name: Parts.of(layout.things()) for name, layout in LAYOUTS.items()}

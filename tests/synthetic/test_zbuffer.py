@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from scoup.scene.cameras import Camera
-from scoup.synthetic.meshes import box, ellipsoid, merged, plane, rotation
-from scoup.synthetic.views import look_at
-from scoup.synthetic.zbuffer import draw, visible_faces
+from scoup.synthetic.art.meshes import box, ellipsoid, merged, plane, rotation
+from scoup.synthetic.art.zbuffer import draw, visible_faces
 
 
 def camera(width: int = 97, height: int = 71, focal: float = 80.0) -> Camera:
@@ -90,12 +89,3 @@ def test_tiny_images(size: tuple[int, int]):
     view = camera(*size, focal=1.0)
     cube = box((4, 4, 1), 0.1, (0, 0, 3))
     assert (visible_faces(cube.vertices, cube.faces, view) >= 0).shape == (size[1], size[0])
-
-
-def test_look_at_puts_the_target_in_the_middle():
-    view = look_at(np.array([1.0, -2.0, 1.5]), np.array([0.1, 0.2, 0.8]), "a", 40, 30)
-    seen = view.viewmat.numpy() @ [0.1, 0.2, 0.8, 1.0]
-    assert seen[:2] == pytest.approx([0, 0], abs=1e-12)
-    assert seen[2] > 0
-    up = view.viewmat.numpy()[:3, :3] @ [0, 0, 1]
-    assert up[1] < 0  # image rows run downwards

@@ -23,6 +23,6 @@ from scoup.bench.stages import Workload as Workload
 from scoup.bench.stages import room_workload as room_workload
 from scoup.bench.stages import stage_runs as stage_runs
 from scoup.bench.stages import usable_backends as usable_backends
-from scoup.synthetic.room import make_room as make_room
-from scoup.synthetic.room import room_cameras as room_cameras
-from scoup.synthetic.room import room_regions as room_regions
+from scoup.synthetic.random_scene import random_scene_cameras as random_scene_cameras
+from scoup.synthetic.random_scene import random_scene_gaussians as random_scene_gaussians
+from scoup.synthetic.random_scene import random_scene_regions as random_scene_regions

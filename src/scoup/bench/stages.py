@@ -16,15 +16,15 @@ from scoup.raster import morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
-from scoup.synthetic.room import (
+from scoup.synthetic.random_scene import (
     HEIGHT,
     REGIONS,
     WIDTH,
     Order,
     clip_like,
-    codes_in_space,
-    make_room,
-    room_cameras,
+    random_scene_cameras,
+    random_scene_codes,
+    random_scene_gaussians,
     voronoi_labels,
 )
 from scoup.uplift.region_sums import RegionSums
@@ -98,7 +98,7 @@ def make_workload(
         SparseCodes.from_dense(torch.rand(max(0, int(level.max())) + 1, n_atoms, generator=generator), k)
         for level in labels
     ]
-    indices, weights = codes_in_space(gaussians.means, levels, n_atoms, k, seed)
+    indices, weights = random_scene_codes(gaussians.means, levels, n_atoms, k, seed)
     return Workload(
         name,
         gaussians,
@@ -127,8 +127,8 @@ def room_workload(
     Args:
         gaussians: the room of that size, seed and order if it is at hand.
     """
-    gaussians = make_room(n_gaussians, seed, order) if gaussians is None else gaussians
-    camera = room_cameras(1, width, height)[0]
+    gaussians = random_scene_gaussians(n_gaussians, seed, order) if gaussians is None else gaussians
+    camera = random_scene_cameras(1, width, height)[0]
     labels = voronoi_labels(regions, width, height, seed)
     return make_workload("room", gaussians, camera, labels, seed=seed)
 
@@ -213,7 +213,9 @@ def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[li
         try:
             if name in raster.BACKENDS:
                 importlib.import_module(raster.BACKENDS[name])
-            raster.project(make_room(8).to(device), room_cameras(1, 16, 16)[0], backend=name)
+            raster.project(
+                random_scene_gaussians(8).to(device), random_scene_cameras(1, 16, 16)[0], backend=name
+            )
         except (ScoupError, ImportError) as error:
             if wanted:
                 raise (

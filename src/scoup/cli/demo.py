@@ -1,4 +1,4 @@
-"""scoup demo: a small scene from nothing, a field, questions, pictures and scores."""
+"""scoup demo: a small synthetic scene, its language field, queries, pictures and scores."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @common_last
 @dataclass(frozen=True, kw_only=True)
 class Demo(WritesCommon):
-    """Make a small scene, build its language field, ask for every object, and score the answers.
+    """Make a small scene, build its language field, query every object in it, and score the answers.
 
     Needs no network, no GPU and no data. Regions and embeddings are simulated; the truth comes from the scene's
     geometry. Afterwards OUT holds the scene as files (try `scoup build OUT/scene`), the field, a contact sheet of
@@ -25,9 +25,6 @@ class Demo(WritesCommon):
 
     out: Path = Path("demo")
     """Folder for everything."""
-    layout: str = "table"
-    """The kind of scene: table, shelves (many small things, little parallax), hall (seen from inside, all round) or
-    yard (a ring of cameras round its middle)."""
     seed: int = 0
     """Of the scene and the codebook."""
     n_gaussians: int = 160_000
@@ -37,7 +34,7 @@ class Demo(WritesCommon):
     height: int = 360
     """Of the views, in pixels."""
     views: int = 24
-    """Views the field is built from; a quarter as many are held out to judge by."""
+    """Views the field is built from; a quarter as many are held out for scoring."""
 
     def run(self, console: Console) -> None:
         """Run, draw, print."""
@@ -46,28 +43,24 @@ class Demo(WritesCommon):
         from scoup.evaluate.demonstration import DemoSettings, run_demo
         from scoup.evaluate.demonstration_sheet import query_sheet
         from scoup.io import check_output, save_png, write_text
-        from scoup.synthetic.layouts import find_layout
 
         sheet, scores = self.out / "queries.png", self.out / "scores.json"
         for path in (sheet, scores):
             check_output(path, self.overwrite)
-        favourite = find_layout(self.layout).favourites[0]  # a wrong name is told before anything is made
-        settings = DemoSettings(self.seed, self.n_gaussians, self.width, self.height, self.views, self.layout)
         console.say(
-            f"a scene ({self.layout}) of {self.n_gaussians:,} Gaussians, "
-            f"{self.views} views of {self.width} x {self.height}"
+            f"a scene of {self.n_gaussians:,} Gaussians, {self.views} views of {self.width} x {self.height}"
         )
+        settings = DemoSettings(self.seed, self.n_gaussians, self.width, self.height, self.views)
         with console.progress() as progress:
             result = run_demo(self.out, settings, self.overwrite, progress)
         save_png(query_sheet(result), sheet, self.overwrite)
         record = _record(result, self.out)
         write_text(scores, json.dumps(record, indent=2), self.overwrite)
-        _print(console, result)
+        _say_names(console, result)
+        _say_totals(console, result)
         console.say(f"\npictures: {sheet}\nscores:   {scores}\nfield:    {result.field_path}")
-        words = self.out / "scene" / "text.npz"
-        console.say(
-            f'ask it yourself: scoup query {result.field_path} "{favourite}" --text {words} --camera all'
-        )
+        words, thing = self.out / "scene" / "text.npz", result.scene.layout.favourites[0]
+        console.say(f'query it: scoup query {result.field_path} "{thing}" --text {words} --camera all')
         console.result(record)
 
 
@@ -79,7 +72,7 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
     from scoup.evaluate.demonstration import rows_by_name, summary
 
     return {
-        "layout": result.scene.layout,
+        "layout": result.scene.layout.name,
         "protocol": "lerf-ovs 2D on held-out views",
         "gaussians": len(result.field),
         "coded": int(result.field.coded().sum()),
@@ -93,29 +86,36 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
     }
 
 
-def _print(console: Console, result: DemoResult) -> None:
+def _say_names(console: Console, result: DemoResult) -> None:
+    """Print the scores of each name."""
     from rich.table import Table
 
-    from scoup.evaluate.demonstration import ALL_ATOMS, DENSE, METHOD, rows_by_name, summary
+    from scoup.evaluate.demonstration import ALL_ATOMS, DENSE, METHOD, rows_by_name
 
-    table = Table(title="Every named thing in sight of the held-out views", title_justify="left")
-    table.add_column("asked for")
+    table = Table(title="Every name that the held-out views show", title_justify="left")
+    table.add_column("query")
     for heading in ("views", "IoU", "hit", "levels", f"IoU {ALL_ATOMS}", f"IoU {DENSE}"):
         table.add_column(heading, justify="right")
     for row in rows_by_name(result):
-        levels = " ".join(
-            f"{level}{count}" for level, count in sorted(row.levels.items(), key=lambda item: -item[1])
-        )
+        levels = sorted(row.levels.items(), key=lambda item: -item[1])
         table.add_row(
             row.name,
             str(row.views),
             f"{row.iou[METHOD]:.2f}",
             f"{row.accuracy[METHOD]:.0%}",
-            levels,
+            " ".join(f"{level}{count}" for level, count in levels),
             f"{row.iou[ALL_ATOMS]:.2f}",
             f"{row.iou[DENSE]:.2f}",
         )
     console.say(table)
+
+
+def _say_totals(console: Console, result: DemoResult) -> None:
+    """Print the means by variant, the size of the field and the seconds of each stage."""
+    from rich.table import Table
+
+    from scoup.evaluate.demonstration import summary
+
     totals = Table(title="Means over all (view, name) pairs", title_justify="left")
     for heading in ("variant", "mIoU", "95 % interval over names", "localisation", "bytes a Gaussian"):
         totals.add_column(heading, justify="left" if heading == "variant" else "right")

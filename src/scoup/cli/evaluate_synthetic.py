@@ -1,4 +1,4 @@
-"""scoup eval synthetic: a data set made by a program, in the layout of a published one."""
+"""scoup eval synthetic: a synthetic data set in the layout of a published one."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from scoup.cli.options import WritesCommon, common_last
 @common_last
 @dataclass(frozen=True, kw_only=True)
 class Synthetic(WritesCommon):
-    """Write a complete data set in the layout of LERF-OVS, 3D-OVS or Mip-NeRF 360, made by a program.
+    """Write a complete synthetic data set in the layout of LERF-OVS, 3D-OVS or Mip-NeRF 360.
 
-    Images, COLMAP cameras, splat, region features, text vectors and labels, all simulated: scores on it say nothing
-    about the data set whose layout it has.
+    Images, COLMAP cameras, splat, region features, text vectors and labels are all simulated, so scores say nothing
+    about the data set whose layout is used.
     """
 
     data_set: Annotated[
@@ -28,12 +28,10 @@ class Synthetic(WritesCommon):
     """Whose layout."""
     root: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROOT", help_behavior_hint="")]
     """Folder to write into."""
-    scenes: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="LAYOUT", help_behavior_hint="")
-    ] = ()
-    """Layouts of the demo (table, shelves, hall, yard), a scene each; repeat it for several. Default: all four."""
+    scenes: int = 2
+    """How many scenes, of one seed each."""
     seed: int = 0
-    """Of everything random."""
+    """Of the first scene; the others follow."""
     n_gaussians: int = 60_000
     """Gaussians in each scene."""
     width: int = 320
@@ -41,20 +39,19 @@ class Synthetic(WritesCommon):
     height: int = 240
     """Of the views, in pixels."""
     views: int = 16
-    """Of each scene."""
+    """Views of each scene."""
     labelled: int = 4
-    """Of these with labels."""
+    """How many of them have labels."""
 
     def run(self, console: Console) -> None:
         """Make and write."""
         from scoup.synthetic.data_sets import DataSetSize, write_data_set
-        from scoup.synthetic.layouts import LAYOUTS
 
         size = DataSetSize(self.n_gaussians, self.width, self.height, self.views, self.labelled)
-        scenes = self.scenes or tuple(LAYOUTS)
+        seeds = range(self.seed, self.seed + self.scenes)
         with console.progress() as progress:
-            write_data_set(self.data_set, self.root, scenes, size, self.seed, self.overwrite, progress)
-        console.say(
-            f"{self.root}: {', '.join(scenes)}; score them with: scoup eval {self.data_set} {self.root}"
-        )
-        console.result({"root": self.root, "data_set": self.data_set, "scenes": list(scenes)})
+            names = write_data_set(
+                self.data_set, self.root, size=size, seeds=seeds, overwrite=self.overwrite, progress=progress
+            )
+        console.say(f"{self.root}: {', '.join(names)}; to score: scoup eval {self.data_set} {self.root}")
+        console.result({"root": self.root, "data_set": self.data_set, "scenes": list(names)})

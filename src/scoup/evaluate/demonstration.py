@@ -1,4 +1,4 @@
-"""The demo: make a scene, write it as files, build a field from the files, ask it everything, and score it."""
+"""The demo: make a scene, write it as files, build a field from the files, query every name, and score the answers."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from scoup.evaluate.variants import Variant, dense_variant, score_variants, spar
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output, load_cameras, load_gaussians, load_regions
 from scoup.query.presets import QUERY_PRESETS
+from scoup.synthetic.art.layout import Layout
+from scoup.synthetic.art.table import TABLE
 from scoup.synthetic.folder import write_demo_scene
 from scoup.synthetic.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
 from scoup.uplift.build import build
@@ -27,7 +29,7 @@ from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import GaussianCodes, vote
 
 METHOD, ALL_ATOMS, DENSE = "sparse, top-K vote", "sparse, no top-K", "dense 512-d"
-LEVELS_ASKED = ("m", "l")  # names of objects and of groups
+QUERIED_LEVELS = ("m", "l")  # objects and groups
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,8 @@ class DemoSettings:
         seed: of the scene and of the codebook.
         n_gaussians: of the scene.
         width, height: of its views, in pixels.
-        n_building: views the field is built from; another quarter of that is held out to judge by.
-        layout: the kind of scene, a name from ``scoup.synthetic.layouts.LAYOUTS``.
+        n_building: views the field is built from; a quarter as many are held out for scoring.
+        layout: the kind of scene.
     """
 
     seed: int = 0
@@ -47,20 +49,20 @@ class DemoSettings:
     width: int = 480
     height: int = 360
     n_building: int = 24
-    layout: str = "table"
+    layout: Layout = TABLE
 
 
 @dataclass(frozen=True, eq=False)
 class DemoResult:
-    """What the demo found.
+    """What the demo made and measured.
 
     Attributes:
         scene: the scene and its truth.
         field: the field built.
         field_path: its file.
-        scores: by variant, over every named thing in sight in the held-out views.
+        scores: by variant, over every name that the held-out views show.
         bytes_per_gaussian: by variant.
-        seconds: by stage, in the order they ran.
+        seconds: by stage, in the order of the stages.
     """
 
     scene: DemoScene
@@ -73,14 +75,14 @@ class DemoResult:
 
 @dataclass(frozen=True)
 class NameRow:
-    """One named thing over all held-out views that show it.
+    """The scores of one name over all held-out views that show it.
 
     Attributes:
-        name: what was asked for.
-        views: how many views.
+        name: the query.
+        views: the number of views.
         iou: mean by variant.
         accuracy: share of hits by variant.
-        levels: how often each level was chosen by the method, "s", "m", "l".
+        levels: how often the method chose each level, "s", "m", "l".
     """
 
     name: str
@@ -93,10 +95,10 @@ class NameRow:
 def run_demo(
     out: Path, settings: DemoSettings, overwrite: bool = False, progress: Progress = no_progress
 ) -> DemoResult:
-    """Run everything; files go to ``out/scene`` and ``out/demo.scoup``.
+    """Run everything. Files go to ``out/scene`` and ``out/demo.scoup``.
 
     Raises:
-        OutputExistsError: the outputs are there and ``overwrite`` is false.
+        OutputExistsError: the outputs exist and ``overwrite`` is false.
     """
     path = out / "demo.scoup"
     check_output(path, overwrite)
@@ -112,7 +114,7 @@ def run_demo(
             settings.layout,
         )
     with _timed(seconds, "write it as files"):
-        folder = write_demo_scene(scene, out / "scene", overwrite, LEVELS_ASKED, progress=progress)
+        folder = write_demo_scene(scene, out / "scene", overwrite, QUERIED_LEVELS, progress=progress)
     with _timed(seconds, "read the files"):
         splat = folder / "point_cloud.ply"
         gaussians = load_gaussians(splat)
@@ -135,10 +137,10 @@ def run_demo(
     with _timed(seconds, "dense 512-d uplift, to compare"):
         dense = dense_variant(DENSE, sums, [regions.embeddings(level)[0] for level in regions.levels])
     variants = [*_sparse_variants(field, sums), dense]
-    frames = [(scene.labelled_frame(camera.name, LEVELS_ASKED), camera) for camera in scene.held_out]
+    frames = [(scene.labelled_frame(camera.name, QUERIED_LEVELS), camera) for camera in scene.held_out]
     labels = sorted({label for frame, _ in frames for label in frame.labels})
     vectors = dict(zip(labels, scene.text_vectors(labels), strict=True))
-    with _timed(seconds, "ask and score all three"):
+    with _timed(seconds, "query and score all three"):
         scores = score_variants(
             variants,
             gaussians,
@@ -168,7 +170,7 @@ def _sparse_variants(field: LanguageField, sums: RegionSums) -> list[Variant]:
 
 
 def rows_by_name(result: DemoResult) -> list[NameRow]:
-    """One row a name, best IoU of the method first."""
+    """One row a name, the best IoU of the method first."""
     by_name: dict[str, dict[str, list[PairScore]]] = {}
     for variant, score in result.scores.items():
         for pair in score.pairs:

@@ -1,4 +1,4 @@
-"""The demo's contact sheet: what was asked, what is true, what was found."""
+"""The contact sheet of the demo: for each query the truth, the relevancy and the mask."""
 
 from __future__ import annotations
 
@@ -10,33 +10,32 @@ from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.segment import localize_and_segment
 from scoup.raster import render_colors
-from scoup.synthetic.layouts import find_layout
 
 TRUTH_COLOR = (70, 200, 110)
 
 
 def query_sheet(result: DemoResult) -> Picture:
-    """Rows of truth, relevancy and mask: some favourites, and the worst answer of all, so that nobody is misled.
+    """Rows of truth, relevancy and mask: some favourites, and the worst answer, so that the sheet does not mislead.
 
-    Each name is shown in the view where its score is the median of its views, not the best.
+    Each name is shown in the view of its median score, not of its best.
     """
     pairs = [_median_pair(result, name) for name in names_to_show(result)]
     tiles = [tile for pair in pairs for tile in _row(result, pair)]
     score = result.scores[METHOD]
-    asked = f"{len(score.pairs)} questions in held-out views"
-    heading = f"{asked}: mIoU {score.miou:.2f}, localisation {score.accuracy:.0%}"
+    queries = f"{len(score.pairs)} queries in held-out views"
+    heading = f"{queries}: mIoU {score.miou:.2f}, localisation {score.accuracy:.0%}"
     footer = (
         "Scene, regions and embeddings are simulated; the truth comes from the scene's geometry. "
-        "Each name in its view of median score. The last row is the worst answer of the run."
+        "Each name is shown in its view of median score. The last row is the worst answer of the run."
     )
     return contact_sheet(tiles, columns=3, width=1200, heading=heading, footer=footer)
 
 
 def names_to_show(result: DemoResult) -> list[str]:
-    """The layout's favourites in sight (or the best answered), then the name answered worst."""
+    """The layout's favourites that were queried (or the names of best score), then the name of worst score."""
     rows = rows_by_name(result)
     known = {row.name for row in rows}
-    favourites = find_layout(result.scene.layout).favourites
+    favourites = result.scene.layout.favourites
     chosen = [name for name in favourites if name in known] or [row.name for row in rows[:4]]
     worst = rows[-1].name
     return [name for name in chosen if name != worst] + [worst]
@@ -52,9 +51,11 @@ def _median_pair(result: DemoResult, name: str) -> PairScore:
 def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture]:
     scene, field = result.scene, result.field
     camera = scene.held_out[pair.frame]
-    view = field.project(camera)
-    rgb = render_colors(field.gaussians, camera, view)
-    maps: Tensor = field.relevancy(camera, scene.text_vectors([pair.label]), scene.canonical, view)[:, 0]
+    projection = field.project(camera)
+    rgb = render_colors(field.gaussians, camera, projection)
+    maps: Tensor = field.relevancy(camera, scene.text_vectors([pair.label]), scene.canonical, projection)[
+        :, 0
+    ]
     place, shape = localize_and_segment(maps)
     truth = mask_overlay(
         scene.mask(camera.name, pair.label),

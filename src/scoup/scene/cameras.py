@@ -1,4 +1,4 @@
-"""Posed pinhole cameras."""
+"""Posed pinhole cameras, in OpenCV axes."""
 
 from __future__ import annotations
 
@@ -9,15 +9,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import overload
 
+import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
 
+_PARALLEL = 1e-9  # sine of the angle between view direction and up below which the camera has no defined roll
+
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One pinhole view. OpenCV axes: x right, y down, z forward; pixel centres at +0.5.
+    """One posed pinhole camera. OpenCV axes: x right, y down, z forward; pixel centres at +0.5.
 
     Attributes:
         name: image file name (with its extension where the source had one); unique within a collection.
@@ -26,11 +30,11 @@ class Camera:
         width, height: image size in pixels.
         image_path: the photograph, if there is one on disk. Its size may differ from width x height.
         distortion: OpenCV coefficients (k1, k2, p1, p2) of the *photograph*, empty for none. The camera itself
-            is always the ideal pinhole; readers of images and region maps undistort by these
-            (see ``io.undistort``). Only set where undistortion was asked for.
+            is always an ideal pinhole; readers of images and region maps undistort with these
+            (``io.cameras.undistort``). Only set where the user requested undistortion.
 
     Raises:
-        InputError: if a shape, size or number cannot be a camera.
+        InputError: a shape, size or number is not that of a camera.
     """
 
     name: str
@@ -59,6 +63,80 @@ class Camera:
         if not math.isclose(determinant, 1.0, abs_tol=1e-2):
             raise InputError(f"camera {self.name!r}: rotation has determinant {determinant:.3g}, expected 1")
 
+    @classmethod
+    def from_c2w(
+        cls,
+        name: str,
+        c2w: Tensor | ArrayLike,
+        K: Tensor | ArrayLike,
+        width: int,
+        height: int,
+        image_path: Path | None = None,
+    ) -> Camera:
+        """A camera from its pose in the world, in place of the world-to-camera matrix.
+
+        Args:
+            name: image file name.
+            c2w: [4, 4] or [3, 4] camera-to-world in OpenCV axes (for OpenGL axes, as nerfstudio has them, negate the
+                second and third column first).
+            K: [3, 3] intrinsics in pixels.
+            width, height: image size in pixels.
+            image_path: the photograph, if there is one on disk.
+
+        Raises:
+            InputError: a shape, size or number is not that of a camera.
+        """
+        pose = torch.as_tensor(c2w, dtype=torch.float64)
+        if tuple(pose.shape) not in {(4, 4), (3, 4)}:
+            raise InputError(f"camera {name!r}: c2w has shape {list(pose.shape)}, expected [4, 4] or [3, 4]")
+        viewmat = torch.eye(4, dtype=torch.float64)
+        viewmat[:3, :3] = pose[:3, :3].T
+        viewmat[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+        return cls(name, viewmat, torch.as_tensor(K, dtype=torch.float64), width, height, image_path)
+
+    @classmethod
+    def look_at(
+        cls,
+        eye: ArrayLike,
+        target: ArrayLike,
+        name: str,
+        width: int,
+        height: int,
+        focal: float,
+        up: ArrayLike = (0.0, 0.0, 1.0),
+    ) -> Camera:
+        """A camera at one point whose image centre shows another.
+
+        Args:
+            eye: [3] camera centre in world units.
+            target: [3] the point in the middle of the image.
+            name: image file name.
+            width, height: image size in pixels.
+            focal: focal length in pixels, along both axes.
+            up: [3] world direction that points upwards in the image; its length does not matter.
+
+        Raises:
+            InputError: ``eye`` and ``target`` are the same point, the view direction is parallel to ``up``, or a size
+                or number is not that of a camera.
+        """
+        place, aim, upwards = (np.asarray(vector, np.float64) for vector in (eye, target, up))
+        distance, length = np.linalg.norm(aim - place), np.linalg.norm(upwards)
+        if not 0 < distance < math.inf or not 0 < length < math.inf:
+            raise InputError(
+                f"camera {name!r}: no view direction from eye {place.tolist()} to target {aim.tolist()} "
+                f"with up {upwards.tolist()}"
+            )
+        forward = (aim - place) / distance
+        right = np.cross(forward, upwards)
+        if np.linalg.norm(right) <= _PARALLEL * length:
+            raise InputError(f"camera {name!r}: the view direction is parallel to up {upwards.tolist()}")
+        right /= np.linalg.norm(right)
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+        viewmat[:3, 3] = -viewmat[:3, :3] @ place
+        K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
+        return cls(name, torch.from_numpy(viewmat), K, width, height)
+
     @property
     def fx(self) -> float:
         return float(self.K[0, 0])
@@ -86,7 +164,7 @@ class Camera:
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view at another image size; the intrinsics follow the image (each axis by its own factor)."""
+        """The same camera at another image size. The intrinsics follow the image, each axis by its own factor."""
         scale = torch.tensor([width / self.width, height / self.height, 1.0], dtype=torch.float64)
         return replace(self, K=self.K * scale[:, None], width=width, height=height)
 
@@ -113,11 +191,11 @@ class Cameras:
     @overload
     def __getitem__(self, key: slice) -> Cameras: ...
     def __getitem__(self, key: int | str | slice) -> Camera | Cameras:
-        """A camera by position, or by name (with or without extension); a slice gives a collection.
+        """A camera by index, or by name (with or without extension). A slice gives a collection.
 
         Raises:
-            UnknownNameError: no camera has that name; the message lists the nearest.
-            IndexError: the position is out of range.
+            UnknownNameError: no camera has that name; the message lists the nearest names.
+            IndexError: the index is out of range.
         """
         if isinstance(key, slice):
             return Cameras(self._cameras[key])
@@ -137,7 +215,7 @@ class Cameras:
         return tuple(camera.name for camera in self._cameras)
 
     def select(self, chosen: Callable[[Camera], bool] | Iterable[str | int]) -> Cameras:
-        """The cameras for which ``chosen`` is true, or those named (or numbered) in it, in the order given."""
+        """The cameras for which ``chosen`` returns true, or those listed in it by name or index, in its order."""
         if callable(chosen):
             return Cameras(camera for camera in self._cameras if chosen(camera))
         return Cameras(self[key] for key in chosen)

@@ -15,7 +15,11 @@ from scoup.base.native import native_core
 
 
 def index_dtype(n_atoms: int) -> torch.dtype:
-    """uint8 up to 256 atoms, uint16 beyond."""
+    """The dtype of code indices: uint8 up to 256 atoms, uint16 beyond.
+
+    Raises:
+        InputError: the number of atoms is not 1 to 65536.
+    """
     if not 1 <= n_atoms <= 65536:
         raise InputError(f"a codebook may have 1 to 65536 atoms, not {n_atoms}")
     return torch.uint8 if n_atoms <= 256 else torch.uint16
@@ -27,12 +31,12 @@ class SparseCodes:
 
     Attributes:
         indices: [R, K] uint8 (uint16 beyond 256 atoms), the atoms of each row.
-        weights: [R, K] float32, not negative, largest first, summing to 1. An empty row has only zeros; the
-            indices of zero weights mean nothing.
+        weights: [R, K] float32, not negative, largest first, summing to 1. An empty row has only zeros. Indices with
+            weight zero have no meaning.
         n_atoms: L, the size of the codebook.
 
     Raises:
-        InputError: if shapes or dtypes are wrong.
+        InputError: a shape or dtype is wrong.
     """
 
     indices: Tensor  # [R, K]
@@ -71,8 +75,8 @@ class SparseCodes:
     def from_dense(cls, dense: Tensor, k: int) -> SparseCodes:
         """Keep the k largest positive entries of each row of ``dense`` [R, L] and scale them to sum 1.
 
-        This is the top-K step of the uplift (method.md, stage 2). Rows without a positive entry stay empty.
-        Equal entries are taken in the order of their index, so that the result is the same everywhere.
+        This is the top-K step of the uplift (docs/method.md, stage 2). Rows without a positive entry stay empty. Of
+        equal entries the lower index comes first, so that the result is the same everywhere.
         """
         n_atoms = dense.shape[1]
         keep = min(k, n_atoms)
@@ -89,7 +93,7 @@ class SparseCodes:
 
 
 def cosines_from_codes(weights: Tensor, codebook: Tensor, queries: Tensor) -> Tensor:
-    """Cosine between decoded codes and queries without decoding (method.md, stage 3).
+    """Cosines between decoded codes and queries, without decoding (docs/method.md, stage 3).
 
     cos(W C, t) = (W A) / sqrt(W G W^T) with A = C T^T and G = C C^T.
 
@@ -105,12 +109,12 @@ def cosines_from_codes(weights: Tensor, codebook: Tensor, queries: Tensor) -> Te
 
 
 def cosines_from_products(weights: Tensor, scores: Tensor, gram: Tensor) -> Tensor:
-    """``cosines_from_codes`` given its two products: A = C T^T [..., L, Q] and G = C C^T [..., L, L].
+    """``cosines_from_codes`` from the two products that it needs of codebook and queries.
 
     Args:
-        weights: [..., P, L].
-        scores: [..., L, Q].
-        gram: [..., L, L].
+        weights: [..., P, L] coefficients over the atoms, in any scale.
+        scores: [..., L, Q], A = C T^T.
+        gram: [..., L, L], G = C C^T.
 
     Returns:
         [..., P, Q]; zero where the coefficients are all zero.
@@ -127,14 +131,12 @@ def cosines_and_norms(weights: Tensor, scores: Tensor, gram: Tensor) -> tuple[Te
 
 
 def code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
-    """What sparse codes are worth: their products W A with a table of scores.
-
-    On a CPU the compiled core does it, where there is one.
+    """The products W A of sparse codes with a table of scores, in the compiled core where there is one.
 
     Args:
         indices: [N, S, K] atoms, each below L.
-        weights: [N, S, K] float weights (float16 or float32).
-        scores: [S, L, Q] float32, what each atom is worth.
+        weights: [N, S, K] float16 or float32.
+        scores: [S, L, Q] float32, the score A of each atom.
 
     Returns:
         [N, S, Q] float32.
@@ -153,7 +155,7 @@ def code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
 
 
 def plain_code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
-    """``code_scores`` in torch."""
+    """``code_scores`` in plain torch, on any device."""
     check_atoms(indices, scores.shape[1])
     levels = [
         (scores[level][indices[:, level].long()] * weights[:, level, :, None].float()).sum(1)
@@ -171,15 +173,16 @@ def code_arrays(indices: Tensor, weights: Tensor) -> tuple[np.ndarray, np.ndarra
 
 
 def decoded(weights: Tensor, codebook: Tensor) -> Tensor:
-    """[..., D] decoded codes of unit norm, zero where the coefficients [..., L] decode to nothing; codebook [L, D]."""
+    """[..., D] decoded codes of unit norm from coefficients [..., L] and a codebook [L, D]; zero where all coefficients
+    are zero."""
     return torch.nn.functional.normalize(weights @ codebook, dim=-1)
 
 
 def float32_products(rows: Tensor, others: Tensor) -> Tensor:
-    """[..., R, N]: ``rows`` [..., R, D] times the transposed ``others`` [..., N, D], in full float32.
+    """[..., R, N]: ``rows`` [..., R, D] times the transposed ``others`` [..., N, D], with all bits of float32.
 
-    Also where the user lets torch multiply with fewer bits on a GPU: a similarity rounded to 10 bits of mantissa picks
-    other atoms.
+    That holds even if the user allows torch fewer bits on a GPU: similarities rounded to 10 bits of mantissa would
+    select other atoms.
     """
     if rows.device.type != "cuda":
         return rows @ others.transpose(-1, -2)
@@ -189,10 +192,10 @@ def float32_products(rows: Tensor, others: Tensor) -> Tensor:
 
 @contextmanager
 def full_float32() -> Iterator[None]:
-    """Products of float32 on a GPU keep all bits meanwhile, however the user lets torch make them."""
+    """In this context, torch's float32 products on a GPU keep all bits, whatever precision the user has set."""
     matmul = torch.backends.cuda.matmul
     if hasattr(matmul, "fp32_precision"):
-        # Since torch 2.9, whose older names raise an error once the user has set this one.
+        # Since torch 2.9. The older functions raise an error once the user has set this attribute.
         before = matmul.fp32_precision
         if before != "tf32":
             yield
@@ -212,10 +215,9 @@ def full_float32() -> Iterator[None]:
 
 
 def stable_products(rows: Tensor, others: Tensor) -> Tensor:
-    """[R, N] float32: ``rows`` [R, D] times the transposed ``others`` [N, D].
+    """[R, N] float32: ``rows`` [R, D] times the transposed ``others`` [N, D], the same for any number of threads.
 
-    With the compiled core the result is the same for any number of threads; that of torch's products is not, on some
-    machines.
+    That needs the compiled core. Without it torch multiplies, whose results depend on the threads on some machines.
     """
     core = native_core() if rows.device.type == "cpu" else None
     if core is None:
@@ -225,7 +227,11 @@ def stable_products(rows: Tensor, others: Tensor) -> Tensor:
 
 
 def check_atoms(indices: Tensor, n_atoms: int) -> None:
-    """Refuse codes that refer to atoms there are not: indices of several levels are flattened together later."""
+    """Refuse indices beyond the codebook, which would be read as atoms of another level once levels are flattened.
+
+    Raises:
+        InputError: an index is not 0 to ``n_atoms`` - 1.
+    """
     wide = indices.long()
     if wide.numel() and not 0 <= int(wide.min()) <= int(wide.max()) < n_atoms:
         raise InputError(f"code indices must be 0 to {n_atoms - 1}")

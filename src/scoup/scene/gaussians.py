@@ -1,4 +1,4 @@
-"""The trained scene: a set of 3D Gaussians, as plain tensors."""
+"""The trained scene: 3D Gaussians as plain tensors."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class Gaussians:
         opacities: [N] peak alpha, 0..1 (not logit). Values above 1 count as 1 when rasterised.
         sh: [N, B, 3] spherical-harmonic colour coefficients, B = (degree + 1)^2; RGB = max(0, SH + 0.5).
 
-    Rows that are not finite are allowed in memory; the rasterisers never draw them.
+    Rows that are not finite are allowed; the rasterisers never draw them.
 
     Raises:
-        InputError: if shapes, dtypes or devices disagree.
+        InputError: a shape, dtype or device differs from the above.
     """
 
     means: Tensor  # [N, 3]
@@ -77,7 +77,7 @@ class Gaussians:
         return Gaussians(*(getattr(self, field.name).to(device) for field in fields(self)))
 
     def select(self, chosen: Tensor) -> Gaussians:
-        """The chosen Gaussians, in order. ``chosen`` is a boolean mask [N] or an index tensor [M]."""
+        """The Gaussians of a boolean mask [N], or of an index tensor [M] in its order."""
         return Gaussians(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def finite(self) -> Tensor:
@@ -87,8 +87,8 @@ class Gaussians:
         return rows & ~torch.isnan(self.opacities) & (self.opacities != -torch.inf)
 
     def fingerprint(self) -> str:
-        """SHA-256 over means, quats, scales and opacities: what decides who paints which pixel. Colour is left
-        out, so a recoloured scene keeps its language field."""
+        """SHA-256 of means, quats, scales and opacities, which decide all blending weights. Colour is left out: a
+        recoloured scene keeps its language field."""
         digest = hashlib.sha256(f"scoup-geometry-1:{len(self)}".encode())
         for tensor in (self.means, self.quats, self.scales, self.opacities):
             digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())

@@ -1,4 +1,4 @@
-"""Region maps: which region each pixel belongs to, and the embedding of each region."""
+"""Region maps: the region of each pixel, and the embedding of each region."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
 
-LEVELS = ("s", "m", "l")  # fine, medium, coarse: the three mask sizes SAM proposes for one point
+LEVELS = ("s", "m", "l")  # subparts, parts, wholes: the three masks that SAM proposes for a point
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,11 +18,11 @@ class RegionMap:
     """The regions of one view at one level.
 
     Attributes:
-        labels: [H, W] int32, the region's row in ``embeddings``; -1 where no region lies.
+        labels: [H, W] int32, the row of each pixel's region in ``embeddings``; -1 where there is no region.
         embeddings: [R, D] float32, one row a region, unit norm (a zero row means "unknown").
 
     Raises:
-        InputError: if the labels point outside the embeddings, or shapes or dtypes are wrong.
+        InputError: a label has no embedding, a value is not finite, or a shape or dtype is wrong.
     """
 
     labels: Tensor  # [H, W]
@@ -47,12 +47,12 @@ class RegionMap:
                 )
 
     def resized(self, width: int, height: int) -> RegionMap:
-        """Nearest-neighbour resampling of the labels; embeddings stay."""
+        """The same regions at another image size (``resize_labels``)."""
         return RegionMap(resize_labels(self.labels, width, height), self.embeddings)
 
 
 def resize_labels(labels: Tensor, width: int, height: int) -> Tensor:
-    """Nearest-neighbour resampling of [..., H, W] labels to [..., height, width]: the pixel under each new centre."""
+    """Labels [..., H, W] resampled to [..., height, width]: each new pixel gets the label under its centre."""
     rows, columns = labels.shape[-2:]
     if (columns, rows) == (width, height):
         return labels
@@ -66,16 +66,15 @@ def resize_labels(labels: Tensor, width: int, height: int) -> Tensor:
 
 
 class Regions:
-    """A lazy collection of region maps over views x levels. Only one map needs to be in memory at a time.
+    """The region maps of all views and levels, loaded when needed: only one has to be in memory at a time.
 
     Args:
         levels: level names, fine to coarse.
-        view_names: names of the cameras that have regions, in order.
-        load: ``load(view_name, level)`` gives the map; called each time it is needed.
-        load_embeddings: ``load_embeddings(view_name, level)`` gives the embeddings [R, D] alone, where that is
-            cheaper than the whole map.
-        load_labels: ``load_labels(view_name)`` gives the labels of all levels, [S, H, W] int32, checked against the
-            number of embeddings, where that is cheaper than the whole maps.
+        view_names: names of the cameras of views with regions, in order.
+        load: ``load(view_name, level)`` returns a map; called each time one is needed.
+        load_embeddings: ``load_embeddings(view_name, level)`` returns the embeddings [R, D] alone, if that is cheaper.
+        load_labels: ``load_labels(view_name)`` returns the labels of all levels alone, [S, H, W] int32, checked against
+            the number of embeddings, if that is cheaper.
     """
 
     def __init__(
@@ -95,7 +94,11 @@ class Regions:
 
     @classmethod
     def from_maps(cls, maps: Mapping[str, Mapping[str, RegionMap]]) -> Regions:
-        """Regions held in memory: ``{view name: {level: RegionMap}}``. Every view must have the same levels."""
+        """Regions in memory, ``{view name: {level: RegionMap}}``.
+
+        Raises:
+            InputError: two views have different levels.
+        """
         levels = tuple(next(iter(maps.values()))) if maps else LEVELS
         for name, by_level in maps.items():
             if tuple(by_level) != levels:
@@ -120,13 +123,13 @@ class Regions:
         return self._load(view_name, level)
 
     def load_labels(self, view_name: str, width: int, height: int) -> Tensor:
-        """The labels of all levels of a view at one image size, [S, height, width] int32; not to be changed in place.
+        """The labels of all levels of a view at one image size, [S, height, width] int32. Do not change them in place.
 
-        Embeddings are not read where the labels can be had without them.
+        Embeddings are not read if labels can be loaded without them.
 
         Raises:
             UnknownNameError: there is no such view.
-            InputError: what was loaded is not a stack of label maps, one a level.
+            InputError: the loaded labels are not one label map a level.
         """
         self._check(view_name)
         if self._load_labels is None:
@@ -156,7 +159,11 @@ class Regions:
         return self._load(view_name, level).embeddings
 
     def embeddings(self, level: str) -> tuple[Tensor, dict[str, slice]]:
-        """All embeddings of a level stacked in view order, [R, D] float32, and the rows of each view in them."""
+        """All embeddings of a level stacked in the order of the views, [R, D] float32, and the rows of each view.
+
+        Raises:
+            InputError: there are no views, or embeddings differ in size.
+        """
         blocks: list[Tensor] = []
         rows: dict[str, slice] = {}
         start = 0
@@ -173,7 +180,11 @@ class Regions:
         return torch.cat(blocks), rows
 
     def select(self, view_names: Iterable[str]) -> Regions:
-        """The same regions, of some views only."""
+        """The regions of these views, in their order.
+
+        Raises:
+            UnknownNameError: a view has no regions.
+        """
         names = tuple(view_names)
         for name in names:
             if name not in self:

@@ -1,6 +1,11 @@
-"""A scene that needs no download: made by a program, with the truth known. See ``scene.make_demo_scene``."""
+"""Everything simulated: scenes made by a program, their observations and words, faults, data sets, random scenes.
 
+``make_demo_scene`` makes a scene whose truth is known; nothing is downloaded. ``art/`` holds what is drawn in it.
+"""
+
+from scoup.synthetic.art.layout import Layout
+from scoup.synthetic.art.table import TABLE
 from scoup.synthetic.folder import write_demo_scene
 from scoup.synthetic.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
 
-__all__ = ["EMBEDDING_MODEL", "DemoScene", "make_demo_scene", "write_demo_scene"]
+__all__ = ["EMBEDDING_MODEL", "TABLE", "DemoScene", "Layout", "make_demo_scene", "write_demo_scene"]

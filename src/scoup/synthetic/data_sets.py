@@ -1,13 +1,14 @@
 """Synthetic data sets, complete, in the layouts of LERF-OVS, 3D-OVS and Mip-NeRF 360.
 
-Every scene is made by ``scoup.synthetic.make_demo_scene``: nothing was photographed, trained or labelled by hand, and
-scores on it say nothing about the data sets whose layout it borrows. Scenes keep the names of their layouts, so that
-nobody takes one for the other. As in the real ones, labelled views are among those a field is built from.
+Every scene is made by ``scoup.synthetic.make_demo_scene``. Nothing was photographed, trained or labelled by hand, and
+scores say nothing about the data set whose layout is used. Scenes are named after their layouts, so that nobody
+mistakes them for scenes of that data set. As in the real ones, labelled views are among those a field is built from.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,14 +20,15 @@ from scoup.io import check_output, save_png, write_text
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
+from scoup.synthetic.art.layout import Layout
+from scoup.synthetic.art.table import TABLE
 from scoup.synthetic.folder import label_file, write_scene
-from scoup.synthetic.layouts import LAYOUTS, find_layout
 from scoup.synthetic.scene import DemoScene, make_demo_scene
 from scoup.synthetic.words import DISTRACTORS
 
-LEVELS_ASKED = ("m", "l")  # names of objects and of groups
+LABELLED_LEVELS = ("m", "l")  # objects and groups
 
-NOTE = """A data set made by a program, in the layout of {name} (scoup eval synthetic). Nothing in it was photographed,
+NOTE = """A data set made by a program, in the layout of {name}. Nothing in it was photographed,
 trained or labelled by hand: scores on it say nothing about {name}.
 
 SCENE/point_cloud.ply     the Gaussians
@@ -40,8 +42,8 @@ SCENE/absent.txt          words of that table for things the scene does not have
 Score it:
     scoup eval {name} .
 """
-NAMES = {"lerf-ovs": "frame_{:05d}.png", "3d-ovs": "{:02d}.png", "mipnerf360": "DSCF{:04d}.png"}
-"""Of the images of a data set, counted from 1 (from 0 in 3D-OVS)."""
+IMAGE_NAMES = {"lerf-ovs": "frame_{:05d}.png", "3d-ovs": "{:02d}.png", "mipnerf360": "DSCF{:04d}.png"}
+"""Names of the images of a data set, counted from 1 (from 0 in 3D-OVS)."""
 LABELS = "label/SCENE/             the truth: one JSON and its picture a labelled frame"
 SEGMENTATIONS = "SCENE/segmentations/      the truth: classes.txt, and <frame>/<class>.png with 0 or 255"
 
@@ -53,9 +55,9 @@ class DataSetSize:
     Attributes:
         n_gaussians: of each scene.
         width, height: of its views, in pixels.
-        n_views: with regions.
-        n_labelled: of these with labels, spread evenly.
-        label_scale: of Mip-NeRF 360, size of the labels relative to the views.
+        n_views: views with regions.
+        n_labelled: how many of them have labels, spread evenly.
+        label_scale: size of the labels relative to the views, for Mip-NeRF 360.
     """
 
     n_gaussians: int = 60_000
@@ -69,55 +71,61 @@ class DataSetSize:
 def write_data_set(
     data_set: str,
     root: str | Path,
-    scenes: tuple[str, ...] = tuple(LAYOUTS),
+    layouts: Sequence[Layout] = (TABLE,),
     size: DataSetSize = DataSetSize(),
-    seed: int = 0,
+    seeds: Sequence[int] = (0,),
     overwrite: bool = False,
     progress: Progress = no_progress,
-) -> Path:
+) -> tuple[str, ...]:
     """Write a complete data set, so that ``scoup eval NAME ROOT`` runs on it.
 
     Args:
         data_set: "lerf-ovs", "3d-ovs" or "mipnerf360".
         root: folder to write into.
-        scenes: layouts of the demo, a scene each.
+        layouts: kinds of scenes.
         size: of each scene.
-        seed: of everything random.
-        overwrite: replace files that are there.
-        progress: told after each scene.
+        seeds: of everything random. There is a scene for each layout and seed, named after the layout, and with several
+            seeds after layout and seed ("table_0").
+        overwrite: replace existing files.
+        progress: called as ``progress("synthetic data set", done, total)`` after each scene.
 
     Returns:
-        The folder.
+        The names of the scenes.
 
     Raises:
-        UnknownNameError: there is no such data set or layout.
-        InputError: the size makes no scene.
-        OutputExistsError: a scene is there already and ``overwrite`` is false; then nothing is written.
+        UnknownNameError: there is no such data set.
+        InputError: the size makes no scene, there are no scenes, or two have the same name.
+        OutputExistsError: a scene exists and ``overwrite`` is false; then nothing is written.
     """
-    pattern, root = looked_up("data set", data_set, NAMES), Path(root)
+    pattern, root = looked_up("data set", data_set, IMAGE_NAMES), Path(root)
     if not 1 <= size.n_labelled <= size.n_views or not 0 < size.label_scale <= 4:
         raise InputError(
             f"a synthetic scene needs 1 to {size.n_views} labelled views and labels of 0 to 4 times their size, not "
             f"{size.n_labelled} and {size.label_scale}"
         )
-    for name in scenes:
-        find_layout(name)
+    scenes = [(layout, seed) for layout in layouts for seed in seeds]
+    names = tuple(f"{layout.name}_{seed}" if len(seeds) > 1 else layout.name for layout, seed in scenes)
+    if not names or len(set(names)) < len(names):
+        raise InputError(
+            f"a data set needs at least one scene, and scenes of different names, not {list(names)}"
+        )
+    for name in names:
         if (root / name).exists() and not overwrite:
             raise OutputExistsError(root / name)
     check_output(root / "README.txt", overwrite)
-    for number, name in enumerate(scenes):
-        progress("synthetic data set", number, len(scenes))
-        scene = make_demo_scene(seed, size.n_gaussians, size.width, size.height, size.n_views, 0, name)
+    for number, (name, (layout, seed)) in enumerate(zip(names, scenes, strict=True)):
+        progress("synthetic data set", number, len(names))
+        scene = make_demo_scene(seed, size.n_gaussians, size.width, size.height, size.n_views, 0, layout)
         _write_scene(data_set, _renamed(scene, pattern), root, name, size, overwrite)
-    progress("synthetic data set", len(scenes), len(scenes))
+    progress("synthetic data set", len(names), len(names))
     labels = SEGMENTATIONS if data_set == "3d-ovs" else LABELS
     write_text(root / "README.txt", NOTE.format(name=data_set, labels=labels), overwrite)
-    return root
+    return names
 
 
 def _renamed(scene: DemoScene, pattern: str) -> DemoScene:
-    """The scene with its building views named as the data set names them; the second name is left out, as where an
-    image failed to register, so that numbers are no positions."""
+    """The scene with its building views renamed as in the data set. The second name is left out, as if that image had
+    failed to register, so that nothing can mistake numbers in names for indices."""
     first = 0 if pattern.startswith("{:02d}") else 1
     numbers = [number for number in range(first, first + len(scene.building) + 1) if number != first + 1]
     names = {
@@ -158,7 +166,7 @@ def _write_label(
     size: DataSetSize,
     overwrite: bool,
 ) -> None:
-    frame = scene.labelled_frame(camera.name, LEVELS_ASKED)
+    frame = scene.labelled_frame(camera.name, LABELLED_LEVELS)
     if data_set == "mipnerf360" and size.label_scale != 1:
         frame = frame.resized(round(frame.width * size.label_scale), round(frame.height * size.label_scale))
     content = label_file(frame, camera.name, {label: scene.level_of(label) for label in frame.labels})
@@ -167,8 +175,8 @@ def _write_label(
 
 
 def _write_segmentations(scene: DemoScene, views: list[str], folder: Path, overwrite: bool) -> None:
-    """Write the masks of the labelled views. As in the real data set, classes are those in sight of all of them."""
-    frames = [scene.labelled_frame(name, LEVELS_ASKED) for name in views]
+    """Write the masks of the labelled views. As in the real data set, a class is visible in all of them."""
+    frames = [scene.labelled_frame(name, LABELLED_LEVELS) for name in views]
     classes = [label for label in frames[0].labels if all(label in frame.masks for frame in frames)]
     if not classes:
         raise InputError(f"{folder}: the labelled views have no object in common; make more or larger views")

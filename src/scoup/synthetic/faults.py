@@ -1,7 +1,7 @@
-"""Faults of region maps and embeddings, put in on purpose, to see which way of coding and voting bears them.
+"""Faults of region maps and embeddings, put in on purpose to compare how robust codings and votes are.
 
-They act on region sums, where every fault is a change of rows or columns: nothing is rasterised again. A case is a
-sum of faults by name, such as "wrong20+noise60" (``perturbed``); the same seed gives the same faults.
+They act on region sums, where every fault changes rows or columns: nothing is rasterised again. A case joins faults by
+name, such as "wrong20+noise60" (``perturbed``). The same seed gives the same faults.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Shown = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class LevelSums:
-    """All of one level that coding, uplift and vote need.
+    """What coding, uplift and vote need of one level.
 
     Attributes:
         matrix: [N, R] float32 scipy CSR, A[i, r] = blending weight of Gaussian i in region r (``RegionSums.matrix``).
@@ -79,8 +79,8 @@ def level_sums(sums: RegionSums, regions: Regions) -> list[LevelSums]:
 
 
 def as_region_sums(levels: Sequence[LevelSums]) -> RegionSums:
-    """The way back from ``level_sums``: what several rounds of the vote and the consensus take. Regions of a view must
-    lie next to each other, views in order."""
+    """The inverse of ``level_sums``, as input to votes of several rounds and to the consensus. Regions must be sorted
+    by view."""
     n_views = max(int(level.views.max(initial=-1)) for level in levels) + 1
     columns = [level.matrix.tocsc() for level in levels]
     starts = [np.searchsorted(level.views, np.arange(n_views + 1)) for level in levels]
@@ -107,7 +107,7 @@ def as_region_sums(levels: Sequence[LevelSums]) -> RegionSums:
 
 
 def wrong_embeddings(level: LevelSums, share: float, rng: np.random.Generator) -> LevelSums:
-    """A ``share`` of the regions carry the embedding of another region of the level, drawn at random."""
+    """A ``share`` of the regions get the embedding of another region of the level, drawn at random."""
     count = len(level.embeddings)
     if count < 2:
         return level
@@ -119,8 +119,8 @@ def wrong_embeddings(level: LevelSums, share: float, rng: np.random.Generator) -
 
 
 def diffuse_noise(level: LevelSums, length: float, rng: np.random.Generator) -> LevelSums:
-    """Every embedding is moved by noise of about ``length`` and made unit again: in part in any direction, in part
-    along the difference of two embeddings of the level, where a mistake can be taken for another thing."""
+    """Noise of about ``length`` is added to every embedding, which is scaled to unit length again. The noise is partly
+    isotropic, partly along the difference of two embeddings of the level, where it confuses one thing with another."""
     rows = level.embeddings
     count, dim = rows.shape
     isotropic = torch.from_numpy(rng.normal(size=(count, dim)) / np.sqrt(dim)).float()
@@ -133,14 +133,14 @@ def diffuse_noise(level: LevelSums, length: float, rng: np.random.Generator) -> 
 
 
 def missing_masks(level: LevelSums, share: float, rng: np.random.Generator) -> LevelSums:
-    """A ``share`` of the regions are not there: their pixels have no region."""
+    """A ``share`` of the regions are missing: their pixels have no region."""
     return level.kept(rng.random(len(level.embeddings)) >= share)
 
 
 def rare_objects(
     level: LevelSums, shown: Shown, names: Iterable[str], rng: np.random.Generator, n_views: int = RARE_VIEWS
 ) -> LevelSums:
-    """The named things keep their regions in ``n_views`` views, drawn at random; in all others these are missing."""
+    """The named things keep their regions in ``n_views`` views, drawn at random, and lose them in all others."""
     kept = np.ones(len(level.embeddings), bool)
     for name in names:
         seen_from = np.unique(level.views[shown[name]])
@@ -149,11 +149,11 @@ def rare_objects(
 
 
 def regions_by_name(level: LevelSums, shares: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Which regions show each name: those of which most blending weight is on its Gaussians (``Shown``).
+    """Which regions show each name (``Shown``): those with most of their blending weight on its Gaussians.
 
     Args:
         level: the regions.
-        shares: name -> [N] float32, how much of each Gaussian is that thing; NaN where nobody knows
+        shares: name -> [N] float32, how much of each Gaussian belongs to that thing, NaN where unknown
             (``gaussians_by_name``).
     """
     columns = level.matrix.T.tocsr()
@@ -168,15 +168,15 @@ def regions_by_name(level: LevelSums, shares: Mapping[str, np.ndarray]) -> dict[
 def gaussians_by_name(
     gaussians: Gaussians, frames: Sequence[tuple[LabelledFrame, Camera]], raster_preset: str = "inria"
 ) -> dict[str, np.ndarray]:
-    """How much of each Gaussian's part in labelled frames lies on each label: name -> [N] float32, 0..1, NaN for
-    Gaussians that no frame shows. Frames must be of the size of their cameras."""
+    """The share of each Gaussian's blending weight in labelled frames that lies on each label: name -> [N] float32,
+    0..1, NaN for Gaussians that no frame shows. Frames must have the size of their cameras."""
     seen = np.zeros(len(gaussians))
     on: dict[str, np.ndarray] = {}
     for frame, camera in frames:
-        view = raster.project(gaussians, camera, raster_preset)
+        projection = raster.project(gaussians, camera, raster_preset)
         everything = torch.ones(1, camera.height, camera.width, dtype=torch.bool)
         masks = torch.cat([everything, *(mask[None] for mask in frame.masks.values())])
-        sums = raster.region_sums(view, masks.int() - 1)
+        sums = raster.region_sums(projection, masks.int() - 1)
         for number, name in enumerate(("", *frame.labels)):
             gaussian, _, weight = (part.cpu().numpy() for part in sums.triplets(number))
             total = seen if not name else on.setdefault(name, np.zeros(len(gaussians)))
@@ -191,7 +191,7 @@ FAULTS: dict[str, Fault] = {
     "noise": diffuse_noise,
     "missing": missing_masks,
 }
-"""By name; each takes a hundredth of the number written after it: "wrong20" is 20 % of the regions."""
+"""By name; the number after a name is in hundredths: "wrong20" is 20 % of the regions."""
 
 
 def perturbed(
@@ -204,9 +204,9 @@ def perturbed(
 
     Args:
         levels: fine to coarse.
-        case: "clean", or faults joined by "+" and put in from left to right: one of ``FAULTS`` with its number, or
+        case: "clean", or faults joined by "+" and applied from left to right: one of ``FAULTS`` with its number, or
             "rare", which makes half of the names rare.
-        seed: of the draws. A fault draws the same on its own and next to others, as long as the regions are the same.
+        seed: of the draws. A fault draws the same with and without other faults, as long as the regions are the same.
         shares: as for ``regions_by_name``; "rare" needs them.
 
     Raises:
@@ -232,7 +232,7 @@ def _with_rare_names(
     levels: list[LevelSums], seed: int, shares: Mapping[str, np.ndarray] | None
 ) -> list[LevelSums]:
     if shares is None:
-        raise InputError("to make objects rare one must know which Gaussians belong to them")
+        raise InputError('the fault "rare" needs to know which Gaussians belong to each name')
     draw = _draws(seed, "rare")
     names = sorted(shares)
     chosen = [names[i] for i in draw.permutation(len(names))[: (len(names) + 1) // 2]]

@@ -1,4 +1,4 @@
-"""The demo scene as a folder on disk, in the layouts that real scenes come in."""
+"""A demo scene as a folder on disk, in the layouts of real scenes."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ from scoup.io.labels import LabelledFrame
 from scoup.models.word_table import save_table
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera
-from scoup.synthetic.layouts import find_layout
-from scoup.synthetic.polygons import mask_polygons
+from scoup.synthetic.masks import mask_polygons
 from scoup.synthetic.scene import EMBEDDING_MODEL, DemoScene
 from scoup.synthetic.splat import SH_C0
 
@@ -40,7 +39,7 @@ text.npz             simulated text vectors: names [M], vectors [M, 512]
 held_out/            views without regions: images/, transforms.json (nerfstudio's layout), and
                      label/ with the truth as LERF-OVS label files
 
-Build and ask:
+Build and query:
     scoup build . --out field.scoup
     scoup query field.scoup "{name}" --text text.npz
 """
@@ -54,12 +53,12 @@ def write_demo_scene(
     render: Callable[[Camera], Any] | None = None,
     progress: Progress = no_progress,
 ) -> Path:
-    """Write a scene so that ``scoup build FOLDER`` works on it; see ``NOTE`` for what lies where.
+    """Write a scene so that ``scoup build FOLDER`` works on it; ``NOTE`` says what lies where.
 
     Args:
         scene: from ``make_demo_scene``.
-        folder: made if it is not there.
-        overwrite: replace files that are there.
+        folder: created if absent.
+        overwrite: replace existing files.
         levels: levels whose names are labelled in the held-out views.
         render: ``render(camera)`` gives [H, W, 3] float 0..1 or uint8; by default the colour render.
         progress: called as ``progress("render", done, total)``.
@@ -68,7 +67,7 @@ def write_demo_scene(
         The folder.
 
     Raises:
-        OutputExistsError: a file is there already and ``overwrite`` is false; then nothing is written.
+        OutputExistsError: a file exists and ``overwrite`` is false; then nothing is written.
     """
     folder = Path(folder)
     held_out = folder / "held_out"
@@ -101,14 +100,13 @@ def write_demo_scene(
         frame = scene.labelled_frame(camera.name, levels)
         content = label_file(frame, camera.name, {name: scene.level_of(name) for name in frame.labels})
         write_text(held_out / "label" / f"{frame.name}.json", json.dumps(content) + "\n", overwrite)
-    layout = find_layout(scene.layout)
-    note = NOTE.format(title=layout.title, name=layout.favourites[0])
+    note = NOTE.format(title=scene.layout.title, name=scene.layout.favourites[0])
     write_text(folder / "README.txt", note, overwrite)
     return folder
 
 
 def label_file(frame: LabelledFrame, image_name: str, groups: dict[str, str]) -> dict[str, Any]:
-    """The content of a LERF-OVS label file of one frame; ``groups`` gives the level of each name."""
+    """The content of a LERF-OVS label file of one frame; ``groups`` holds the level of each name."""
     objects = []
     for name, mask in frame.masks.items():
         for number, (corners, box) in enumerate(mask_polygons(mask.numpy())):
@@ -129,7 +127,7 @@ def label_file(frame: LabelledFrame, image_name: str, groups: dict[str, str]) ->
 
 
 def write_scene(scene: DemoScene, folder: Path, overwrite: bool) -> None:
-    """Splat, cameras with some points, region features and text vectors: all of a scene's folder but its images."""
+    """Write all of a scene's folder but its images: splat, cameras with some points, regions and text vectors."""
     save_gaussians(scene.gaussians, folder / "point_cloud.ply", overwrite)
     count = len(scene.gaussians)
     points = np.linspace(0, count - 1, min(SPARSE_POINTS, count)).astype(int)

@@ -1,14 +1,13 @@
-"""What a segmenter and an image encoder would make of the photographs, simulated from the true part maps.
+"""Observations: what a segmenter and an image encoder would make of the photographs, simulated from the true parts.
 
-Regions. The truth at each level is cut into connected pieces, and all their borders are moved by smooth
-noise of one to two pixels. Of the regions 6 % are missing, 12 % grown or shrunk by some pixels, 4 % merged
-with a neighbour and 5 % split in two (15 % at the fine level). Small ones are dropped.
+Regions. The truth at each level is cut into connected pieces, and all their borders are moved by smooth noise of one
+to two pixels. Of the regions, 6 % are missing, 12 % grown or shrunk by some pixels, 4 % merged with a neighbour and
+5 % split in two (15 % at the fine level). Small ones are dropped.
 
-Embeddings. A region's vector is the mixture of the prototypes of what it really shows, by pixels, plus 2-16
-% of what surrounds it; at the fine level every part has an offset of its own. Noise is added: isotropic,
-and along differences of prototypes (an encoder errs towards other things); part of it belongs to the view
-and is shared by all regions of an object in it. Small regions get more. 10 % of the regions carry the
-embedding of a neighbour.
+Embeddings. A region's embedding mixes the prototypes of what its pixels truly show, plus 2 to 16 % of what surrounds
+it; at the fine level every part has an offset of its own. Noise is added: isotropic, and along differences of
+prototypes (an encoder errs towards other things). Part of the noise belongs to the view, and all regions of an object
+in that view share it. Small regions get more noise. 10 % of the regions carry the embedding of a neighbour.
 """
 
 from __future__ import annotations
@@ -22,23 +21,21 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.synthetic.art.meshes import Floats
+from scoup.synthetic.art.things import Parts
 from scoup.synthetic.masks import Mask, components, grown, shrunk
-from scoup.synthetic.meshes import Floats
-from scoup.synthetic.things import Parts
 from scoup.synthetic.words import Words, unit
 
 REFERENCE_WIDTH = 480  # pixels in the constants below refer to an image this wide
 SMALLEST = 45  # pixels
-LEAST_KEPT = 12  # pixels a region keeps whatever happens to it
+LEAST_KEPT = 12  # pixels: smaller regions are dropped
 BORDER_NOISE = 1.3  # pixels, standard deviation of the displacement along each axis
 BORDER_SMOOTHNESS = 7.0  # pixels
 MISSING, RESIZED, MERGED = 0.06, 0.12, 0.04
 SPLIT = {"s": 0.15, "m": 0.05, "l": 0.05}
 SWAPPED = 0.10
 SURROUNDINGS = (0.02, 0.16)
-VIEW_NOISE = (
-    0.16  # length of the noise shared by a thing's regions in one view, where a prototype has length 1
-)
+VIEW_NOISE = 0.16  # length of the noise that a thing's regions share in one view; a prototype has length 1
 REGION_NOISE = 0.22
 DIRECTED_NOISE = 0.18  # along differences of prototypes
 PART_OFFSET = 0.2
@@ -49,13 +46,13 @@ IntMap = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """One level of the truth, and what embeddings need to know about it."""
+    """One level of the truth in one view, and what its embeddings are made of."""
 
     name: str
     truth: IntMap  # [H, W] numbers of names at this level, -1 = nothing
     prototypes: Floats  # [names, D]
     offsets: Floats  # [names, D]
-    shifts: Floats  # [names, D] this view's noise
+    shifts: Floats  # [names, D] noise of this view
 
 
 def observe(part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np.random.Generator) -> Regions:
@@ -102,10 +99,10 @@ def make_regions(truth: IntMap, level: str, rng: np.random.Generator) -> IntMap:
     labels = np.full(truth.shape, -1, np.int32)
     for number, (box, mask) in enumerate(pieces):
         labels[box][mask] = number
-    boxes = [tuple(_widened(side, 8) for side in box) for box, _ in pieces]
+    boxes = [tuple(_padded(side, 8) for side in box) for box, _ in pieces]
     next_number = len(pieces)
     for number in order:
-        window = labels[boxes[number]]  # a view: what is painted into it is painted into the map
+        window = labels[boxes[number]]  # shares memory with ``labels``
         mask = window == number
         bound = MISSING
         if fate[number] < bound:
@@ -145,9 +142,7 @@ def _moved(part_map: IntMap, rng: np.random.Generator) -> IntMap:
 
 
 def _pieces(truth: IntMap, smallest: float) -> list[tuple[tuple[slice, ...], Mask]]:
-    """The connected pieces of each name that have at least ``smallest`` pixels: window and mask in the
-    window.
-    """
+    """The connected pieces of each name that have at least ``smallest`` pixels: window and mask in the window."""
     found = []
     for name, box in enumerate(ndimage.find_objects(truth + 1)):
         if box is None:
@@ -158,7 +153,7 @@ def _pieces(truth: IntMap, smallest: float) -> list[tuple[tuple[slice, ...], Mas
     return found
 
 
-def _widened(side: slice, margin: int) -> slice:
+def _padded(side: slice, margin: int) -> slice:
     return slice(max(0, side.start - margin), side.stop + margin)
 
 
@@ -183,21 +178,21 @@ def _renumbered(labels: IntMap) -> IntMap:
 def _embed(labels: IntMap, level: _Level, rng: np.random.Generator) -> Floats:
     """[R, D] unit embeddings of the regions of one map."""
     count = int(labels.max()) + 1
-    looks = level.prototypes + level.offsets + level.shifts
-    dimensions = looks.shape[1]
+    appearances = level.prototypes + level.offsets + level.shifts
+    dimensions = appearances.shape[1]
     mixture, clean = np.zeros((count, dimensions)), np.zeros((count, dimensions))
     neighbour = np.arange(count)
     boxes = ndimage.find_objects(labels + 1)
     areas = np.bincount(labels[labels >= 0], minlength=count)
     for number in range(count):
         rows, columns = boxes[number]
-        window = _widened(rows, 6), _widened(columns, 6)
+        window = _padded(rows, 6), _padded(columns, 6)
         mask = labels[window] == number
         around = grown(mask, 5) & ~mask
-        inside = _share(level.truth[window][mask], len(looks))
-        outside = _share(level.truth[window][around], len(looks))
+        inside = _share(level.truth[window][mask], len(appearances))
+        outside = _share(level.truth[window][around], len(appearances))
         surroundings = rng.uniform(*SURROUNDINGS) if outside.any() else 0.0
-        mixture[number] = ((1 - surroundings) * inside + surroundings * outside) @ looks
+        mixture[number] = ((1 - surroundings) * inside + surroundings * outside) @ appearances
         clean[number] = mixture[number]
         beside = labels[window][around]
         if (beside >= 0).any():
@@ -208,8 +203,8 @@ def _embed(labels: IntMap, level: _Level, rng: np.random.Generator) -> Floats:
     strength = (1 + 0.5 * np.sqrt(SMALL_AREA / (pixels + SMALL_AREA / 4)).clip(max=1.6))[:, None]
     isotropic = _noise(mixture.shape, 1.0, rng) * REGION_NOISE
     towards = (
-        level.prototypes[rng.integers(0, len(looks), count)]
-        - level.prototypes[rng.integers(0, len(looks), count)]
+        level.prototypes[rng.integers(0, len(appearances), count)]
+        - level.prototypes[rng.integers(0, len(appearances), count)]
     )
     return unit(mixture + strength * (isotropic + DIRECTED_NOISE * rng.normal(size=(count, 1)) * towards))
 

@@ -1,8 +1,8 @@
-"""The demo scene: a splat, cameras, regions, words and the truth about them, made from nothing but a seed.
+"""The demo scene: a splat, cameras, regions, words and the truth about them, made from a seed alone.
 
-Geometry, colours and cameras are made first; what each pixel truly shows follows from the geometry by ray
-(a z-buffer over the meshes). Regions and embeddings are simulated from that truth (``observe``, ``words``).
-The rasteriser and the method have no part in any of it.
+Geometry, colours and cameras are made first. What each pixel truly shows follows from the geometry, by a z-buffer over
+the meshes. Regions and embeddings are simulated from that truth (``observe``, ``words``). Neither the rasteriser nor
+the method takes part in any of it.
 """
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ from scoup.query.segment import mask_box
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, Regions
-from scoup.synthetic.layouts import find_layout
-from scoup.synthetic.masks import patch_boxes
+from scoup.synthetic.art.layout import Layout
+from scoup.synthetic.art.table import TABLE
+from scoup.synthetic.art.things import Parts, Surface
+from scoup.synthetic.art.zbuffer import visible_faces
+from scoup.synthetic.masks import piece_boxes
 from scoup.synthetic.observe import IntMap, observe
 from scoup.synthetic.splat import make_splat
-from scoup.synthetic.things import Parts, Surface
 from scoup.synthetic.words import CANONICAL, Words, make_words
-from scoup.synthetic.zbuffer import visible_faces
 
-SMALLEST_LABEL = 75  # pixels of an image 480 wide: what is seen of a thing must be larger to be asked for
+SMALLEST_LABEL = 75  # pixels, in an image 480 wide: a thing is labelled where it shows at least that many
 EMBEDDING_MODEL = "scoup-demo (simulated)"
 
 
@@ -38,14 +39,14 @@ class DemoScene:
 
     Attributes:
         gaussians: N Gaussians, SH degree 0, in no particular order.
-        building: cameras whose views have regions.
-        held_out: cameras to judge by; no region was seen from them.
+        building: cameras of the views with regions.
+        held_out: cameras of the views without, for scoring.
         regions: levels s, m, l of the building views, 512-d embeddings.
         parts: names of parts (s), objects (m) and groups (l), and how they nest.
         part_maps: the true part of each pixel of every view, [H, W] int32 by view name; -1 = nothing.
-        part_of_gaussian: [N] int64, the part each Gaussian was put on; -1 for haze.
+        part_of_gaussian: [N] int64, the part each Gaussian lies on; -1 for haze.
         words: text vectors, and the prototypes behind the region embeddings.
-        layout: name of the kind of scene.
+        layout: the kind of scene.
     """
 
     gaussians: Gaussians
@@ -56,7 +57,7 @@ class DemoScene:
     part_maps: Mapping[str, IntMap]
     part_of_gaussian: Tensor
     words: Words
-    layout: str = "table"
+    layout: Layout = TABLE
 
     @property
     def cameras(self) -> Cameras:
@@ -80,7 +81,11 @@ class DemoScene:
         return torch.from_numpy(np.stack([self.words.vector(text) for text in texts])).float()
 
     def level_of(self, name: str) -> str:
-        """The level a name is asked at: "m" for objects, else "l" for groups, else "s" for parts."""
+        """The level of a name: "m" for objects, else "l" for groups, else "s" for parts.
+
+        Raises:
+            UnknownNameError: nothing in the scene has that name; lists the nearest.
+        """
         for level in ("m", "l", "s"):
             if name in self.parts.names(level):
                 return level
@@ -94,9 +99,10 @@ class DemoScene:
         return torch.from_numpy(self.parts.at_level(self.part_maps[view_name], level) == number)
 
     def labelled_frame(self, view_name: str, levels: tuple[str, ...] = ("m",)) -> LabelledFrame:
-        """The truth of a view in the form that ``scoup.evaluate`` scores: each name with at least
-        ``SMALLEST_LABEL`` pixels in sight (scaled with the image), and one box around all of them. A name of
-        several things has a box around each patch of it that is large enough.
+        """The truth of a view in the form that ``scoup.evaluate`` scores.
+
+        A name is labelled where at least ``SMALLEST_LABEL`` pixels (scaled with the image) show it, with one box around
+        all of them. A name of several things has a box around each connected piece of that size.
         """
         height, width = self.part_maps[view_name].shape
         least = SMALLEST_LABEL * (width / 480) ** 2
@@ -107,7 +113,7 @@ class DemoScene:
             box = mask_box(mask)
             if box is not None and int(mask.sum()) >= least:
                 masks[name] = mask
-                found = patch_boxes(mask.numpy(), least) if name in self.parts.several else []
+                found = piece_boxes(mask.numpy(), least) if name in self.parts.several else []
                 # Corners of a label's box are pixels inside it.
                 found = found or [(box[0], box[1], box[2] - 1, box[3] - 1)]
                 boxes[name] = torch.tensor(found, dtype=torch.float32)
@@ -121,36 +127,34 @@ def make_demo_scene(
     height: int = 360,
     n_building: int = 24,
     n_held_out: int = 6,
-    layout: str = "table",
+    layout: Layout = TABLE,
 ) -> DemoScene:
-    """Make the demo scene. The same arguments give the same scene, to the last bit on one machine.
+    """Make a scene. The same arguments give the same scene, to the last bit on one machine.
 
     Args:
         seed: of everything random: cameras, Gaussians, words, regions.
-        n_gaussians: exactly so many.
+        n_gaussians: N, exactly.
         width, height: of all views, in pixels.
         n_building: views with regions.
-        n_held_out: views without, to judge by.
-        layout: the kind of scene, a name from ``scoup.synthetic.layouts.LAYOUTS``.
+        n_held_out: views without, for scoring.
+        layout: the kind of scene.
 
     Raises:
         InputError: a number is too small for a scene.
-        UnknownNameError: there is no such layout.
     """
     if n_gaussians < 2000 or min(width, height) < 32 or n_building < 1 or n_held_out < 0:
         raise InputError(
             "a demo scene needs at least 2000 Gaussians, 32 x 32 pixels and one view, "
             f"not {n_gaussians} Gaussians, {width} x {height} pixels and {n_building} views"
         )
-    plan = find_layout(layout)
-    # A generator for each trade: changing how one draws leaves the others as they are.
+    # A generator for each purpose: a change to what one draws does not change the others.
     for_cameras, for_splat, for_words, for_regions = (
-        np.random.default_rng([seed, trade]) for trade in range(4)
+        np.random.default_rng([seed, purpose]) for purpose in range(4)
     )
-    things = plan.things()
+    things = layout.things()
     parts = Parts.of(things)
     surface = Surface.of(things, parts)
-    building, held_out = plan.cameras(n_building, n_held_out, width, height, for_cameras)
+    building, held_out = layout.cameras(n_building, n_held_out, width, height, for_cameras)
 
     part_of_face = np.append(surface.part_of_face, -1).astype(np.int32)
     seen = np.zeros(len(part_of_face), bool)
@@ -160,7 +164,7 @@ def make_demo_scene(
         part_maps[camera.name] = part_of_face[faces]
         if camera.name in building.names:
             seen[faces] = True
-    splat = make_splat(things, parts, n_gaussians, for_splat, plan.light, seen[:-1])
+    splat = make_splat(things, parts, n_gaussians, for_splat, layout.light, seen[:-1])
     words = make_words(parts, for_words)
     regions = observe({name: part_maps[name] for name in building.names}, parts, words, for_regions)
     return DemoScene(

@@ -1,6 +1,4 @@
-"""From painted meshes to Gaussians: flat discs that cover the surfaces, as a trained splat would have
-them.
-"""
+"""From painted meshes to Gaussians: flat discs that cover the surfaces, as in a trained splat."""
 
 from __future__ import annotations
 
@@ -12,24 +10,20 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from scoup.scene.gaussians import Gaussians
-from scoup.synthetic.lighting import Light, lit
-from scoup.synthetic.meshes import Floats, Ints, Mesh, merged
-from scoup.synthetic.things import Parts, Piece, Thing
+from scoup.synthetic.art.lighting import Light, lit
+from scoup.synthetic.art.meshes import Floats, Ints, Mesh, merged
+from scoup.synthetic.art.things import Parts, Piece, Thing
 
 SH_C0 = 0.28209479177387814
 DISTANCES = (0.8, 0.65, 0.5)  # least distance of discs, as a share of the mean: tried in this order
 OVERSAMPLING = 6  # candidates for each Gaussian kept
 SPREAD = 0.68  # standard deviation of a disc, as a share of the mean distance between discs
-COARSE_SPREAD = (
-    0.85  # the same on large coarse pieces, which have few edges to keep sharp and show every hole
-)
+COARSE_SPREAD = 0.85  # the same on large coarse pieces, which have few sharp edges and show every hole
 COARSE = 0.6  # detail below which a piece is coarse
 FLATNESS = 0.12  # thickness of a disc, as a share of its width
-RIM_NEIGHBOURS = 12  # discs looked at to tell whether a disc lies on the rim of its surface
-INSET = (
-    0.45  # depth of discs under the surface, in standard deviations: blurring on the screen makes up for it
-)
-RIM_SHRINKAGE = 0.65  # a disc on the rim is narrower by this share across it, so as not to stick out
+RIM_NEIGHBOURS = 12  # discs that decide whether a disc lies on the rim of its surface
+INSET = 0.45  # depth of discs under the surface, in standard deviations: offsets the blur on the screen
+RIM_SHRINKAGE = 0.65  # a disc on the rim is narrower by this share across it, so that it does not stick out
 SMALL_FACE = 0.012  # metres: faces smaller than its square may be seen without covering a pixel centre
 HAZE_SHARE = 0.03  # of all Gaussians: floaters and haze, as training leaves them behind
 
@@ -76,8 +70,8 @@ def make_splat(
         n_gaussians: how many; at least a few a piece.
         rng: all randomness.
         light: of the scene.
-        seen: [F] boolean, the faces of ``Surface.of(things, parts)`` that some photograph shows. Faces far
-            from these stay bare: training puts no Gaussians where no photograph looks. None covers all.
+        seen: [F] boolean, the faces of ``Surface.of(things, parts)`` that some view shows. Faces far from these get no
+            Gaussians, because training puts none where no view shows anything. None covers all faces.
         n_directions: light directions, see ``lighting.lit``.
     """
     n_haze = int(n_gaussians * HAZE_SHARE)
@@ -110,7 +104,7 @@ def make_splat(
         np.concatenate(pair) for pair in zip((means, quats, scales, opacities, colors), haze, strict=True)
     ]
     part = np.concatenate([samples.part, np.full(n_haze, -1)])
-    # A trained splat has no order by object; a reader that relied on one would fail on real scenes.
+    # A trained splat is not ordered by object: nothing may rely on an order here.
     order = rng.permutation(n_gaussians)
     means, quats, scales, opacities, colors = (torch.from_numpy(values[order]).float() for values in stacked)
     return Splat(
@@ -149,8 +143,7 @@ def _cover(
 
 
 def _around(mesh: Mesh, seen: np.ndarray, size: float) -> Mesh:
-    """The faces seen, and the small ones around them, two steps far: a small face may fall between all
-    pixels.
+    """The faces seen, and small faces within two steps of them, which may lie between all pixel centres.
 
     ``size``: metres per unit of the mesh.
     """
@@ -214,9 +207,7 @@ def evenly(mesh: Mesh, count: int, spacing: float, rng: np.random.Generator) -> 
 
 
 def _thinned(points: Floats, radius: float) -> np.ndarray:
-    """Boolean [n]: the points kept when each, in order, is dropped if one kept before lies within
-    ``radius``.
-    """
+    """Boolean [n]: the points kept when each, in order, is dropped if one kept before lies within ``radius``."""
     pairs = KDTree(points).query_pairs(radius, output_type="ndarray")
     first, second = pairs.min(1), pairs.max(1)
     kept, undecided = np.zeros(len(points), bool), np.ones(len(points), bool)
@@ -233,7 +224,7 @@ def _thinned(points: Floats, radius: float) -> np.ndarray:
 
 
 def _rim(points: Floats, normals: Floats, spacing: float) -> Floats:
-    """[n, 3] where the neighbours are not: zero inside a surface, a unit vector along it at its very rim."""
+    """[n, 3] away from the neighbours: zero inside a surface, a unit vector along the surface at its rim."""
     if len(points) <= RIM_NEIGHBOURS:
         return np.zeros_like(points)
     around = np.asarray(KDTree(points).query(points, RIM_NEIGHBOURS + 1)[1])
@@ -245,9 +236,7 @@ def _rim(points: Floats, normals: Floats, spacing: float) -> Floats:
 
 
 def _quats(normals: Floats, first: Floats) -> Floats:
-    """[n, 4] rotations that turn z onto the normals [n, 3] and x towards ``first`` [n, 3], as far as it
-    can.
-    """
+    """[n, 4] rotations that turn z onto the normals [n, 3] and x towards ``first`` [n, 3], as far as it can."""
     x_axis = first - np.einsum("nd,nd->n", first, normals)[:, None] * normals
     x_axis /= np.linalg.norm(x_axis, axis=1, keepdims=True)
     frame = np.stack([x_axis, np.cross(normals, x_axis), normals], -1)

@@ -1,18 +1,17 @@
-"""Words and what they look like: simulated text and image vectors of the demo, with the statistics of CLIP.
+"""Words: simulated text vectors and image prototypes of the names of a scene, with the statistics of CLIP.
 
 No model has made these vectors. They follow a stated procedure, so that the demo needs no download:
 
-* Text. All texts share a mean direction; the rest of a vector is the concept of the word. A concept is a
-  random direction, mixed with the concept of the object for a part and with those of the members for a
-  group. The phrases that stand for nothing in particular ("object", "things", "stuff", "texture") share one
-  concept among them. Two names then have a cosine of about 0.57, as names have in CLIP's text space (median
-  0.57).
-* Images. All images share another mean direction, nearly at right angles to that of the texts: the gap
-  between the modalities. Each thing has a prototype, the mean image direction plus a random direction of
-  its own, mixed as the concepts are. Prototypes of unrelated things have a cosine of about 0.55.
-* Meeting of the two. Each prototype is moved along the concepts until its cosine with its own name is a
-  number drawn from 0.26 to 0.31, and until every other prototype stays clearly below that for the same
-  name. Every other pair of text and image lies around 0.18, the phrases around 0.2.
+* Text. All texts share a mean direction; the rest of a vector is the concept of the word. A concept is a random
+  direction, mixed with the concept of the object for a part, and with those of the members for a group. The canonical
+  phrases ("object", "things", "stuff", "texture") share one concept. Two names then have a cosine of about 0.57, the
+  median of names in CLIP's text space.
+* Images. All images share another mean direction, nearly at right angles to that of the texts: the gap between the
+  modalities. Each thing has a prototype: the mean image direction plus a random direction of its own, mixed as the
+  concepts are. Prototypes of unrelated things have a cosine of about 0.55.
+* Text with image. Each prototype is moved along the concepts until its cosine with its own name is a number drawn
+  from 0.26 to 0.31, and every other prototype stays clearly below that for the same name. Other pairs of text and
+  image have a cosine of about 0.18, canonical phrases and images of about 0.2.
 """
 
 from __future__ import annotations
@@ -22,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from scoup.scene.regions import LEVELS
-from scoup.synthetic.meshes import Floats
-from scoup.synthetic.things import Parts
+from scoup.synthetic.art.meshes import Floats
+from scoup.synthetic.art.things import Parts
 
 CANONICAL = ("object", "things", "stuff", "texture")
 DISTRACTORS = (
@@ -44,10 +43,10 @@ CANONICAL_COSINE, CANONICAL_SPREAD = 0.193, 0.012  # a canonical phrase and a pr
 
 @dataclass(frozen=True, eq=False)
 class Words:
-    """Text vectors, and image prototypes of the names of the room.
+    """Text vectors, and image prototypes of the names of a scene.
 
     Attributes:
-        texts: all words that can be asked for.
+        texts: all words that have a vector.
         vectors: [texts, D] float64, unit norm.
         prototypes: for each level, [names at that level, D] float64, unit norm.
     """
@@ -67,9 +66,7 @@ def unit(vectors: Floats) -> Floats:
 
 
 def make_words(parts: Parts, rng: np.random.Generator, dimensions: int = DIMENSIONS) -> Words:
-    """Text vectors for every name of the room, canonical phrases and distractors; image prototypes for the
-    names.
-    """
+    """Text vectors of every name, canonical phrase and distractor, and image prototypes of the names."""
     names = tuple(dict.fromkeys(name for level in LEVELS for name in parts.names(level)))
     kin = _kinship(parts, names)
     text_mean, image_mean, common = unit(rng.normal(size=(3, dimensions)))
@@ -84,8 +81,8 @@ def make_words(parts: Parts, rng: np.random.Generator, dimensions: int = DIMENSI
     )
     vectors = unit(TEXT_MEAN * text_mean + np.sqrt(1 - TEXT_MEAN**2) * concepts)
 
-    looks = unit(kin @ unit(rng.normal(size=(len(names), dimensions))))
-    prototypes = unit(IMAGE_MEAN * image_mean + np.sqrt(1 - IMAGE_MEAN**2) * looks)
+    appearances = unit(kin @ unit(rng.normal(size=(len(names), dimensions))))
+    prototypes = unit(IMAGE_MEAN * image_mean + np.sqrt(1 - IMAGE_MEAN**2) * appearances)
     prototypes = _named(prototypes, vectors, kin, rng)
     return Words(
         words,
@@ -111,9 +108,7 @@ def _kinship(parts: Parts, names: tuple[str, ...]) -> Floats:
 
 
 def _named(prototypes: Floats, vectors: Floats, kin: Floats, rng: np.random.Generator) -> Floats:
-    """Move prototypes [n, D] along text vectors until each name finds its own; vectors [words, D], names
-    first.
-    """
+    """Move prototypes [n, D] along text vectors [words, D], names first, until each name is nearest to its own."""
     count = len(prototypes)
     own = rng.uniform(*OWN_COSINE, count)
     related = (kin > 0) | (kin.T > 0) | (kin @ kin.T > 0)
@@ -126,7 +121,7 @@ def _named(prototypes: Floats, vectors: Floats, kin: Floats, rng: np.random.Gene
     for _ in range(60):
         excess = prototypes @ vectors.T - limit
         step = -excess.clip(0)
-        # The phrases are much alike, so that steps towards each of them add up.
+        # The phrases are so similar that steps towards each of them add up.
         step[:, -len(CANONICAL) :] = 0.25 * (canonical - prototypes @ vectors[-len(CANONICAL) :].T)
         step[diagonal, diagonal] = own - np.einsum("nd,nd->n", prototypes, vectors[:count])
         prototypes = unit(prototypes + 0.5 * (step / slope) @ concepts)

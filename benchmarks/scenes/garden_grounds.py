@@ -1,11 +1,11 @@
-"""The garden itself: what lies under and behind its things. All sizes in centimetres, standing on z = 0."""
+"""The garden under and behind its things. All sizes in centimetres, standing on z = 0."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.alterations import plain
-from scoup.synthetic.meshes import (
+from benchmarks.scenes.alterations import plain
+from scoup.synthetic.art.meshes import (
     Floats,
     Mesh,
     box,
@@ -18,8 +18,8 @@ from scoup.synthetic.meshes import (
     smooth_curve,
     tube,
 )
-from scoup.synthetic.paints import color, gradient, mix, smooth_noise, solid, spotted, wood
-from scoup.synthetic.things import Piece, Thing
+from scoup.synthetic.art.paints import color, gradient, mix, smooth_noise, solid, spotted, wood
+from scoup.synthetic.art.things import Piece, Thing
 
 
 def tree(seed: int, height: float) -> Thing:
@@ -48,8 +48,7 @@ def tree(seed: int, height: float) -> Thing:
 
 def hedge(half: float, height: float, thick: float, gap: float) -> Thing:
     """A clipped hedge along three sides of a square of half width ``half``, open to +y, and on the fourth up to a
-    ``gap`` in its middle.
-    """
+    ``gap`` in its middle."""
     side = (2 * half - gap) / 2
     blocks = [
         box((thick, 2 * half, height), 12, (-half, 0, height / 2)),

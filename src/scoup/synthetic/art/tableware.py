@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.meshes import (
+from scoup.synthetic.art.meshes import (
     Floats,
     cylinder,
     ellipsoid,
@@ -15,8 +15,8 @@ from scoup.synthetic.meshes import (
     torus,
     tube,
 )
-from scoup.synthetic.paints import Paint, bands, color, gradient, mix, smooth_noise, solid, spotted
-from scoup.synthetic.things import Piece, Thing
+from scoup.synthetic.art.paints import Paint, bands, color, gradient, mix, smooth_noise, solid, spotted
+from scoup.synthetic.art.things import Piece, Thing
 
 
 def flowered(base: str, flowers: str, centre: str, size: float) -> Paint:

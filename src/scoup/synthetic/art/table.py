@@ -1,18 +1,15 @@
-"""The table: a table-top in the corner of a room, with everything on and around it, seen in a swing around
-its open sides.
-"""
+"""The table: a table-top in the corner of a room with everything on and around it, seen from its open sides."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from scoup.scene.cameras import Camera, Cameras
-from scoup.synthetic import desk_things as desk
-from scoup.synthetic import furniture, tableware
-from scoup.synthetic.layouts.layout import Layout
-from scoup.synthetic.lighting import Light
-from scoup.synthetic.things import Thing
-from scoup.synthetic.views import look_at
+from scoup.synthetic.art import desk_things as desk
+from scoup.synthetic.art import furniture, tableware
+from scoup.synthetic.art.layout import Layout, aimed_camera
+from scoup.synthetic.art.lighting import Light
+from scoup.synthetic.art.things import Thing
 
 LEFT, BACK, REACH, HEIGHT = -1.55, 1.3, 5.4, 2.3  # metres: the walls x = LEFT and y = BACK
 TOP = furniture.TABLE_HEIGHT / 100
@@ -20,8 +17,8 @@ TARGET = np.array([0.0, 0.02, 0.86])  # metres: just above the middle of the tab
 LAMP = np.array([0.5, 0.26, 1.1])  # metres: the light bulb, just below the shade
 
 
-def make_room() -> tuple[Thing, ...]:
-    """All things of the room, placed. z is up, metres; the table's centre is above the origin."""
+def table_things() -> tuple[Thing, ...]:
+    """All things, placed. z is up, metres; the table's centre is above the origin."""
     floor, wall = furniture.room_shell(LEFT * 100, BACK * 100, REACH * 100, HEIGHT * 100)
     return (
         floor,
@@ -102,10 +99,10 @@ def _toys() -> tuple[Thing, ...]:
 def make_cameras(
     n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
 ) -> tuple[Cameras, Cameras]:
-    """Cameras to build the field from, and others to judge it by: a swing around the table's open sides.
+    """Building and held-out cameras on a swing around the table's open sides.
 
-    Height and distance vary along the way, and each camera looks at its own point on the table. No held-out
-    camera stands where a building camera does.
+    Height and distance vary along the way, and each camera looks at its own point on the table. No held-out camera
+    has the position of a building camera.
     """
     return (
         Cameras(_swing("view", n_building, 0.0, width, height, rng)),
@@ -124,14 +121,14 @@ def _swing(
         distance = 1.42 + 0.2 * np.cos(2 * np.pi * (along * 2 + phase)) + 0.25 * along
         eye = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), 1.44 + 0.24 * rise])
         aim = TARGET + rng.uniform(-1, 1, 3) * [0.1, 0.08, 0.04]
-        cameras.append(look_at(eye, aim, f"{kind}_{step:02d}.png", width, height))
+        cameras.append(aimed_camera(eye, aim, f"{kind}_{step:02d}.png", width, height))
     return cameras
 
 
 TABLE = Layout(
     "table",
     "table-top",
-    make_room,
+    table_things,
     make_cameras,
     Light(LAMP, frozenset({"wall", "floor"})),
     ("teapot", "rubber duck", "fruit bowl", "alarm clock", "sunflowers"),

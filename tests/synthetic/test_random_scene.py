@@ -1,4 +1,4 @@
-"""The synthetic room: the same again from the same seed, of the sizes asked for, seen by every camera."""
+"""The random scene: the same from the same seed, of the requested sizes, visible to every camera."""
 
 from __future__ import annotations
 
@@ -11,52 +11,56 @@ import torch
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup.scene.regions import LEVELS
-from scoup.synthetic.room import (
+from scoup.synthetic.random_scene import (
     SIZE,
     clip_like,
     clip_like_objects,
-    codes_in_space,
-    make_room,
-    room_cameras,
-    room_regions,
+    random_scene_cameras,
+    random_scene_codes,
+    random_scene_gaussians,
+    random_scene_regions,
     voronoi_labels,
 )
 
 
-def test_the_same_seed_gives_the_same_room():
-    one, same, other = make_room(500), make_room(500), make_room(500, seed=1)
+def test_the_same_seed_gives_the_same_gaussians():
+    one, same, other = (
+        random_scene_gaussians(500),
+        random_scene_gaussians(500),
+        random_scene_gaussians(500, seed=1),
+    )
     assert one.fingerprint() == same.fingerprint()
     assert torch.equal(one.sh, same.sh)
     assert one.fingerprint() != other.fingerprint()
 
 
 @pytest.mark.parametrize("count", [1, 2, 30, 1000])
-def test_a_room_of_any_size(count):
-    room = make_room(count)
-    assert len(room) == count
-    assert room.finite().all()
-    assert torch.allclose(room.quats.norm(dim=1), torch.ones(count))
-    assert ((room.opacities > 0) & (room.opacities < 1)).all()
-    assert (room.means >= -0.1).all()
-    assert (room.means <= torch.from_numpy(SIZE) + 0.1).all()
+def test_a_scene_of_any_size(count):
+    gaussians = random_scene_gaussians(count)
+    assert len(gaussians) == count
+    assert gaussians.finite().all()
+    assert torch.allclose(gaussians.quats.norm(dim=1), torch.ones(count))
+    assert ((gaussians.opacities > 0) & (gaussians.opacities < 1)).all()
+    assert (gaussians.means >= -0.1).all()
+    assert (gaussians.means <= torch.from_numpy(SIZE) + 0.1).all()
 
 
-def test_no_room_without_gaussians():
+def test_a_scene_without_gaussians_is_refused():
     with pytest.raises(InputError, match="at least one"):
-        make_room(0)
+        random_scene_gaussians(0)
 
 
 def test_gaussians_lie_flat_on_their_surfaces():
-    room = make_room(2000)
-    assert (room.scales.argmin(1) == 2).float().mean() > 0.95
-    floor = room.select((room.means[:, 2].abs() < 0.02) & (room.opacities > 0))
+    gaussians = random_scene_gaussians(2000)
+    assert (gaussians.scales.argmin(1) == 2).float().mean() > 0.95
+    floor = gaussians.select((gaussians.means[:, 2].abs() < 0.02) & (gaussians.opacities > 0))
     # The third axis of the rotation, from the quaternion: its z component is 1 - 2 (x^2 + y^2).
     up = 1 - 2 * (floor.quats[:, 1] ** 2 + floor.quats[:, 2] ** 2)
     assert (up.abs() > 0.999).float().mean() > 0.8
 
 
 def test_orders_hold_the_same_gaussians():
-    random, morton = make_room(800), make_room(800, order="morton")
+    random, morton = random_scene_gaussians(800), random_scene_gaussians(800, order="morton")
     assert torch.equal(random.means.sum(1).sort().values, morton.means.sum(1).sort().values)
 
     def steps(means: torch.Tensor) -> float:
@@ -65,21 +69,21 @@ def test_orders_hold_the_same_gaussians():
     assert steps(morton.means) < 0.4 * steps(random.means)
 
 
-def test_every_camera_is_inside_and_sees_the_room():
-    room = make_room(2000)
-    for camera in room_cameras(9, 64, 48):
+def test_every_camera_is_inside_and_sees_the_scene():
+    gaussians = random_scene_gaussians(2000)
+    for camera in random_scene_cameras(9, 64, 48):
         assert (camera.position.numpy() > 0.2).all()
         assert (camera.position.numpy() < SIZE - 0.2).all()
-        _, alpha = raster.render_channels(raster.project(room, camera), torch.ones(len(room), 1))
+        _, alpha = raster.render_channels(raster.project(gaussians, camera), torch.ones(len(gaussians), 1))
         assert alpha.mean() > 0.5, camera.name
 
 
 def test_cameras_of_any_size():
-    lerf, small = room_cameras(1)[0], room_cameras(3, 494, 300)[0]
+    lerf, small = random_scene_cameras(1)[0], random_scene_cameras(3, 494, 300)[0]
     assert (lerf.width, lerf.height, lerf.fx) == (988, 731, 700)
     assert (small.width, small.height, small.fx) == (494, 300, 350)
     assert torch.equal(lerf.viewmat, small.viewmat)
-    assert len({tuple(camera.position.tolist()) for camera in room_cameras(7)}) == 7
+    assert len({tuple(camera.position.tolist()) for camera in random_scene_cameras(7)}) == 7
 
 
 def test_labels_are_the_nearest_seed():
@@ -117,8 +121,8 @@ def test_embeddings_come_with_their_objects():
 
 
 def test_regions_of_every_view():
-    cameras = room_cameras(5, 40, 30)
-    regions = room_regions(cameras, (8, 4, 2), dim=16, distinct=2)
+    cameras = random_scene_cameras(5, 40, 30)
+    regions = random_scene_regions(cameras, (8, 4, 2), dim=16, distinct=2)
     assert (regions.levels, regions.view_names) == (LEVELS, cameras.names)
     labels, embeddings = regions.load_view(cameras[3].name, 40, 30)
     assert labels.shape == (3, 30, 40)
@@ -126,16 +130,16 @@ def test_regions_of_every_view():
     assert regions.embeddings("m")[0].shape == (20, 16)
     assert torch.equal(labels, regions.load_view(cameras[1].name, 40, 30)[0])  # maps are shared in turn
     assert not torch.equal(embeddings[0], regions.load_view(cameras[1].name, 40, 30)[1][0])
-    again = room_regions(cameras, (8, 4, 2), dim=16, distinct=2)
+    again = random_scene_regions(cameras, (8, 4, 2), dim=16, distinct=2)
     assert torch.equal(again.embeddings("s")[0], regions.embeddings("s")[0])
     with pytest.raises(InputError, match="1 to 3 counts"):
-        room_regions(cameras, (1, 2, 3, 4))
+        random_scene_regions(cameras, (1, 2, 3, 4))
 
 
 @pytest.mark.parametrize("n_atoms", [64, 300])
 def test_codes_are_shared_by_neighbours(n_atoms):
-    room = make_room(1000)
-    indices, weights = codes_in_space(room.means, 2, n_atoms, 3)
+    gaussians = random_scene_gaussians(1000)
+    indices, weights = random_scene_codes(gaussians.means, 2, n_atoms, 3)
     assert indices.shape == weights.shape == (1000, 2, 3)
     assert torch.allclose(weights.sum(2), torch.ones(1000, 2))
     assert int(indices.long().max()) < n_atoms
@@ -144,8 +148,8 @@ def test_codes_are_shared_by_neighbours(n_atoms):
     assert all(len(set(row)) == 3 for row in indices[:, 0].tolist())
 
 
-def test_the_middle_of_the_first_view_is_what_the_camera_looks_at():
-    camera = room_cameras(1)[0]
+def test_the_first_camera_looks_at_the_middle():
+    camera = random_scene_cameras(1)[0]
     x, y, z = (
         camera.viewmat[:3, :3] @ torch.tensor([4.2, 3.6, 0.7]).double() + camera.viewmat[:3, 3]
     ).tolist()

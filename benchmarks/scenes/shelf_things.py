@@ -1,11 +1,11 @@
-"""Small things that stand on shelves. All sizes in centimetres, standing on z = 0, facing -y."""
+"""Small things for shelves. All sizes in centimetres, standing on z = 0, facing -y."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.alterations import plain
-from scoup.synthetic.meshes import (
+from benchmarks.scenes.alterations import plain
+from scoup.synthetic.art.meshes import (
     Floats,
     box,
     cylinder,
@@ -17,8 +17,18 @@ from scoup.synthetic.meshes import (
     torus,
     tube,
 )
-from scoup.synthetic.paints import bands, checked, color, gradient, mix, smooth_noise, solid, spotted, wood
-from scoup.synthetic.things import Piece, Thing
+from scoup.synthetic.art.paints import (
+    bands,
+    checked,
+    color,
+    gradient,
+    mix,
+    smooth_noise,
+    solid,
+    spotted,
+    wood,
+)
+from scoup.synthetic.art.things import Piece, Thing
 
 
 def jar(name: str, fill: str, lid: str) -> Thing:
@@ -69,7 +79,7 @@ def robot() -> Thing:
         ]
     )
 
-    def looking(points: Floats, normals: Floats) -> Floats:
+    def face(points: Floats, normals: Floats) -> Floats:
         x, z = np.abs(points[:, 0]), points[:, 2]
         eyes = (np.hypot(x - 2.1, z - 25) < 1.2) & (points[:, 1] < -3.5)
         mouth = (x < 2.6) & (np.abs(z - 21.9) < 0.5) & (points[:, 1] < -3.5)
@@ -93,7 +103,7 @@ def robot() -> Thing:
     return Thing(
         "robot",
         (
-            Piece("robot head", head, looking, 2.4, 0.35, gloss=0.5),
+            Piece("robot head", head, face, 2.4, 0.35, gloss=0.5),
             Piece("robot body", box((12, 8.6, 12), 0.8, (0, 0, 14.6)), buttons, 2.4, 0.4, gloss=0.5),
             Piece("robot arms", merged([*arms, *hands]), solid("d8802c"), 2.6, 0.35, gloss=0.5),
             Piece("robot legs", merged([*legs, *feet]), solid("55636e"), 2.2, 0.4, gloss=0.5),

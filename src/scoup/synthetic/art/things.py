@@ -1,4 +1,4 @@
-"""What the demo room is made of: things, their pieces, and where they stand."""
+"""Things: what a scene is made of, their pieces, and where they are."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scoup.base.errors import InputError
-from scoup.synthetic.meshes import Floats, Mesh, merged, rotation
-from scoup.synthetic.paints import Paint
+from scoup.synthetic.art.meshes import Floats, Mesh, merged, rotation
+from scoup.synthetic.art.paints import Paint
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,10 +21,10 @@ class Piece:
         part: the name of the part it belongs to; pieces of one part share it.
         mesh: its surface.
         paint: its colours.
-        detail: Gaussians per area, as a multiple of what the room gets on average.
+        detail: Gaussians per area, as a multiple of the average.
         thin: the largest standard deviation of a Gaussian on it, in centimetres; small for wires and rims.
         gloss: strength of the highlight, 0..1.
-        glow: share of its own light, 0 (lit by the room) to 1 (a lamp).
+        glow: share of its own light, 0 (none) to 1 (a lamp).
     """
 
     part: str
@@ -41,13 +41,13 @@ class Thing:
     """An object: what a person would point at and name.
 
     Attributes:
-        name: its name, unique in the room unless it is one of ``several``.
+        name: unique in the scene unless it is one of ``several``.
         pieces: what it is made of.
-        group: the larger whole it belongs to; its own name if it stands alone.
-        turn: [3, 3] rotation in the room.
+        group: the larger whole it belongs to; empty if it is a group of its own.
+        turn: [3, 3] rotation.
         place: [3] position in metres.
         size: metres per centimetre of the pieces.
-        several: whether other things may have its name, and be the same object: what one means by "chairs".
+        several: whether other things may have its name and then are the same object, such as four chairs.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Thing:
         )
 
     def mesh(self, piece: Piece) -> Mesh:
-        """A piece's mesh in the room, in metres."""
+        """The mesh of a piece where the thing is, in metres."""
         return piece.mesh.moved(self.place, self.turn, self.size)
 
 
@@ -106,7 +106,7 @@ class Parts:
         """Numbers for everything in ``things``.
 
         Raises:
-            InputError: a name stands for two different things, so that nobody could say what it means.
+            InputError: a name stands for two different things.
         """
         groups = tuple(dict.fromkeys(thing.group or thing.name for thing in things))
         objects = {thing.name: thing.group or thing.name for thing in things}
@@ -127,7 +127,7 @@ class Parts:
         named = Counter(thing.name for thing in things)
         alone = Counter(thing.name for thing in things if not thing.several)
         if any(named[name] > 1 for name in alone) or set(groups) & (set(owners) - set(objects)):
-            raise InputError("two things of the room share a name")
+            raise InputError("two things share a name")
         return cls(
             tuple(owners),
             tuple(objects),
@@ -138,9 +138,7 @@ class Parts:
         )
 
     def at_level(self, parts: np.ndarray, level: str) -> np.ndarray:
-        """Part numbers (any shape, -1 = nothing) as numbers of level "s" (parts), "m" (objects) or "l"
-        (groups).
-        """
+        """Part numbers (any shape, -1 = nothing) as numbers of level "s" (parts), "m" (objects) or "l" (groups)."""
         lookup = np.arange(len(self.parts))
         if level != "s":
             lookup = self.object_of_part
@@ -154,7 +152,7 @@ class Parts:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """All things of a room as one mesh, in metres.
+    """All things as one mesh, in metres.
 
     Attributes:
         mesh: the triangles.

@@ -1,11 +1,11 @@
-"""Things that stand in a garden. All sizes in centimetres, standing on z = 0."""
+"""Things in a garden. All sizes in centimetres, standing on z = 0."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.alterations import plain
-from scoup.synthetic.meshes import (
+from benchmarks.scenes.alterations import plain
+from scoup.synthetic.art.meshes import (
     Floats,
     Mesh,
     box,
@@ -19,8 +19,8 @@ from scoup.synthetic.meshes import (
     tube,
     with_normals,
 )
-from scoup.synthetic.paints import color, gradient, mix, smooth_noise, solid, spotted, wood
-from scoup.synthetic.things import Piece, Thing
+from scoup.synthetic.art.paints import color, gradient, mix, smooth_noise, solid, spotted, wood
+from scoup.synthetic.art.things import Piece, Thing
 
 
 def fountain() -> Thing:

@@ -1,4 +1,4 @@
-"""Triangle meshes of simple shapes. Every shape of the demo is built from these few functions."""
+"""Triangle meshes of simple shapes, from which all things are built."""
 
 from __future__ import annotations
 
@@ -99,9 +99,7 @@ def sheet(points: ArrayLike, closed_rows: bool = False, closed_columns: bool = F
 
 
 def with_normals(vertices: Floats, faces: Ints) -> Mesh:
-    """A mesh whose vertex normals are the area-weighted means of the faces around; empty triangles are
-    dropped.
-    """
+    """A mesh whose vertex normals are the area-weighted means of the faces around; empty triangles are dropped."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     face_normals = np.cross(b - a, c - a)
     kept = np.linalg.norm(face_normals, axis=1) > 1e-12
@@ -153,9 +151,7 @@ def cylinder(
 def ellipsoid(
     radii: float | ArrayLike, centre: ArrayLike = (0, 0, 0), segments: int = 24, power: float = 1.0
 ) -> Mesh:
-    """An ellipsoid with the given radii (one number or three); ``power`` below 1 squares it off like a
-    cushion.
-    """
+    """An ellipsoid with the given radii (one number or three); ``power`` below 1 squares it off like a cushion."""
     tilt = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)[None, :]
     turn = (np.arange(segments) * (2 * np.pi / segments))[:, None]
 

@@ -1,8 +1,8 @@
-"""The synthetic room: Gaussians, cameras and regions of any number, made in seconds from a seed.
+"""The random scene: Gaussians, cameras, regions and codes in any number, made in seconds from a seed.
 
-It has what makes a trained scene cost what it costs: flat Gaussians on surfaces, denser on things than on walls,
-log-normal sizes with a tail, half of them nearly transparent, 4 % haze, and no order of the rows. It is made to
-measure time on; what it says has no meaning.
+It costs what a trained scene costs: flat Gaussians on the surfaces of a furnished room, denser on things than on walls,
+log-normal sizes with a tail, half of them nearly transparent, 4 % haze, and no order of the rows. It is for measuring
+time; queries have no meaningful answers on it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from scoup.scene.regions import LEVELS, RegionMap, Regions
 Array: TypeAlias = NDArray[np.float64]
 Order: TypeAlias = Literal["random", "morton"]
 
-SIZE = np.array([6.0, 5.0, 2.8])  # metres along x, y, z; one corner is the origin
+SIZE = np.array([6.0, 5.0, 2.8])  # metres: the room along x, y, z; one corner is the origin
 WIDTH, HEIGHT, FOCAL = 988, 731, 700.0  # pixels: a LERF view
 REGIONS = (160, 100, 40)  # in one view, at levels s, m, l
 CELLS = (400, 120, 40)  # things of one code, at levels s, m, l
@@ -36,16 +36,19 @@ _HAZE = 0.04  # share of Gaussians that float in the air
 _SH_0 = 0.28209479177387814  # the constant spherical harmonic
 
 
-def make_room(n_gaussians: int, seed: int = 0, order: Order = "random") -> Gaussians:
+def random_scene_gaussians(n_gaussians: int, seed: int = 0, order: Order = "random") -> Gaussians:
     """N Gaussians of spherical-harmonics degree 0 on the surfaces of a furnished room.
 
     Args:
         n_gaussians: N, 1 or more.
         seed: of everything. The same N and seed give the same Gaussians in both orders.
-        order: "random" as trained scenes have it, or "morton", neighbours in space near each other in memory.
+        order: "random" as in trained scenes, or "morton": neighbours in space are close in memory.
+
+    Raises:
+        InputError: N is below 1.
     """
     if n_gaussians < 1:
-        raise InputError(f"a room needs at least one Gaussian, not {n_gaussians}")
+        raise InputError(f"a random scene needs at least one Gaussian, not {n_gaussians}")
     rng = np.random.default_rng(seed)
     corners, edges, balls = _surfaces(rng)
     normals_of = np.cross(edges[:, 0], edges[:, 1])
@@ -134,19 +137,18 @@ def _unit(rows: Array) -> Array:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def room_cameras(
+def random_scene_cameras(
     n_views: int, width: int = WIDTH, height: int = HEIGHT, focal: float | None = None
 ) -> Cameras:
-    """Views from inside the room: the first from a corner over all of it, the others on a loop along the walls
-    above the furniture, each looking down across the middle.
+    """Cameras inside the room: the first in a corner, the others on a loop along the walls above the furniture. Each
+    looks down across the middle.
 
     Args:
         n_views: how many.
         width, height: in pixels.
-        focal: in pixels; by default the view is as wide as a LERF view (700 pixels at a width of 988).
+        focal: in pixels; by default the field of view is that of a LERF view (700 pixels at a width of 988).
     """
     focal = FOCAL * width / WIDTH if focal is None else focal
-    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
     cameras = []
     for number in range(n_views):
         eye, target = (0.35, 0.4, 1.7), (4.2, 3.6, 0.7)
@@ -156,24 +158,13 @@ def room_cameras(
             out = (c**4 + s**4) ** -0.25  # a circle pressed against the walls
             eye = (3 + 2.6 * c * out, 2.5 + 2.1 * s * out, 2.2 + 0.12 * math.sin(3 * angle))
             target = (3 - 0.9 * c, 2.5 - 0.8 * s, 0.7 + 0.3 * math.sin(2 * angle))
-        cameras.append(Camera(f"room_{number:04d}.png", _look_at(eye, target), K, width, height))
+        cameras.append(Camera.look_at(eye, target, f"room_{number:04d}.png", width, height, focal))
     return Cameras(cameras)
 
 
-def _look_at(eye: Sequence[float], target: Sequence[float]) -> Tensor:
-    """[4, 4] float64 world to camera, z up in the world."""
-    place, forward = np.array(eye), np.array(target) - np.array(eye)
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, (0, 0, 1))
-    right /= np.linalg.norm(right)
-    viewmat = np.eye(4)
-    viewmat[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    viewmat[:3, 3] = -viewmat[:3, :3] @ place
-    return torch.from_numpy(viewmat)
-
-
 def voronoi_labels(counts: Sequence[int], width: int, height: int, seed: int = 0) -> Tensor:
-    """[S, height, width] int32: at each level, the nearest of so many random pixels (fewer if there are fewer)."""
+    """[S, height, width] int32: at each level, which of ``counts[level]`` random pixels is nearest (of all pixels, if
+    the image has fewer)."""
     from scipy.ndimage import distance_transform_edt
 
     rng = np.random.default_rng(seed)
@@ -211,24 +202,27 @@ def clip_like_objects(
     return torch.nn.functional.normalize(rows, dim=1), which
 
 
-def room_regions(
+def random_scene_regions(
     cameras: Cameras,
     counts: Sequence[int] = REGIONS,
     dim: int = 512,
     seed: int = 0,
     distinct: int = 12,
 ) -> Regions:
-    """Regions of every view: Voronoi maps and CLIP-like embeddings.
+    """Regions of every camera: Voronoi maps and CLIP-like embeddings.
 
     Memory: the embeddings of all views (views x sum of counts x dim x 4 bytes: 123 MB for 200 views) and
     ``distinct`` sets of label maps (8.7 MB each at 988 x 731 and three levels), which views share in turn.
 
     Args:
-        cameras: the views, all of one size.
+        cameras: all of one image size.
         counts: regions in a view at levels s, m, l; one to three numbers.
         dim: D.
         seed: of maps and embeddings.
-        distinct: how many different sets of label maps there are.
+        distinct: the number of different sets of label maps.
+
+    Raises:
+        InputError: there are no cameras, or not one to three counts.
     """
     if not 1 <= len(counts) <= len(LEVELS) or not len(cameras):
         raise InputError(f"regions need views and 1 to {len(LEVELS)} counts, got {len(counts)} counts")
@@ -257,10 +251,10 @@ def room_regions(
     return Regions(levels, cameras.names, load, load_embeddings, load_labels)
 
 
-def codes_in_space(
+def random_scene_codes(
     means: Tensor, n_levels: int = 3, n_atoms: int = 64, k: int = 4, seed: int = 0
 ) -> tuple[Tensor, Tensor]:
-    """Codes of Gaussians [N, 3] as an uplift leaves them: neighbours share their atoms, and weights differ.
+    """Codes of Gaussians with ``means`` [N, 3] as an uplift leaves them: neighbours share atoms, and weights differ.
 
     Returns:
         indices [N, S, K] uint8 (uint16 beyond 256 atoms) and weights [N, S, K] float32, each code summing to 1.

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scoup.synthetic.meshes import Floats
+from scoup.synthetic.art.meshes import Floats
 
 Paint = Callable[[Floats, Floats], Floats]
 """``paint(points [n, 3], normals [n, 3]) -> [n, 3]`` sRGB colours 0..1; points in the object's own frame."""
@@ -109,9 +109,7 @@ def checked(code: str, other: str, axes: tuple[int, int], size: float) -> Paint:
 
 
 def wood(code: str, along: int = 0, size: float = 4.0, planks: float = 0.0, contrast: float = 0.16) -> Paint:
-    """Wood grain running along an axis; ``planks`` is the width of boards laid side by side (0: one
-    board).
-    """
+    """Wood grain running along an axis; ``planks`` is the width of boards laid side by side (0: one board)."""
     across = 1 if along == 0 else 0
 
     def paint(points: Floats, normals: Floats) -> Floats:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from scoup.synthetic.paints import Paint
-from scoup.synthetic.things import Piece, Thing
+from scoup.synthetic.art.paints import Paint
+from scoup.synthetic.art.things import Piece, Thing
 
 
 def called(thing: Thing, name: str) -> Thing:
@@ -32,9 +32,8 @@ def _part(part: str, old: str, new: str) -> str:
 
 
 def painted(thing: Thing, paints: Mapping[str, Paint]) -> Thing:
-    """The thing with other paints for the first piece of some parts; the others are details, such as the eyes on
-    a head, and stay as they are.
-    """
+    """The thing with other paints for the first piece of some parts; the others are details, such as the eyes on a
+    head, and stay as they are."""
     left, pieces = dict(paints), []
     for piece in thing.pieces:
         pieces.append(replace(piece, paint=left.pop(piece.part, piece.paint)))
@@ -59,7 +58,6 @@ def plain(name: str, *pieces: Piece) -> Thing:
 
 
 def broader(thing: Thing, factor: float) -> Thing:
-    """The thing with ``factor`` times the limit on the size of its Gaussians. The limit is made for a table-top;
-    where a scene is larger and the same number of Gaussians lie further apart, it would leave holes.
-    """
+    """The thing with ``factor`` times the limit on the size of its Gaussians. The limit is made for a table-top; where
+    a scene is larger and the same number of Gaussians lie further apart, it would leave holes."""
     return replace(thing, pieces=tuple(replace(piece, thin=piece.thin * factor) for piece in thing.pieces))

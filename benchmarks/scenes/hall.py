@@ -1,26 +1,24 @@
-"""The hall: a large room seen from inside. The cameras stand on a small loop in its middle and look outwards, all
-the way round, so that any one thing is in few views. Large plain walls, furniture along them.
-"""
+"""The hall: a large room with plain walls and furniture along them, seen from inside. The cameras are on a small loop
+in its middle and look outwards all the way round, so that any one thing is in few views."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.scenes import hall_things
+from benchmarks.scenes import large_furniture as large
+from benchmarks.scenes.alterations import broader, called, finer, painted, several
 from scoup.scene.cameras import Camera, Cameras
-from scoup.synthetic import desk_things as desk
-from scoup.synthetic import furniture, tableware
-from scoup.synthetic import hall_things as standing
-from scoup.synthetic import large_furniture as large
-from scoup.synthetic.alterations import broader, called, finer, painted, several
-from scoup.synthetic.layouts.layout import Layout
-from scoup.synthetic.lighting import Light
-from scoup.synthetic.meshes import Floats, box, merged, plane
-from scoup.synthetic.paints import checked, color, smooth_noise, solid, wood
-from scoup.synthetic.things import Piece, Thing
-from scoup.synthetic.views import look_at
+from scoup.synthetic.art import desk_things as desk
+from scoup.synthetic.art import furniture, tableware
+from scoup.synthetic.art.layout import Layout, aimed_camera
+from scoup.synthetic.art.lighting import Light
+from scoup.synthetic.art.meshes import Floats, box, merged, plane
+from scoup.synthetic.art.paints import checked, color, smooth_noise, solid, wood
+from scoup.synthetic.art.things import Piece, Thing
 
 EAST, NORTH, HEIGHT = 4.4, 3.6, 2.9  # metres: walls at x = +-EAST and y = +-NORTH
-LOOP = (1.15, 0.8)  # metres: half the axes of the loop that the cameras stand on
+LOOP = (1.15, 0.8)  # metres: half the axes of the loop of cameras
 TO_NORTH, TO_WEST, TO_SOUTH, TO_EAST = 0, 90, 180, -90  # turns that put a thing's back to a wall
 BROADER = 2.6  # how much further apart Gaussians lie than on the table
 DESK = furniture.TABLE_HEIGHT / 100
@@ -66,7 +64,7 @@ def _north() -> tuple[Thing, ...]:
     fire, chairs = "fireplace with mantel things", "reading corner"
     mantel = 1.28
     return (
-        standing.fireplace().at(0, NORTH, 0, TO_NORTH, group=fire),
+        hall_things.fireplace().at(0, NORTH, 0, TO_NORTH, group=fire),
         desk.alarm_clock().at(0.02, NORTH - 0.2, mantel, 4, group=fire, grow=1.6),
         desk.candle().at(-0.55, NORTH - 0.2, mantel, 30, group=fire, grow=1.4),
         finer(furniture.vase(), 0.9).at(0.55, NORTH - 0.2, mantel, 0, group=fire, grow=1.3),
@@ -75,7 +73,7 @@ def _north() -> tuple[Thing, ...]:
         desk.teddy_bear().at(-1.53, NORTH - 0.77, 0.505, 25, group=chairs, grow=1.5),
         large.side_table("side table", 28, 55, "6a4a30").at(-2.62, NORTH - 0.5, 0, group=chairs),
         desk.desk_lamp().at(-2.65, NORTH - 0.42, 0.55, -50, group=chairs, grow=1.25),
-        standing.tall_clock().at(1.75, NORTH, 0, TO_NORTH),
+        hall_things.tall_clock().at(1.75, NORTH, 0, TO_NORTH),
         large.wardrobe(140, 215).at(3.2, NORTH, 0, TO_NORTH),
         called(finer(furniture.potted_plant(), 0.45), "palm").at(
             -3.75, NORTH - 0.62, 0, group="palm", grow=4.6
@@ -105,7 +103,7 @@ def _west() -> tuple[Thing, ...]:
         tableware.plate().at(x + 0.12, y + 0.5, top, group="tea set", grow=1.2),
         tableware.donut().at(x + 0.12, y + 0.5, top + 0.009, 20, group="tea set", grow=1.3),
         furniture.window(170, 130).at(-EAST, y, 1.65, TO_WEST, group="window with curtains"),
-        standing.curtains(48, 210, 190, "a83f3a").at(-EAST, y, 2.5, TO_WEST, group="window with curtains"),
+        hall_things.curtains(48, 210, 190, "a83f3a").at(-EAST, y, 2.5, TO_WEST, group="window with curtains"),
     )
 
 
@@ -121,7 +119,7 @@ def _south() -> tuple[Thing, ...]:
         large.sofa("sofa", 225, 3, "c79a4c").at(-0.5, -NORTH + 0.06, 0, TO_SOUTH, group=group),
         red.at(-1.22, -NORTH + 0.5, 0.62, 170, (64, 0), group, 1.15),
         blue.at(0.2, -NORTH + 0.5, 0.62, 195, (64, 0), group, 1.15),
-        standing.floor_lamp().at(-2.15, -NORTH + 0.42, 0),
+        hall_things.floor_lamp().at(-2.15, -NORTH + 0.42, 0),
         furniture.shelf(130).at(-0.5, -NORTH, 1.75, TO_SOUTH, group="shelf with things"),
         furniture.globe().at(-0.1, -NORTH + 0.12, 1.75, 20, group="shelf with things", grow=1.25),
         *(
@@ -138,9 +136,9 @@ def _south() -> tuple[Thing, ...]:
         large.cabinet("chest", 120, 84, "7f5a38").at(1.95, -NORTH, 0, TO_SOUTH, group="chest with plant"),
         furniture.potted_plant().at(1.7, -NORTH + 0.22, 0.84, group="chest with plant", grow=1.7),
         desk.photo_camera().at(2.28, -NORTH + 0.24, 0.84, 165, group="chest with plant", grow=1.4),
-        standing.tall_jar("floor vase", "2f5f78", "e0d4b8").at(3.7, -NORTH + 0.55, 0),
+        hall_things.tall_jar("floor vase", "2f5f78", "e0d4b8").at(3.7, -NORTH + 0.55, 0),
         desk.ball().at(0.98, -NORTH + 0.75, 0, 30, (20, 10), grow=1.3),
-        standing.tall_jar("clay jar", "b5673c", "7c3f26").at(-3.6, -NORTH + 0.55, 0, grow=0.9),
+        hall_things.tall_jar("clay jar", "b5673c", "7c3f26").at(-3.6, -NORTH + 0.55, 0, grow=0.9),
     )
 
 
@@ -170,7 +168,7 @@ def _east() -> tuple[Thing, ...]:
         books += several(*row)
     return (
         large.cabinet("television cabinet", 190, 52, "4f3a2a").at(EAST, -0.75, 0, TO_EAST, group=group),
-        standing.television(135).at(EAST - 0.06, -0.75, 0.52, TO_EAST, group=group),
+        hall_things.television(135).at(EAST - 0.06, -0.75, 0.52, TO_EAST, group=group),
         large.shelf_unit("bookcase", wide * 100, tall * 100, 30, 1, rows, "9c7448", 0.5).at(
             x, y, 0, TO_EAST, group=case
         ),
@@ -201,7 +199,7 @@ def _loop(
         eye = np.array([LOOP[0] * np.cos(turn), LOOP[1] * np.sin(turn), 1.45 + rise])
         away = turn + np.radians(rng.uniform(-8, 8))
         aim = eye + np.array([3 * np.cos(away), 3 * np.sin(away), -0.42 - rise + rng.uniform(-0.12, 0.12)])
-        cameras.append(look_at(eye, aim, f"{kind}_{step:02d}.png", width, height, angle=66))
+        cameras.append(aimed_camera(eye, aim, f"{kind}_{step:02d}.png", width, height, field_of_view=66))
     return cameras
 
 

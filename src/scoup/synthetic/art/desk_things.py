@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.meshes import (
+from scoup.synthetic.art.meshes import (
     Floats,
     box,
     cylinder,
@@ -16,8 +16,8 @@ from scoup.synthetic.meshes import (
     torus,
     tube,
 )
-from scoup.synthetic.paints import Paint, bands, color, fur, gradient, mix, smooth_noise, solid
-from scoup.synthetic.things import Piece, Thing
+from scoup.synthetic.art.paints import Paint, bands, color, fur, gradient, mix, smooth_noise, solid
+from scoup.synthetic.art.things import Piece, Thing
 
 
 def book(name: str, code: str, length: float = 24.0, width: float = 17.0, height: float = 3.4) -> Thing:

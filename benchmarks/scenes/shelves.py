@@ -1,6 +1,5 @@
-"""The shelves: a wall of shelves full of small things, seen from the front along a flat arc. Many names and fine parts,
-little parallax; boards and neighbours hide one thing behind another.
-"""
+"""The shelves: a wall of shelves full of small things, seen from the front along a flat arc. Many names and fine
+parts, little parallax; boards and neighbours hide one thing behind another."""
 
 from __future__ import annotations
 
@@ -8,19 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.scenes import garden_things as garden
+from benchmarks.scenes import large_furniture as large
+from benchmarks.scenes import shelf_things as small
+from benchmarks.scenes.alterations import broader, called, painted, several
 from scoup.scene.cameras import Camera, Cameras
-from scoup.synthetic import desk_things as desk
-from scoup.synthetic import furniture, tableware
-from scoup.synthetic import garden_things as garden
-from scoup.synthetic import large_furniture as large
-from scoup.synthetic import shelf_things as small
-from scoup.synthetic.alterations import broader, called, painted, several
-from scoup.synthetic.layouts.layout import Layout
-from scoup.synthetic.lighting import Light
-from scoup.synthetic.meshes import Floats, box, merged, plane
-from scoup.synthetic.paints import bands, checked, color, fur, gradient, smooth_noise, solid, wood
-from scoup.synthetic.things import Piece, Thing
-from scoup.synthetic.views import look_at
+from scoup.synthetic.art import desk_things as desk
+from scoup.synthetic.art import furniture, tableware
+from scoup.synthetic.art.layout import Layout, aimed_camera
+from scoup.synthetic.art.lighting import Light
+from scoup.synthetic.art.meshes import Floats, box, merged, plane
+from scoup.synthetic.art.paints import bands, checked, color, fur, gradient, smooth_noise, solid, wood
+from scoup.synthetic.art.things import Piece, Thing
 
 WIDTH, TALL, DEPTH, COLUMNS, ROWS = 320.0, 215.0, 34.0, 5, 5  # centimetres
 FRONT = -0.17  # metres: where things stand in the depth of a shelf, whose back is at y = 0
@@ -262,7 +260,7 @@ def _lowest() -> list[list[Thing]]:
 def make_cameras(
     n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
 ) -> tuple[Cameras, Cameras]:
-    """A flat arc before the shelves, at changing heights; each camera looks at its own stretch of the wall."""
+    """A flat arc before the shelves at changing heights; each camera looks at its own part of the wall."""
     return (
         Cameras(_arc("view", n_building, 0.0, width, height, rng)),
         Cameras(_arc("held_out", n_held_out, 0.37, width, height, rng)),
@@ -281,7 +279,7 @@ def _arc(
         aim = np.array([1.05 * np.sin(swing * 1.6), -0.1, 1.08 + 0.36 * rise])
         aim += rng.uniform(-1, 1, 3) * [0.1, 0.0, 0.06]
         eye = np.array([2.1 * np.sin(swing), -0.1 - away * np.cos(swing), 1.3 + 0.3 * rise])
-        cameras.append(look_at(eye, aim, f"{kind}_{step:02d}.png", width, height))
+        cameras.append(aimed_camera(eye, aim, f"{kind}_{step:02d}.png", width, height))
     return cameras
 
 

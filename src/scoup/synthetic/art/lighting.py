@@ -1,7 +1,6 @@
-"""Light baked into the colours: soft sun from the window, sky light with its occlusion, a lamp and
-highlights.
+"""Light baked into the colours: soft sun, sky light with its occlusion, a lamp and highlights.
 
-What blocks the light is found with the z-buffer, one picture of the room from each of many directions.
+The z-buffer finds what blocks the light: it draws the scene once from each of many directions.
 """
 
 from __future__ import annotations
@@ -10,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from scoup.synthetic.meshes import Floats, Mesh
-from scoup.synthetic.zbuffer import draw
+from scoup.synthetic.art.meshes import Floats, Mesh
+from scoup.synthetic.art.zbuffer import draw
 
 SUN = np.array([-0.52, -0.42, 0.74])  # towards the sun
 SUN_COLOR = np.array([1.0, 0.94, 0.83]) * 1.75
@@ -29,13 +28,13 @@ class Light:
 
     Attributes:
         lamp: [3] position of a small warm light, metres.
-        shell: names of things that throw no shadow, as light has to come in through them.
+        shell: names of things that throw no shadow, because light has to come in through them.
         sun: [3] unit vector towards the sun.
         eye: [3] direction that highlights are seen from: the middle of the cameras.
         lamp_strength: of the lamp; the light of one at a metre's distance.
         shadow_size: pixels on each side of a picture taken from a light's direction.
-        shadow_gap: metres that a point must lie behind a blocker to be in its shadow: about two of those pixels,
-            or surfaces at an angle to the light shade themselves.
+        shadow_gap: metres that a point must lie behind a blocker to be in its shadow: about two of those pixels, or
+            surfaces at an angle to the light would shade themselves.
     """
 
     lamp: Floats
@@ -99,9 +98,7 @@ def lit(
 
 
 def visible(points: Floats, normals: Floats, direction: Floats, blockers: Mesh, light: Light) -> Floats:
-    """[n] share 0..1 of the light from ``direction`` (unit, towards the light) that reaches each point [n,
-    3].
-    """
+    """[n] share 0..1 of the light from ``direction`` (unit, towards the light) that reaches each point [n, 3]."""
     size, gap = light.shadow_size, light.shadow_gap
     frame = _frame(direction)
     flat = blockers.vertices @ frame.T

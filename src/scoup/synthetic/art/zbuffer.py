@@ -1,6 +1,6 @@
-"""A small z-buffer for triangle meshes: which triangle each pixel sees. Knows nothing of Gaussians.
+"""A small z-buffer for triangle meshes: which triangle is in front at each pixel. It does not know Gaussians.
 
-The ground truth of the demo comes from here, so it cannot agree with the rasteriser by construction.
+The truth of synthetic scenes comes from here, so that it is independent of the rasteriser.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.scene.cameras import Camera
-from scoup.synthetic.meshes import Floats, Ints
+from scoup.synthetic.art.meshes import Floats, Ints
 
 NEAR = 0.05
 CHUNK = 2_000_000  # candidate pixels held at once
@@ -21,7 +21,7 @@ def visible_faces(vertices: Floats, faces: Ints, camera: Camera) -> NDArray[np.i
     Args:
         vertices: [V, 3] world coordinates.
         faces: [F, 3] rows of ``vertices``.
-        camera: the view.
+        camera: to look from.
 
     Returns:
         [H, W] int64 rows of ``faces``; -1 where nothing is seen. Triangles seen from behind, and those with a
@@ -60,8 +60,7 @@ def draw(
     last = np.floor(high - 0.5).clip(-1, (width - 1, height - 1))
     drawn = np.flatnonzero((area > 0) & (first <= last).all(1))
     a, b, c, area, near = a[drawn], b[drawn], c[drawn], area[drawn], nearness[faces[drawn]]
-    # Over a triangle, the share of each corner and so the nearness is affine: slope_x * x + slope_y * y +
-    # level.
+    # Over a triangle, the share of each corner and so the nearness is affine: slope_x * x + slope_y * y + level.
     shares = np.stack([_share(b, c, area), _share(c, a, area), _share(a, b, area)])  # [3 corners, F, 3 terms]
     plane = np.einsum("cft,fc->ft", shares, near)
 
@@ -75,8 +74,7 @@ def draw(
         line, x = _repeated(np.arange(len(face)), end - start + 1, start)
         slope_x, rest = plane[face, 0], plane[face, 1] * (row + 0.5) + plane[face, 2]
         value = (slope_x[line] * (x + 0.5) + rest[line]).astype(np.float32)
-        # Bits of a positive float grow with its value, so one integer maximum settles depth and face
-        # together.
+        # The bits of a positive float grow with its value, so one integer maximum decides depth and face together.
         key = value.view(np.int32).astype(np.int64) << 32 | drawn[face][line]
         np.maximum.at(buffer, (row * width)[line] + x, key)
     seen = buffer >= 0

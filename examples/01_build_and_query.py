@@ -1,9 +1,9 @@
-"""Build a language field and query it for where something is.
+"""Build a language field and query it for a thing.
 
-    python examples/01_build_and_ask.py demo/scene demo/scene/text.npz teapot
+    python examples/01_build_and_query.py demo/scene demo/scene/text.npz teapot
 
-The first argument is a scene folder with a splat, cameras and language_features (`make demo` writes one), the second a
-table of text vectors or a CLIP model, the third what to look for.
+Arguments: a scene folder with a splat, cameras and language_features (`make demo` writes one), a word table or a CLIP
+model, and the query.
 """
 
 import sys

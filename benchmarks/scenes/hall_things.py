@@ -1,11 +1,11 @@
-"""What stands and hangs in a large room besides furniture. All sizes in centimetres, the back at y = 0, facing -y."""
+"""Things in a large room besides furniture. All sizes in centimetres, the back at y = 0, facing -y."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.desk_things import landscape
-from scoup.synthetic.meshes import (
+from scoup.synthetic.art.desk_things import landscape
+from scoup.synthetic.art.meshes import (
     Floats,
     Mesh,
     box,
@@ -18,8 +18,8 @@ from scoup.synthetic.meshes import (
     smooth_curve,
     tube,
 )
-from scoup.synthetic.paints import bands, color, gradient, mix, smooth_noise, solid, wood
-from scoup.synthetic.things import Piece, Thing
+from scoup.synthetic.art.paints import bands, color, gradient, mix, smooth_noise, solid, wood
+from scoup.synthetic.art.things import Piece, Thing
 
 
 def floor_lamp() -> Thing:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.desk_things import landscape
-from scoup.synthetic.meshes import (
+from scoup.synthetic.art.desk_things import landscape
+from scoup.synthetic.art.meshes import (
     Floats,
     Mesh,
     box,
@@ -18,8 +18,8 @@ from scoup.synthetic.meshes import (
     smooth_curve,
     tube,
 )
-from scoup.synthetic.paints import Paint, bands, checked, color, gradient, mix, smooth_noise, solid, wood
-from scoup.synthetic.things import Piece, Thing
+from scoup.synthetic.art.paints import Paint, bands, checked, color, gradient, mix, smooth_noise, solid, wood
+from scoup.synthetic.art.things import Piece, Thing
 
 TABLE_HEIGHT = 75.0
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.meshes import (
+from scoup.synthetic.art.meshes import (
     Floats,
     box,
     cylinder,
     ellipsoid,
     merged,
 )
-from scoup.synthetic.paints import solid, wood
-from scoup.synthetic.things import Piece, Thing
+from scoup.synthetic.art.paints import solid, wood
+from scoup.synthetic.art.things import Piece, Thing
 
 
 def sofa(name: str, width: float, seats: int, code: str) -> Thing:

@@ -1,21 +1,19 @@
 """The yard: a group of things round a fountain in the middle of a garden, seen from a ring of cameras at two heights.
-Few things, each in many views, before large surfaces far behind: lawn, hedge, sky.
-"""
+Few things, each in many views, before large surfaces far behind: lawn, hedge, sky."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.scenes import garden_grounds as grounds
+from benchmarks.scenes import garden_things as garden
+from benchmarks.scenes.alterations import broader, called, finer, several
 from scoup.scene.cameras import Camera, Cameras
-from scoup.synthetic import desk_things as desk
-from scoup.synthetic import furniture
-from scoup.synthetic import garden_grounds as grounds
-from scoup.synthetic import garden_things as garden
-from scoup.synthetic.alterations import broader, called, finer, several
-from scoup.synthetic.layouts.layout import Layout
-from scoup.synthetic.lighting import Light
-from scoup.synthetic.things import Thing
-from scoup.synthetic.views import look_at
+from scoup.synthetic.art import desk_things as desk
+from scoup.synthetic.art import furniture
+from scoup.synthetic.art.layout import Layout, aimed_camera
+from scoup.synthetic.art.lighting import Light
+from scoup.synthetic.art.things import Thing
 
 HALF = 7.0  # metres: half the width of the garden inside its hedge
 RADIUS = 3.5  # metres: of the ring of cameras
@@ -115,7 +113,7 @@ def _ring(
         level = heights[step % len(heights)] + rng.uniform(-0.08, 0.08)
         eye = np.array([away * np.cos(turn), away * np.sin(turn), level])
         aim = TARGET + rng.uniform(-1, 1, 3) * [0.15, 0.15, 0.08]
-        cameras.append(look_at(eye, aim, f"{kind}_{step:02d}.png", width, height))
+        cameras.append(aimed_camera(eye, aim, f"{kind}_{step:02d}.png", width, height))
     return cameras
 
 

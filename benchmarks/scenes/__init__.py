@@ -1,0 +1,22 @@
+"""The four layouts that studies run on: the demo's table, and shelves, hall and yard, which are drawn here."""
+
+from __future__ import annotations
+
+from benchmarks.scenes.hall import HALL
+from benchmarks.scenes.shelves import SHELVES
+from benchmarks.scenes.yard import YARD
+from scoup.base.errors import UnknownNameError
+from scoup.synthetic import TABLE, Layout
+
+LAYOUTS: dict[str, Layout] = {layout.name: layout for layout in (TABLE, SHELVES, HALL, YARD)}
+
+
+def find_layout(name: str) -> Layout:
+    """The layout of that name.
+
+    Raises:
+        UnknownNameError: there is none; lists the nearest.
+    """
+    if name not in LAYOUTS:
+        raise UnknownNameError("layout", name, list(LAYOUTS), "benchmarks.scenes")
+    return LAYOUTS[name]

@@ -1,7 +1,0 @@
-"""The size of the scene that the tests of the demo share."""
-
-from __future__ import annotations
-
-from typing import Any
-
-SMALL: dict[str, Any] = {"n_gaussians": 30_000, "width": 240, "height": 180, "n_building": 6, "n_held_out": 2}
