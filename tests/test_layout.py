@@ -16,7 +16,9 @@ DOCUMENTS = (ROOT / "docs" / "layout.md").read_text()
 
 def floors() -> dict[str, int]:
     """Floor of each room, from the table of the document."""
-    return {room: int(floor) for floor, room in re.findall(r"^\| (\d) \| `(\w+)/` \|", DOCUMENTS, re.MULTILINE)}
+    return {
+        room: int(floor) for floor, room in re.findall(r"^\| (\d) \| `(\w+)/` \|", DOCUMENTS, re.MULTILINE)
+    }
 
 
 def imported(source: str) -> Iterator[tuple[int, str]]:
@@ -78,7 +80,9 @@ def test_imports_go_down(room: str) -> None:
 )
 def test_a_climbing_import_is_found(source: str) -> None:
     assert climbs("raster", source, floors())
-    assert not climbs("raster", "from scoup.scene.cameras import Camera\nimport scoup.raster.presets", floors())
+    assert not climbs(
+        "raster", "from scoup.scene.cameras import Camera\nimport scoup.raster.presets", floors()
+    )
 
 
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:\w+/)+\w+\.py|(?:\w+/)+)`", DOCUMENTS))))
