@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-_MOST_BYTES = 80  # of a name: endings and the marks of temporary files need room too
+_MOST_BYTES = 80  # of a name: leaves space for suffixes and for the marks of temporary files
 
 
 def slug(text: str) -> str:
@@ -16,7 +16,7 @@ def slug(text: str) -> str:
 
 
 def unique_slugs(texts: Iterable[str]) -> list[str]:
-    """Slugs that differ even where the texts' letters do not."""
+    """Slugs of the texts, numbered where they would be equal."""
     names: list[str] = []
     for text in texts:
         name, number = slug(text), 1
