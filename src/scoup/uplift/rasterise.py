@@ -146,6 +146,17 @@ def holds_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bo
     )
 
 
+def changed_views(
+    sums: RegionSums, cameras: Sequence[Camera], regions: Regions, device: torch.device
+) -> list[Camera]:
+    """Those of the cameras whose views the sums do not hold, or hold with another camera or other label maps."""
+    return [
+        camera
+        for camera, labels in read_labels(regions, cameras, device)
+        if not holds_view(sums, camera, labels)
+    ]
+
+
 def read_labels(
     regions: Regions, cameras: Sequence[Camera], device: torch.device
 ) -> Iterator[tuple[Camera, CombinedLabels]]:
