@@ -1,5 +1,6 @@
 # make demo   create the environment, install, build and query a small scene (pictures and a table in demo/)
-# make test   create the environment, install, run the tests (two processes of one thread each)
+# make test   create the environment, install, run the tests (two processes of one thread each, about four minutes)
+# make test-all   the same, and the exhaustive sweeps
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
 # make count  instructions of the compiled kernels against benchmarks/instruction_counts.json (needs valgrind)
 # make lint   ruff and pyright
@@ -9,13 +10,16 @@ BIN := .venv/bin
 NATIVE := $(wildcard native/CMakeLists.txt native/*.cmake native/src/*)
 INSTALL := pyproject.toml tools/install.py $(NATIVE)
 
-.PHONY: demo test test-native count lint format clean
+.PHONY: demo test test-all test-native count lint format clean
 
 demo: .venv/installed
 	$(BIN)/scoup demo --out demo --overwrite
 
 test: .venv/installed-dev
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow"
+
+test-all: test
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m slow
 
 test-native: .venv/installed-dev
 	$(BIN)/cmake -S native -B build/native-tests -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN))/ninja \
