@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -159,7 +159,7 @@ def changed_views(
 
 def read_labels(
     regions: Regions, cameras: Sequence[Camera], device: torch.device
-) -> Iterator[tuple[Camera, CombinedLabels]]:
+) -> Generator[tuple[Camera, CombinedLabels], None, None]:
     """Cameras and the combinations of their regions, on a device, view by view.
 
     Other threads read the next views meanwhile.
