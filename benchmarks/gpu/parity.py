@@ -21,7 +21,7 @@ SUITE = (
     "tests/raster/test_gpu.py",
     "tests/coding/test_gpu_coder.py",
     "tests/test_scatter_kernel.py",
-    "tests/uplift/test_vote_triton.py",
+    "tests/uplift/test_vote_gpu.py",
 )
 NEEDED = ("pytest", "hypothesis")
 MOST_PROCESSES = 6

@@ -7,7 +7,7 @@ import torch
 
 from compiling import F32, I32, I64, compile_kernel
 from interpreting import interpreter
-from raster.gpu_checks import scene_of, views_of
+from raster.gpu_checks import projections_of, scene_of
 from raster.parity import assert_close, sure_pixels
 from scoup import raster
 from scoup.base.errors import InputError
@@ -21,7 +21,7 @@ def check_scatter(kind: str, levels: int, n_atoms: int, k: int, device: str) -> 
     from scoup.baselines.scatter_kernel import scatter_view
 
     gaussians, camera = scene_of(kind, 3, device == "cpu")
-    view, reference = views_of(gaussians, camera, "inria", device)
+    view, reference = projections_of(gaussians, camera, "inria", device)
     generator = torch.Generator().manual_seed(3)
     labels = random_labels(levels, camera.height, camera.width, 7, 3)
     labels[:, ~sure_pixels(gaussians, camera)] = -1

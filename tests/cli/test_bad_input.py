@@ -92,7 +92,7 @@ def test_a_build_checkpoint_that_is_damaged_costs_only_time():
     Path("a.scoup.partial").write_bytes(b"damaged")
     code, _, err = run(*BUILD)
     assert code == 0
-    assert err.startswith("warning: a.scoup.partial: cannot be gone on from")
+    assert err.startswith("warning: a.scoup.partial: cannot be continued")
     assert not Path("a.scoup.partial").exists()
 
 

@@ -175,25 +175,25 @@ def test_nothing_is_replaced_unasked():
     assert Path("a.scoup").read_bytes() != before["a.scoup"]
 
 
-@pytest.mark.parametrize("at", ["view", "after a view was taken in"])
+@pytest.mark.parametrize("at", ["view", "after a view was added"])
 @pytest.mark.parametrize("views", [0, 2, 3])
 def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, views, at):
-    from scoup.uplift import build
-    from scoup.uplift import rasterise as taking
+    from scoup.uplift import region_codes
+    from scoup.uplift.region_sums import RegionSums
 
     run_json("build", "scene", *QUICK, "--out", "whole.scoup")
-    append, appended = taking.RegionSums.append, []
+    append, appended = RegionSums.append, []
 
     def counted(self, *view):
         if at == "view" and len(appended) == views:
             raise KeyboardInterrupt
         append(self, *view)
         appended.append(1)
-        if at == "after a view was taken in" and len(appended) == views:
+        if at == "after a view was added" and len(appended) == views:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(taking.RegionSums, "append", counted)
+        patch.setattr(RegionSums, "append", counted)
         code, out, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--json")
     if views or at == "view":
         assert (code, err) == (130, "error: interrupted\n")
@@ -207,15 +207,13 @@ def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, views, at):
     at = ""
     with monkeypatch.context() as patch:
         if Path("a.scoup.partial").exists():
-            patch.setattr(build, "fit_codes", no_coding)
-        patch.setattr(taking.RegionSums, "append", counted)
+            patch.setattr(region_codes, "fit_codes", no_coding)
+        patch.setattr(RegionSums, "append", counted)
         code, out, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--overwrite")
     assert code == 0, err
     if views or code:
-        told = (
-            f"a.scoup.partial: goes on from an interrupted build: {views} of 4 views are taken in, the codes"
-        )
-        assert told in " ".join(out.split())
+        said = f"a.scoup.partial: continues an interrupted build: {views} of 4 views are there, the codes"
+        assert said in " ".join(out.split())
         assert len(appended) == 4  # each view once
     assert Path("a.scoup").read_bytes() == Path("whole.scoup").read_bytes()
     assert not Path("a.scoup.partial").exists()

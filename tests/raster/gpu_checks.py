@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -26,6 +27,9 @@ from scoup.scene.cameras import Camera
 from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
 from support import KINDS, make_camera, random_gaussians, random_labels, small_scene, unit
+
+if TYPE_CHECKING:
+    from scoup.raster.triton.projection import Precision, TritonProjection
 
 KINDS_OF_SCENES = (*KINDS, *HARD_KINDS, "empty", "one pixel", "mixed")
 
@@ -47,10 +51,10 @@ def scene_of(kind: str, seed: int, few: bool) -> tuple[Gaussians, Camera]:
     return gaussians, camera
 
 
-def views_of(
-    gaussians: Gaussians, camera: Camera, preset: str, device: str, precision: str = "fp16x3"
-) -> tuple[raster.Projection, raster.Projection]:
-    """(on the device, reference) views."""
+def projections_of(
+    gaussians: Gaussians, camera: Camera, preset: str, device: str, precision: Precision = "fp16x3"
+) -> tuple[TritonProjection, raster.Projection]:
+    """(on the device, reference) projections."""
     from scoup.raster.triton import rendering as gpu
 
     if device == "cpu":
@@ -62,7 +66,7 @@ def views_of(
 
 def check_channels(kind: str, seed: int, preset: str, channels: int, device: str) -> None:
     gaussians, camera = scene_of(kind, seed, device == "cpu")
-    projection, reference = views_of(gaussians, camera, preset, device)
+    projection, reference = projections_of(gaussians, camera, preset, device)
     values = torch.randn(len(gaussians), channels, generator=torch.Generator().manual_seed(seed))
     image, alpha = raster.render_channels(projection, values.to(device))
     expected, expected_alpha = raster.render_channels(reference, values)
@@ -82,7 +86,7 @@ def check_regions(kind: str, seed: int, levels: int, n_regions: int, device: str
 def check_regions_of(
     gaussians: Gaussians, camera: Camera, seed: int, levels: int, n_regions: int, device: str
 ) -> None:
-    projection, reference = views_of(gaussians, camera, "inria", device)
+    projection, reference = projections_of(gaussians, camera, "inria", device)
     if n_regions > camera.width * camera.height:  # every pixel its own
         pixels = camera.width * camera.height
         generator = torch.Generator().manual_seed(seed)
@@ -100,7 +104,7 @@ def check_kinds_of_labels(device: str) -> None:
     """Regions may be integers of any kind; those without a sign know no pixel without a region."""
     gaussians, _ = scene_of("mixed", 3, device == "cpu")
     camera = make_camera(19, 13, 18.0, 3)
-    projection, _ = views_of(gaussians, camera, "inria", device)
+    projection, _ = projections_of(gaussians, camera, "inria", device)
     labels = random_labels(2, camera.height, camera.width, 5, 3)
     expected = raster.region_sums(projection, labels.to(device))
     for dtype in (torch.int8, torch.int16, torch.int64):
@@ -119,7 +123,7 @@ def check_few_sums_at_a_time(device: str) -> None:
 
     gaussians, _ = scene_of("mixed", 3, device == "cpu")
     gaussians, camera = gaussians.select(torch.arange(12)), make_camera(45, 37, 36.0, 3)
-    projection, _ = views_of(gaussians, camera, "inria", device)
+    projection, _ = projections_of(gaussians, camera, "inria", device)
     labels = random_labels(2, camera.height, camera.width, 9, 3).to(device)
     labels[:, 16:24] = -1  # a row of tiles without a region
 
@@ -151,7 +155,7 @@ def check_few_sums_at_a_time(device: str) -> None:
 def check_nothing_painted(device: str) -> None:
     """Regions of pixels that nobody paints, in tiles that Gaussians do reach; and no region at all."""
     gaussians, camera = scene_of("mixed", 3, device == "cpu")
-    projection, reference = views_of(gaussians.select(torch.arange(4, 10)), camera, "inria", device)
+    projection, reference = projections_of(gaussians.select(torch.arange(4, 10)), camera, "inria", device)
     _, alpha = raster.render_channels(reference, torch.zeros(6, 1))
     assert bool((alpha > 0).any())
     labels = torch.where(alpha == 0, 0, -1)[None]
@@ -173,7 +177,8 @@ def check_split(device: str) -> None:
     values[0] = 0
     parts = [torch.empty(count, device=device) for _ in range(2)]
     with torch.cuda.device_of(parts[0]):
-        split_kernel[(1,)](values.to(device), *parts, COUNT=count)
+        kernel: Any = split_kernel  # a launch takes plain numbers as constants
+        kernel[(1,)](values.to(device), *parts, COUNT=count)
     high, low = (part.double().cpu() for part in parts)
     error = (high + low - values.double()).abs()
     assert bool((error <= (2.0**-22 * values.double()).clamp(min=2.0**-40)).all())
@@ -187,13 +192,13 @@ def check_codes(
     k: int,
     halves: bool,
     device: str,
-    precision: str = "fp16x3",
+    precision: Precision = "fp16x3",
 ) -> None:
     """Coefficients, cosines and features of the same codes."""
     gaussians, camera = scene_of(kind, seed, device == "cpu")
     if device == "cpu" and n_atoms > 128:  # many programs a tile
         camera = make_camera(20, 9, 36.0, seed)
-    projection, reference = views_of(gaussians, camera, "gsplat", device, precision)
+    projection, reference = projections_of(gaussians, camera, "gsplat", device, precision)
     generator = torch.Generator().manual_seed(seed)
     dtype = torch.float16 if halves else torch.float32
     indices, weights = random_codes(len(gaussians), levels, k, n_atoms, seed, dtype)
@@ -232,7 +237,7 @@ def check_codes(
 def check_repeated_atoms(device: str) -> None:
     """An atom that a code has twice counts with both weights, whatever stands between."""
     gaussians, camera = scene_of("mixed", 5, device == "cpu")
-    projection, reference = views_of(gaussians, camera, "inria", device)
+    projection, reference = projections_of(gaussians, camera, "inria", device)
     indices = torch.tensor([[[3, 0, 3, 2, 3]], [[0, 0, 0, 0, 0]]], dtype=torch.uint8)[
         torch.arange(len(gaussians)) % 2
     ]

@@ -48,6 +48,8 @@ def hard_scene(kind: str, seed: int) -> tuple[Gaussians, Camera]:
         gaussians.means[:, :2] *= 0.1
         gaussians.scales.mul_(0.1)
         camera = make_camera(37, 29, 36.0)
+    else:
+        raise ValueError(kind)
     return gaussians, camera
 
 

@@ -46,8 +46,9 @@ BACKENDS = [
 def both(
     gaussians: Gaussians, camera: Camera, preset: str = "inria"
 ) -> tuple[raster.Projection, raster.Projection]:
-    """(native, reference) views of a scene."""
-    return tuple(raster.project(gaussians, camera, preset, name) for name in ("native", "reference"))
+    """(native, reference) projections of a scene."""
+    native, reference = (raster.project(gaussians, camera, preset, name) for name in ("native", "reference"))
+    return native, reference
 
 
 def close_calls(gaussians: Gaussians, camera: Camera, preset: str, rows: Tensor, columns: Tensor) -> Tensor:

@@ -1,172 +1,22 @@
-"""The rasteriser's kernels for GPUs: interpreted on the CPU, compiled without a GPU, and where there is one, run on it.
-
-python -m pytest tests/raster/test_gpu.py       # on a machine with a GPU: all of it
-"""
+"""The rasteriser's kernels on a GPU; ``test_triton.py`` interprets and compiles them without one."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks.gpu.launches import launches
-
-from compiling import compile_kernel
-from interpreting import interpreter
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
-from scoup import raster
-from scoup.base.errors import InputError
-from support import make_camera, random_gaussians, scenes
 
-# Bytes a thread, nearly all of it behind the loop over Gaussians, where the coefficients of one level wait for those of
-# another; ``tests/bench/test_instructions.py`` bounds what is spilled in the loop.
-MOST_SPILLED = 2560
-MOST_SHARED = 99 << 10  # bytes a block may have on the smallest of the GPUs served
+if TYPE_CHECKING:
+    from scoup.raster.triton.projection import Precision
 
-on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+if not torch.cuda.is_available():
+    pytest.skip("needs a CUDA device", allow_module_level=True)
 
 
-@pytest.fixture(scope="module")
-def interpreted(needs_triton: None) -> Iterator[Callable[..., None]]:
-    """Runs a check of ``gpu_checks`` with interpreted kernels."""
-    with interpreter() as worker:
-        yield lambda check, *arguments: worker.submit(check, *arguments, "cpu").result()
-
-
-# Each kind of scene once, in turn with what is asked of it: the interpreter is slow.
-@pytest.mark.parametrize(("number", "kind"), list(enumerate(KINDS_OF_SCENES)))
-def test_channels_agree_with_the_reference(interpreted, number, kind):
-    preset, channels = ("inria", "gsplat")[number % 2], (1, 3, 17, 0, 70)[number % 5]
-    interpreted(gpu_checks.check_channels, kind, number, preset, channels)
-
-
-@pytest.mark.parametrize(("number", "kind"), list(enumerate(KINDS_OF_SCENES)))
-def test_region_sums_agree_with_the_reference(interpreted, number, kind):
-    levels, n_regions = ((3, 6), (1, 40), (8, 3), (2, 10**6))[number % 4]
-    interpreted(gpu_checks.check_regions, kind, 3, levels, n_regions)
-
-
-@settings(max_examples=12)
-@given(
-    scene=scenes(25),
-    seed=st.integers(0, 2**31),
-    levels=st.integers(1, 5),
-    n_regions=st.sampled_from([1, 4, 10**6]),
-)
-def test_region_sums_of_any_scene(interpreted, scene, seed, levels, n_regions):
-    interpreted(gpu_checks.check_regions_of, *scene, seed, levels, n_regions)
-
-
-def test_labels_of_any_kind(interpreted):
-    interpreted(gpu_checks.check_kinds_of_labels)
-
-
-def test_sums_of_few_tiles_at_a_time(interpreted):
-    interpreted(gpu_checks.check_few_sums_at_a_time)
-
-
-def test_regions_that_nobody_paints(interpreted):
-    interpreted(gpu_checks.check_nothing_painted)
-
-
-def test_products_keep_the_digits_of_small_weights(interpreted):
-    interpreted(gpu_checks.check_split)
-
-
-@pytest.mark.parametrize(
-    ("kind", "levels", "n_atoms", "k", "halves"),
-    [
-        ("mixed", 3, 64, 4, True),
-        ("equal depths", 1, 128, 2, True),
-        ("needles", 5, 20, 4, False),
-        ("off centre", 1, 200, 4, True),
-        ("near", 1, 300, 1, False),
-        ("empty", 2, 16, 4, True),
-        ("one pixel", 4, 1, 3, True),
-    ],
-)
-def test_codes_agree_with_the_reference(interpreted, kind, levels, n_atoms, k, halves):
-    interpreted(gpu_checks.check_codes, kind, 7, levels, n_atoms, k, halves)
-
-
-def test_atoms_that_a_code_has_twice(interpreted):
-    interpreted(gpu_checks.check_repeated_atoms)
-
-
-@pytest.mark.parametrize("rounds", [1, 2])
-def test_a_build_agrees_with_the_reference(interpreted, rounds):
-    interpreted(gpu_checks.check_build, rounds)
-
-
-@pytest.mark.parametrize("capability", [80, 90])
-def test_kernels_compile_within_a_gpu(needs_triton: None, tmp_path: Path, capability: int) -> None:
-    for name, launch in launches().items():
-        usage = compile_kernel(*launch, capability, tmp_path)
-        assert usage.spilled <= MOST_SPILLED, (name, usage)
-        assert usage.shared <= MOST_SHARED, (name, usage)
-
-
-def test_triton_is_not_imported_for_tensors_on_a_cpu() -> None:
-    program = (
-        "import sys, torch, scoup; from scoup import raster; from scoup.scene.gaussians import Gaussians; "
-        "from scoup.scene.cameras import Camera; "
-        "g = Gaussians(torch.rand(3, 3) + 2, torch.rand(3, 4), torch.rand(3, 3), torch.rand(3), torch.rand(3, 1, 3)); "
-        "K = torch.tensor([[9., 0, 4], [0, 9, 4], [0, 0, 1]]).double(); "
-        "raster.render_channels(raster.project(g, Camera('a', torch.eye(4).double(), K, 8, 8)), torch.rand(3, 2)); "
-        "sys.exit('triton' in sys.modules or 'scoup.raster.triton.rendering' in sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True)
-
-
-def test_tensors_on_a_cpu_are_refused() -> None:
-    with pytest.raises(InputError, match="serves tensors on a GPU"):
-        raster.project(random_gaussians(3, 0), make_camera(), backend="triton")
-
-
-def test_products_on_gpus_of_amd(needs_triton: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    from scoup.raster.triton.projection import TritonProjection
-    from scoup.raster.triton.rendering import most_atoms_of_products
-
-    def products(precision: Any, wide: bool) -> str:
-        return TritonProjection.products(SimpleNamespace(precision=precision), wide)  # type: ignore[arg-type]
-
-    cases = [("fp16x3", False), ("fp16x3", True), ("tf32x3", False), ("tf32", True), ("ieee", True)]
-    assert [products(*case) for case in cases] == ["fp16x3", "tf32x3", "tf32x3", "tf32", "ieee"]
-    assert [most_atoms_of_products(name) for name in ("fp16x3", "tf32x3", "ieee")] == [256, 128, 64]
-    monkeypatch.setattr(torch.version, "hip", "6.4")
-    assert [products(*case) for case in cases] == ["fp16x3", "ieee", "ieee", "ieee", "ieee"]
-    assert [most_atoms_of_products(name) for name in ("fp16x3", "ieee")] == [128, 64]
-
-
-def test_kernels_with_float32_compile_for_amd(needs_triton: None) -> None:
-    import triton
-    from triton.backends.compiler import GPUTarget
-    from triton.compiler import ASTSource
-
-    from scoup.raster.triton.projection import FUSED
-
-    for name, precision in (("3 channels", "ieee"), ("region sums", "fp16x3"), ("codes 3 x 64", "fp16x3")):
-        kernel, types, constants, warps = launches()[name]
-        signature = {argument: types.get(argument, "constexpr") for argument in kernel.arg_names}
-        source = ASTSource(kernel, signature, {**constants, "PRECISION": precision})
-        compiled = triton.compile(
-            source, target=GPUTarget("hip", "gfx942", 64), options={"num_warps": warps, **FUSED}
-        )
-        assert compiled.metadata.shared <= 64 << 10, name
-
-
-@on_a_gpu
 def test_small_things_on_a_gpu() -> None:
     gpu_checks.check_nothing_painted("cuda")
     gpu_checks.check_split("cuda")
@@ -180,7 +30,6 @@ scenes_on_a_gpu = pytest.mark.parametrize("kind", KINDS_OF_SCENES)
 seeds_on_a_gpu = pytest.mark.parametrize("seed", [0, 1, 2], ids="seed{}".format)
 
 
-@on_a_gpu
 @scenes_on_a_gpu
 @seeds_on_a_gpu
 def test_channels_on_a_gpu(kind: str, seed: int) -> None:
@@ -189,7 +38,6 @@ def test_channels_on_a_gpu(kind: str, seed: int) -> None:
             gpu_checks.check_channels(kind, seed, preset, channels, "cuda")
 
 
-@on_a_gpu
 @scenes_on_a_gpu
 @seeds_on_a_gpu
 def test_region_sums_on_a_gpu(kind: str, seed: int) -> None:
@@ -197,7 +45,6 @@ def test_region_sums_on_a_gpu(kind: str, seed: int) -> None:
         gpu_checks.check_regions(kind, seed, levels, n_regions, "cuda")
 
 
-@on_a_gpu
 @scenes_on_a_gpu
 @seeds_on_a_gpu
 @pytest.mark.parametrize("halves", [True, False], ids=["float16", "float32"])
@@ -208,14 +55,12 @@ def test_codes_on_a_gpu(kind: str, seed: int, levels: int, n_atoms: int, k: int,
     gpu_checks.check_codes(kind, seed, levels, n_atoms, k, halves, "cuda")
 
 
-@on_a_gpu
 def test_a_build_on_a_gpu() -> None:
     for rounds in (1, 2):
         gpu_checks.check_build(rounds, "cuda")
 
 
-@on_a_gpu
 @pytest.mark.parametrize("precision", ["ieee", "tf32x3"])
-def test_precisions_on_a_gpu(precision: str) -> None:
+def test_precisions_on_a_gpu(precision: Precision) -> None:
     for n_atoms in (64, 128, 256):
         gpu_checks.check_codes("mixed", 0, 3, n_atoms, 4, True, "cuda", precision)

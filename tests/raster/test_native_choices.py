@@ -10,7 +10,7 @@ import torch
 from raster.hard_scenes import HARD_KINDS, hard_scene
 from raster.parity import assert_close, assert_same_sums, both, needs_native, same_bytes, sure_pixels
 from scoup import raster
-from scoup.base.native import native_core
+from scoup.base.native import require_core
 from support import make_camera, random_gaussians, random_labels, unit
 
 pytestmark = needs_native
@@ -19,7 +19,7 @@ LEVELS, ATOMS, REGIONS = 3, 48, 15
 
 @pytest.fixture(params=["baseline", "v3", "v4"])
 def instruction_set(request):
-    core, asked = native_core(), os.environ.get("SCOUP_NATIVE", "")
+    core, asked = require_core(), os.environ.get("SCOUP_NATIVE", "")
     if asked not in ("", request.param):
         pytest.skip(f"SCOUP_NATIVE asks for {asked}")
     if not core.use_isa(request.param):
@@ -56,7 +56,7 @@ def everything(projection, count: int, labels, dim: int = 24, dtype: torch.dtype
 @pytest.mark.parametrize("kind", HARD_KINDS)
 @pytest.mark.parametrize("preset", ["inria", "gsplat"])
 def test_every_instruction_set_agrees_with_the_reference(instruction_set, kind, preset):
-    assert native_core().current_isa() == instruction_set
+    assert require_core().current_isa() == instruction_set
     gaussians, camera = hard_scene(kind, 11)
     sure = sure_pixels(gaussians, camera, preset)
     labels = random_labels(LEVELS, camera.height, camera.width, REGIONS, 0)

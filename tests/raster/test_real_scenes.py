@@ -83,7 +83,9 @@ def load_labels(data_folder: Path, scene: str, number: int, camera: Camera) -> t
     maps = []
     for level in "sml":
         with Image.open(data_folder / scene / "regions" / f"frame_{number + 1:05d}_{level}.png") as image:
-            labels = np.array(image.resize((camera.width, camera.height), Image.NEAREST)).astype(np.int64)
+            labels = np.array(image.resize((camera.width, camera.height), Image.Resampling.NEAREST)).astype(
+                np.int64
+            )
         maps.append(torch.from_numpy(np.where(labels == 65535, -1, labels)))
     return torch.stack(maps)
 

@@ -103,8 +103,8 @@ def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     matrix, rows = random_sums(200, 40, 1), random_rows(40, 1)
     whole = consensus_of(matrix, rows, EXACT)
     monkeypatch.setattr(module, "BLOCK_ENTRIES", 1)
-    monkeypatch.setattr(module, "_SCAN", 7)
-    monkeypatch.setattr(module, "_REPORT", 3)
+    monkeypatch.setattr(module, "SCAN", 7)
+    monkeypatch.setattr(module, "REPORT_EVERY", 3)
     assert torch.equal(consensus_of(matrix, rows, EXACT), whole)
 
 

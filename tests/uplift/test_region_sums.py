@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import scoup
 from scoup import raster
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError
-from scoup.raster import ViewSums
+from scoup.raster import RASTER_PRESETS, ViewSums, reference
 from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage import entries
@@ -49,14 +49,14 @@ def test_the_matrix_holds_what_each_gaussian_paints_of_each_region(scene, kept):
         assert matrix.shape == (len(gaussians), len(regions.embeddings(name)[0]))
         for camera in cameras:
             labels, _ = regions.load_view(camera.name, camera.width, camera.height)
-            view = raster.project(gaussians, camera, backend="reference")
+            projection = reference.project(gaussians, camera, RASTER_PRESETS["inria"])
             part = regions.embeddings(name)[1][camera.name]
             for region in range(part.stop - part.start):
                 chosen = (labels[level] == region).float()
                 # What a Gaussian paints of a region is what a picture of it alone gains there.
                 weight = torch.zeros(len(gaussians))
-                for tile, ids, weights in raster.reference.tile_weights(view):
-                    tiled = raster.reference.to_tiles(chosen[None], view.bins, fill=0)[tile, 0]
+                for tile, ids, weights in reference.tile_weights(projection):
+                    tiled = reference.to_tiles(chosen[None], projection.bins, fill=0)[tile, 0]
                     weight[ids] += weights @ tiled
                 np.testing.assert_allclose(
                     matrix[:, part.start + region], weight.numpy(), rtol=1e-3, atol=1e-4
@@ -114,8 +114,8 @@ def test_views_come_and_go(scene, kept, tmp_path):
     sums.close()
     sums = RegionSums.open(tmp_path / "f.sums", writable=True)
     assert list(sums.views) == [second]
-    sums.append(second, ViewSums(*(torch.zeros(0, dtype=kind) for kind in (torch.int32, torch.int32, torch.float32)),
-                                 torch.zeros(0, 3, dtype=torch.int32)))  # fmt: skip
+    none = torch.zeros(0, dtype=torch.int32)
+    sums.append(second, ViewSums(none, none, torch.zeros(0), torch.zeros(0, 3, dtype=torch.int32)))
     assert len(sums.views[second].parts[0].places) == 0  # the last one counts
     sums.close()
     again = region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")
@@ -212,7 +212,7 @@ def test_zeros_behind_the_last_record_are_not_a_record(scene, kept, tmp_path):
     assert_same(RegionSums.open(path), kept)
 
 
-def test_damage_is_told(scene, tmp_path):
+def test_damage_is_reported(scene, tmp_path):
     gaussians, cameras, regions = scene
     path = tmp_path / "f.sums"
     region_sums(gaussians, cameras, regions, path=path).close()

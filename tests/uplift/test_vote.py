@@ -33,20 +33,21 @@ def restore_threads() -> Iterator[None]:
 @needs_native
 @settings(max_examples=40, deadline=None)
 @given(
-    n_gaussians=st.sampled_from([0, 1, 255, 256, 257, 700]),
-    views=st.integers(0, 4),
-    levels=st.integers(1, 5),
-    n_atoms=st.sampled_from([1, 7, 33, 256, 257, 600]),
-    k=st.integers(1, 9),
+    sizes=st.builds(
+        Sizes,
+        n_gaussians=st.sampled_from([0, 1, 255, 256, 257, 700]),
+        views=st.integers(0, 4),
+        levels=st.integers(1, 5),
+        n_atoms=st.sampled_from([1, 7, 33, 256, 257, 600]),
+        k=st.integers(1, 9),
+        entries=st.just(500),
+        halves=st.booleans(),
+        without=st.sampled_from([None, 0]),
+    ),
     keep=st.sampled_from([1, 4, 33, 64]),
-    halves=st.booleans(),
-    without=st.sampled_from([None, 0]),
     seed=st.integers(0, 2**31),
 )
-def test_the_core_agrees_with_the_reference(
-    n_gaussians, views, levels, n_atoms, k, keep, halves, without, seed
-):
-    sizes = Sizes(n_gaussians, views, levels, n_atoms, k, 500, halves, without)
+def test_the_core_agrees_with_the_reference(sizes: Sizes, keep: int, seed: int) -> None:
     check_rounds(NativeVote, sizes, keep, seed)
 
 

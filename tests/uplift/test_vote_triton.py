@@ -1,4 +1,4 @@
-"""The vote's kernel: interpreted on the CPU, compiled without a GPU, and where there is one, run on it."""
+"""The vote's kernel: interpreted on the CPU, and compiled without a GPU."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -17,8 +16,6 @@ from compiling import compile_kernel
 from interpreting import interpreter
 from uplift import triton_checks
 from uplift.random_votes import Sizes
-
-on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 
 
 @pytest.fixture(scope="module")
@@ -62,23 +59,3 @@ def test_compiles(needs_triton: None, tmp_path: Path, capability: int) -> None:
         usage = compile_kernel(*launch, capability, tmp_path)
         assert usage.spilled == 0, (name, usage)
         assert usage.shared <= 48 << 10, (name, usage)
-
-
-@on_a_gpu
-@pytest.mark.parametrize("seed", [0, 1, 2], ids="seed{}".format)
-def test_votes_on_a_gpu(seed: int) -> None:
-    for sizes, keep in (
-        (Sizes(60_000, 9, 3, 128, 4, 500_000), 4),
-        (Sizes(3000, 5, 3, 64, 4, 90_000, halves=True), 4),
-        (Sizes(700, 4, 2, 300, 16, 9000, without=1), 300),
-        (Sizes(300, 3, 1, 4096, 4, 2000), 4),
-        (Sizes(40, 3, 5, 7, 9, 5000), 7),
-    ):
-        triton_checks.check_vote(sizes, keep, seed, "cuda")
-
-
-@on_a_gpu
-def test_small_votes_on_a_gpu() -> None:
-    triton_checks.check_few_at_a_time("cuda")
-    triton_checks.check_nothing_to_add("cuda")
-    triton_checks.check_damage("cuda")

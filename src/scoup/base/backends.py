@@ -62,14 +62,19 @@ def default_backend(device: torch.device) -> str:
     return "reference"
 
 
+def serves(name: str, device: torch.device) -> bool:
+    """Whether a backend is for tensors on this device; whether this machine can run it is another matter."""
+    interpreted = name == "triton" and os.environ.get("TRITON_INTERPRET") == "1"
+    return interpreted or _DEVICES.get(name, device.type) == device.type
+
+
 def require_backend(name: str, device: torch.device) -> None:
     """Refuse a backend that cannot be used for tensors on a device.
 
     Raises:
         InputError: it is for other devices, or this machine lacks what it needs.
     """
-    interpreted = name == "triton" and os.environ.get("TRITON_INTERPRET") == "1"
-    if not interpreted and _DEVICES.get(name, device.type) != device.type:
+    if not serves(name, device):
         place = "a GPU" if name == "triton" else "a CPU"
         raise InputError(f"the backend {name!r} serves tensors on {place}, these are on {device}")
     reason = None

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.base.backends import serves
 from scoup.base.errors import InputError, ScoupError
 from scoup.raster import morton_order
 from scoup.scene.cameras import Camera
@@ -208,7 +209,7 @@ def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[li
     """
     found: list[str] = []
     reasons: dict[str, str] = {}
-    all_here = [name for name in raster.BACKENDS if raster.serves(name, torch.device(device))]
+    all_here = [name for name in raster.BACKENDS if serves(name, torch.device(device))]
     for name in dict.fromkeys(wanted or all_here):
         try:
             if name in raster.BACKENDS:

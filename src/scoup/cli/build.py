@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -16,14 +17,16 @@ from scoup.cli.options import (
     OptionalNumber,
     OptionalPath,
     OptionalText,
-    WritesCommon,
     common_last,
 )
+from scoup.cli.scene_options import ViewOptions
 
 if TYPE_CHECKING:
     from scoup.base.processes import Processes
+    from scoup.field.language_field import LanguageField
     from scoup.scene.gaussians import Gaussians
     from scoup.scene.regions import Regions
+    from scoup.uplift.build_settings import BuildSettings
     from scoup.uplift.region_sums import RegionSums
 
 CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
@@ -31,29 +34,19 @@ CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 
 @common_last
 @dataclass(frozen=True, kw_only=True)
-class Build(WritesCommon):
+class Build(ViewOptions):
     """Build a language field from a trained splat, its cameras, and region features.
 
     SCENE is a folder as COLMAP, nerfstudio or Inria's code leave it; every guess about it can be overridden.
-    Interrupted, the same command goes on where it stopped.
+    Interrupted, the same command continues where it stopped.
     """
 
     scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
     """Folder with cameras (and usually the photographs), or a cameras file."""
     gaussians: OptionalPath = None
     """The trained splat: .ply, .splat, or a gsplat checkpoint. Default: the one in SCENE."""
-    features: OptionalPath = None
-    """Folder of region features. Default: SCENE/language_features."""
     out: OptionalPath = None
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
-    images: OptionalPath = None
-    """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
-    downscale: Annotated[
-        Literal[1, 2, 4, 8] | None, tyro.conf.arg(metavar="{1,2,4,8}", help_behavior_hint="")
-    ] = None
-    """Work at 1/N of the full image size: faster and coarser. Default: the size of the photographs found."""
-    undistort: Flag = False
-    """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
     model: OptionalText = None
     """What made the region embeddings: a CLIP model by id, or a table of words. Queries will use it too. Default: what
     the features say (those of scoup extract do), else laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
@@ -67,7 +60,7 @@ class Build(WritesCommon):
     keep: OptionalInteger = None
     """Atoms each Gaussian keeps after the vote; 0 keeps all. Default: as many as K."""
     rounds: OptionalInteger = None
-    """Rounds of the vote; in each after the first, regions count by their agreement with the outcome so far."""
+    """Rounds of the vote; after the first, regions count by their cosine with the outcome of the round before."""
     consensus: Flag = False
     """Bring regions that the same Gaussians see closer together before coding."""
     solver: OptionalText = None
@@ -99,20 +92,45 @@ class Build(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Build, save and report."""
-        from scoup.base.errors import InputError
         from scoup.base.processes import device_of_process, process_group
-        from scoup.io import (
-            check_output,
-            default_preset,
-            load_cameras,
-            load_gaussians,
-            load_regions,
-        )
+        from scoup.io import load_gaussians
+        from scoup.io.scene_parts import find_splat
         from scoup.uplift.build import build
-        from scoup.uplift.build_settings import build_settings
+        from scoup.uplift.provenance import embedding_model_of
+
+        device, out = device_of_process(self.device), self._output()
+        source = find_splat(self.scene, self.gaussians)
+        settings = self._settings(source)
+        gaussians = load_gaussians(source).to(device)
+        cameras, regions, features = self.load_views(self.scene)
+        model = embedding_model_of(features, regions, out, self.model) or CLIP_MODEL
+        console.say(
+            f"{len(gaussians):,} Gaussians, {len(regions)} views with regions of {len(cameras)} cameras"
+        )
+        started = time.perf_counter()
+        with (
+            process_group(device) as processes,
+            self._region_sums(out, gaussians, regions, settings, processes) as sums,
+        ):
+            if processes.first:
+                _say_what_is_continued(console, sums, len(regions))
+            with console.progress() as progress:
+                field = build(
+                    gaussians, cameras, regions, settings, embedding_model=model, geometry_path=source, sums=sums,
+                    progress=progress,
+                )  # fmt: skip
+            if processes.first:
+                field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)
+            bytes_of_sums = sums.bytes if self.keep_sums else None
+        if processes.first:
+            _report(console, field, out, len(regions), bytes_of_sums, device, time.perf_counter() - started)
+
+    def _output(self) -> Path:
+        """The file to write, after checking that it and what goes beside it may be written."""
+        from scoup.base.errors import InputError
+        from scoup.io import check_output
         from scoup.uplift.region_sums import sums_path
 
-        device = device_of_process(self.device)
         out = self.out or Path(f"{self.scene.resolve().name}.scoup")
         if out.suffix.lower() != ".scoup":
             raise InputError(f"{out}: give a name that ends in .scoup")
@@ -121,91 +139,19 @@ class Build(WritesCommon):
             if self.sums is not None:
                 raise InputError("--sums and --keep-sums do not go together: the sums are kept already")
             check_output(sums_path(out), self.overwrite)
-        source = self._splat()
-        settings = build_settings(
-            self.preset,
-            n_atoms=self.n_atoms,
-            k=self.k,
-            keep=self.keep,
-            rounds=self.rounds,
-            consensus=self.consensus or None,
-            solver=self.solver,
-            effort=self.effort,
-            epochs=self.epochs,
-            tolerance=self.tolerance,
-            seed=self.seed,
-            raster_preset=default_preset(source) if self.raster_preset == "auto" else self.raster_preset,
-        )
-        gaussians = load_gaussians(source).to(device)
-        distorted = "undistort" if self.undistort else "refuse"
-        cameras = load_cameras(self.scene, self.images, self.downscale, distorted)
-        regions = load_regions(self._features(), cameras)
-        model = self._model(regions, out)
-        console.say(
-            f"{len(gaussians):,} Gaussians, {len(regions)} views with regions of {len(cameras)} cameras"
-        )
+        return out
 
-        started = time.perf_counter()
-        with process_group(device) as processes:
-            sums = self._region_sums(out, gaussians, regions, settings.raster_preset, processes, console)
-            try:
-                with console.progress() as progress:
-                    field = build(
-                        gaussians,
-                        cameras,
-                        regions,
-                        settings=settings,
-                        embedding_model=model,
-                        geometry_path=source,
-                        sums=sums,
-                        progress=progress,
-                    )
-            except InputError:
-                if self.sums is None and sums.path is not None and sums.is_empty:
-                    sums.path.unlink(missing_ok=True)  # there is nothing to go on from
-                raise
-        if processes.first:
-            field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)
-        bytes_of_sums = sums.bytes
-        sums.close()
-        if self.sums is None and sums.path is not None:
-            if self.keep_sums:
-                sums.path.replace(sums_path(out))
-            else:
-                sums.path.unlink(missing_ok=True)
-        if not processes.first:
-            return
-        seconds = time.perf_counter() - started
-        coded = int(field.coded().sum())
-        for level, report in field.info.provenance["coding"].items():
-            console.say(
-                f"level {level}: {report['regions']} regions, mean cosine {report['mean_cosine']:.3f}, "
-                f"5th percentile {report['low_cosine']:.3f}, dead atoms {report['dead_atoms']:.0%}"
-            )
-        size = out.stat().st_size
-        console.say(
-            f"{out}: {size / 1e6:.1f} MB ({size / max(1, len(field)):.0f} bytes a Gaussian), "
-            f"{coded:,} of {len(field):,} Gaussians have a code, built in {seconds:.0f} s"
-        )
-        if self.keep_sums:
-            console.say(
-                f"{sums_path(out)}: {bytes_of_sums / 1e6:.1f} MB of region sums, {len(regions)} views"
-            )
-        peak = _peak_gpu_memory(device)
-        if peak is not None:
-            console.say(f"peak memory on {device}: {peak / 1e9:.2f} GB")
-        console.result(
-            {
-                "field": out,
-                **({"sums": sums_path(out), "sums_bytes": bytes_of_sums} if self.keep_sums else {}),
-                **({} if peak is None else {"peak_gpu_bytes": peak}),
-                "bytes": size,
-                "gaussians": len(field),
-                "coded": coded,
-                "views": len(regions),
-                "seconds": round(seconds, 2),
-                "coding": field.info.provenance["coding"],
-            }
+    def _settings(self, source: Path) -> BuildSettings:
+        """The preset with the options given, for a splat."""
+        from scoup.io import default_preset
+        from scoup.uplift.build_settings import build_settings
+
+        names = ("n_atoms", "k", "keep", "rounds", "solver", "effort", "epochs", "tolerance", "seed")
+        return build_settings(
+            self.preset,
+            **{name: getattr(self, name) for name in names},
+            consensus=self.consensus or None,
+            raster_preset=default_preset(source) if self.raster_preset == "auto" else self.raster_preset,
         )
 
     def _region_sums(
@@ -213,77 +159,60 @@ class Build(WritesCommon):
         out: Path,
         gaussians: Gaussians,
         regions: Regions,
-        raster_preset: str,
+        settings: BuildSettings,
         processes: Processes,
-        console: Console,
-    ) -> RegionSums:
+    ) -> AbstractContextManager[RegionSums]:
         """The sums named, or those in the file beside the output in which a build keeps what it has done."""
-        from scoup.base.errors import InputError
-        from scoup.uplift.rasterise import resumed
+        from scoup.uplift.checkpoint import checkpoint
         from scoup.uplift.region_sums import RegionSums
 
         if self.sums is not None:
-            return RegionSums.open(self.sums)
-        if self.keep_sums and processes.world > 1:
-            raise InputError("--keep-sums works in one process; run without torchrun")
-        name = out.name + ".partial" + (f".{processes.rank}" if processes.world > 1 else "")
-        more = {"weights": self.sums_weights, "least_weight": self.least_weight}
-        sums = resumed(out.with_name(name), gaussians, regions, raster_preset, **more)
-        if processes.first and (len(sums) or sums.codes is not None):
-            known = "the codes are kept" if sums.codes is not None else "codes are learned anew"
-            console.say(
-                f"{sums.path}: goes on from an interrupted build: {len(sums)} of {len(regions)} views are taken "
-                f"in, {known}"
-            )
-        return sums
+            return closing(RegionSums.open(self.sums))
+        how = {"weights": self.sums_weights, "least_weight": self.least_weight}
+        return checkpoint(out, gaussians, regions, settings.raster_preset, self.keep_sums, processes, **how)
 
-    def _splat(self) -> Path:
-        from scoup.base.errors import FileFormatError
-        from scoup.io import find_gaussians
 
-        if self.gaussians is not None:
-            return find_gaussians(self.gaussians)
-        try:
-            return find_gaussians(self.scene)
-        except FileFormatError as error:
-            if not self.scene.exists():
-                raise FileFormatError(self.scene, "there is no such scene", "check the path") from error
-            problem = error.problem if self.scene.is_dir() else "is no splat, and none is named"
-            raise FileFormatError(error.path, problem, "name the trained splat with --gaussians") from error
+def _say_what_is_continued(console: Console, sums: RegionSums, views: int) -> None:
+    if sums.writable and (len(sums) or sums.codes is not None):
+        codes = "the codes are kept" if sums.codes is not None else "codes are learned anew"
+        console.say(
+            f"{sums.path}: continues an interrupted build: {len(sums)} of {views} views are there, {codes}"
+        )
 
-    def _features(self) -> Path:
-        from scoup.base.errors import MissingFileError
-        from scoup.io.regions.views import FOLDER_NAME
 
-        if self.features is not None:
-            return self.features
-        folder = (self.scene if self.scene.is_dir() else self.scene.parent) / FOLDER_NAME
-        if not folder.is_dir():
-            problem = "there is no such folder (the region features were expected here)"
-            raise MissingFileError(folder, problem, "say where they are with --features")
-        return folder
+def _report(
+    console: Console,
+    field: LanguageField,
+    out: Path,
+    views: int,
+    bytes_of_sums: int | None,
+    device: str,
+    seconds: float,
+) -> None:
+    """Say what was built; ``bytes_of_sums`` where they are kept."""
+    from scoup.uplift.region_sums import sums_path
 
-    def _model(self, regions: Regions, out: Path) -> str:
-        """The name of the embedding model for the field; a table is checked, and named relative to the field."""
-        import os
-
-        from scoup.base.errors import InputError
-        from scoup.io.regions.manifest import read_manifest
-        from scoup.models.word_table import is_table, load_table
-
-        if self.model is None:
-            manifest = read_manifest(self._features())
-            return manifest.embedding_model if manifest and manifest.embedding_model else CLIP_MODEL
-        if not is_table(self.model):
-            return self.model
-        dim = load_table(self.model).vectors.shape[1]
-        wanted = regions.load_embeddings(regions.view_names[0], regions.levels[0]).shape[1]
-        if dim != wanted:
-            raise InputError(
-                f"{self.model}: holds vectors of {dim} dimensions, but {self._features()} holds embeddings of "
-                f"{wanted}; give the table that was made with the same model"
-            )
-        return Path(os.path.relpath(self.model, out.absolute().parent)).as_posix()
+    coding = field.info.provenance["coding"]
+    for level, report in coding.items():
+        console.say(
+            f"level {level}: {report['regions']} regions, mean cosine {report['mean_cosine']:.3f}, "
+            f"5th percentile {report['low_cosine']:.3f}, dead atoms {report['dead_atoms']:.0%}"
+        )
+    size, coded = out.stat().st_size, int(field.coded().sum())
+    console.say(
+        f"{out}: {size / 1e6:.1f} MB ({size / max(1, len(field)):.0f} bytes a Gaussian), "
+        f"{coded:,} of {len(field):,} Gaussians have a code, built in {seconds:.0f} s"
+    )
+    record: dict[str, Any] = {"field": out}
+    if bytes_of_sums is not None:
+        console.say(f"{sums_path(out)}: {bytes_of_sums / 1e6:.1f} MB of region sums, {views} views")
+        record |= {"sums": sums_path(out), "sums_bytes": bytes_of_sums}
+    peak = _peak_gpu_memory(device)
+    if peak is not None:
+        console.say(f"peak memory on {device}: {peak / 1e9:.2f} GB")
+        record["peak_gpu_bytes"] = peak
+    record |= {"bytes": size, "gaussians": len(field), "coded": coded, "views": views}
+    console.result({**record, "seconds": round(seconds, 2), "coding": coding})
 
 
 def _peak_gpu_memory(device: str) -> int | None:

@@ -1,22 +1,23 @@
-"""scoup update: views added to a field, removed from it, or taken in again because their regions have changed."""
+"""scoup update: views added to a field, removed from it, or added again because their regions have changed."""
 
 from __future__ import annotations
 
-import shutil
+from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, common_last
+from scoup.cli.options import OptionalPath, common_last
 from scoup.cli.query_options import FieldOptions
+from scoup.cli.scene_options import ViewOptions
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
-    from scoup.scene.cameras import Camera
+    from scoup.scene.cameras import Camera, Cameras
     from scoup.scene.regions import Regions
-    from scoup.uplift.region_sums import RegionSums
 
 Names = Annotated[
     tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
@@ -25,8 +26,8 @@ Names = Annotated[
 
 @common_last
 @dataclass(frozen=True, kw_only=True)
-class Update(FieldOptions):
-    """Add views to a field, remove some, or take in anew those whose regions have changed.
+class Update(FieldOptions, ViewOptions):
+    """Add views to a field, remove some, or add again those whose regions have changed.
 
     The field must have been built with --keep-sums. Only the views named are rasterised; then all vote again. The atoms
     of the field and the codes of its other regions stay.
@@ -34,18 +35,8 @@ class Update(FieldOptions):
 
     scene: OptionalPath = None
     """Folder with the cameras of the views to add, as for scoup build."""
-    features: OptionalPath = None
-    """Folder of their region features. Default: SCENE/language_features."""
-    images: OptionalPath = None
-    """Folder of the photographs, as for scoup build."""
-    downscale: Annotated[
-        Literal[1, 2, 4, 8] | None, tyro.conf.arg(metavar="{1,2,4,8}", help_behavior_hint="")
-    ] = None
-    """Work at 1/N of the full image size, as the field was built."""
-    undistort: Flag = False
-    """Accept cameras with lens distortion."""
     add: Names = ()
-    """Name of a camera to add, or to take in anew; repeat it for several. all: every one with features that is not in
+    """Name of a camera to add, or to add again; repeat it for several. all: every one with features that is not in
     the field, or whose region maps or camera have changed."""
     remove: Names = ()
     """Name of a view to leave out; repeat it for several."""
@@ -60,86 +51,84 @@ class Update(FieldOptions):
 
     def run(self, console: Console) -> None:
         """Update, save and report."""
-        from scoup.base.atomic import atomic_path
-        from scoup.base.errors import InputError, MissingFileError
+        from scoup.base.errors import InputError
         from scoup.io import check_output
-        from scoup.uplift.region_sums import RegionSums, sums_path
-        from scoup.uplift.update import codes_of, update
+        from scoup.uplift.checkpoint import changed_copy
+        from scoup.uplift.region_sums import sums_path
+        from scoup.uplift.update import update
 
         if not self.add and not self.remove:
             raise InputError("say what to do: --add NAME, --add all, or --remove NAME")
         out = self.out or self.field
-        check_output(out, self.overwrite)
-        check_output(sums_path(out), self.overwrite)
-        source = self.sums or sums_path(self.field)
-        if not source.is_file():
-            problem = "is not there: the region sums of the field are needed"
-            raise MissingFileError(
-                source, problem, "build the field with --keep-sums, or name them with --sums"
-            )
+        for path in (out, sums_path(out)):
+            check_output(path, self.overwrite)
+        source = self._source()
         field = self.open_field()
-        sums = RegionSums.open(source)
-        codes_of(field, sums)  # they belong together
-        cameras, regions = self._views(field, sums)
-        sums.close()
-        # Worked on is a copy, so that field and sums change together or not at all.
-        with atomic_path(sums_path(out), self.overwrite) as copy:
-            shutil.copyfile(source, copy)
-            sums = RegionSums.open(copy, writable=True)
-            try:
-                with console.progress() as progress:
-                    updated = update(
-                        field, sums, cameras, regions, self.remove, self.new_atoms, progress=progress
-                    )
-                embedded = field.geometry_path is None
-                updated.save(out, self.overwrite, embedded, self.weight_bits)
-            finally:
-                sums.close()
-        added, total = [camera.name for camera in cameras], len(updated.info.provenance["views"])
+        cameras, regions = self._changed_views(field, source)
+        # Field and sums change together or not at all.
+        with changed_copy(source, sums_path(out), self.overwrite) as sums:
+            with console.progress() as progress:
+                updated = update(
+                    field, sums, cameras, regions, self.remove, self.new_atoms, progress=progress
+                )
+            updated.save(out, self.overwrite, field.geometry_path is None, self.weight_bits)
+        total = len(updated.info.provenance["views"])
         console.say(
-            f"{out}: {len(added)} views taken in, {len(self.remove)} removed, {total} vote; "
+            f"{out}: {len(cameras)} views added, {len(self.remove)} removed, {total} vote; "
             f"{updated.n_atoms} atoms a level"
         )
         console.result(
             {
                 "field": out,
-                "added": added,
+                "added": [camera.name for camera in cameras],
                 "removed": list(self.remove),
                 "views": total,
                 "atoms": updated.n_atoms,
             }
         )
 
-    def _views(self, field: LanguageField, sums: RegionSums) -> tuple[list[Camera], Regions | None]:
-        """The cameras to take in, and their regions."""
-        from scoup.base.errors import InputError, UnknownNameError
-        from scoup.io import load_cameras, load_regions
-        from scoup.io.regions.views import FOLDER_NAME
-        from scoup.uplift.rasterise import cameras_with_regions, holds_view, read_labels
+    def _source(self) -> Path:
+        """The file of the field's region sums."""
+        from scoup.base.errors import MissingFileError
+        from scoup.uplift.region_sums import sums_path
 
-        if not self.add:
-            return [], None
-        if self.scene is None:
-            raise InputError("name the folder with the cameras of the views to add: --scene SCENE")
-        cameras = load_cameras(
-            self.scene, self.images, self.downscale, "undistort" if self.undistort else "refuse"
-        )
-        folder = self.scene if self.scene.is_dir() else self.scene.parent
-        regions = load_regions(self.features or folder / FOLDER_NAME, cameras)
-        known = cameras_with_regions(cameras, regions)
-        if "all" not in self.add:
-            by_name = {camera.name: camera for camera in known} | {camera.stem: camera for camera in known}
-            unknown = [name for name in self.add if name not in by_name]
-            if unknown:
-                names = [camera.name for camera in known]
-                raise UnknownNameError("camera with regions", unknown[0], names, str(self.scene))
-            known = list(dict.fromkeys(by_name[name] for name in self.add))
-        device = field.gaussians.device
-        changed = [
-            camera
-            for camera, labels in read_labels(regions, known, device)
-            if not holds_view(sums, camera, labels)
-        ]
+        source = self.sums or sums_path(self.field)
+        if not source.is_file():
+            problem = "is not there: the region sums of the field are needed"
+            remedy = "build the field with --keep-sums, or name them with --sums"
+            raise MissingFileError(source, problem, remedy)
+        return source
+
+    def _changed_views(self, field: LanguageField, source: Path) -> tuple[list[Camera], Regions | None]:
+        """The cameras to add and their regions, after checking that field and sums belong together."""
+        from scoup.base.errors import InputError
+        from scoup.uplift.rasterise import changed_views
+        from scoup.uplift.region_sums import RegionSums
+        from scoup.uplift.update import codes_of
+
+        with closing(RegionSums.open(source)) as sums:
+            codes_of(field, sums)
+            if not self.add:
+                return [], None
+            if self.scene is None:
+                raise InputError("name the folder with the cameras of the views to add: --scene SCENE")
+            cameras, regions, _ = self.load_views(self.scene)
+            chosen = self._chosen(cameras, regions)
+            changed = changed_views(sums, chosen, regions, field.gaussians.device)
         if not changed and not self.remove:
             raise InputError("nothing to do: these views are in the field, and have not changed")
         return changed, regions
+
+    def _chosen(self, cameras: Cameras, regions: Regions) -> list[Camera]:
+        """Those that --add names."""
+        from scoup.base.errors import UnknownNameError
+        from scoup.scene.cameras import Cameras
+        from scoup.uplift.rasterise import cameras_with_regions
+
+        known = Cameras(cameras_with_regions(cameras, regions))
+        if "all" in self.add:
+            return list(known)
+        try:
+            return list(dict.fromkeys(known[name] for name in self.add))
+        except UnknownNameError as error:
+            raise UnknownNameError("camera with regions", error.name, known.names, str(self.scene)) from error

@@ -61,7 +61,7 @@ def _exact(
 SOLVERS: dict[str, Solver] = {"adam": _adam, "exact": _exact}
 
 
-def fit_codes(
+def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of the user
     embeddings: Tensor,  # [R, D]
     n_atoms: int = 64,
     k: int = 4,

@@ -26,7 +26,7 @@ from scoup.uplift.vote import vote
 FEW_GAUSSIANS = 0.01  # share of coded Gaussians under which the frames of splat and cameras are doubted
 
 
-def build(
+def build(  # noqa: PLR0913  the public face: each keyword is one choice of the user
     gaussians: Gaussians,
     cameras: Cameras,
     regions: Regions,

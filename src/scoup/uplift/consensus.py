@@ -42,8 +42,8 @@ STAGE = "consensus"  # of progress
 SAMPLE = 2048  # regions whose pairs tell kappa; the median of their many pairs is that of all to about 1 %
 LEAST_DISTANCE = 1e-4  # what 1 - cos is told from 0; bounds kappa where all embeddings are equal
 BLOCK_ENTRIES = 4_000_000  # of M before pruning, at a time
-_SCAN = 8_000_000  # non-zeros of A looked at together
-_REPORT = 512  # regions between two reports
+SCAN = 8_000_000  # non-zeros of A looked at together
+REPORT_EVERY = 512  # regions between two reports
 
 Step = Callable[[int], None]
 """``step(count)``: that many more regions are done."""
@@ -307,7 +307,7 @@ def _products(turned: csr_array, painted: NDArray[np.integer]) -> NDArray[np.int
     first = 0
     while first < len(out):
         start = indptr[first]
-        last = max(first + 1, int(np.searchsorted(indptr, start + _SCAN, "right")) - 1)
+        last = max(first + 1, int(np.searchsorted(indptr, start + SCAN, "right")) - 1)
         sums = np.zeros(indptr[last] - start + 1, np.int64)
         np.cumsum(painted[indices[start : indptr[last]]], out=sums[1:])
         out[first:last] = np.diff(sums[indptr[first : last + 1] - start])
@@ -358,7 +358,7 @@ def _agree(shares: csr_array, unit: Tensor, kappa: float, rounds: int, step: Ste
                 mean /= mean.norm()
             agreed[row] = mean
         since += 1
-        if since == _REPORT or row + 1 == len(unit):
+        if since == REPORT_EVERY or row + 1 == len(unit):
             step(since * rounds)
             since = 0
     return agreed

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
+from scoup.base.errors import InputError
 from scoup.base.version import VERSION
+from scoup.io.regions.manifest import read_manifest
+from scoup.models.word_table import is_table, load_table
 from scoup.scene.cameras import Camera
+from scoup.scene.regions import Regions
 
 if TYPE_CHECKING:
     from scoup.uplift.build_settings import BuildSettings
@@ -52,6 +58,33 @@ def labels_digest(sums: RegionSums, view_names: Sequence[str]) -> str:
     """SHA-256 of the label maps of views."""
     digests = {name: sums.views[name].labels_digest for name in view_names}
     return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
+
+
+def embedding_model_of(features: Path, regions: Regions, field: Path, named: str | None = None) -> str:
+    """The embedding model that a field is to name; "" where nothing says which it is.
+
+    Args:
+        features: folder of the regions, whose manifest names the model.
+        regions: those of the folder.
+        field: the file to be written.
+        named: a model, or a word table; the table is named relative to the field.
+
+    Raises:
+        InputError: the vectors of the table are of another size than the embeddings of the regions.
+    """
+    if named is None:
+        manifest = read_manifest(features)
+        return manifest.embedding_model if manifest else ""
+    if not is_table(named):
+        return named
+    dim = load_table(named).vectors.shape[1]
+    wanted = regions.load_embeddings(regions.view_names[0], regions.levels[0]).shape[1]
+    if dim != wanted:
+        raise InputError(
+            f"{named}: holds vectors of {dim} dimensions, but {features} holds embeddings of "
+            f"{wanted}; give the table that was made with the same model"
+        )
+    return Path(os.path.relpath(named, field.absolute().parent)).as_posix()
 
 
 def build_record(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -146,9 +146,20 @@ def holds_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bo
     )
 
 
+def changed_views(
+    sums: RegionSums, cameras: Sequence[Camera], regions: Regions, device: torch.device
+) -> list[Camera]:
+    """Those of the cameras whose views the sums do not hold, or hold with another camera or other label maps."""
+    return [
+        camera
+        for camera, labels in read_labels(regions, cameras, device)
+        if not holds_view(sums, camera, labels)
+    ]
+
+
 def read_labels(
     regions: Regions, cameras: Sequence[Camera], device: torch.device
-) -> Iterator[tuple[Camera, CombinedLabels]]:
+) -> Generator[tuple[Camera, CombinedLabels], None, None]:
     """Cameras and the combinations of their regions, on a device, view by view.
 
     Other threads read the next views meanwhile.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,7 +24,7 @@ from scoup.uplift.vote import vote
 def update(
     field: LanguageField,
     sums: RegionSums,
-    add: Sequence[Camera] = (),
+    add: Iterable[Camera] = (),
     regions: Regions | None = None,
     remove: Sequence[str] = (),
     new_atoms: int = 0,
@@ -55,7 +55,7 @@ def update(
             embeddings do not fit, ``new_atoms`` is negative or makes more than 65536 atoms, or the field does not
             record how well its codebook explains regions.
     """
-    coded = codes_of(field, sums)
+    coded, add = codes_of(field, sums), list(add)
     changed: list[CodedView] = []
     for camera in add:
         if regions is None:

@@ -1,0 +1,41 @@
+"""Options of verbs that read the views of a scene: its cameras, photographs and regions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from scoup.cli.options import Flag, OptionalPath, WritesCommon
+
+if TYPE_CHECKING:
+    from scoup.scene.cameras import Cameras
+    from scoup.scene.regions import Regions
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewOptions(WritesCommon):
+    """Where the views of a scene are, and at which size."""
+
+    features: OptionalPath = None
+    """Folder of region features. Default: SCENE/language_features."""
+    images: OptionalPath = None
+    """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
+    downscale: Annotated[
+        Literal[1, 2, 4, 8] | None, tyro.conf.arg(metavar="{1,2,4,8}", help_behavior_hint="")
+    ] = None
+    """Work at 1/N of the full image size: faster and coarser. Default: the size of the photographs found."""
+    undistort: Flag = False
+    """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
+
+    def load_views(self, scene: Path) -> tuple[Cameras, Regions, Path]:
+        """Cameras and regions of a scene, and the folder of the regions."""
+        from scoup.io import load_cameras, load_regions
+        from scoup.io.scene_parts import find_features
+
+        distorted = "undistort" if self.undistort else "refuse"
+        cameras = load_cameras(scene, self.images, self.downscale, distorted)
+        features = find_features(scene, self.features)
+        return cameras, load_regions(features, cameras), features

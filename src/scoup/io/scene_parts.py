@@ -1,0 +1,41 @@
+"""The parts of a scene folder that a build needs, each found in its usual place or named by the user."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.regions.views import FOLDER_NAME
+from scoup.io.scenes import find_gaussians
+
+
+def find_splat(scene: Path, gaussians: Path | None = None) -> Path:
+    """The trained splat: the one named, else the one in the scene's folder; see ``find_gaussians``.
+
+    Raises:
+        MissingFileError, FileFormatError: there is none, or several.
+    """
+    if gaussians is not None:
+        return find_gaussians(gaussians)
+    try:
+        return find_gaussians(scene)
+    except FileFormatError as error:
+        if not scene.exists():
+            raise FileFormatError(scene, "there is no such scene", "check the path") from error
+        problem = error.problem if scene.is_dir() else "is no splat, and none is named"
+        raise FileFormatError(error.path, problem, "name the trained splat with --gaussians") from error
+
+
+def find_features(scene: Path, features: Path | None = None) -> Path:
+    """The folder of region features: the one named, else the usual one in the scene's folder.
+
+    Raises:
+        MissingFileError: the usual one is not there.
+    """
+    if features is not None:
+        return features
+    folder = (scene if scene.is_dir() else scene.parent) / FOLDER_NAME
+    if not folder.is_dir():
+        problem = "there is no such folder (the region features were expected here)"
+        raise MissingFileError(folder, problem, "say where they are with --features")
+    return folder
