@@ -19,10 +19,8 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.synthetic.faults import LevelSums, gaussians_by_name, level_sums
-from scoup.synthetic.scene import make_demo_scene
+from scoup.synthetic.scene import LABELLED_LEVELS, make_demo_scene
 from scoup.uplift.rasterise import region_sums
-
-LEVELS_ASKED = ("m", "l")  # names of objects and of groups
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ def make_scene(name: str, data: Path, size: SceneSize) -> VotingScene:
         size.n_held_out,
         find_layout(layout),
     )
-    labelled = [(demo.labelled_frame(camera.name, LEVELS_ASKED), camera) for camera in demo.held_out]
+    labelled = [(demo.labelled_frame(camera.name, LABELLED_LEVELS), camera) for camera in demo.held_out]
     frames = [(frame, camera) for frame, camera in labelled if frame.labels]
     labels = _labels(frames)
     vectors = dict(zip(labels, demo.text_vectors(labels), strict=True))

@@ -20,7 +20,7 @@ from scoup.query.presets import QUERY_PRESETS
 from scoup.synthetic.art.layout import Layout
 from scoup.synthetic.art.table import TABLE
 from scoup.synthetic.folder import write_demo_scene
-from scoup.synthetic.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
+from scoup.synthetic.scene import EMBEDDING_MODEL, LABELLED_LEVELS, DemoScene, make_demo_scene
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
@@ -29,7 +29,6 @@ from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import GaussianCodes, vote
 
 METHOD, ALL_ATOMS, DENSE = "sparse, top-K vote", "sparse, no top-K", "dense 512-d"
-QUERIED_LEVELS = ("m", "l")  # objects and groups
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ def run_demo(
             settings.layout,
         )
     with _timed(seconds, "write it as files"):
-        folder = write_demo_scene(scene, out / "scene", overwrite, QUERIED_LEVELS, progress=progress)
+        folder = write_demo_scene(scene, out / "scene", overwrite, progress=progress)
     with _timed(seconds, "read the files"):
         splat = folder / "point_cloud.ply"
         gaussians = load_gaussians(splat)
@@ -137,7 +136,7 @@ def run_demo(
     with _timed(seconds, "dense 512-d uplift, to compare"):
         dense = dense_variant(DENSE, sums, [regions.embeddings(level)[0] for level in regions.levels])
     variants = [*_sparse_variants(field, sums), dense]
-    frames = [(scene.labelled_frame(camera.name, QUERIED_LEVELS), camera) for camera in scene.held_out]
+    frames = [(scene.labelled_frame(camera.name, LABELLED_LEVELS), camera) for camera in scene.held_out]
     labels = sorted({label for frame, _ in frames for label in frame.labels})
     vectors = dict(zip(labels, scene.text_vectors(labels), strict=True))
     with _timed(seconds, "query and score all three"):

@@ -11,6 +11,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 
 MAX_SH_DEGREE = 4
+SH_C0 = 0.28209479177387814  # the constant spherical harmonic: RGB = SH_C0 * sh[:, 0] + 0.5 at degree 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,10 +23,8 @@ from scoup.scene.regions import Regions
 from scoup.synthetic.art.layout import Layout
 from scoup.synthetic.art.table import TABLE
 from scoup.synthetic.folder import label_file, write_scene
-from scoup.synthetic.scene import DemoScene, make_demo_scene
+from scoup.synthetic.scene import LABELLED_LEVELS, DemoScene, make_demo_scene
 from scoup.synthetic.words import DISTRACTORS
-
-LABELLED_LEVELS = ("m", "l")  # objects and groups
 
 NOTE = """A data set made by a program, in the layout of {name}. Nothing in it was photographed,
 trained or labelled by hand: scores on it say nothing about {name}.

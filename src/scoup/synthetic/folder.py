@@ -23,9 +23,9 @@ from scoup.io.labels import LabelledFrame
 from scoup.models.word_table import save_table
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import SH_C0
 from scoup.synthetic.masks import mask_polygons
-from scoup.synthetic.scene import EMBEDDING_MODEL, DemoScene
-from scoup.synthetic.splat import SH_C0
+from scoup.synthetic.scene import EMBEDDING_MODEL, LABELLED_LEVELS, DemoScene
 
 SPARSE_POINTS = 4000
 
@@ -49,7 +49,7 @@ def write_demo_scene(
     scene: DemoScene,
     folder: str | Path,
     overwrite: bool = False,
-    levels: tuple[str, ...] = ("m", "l"),
+    levels: tuple[str, ...] = LABELLED_LEVELS,
     render: Callable[[Camera], Any] | None = None,
     progress: Progress = no_progress,
 ) -> Path:

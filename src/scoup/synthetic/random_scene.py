@@ -20,7 +20,7 @@ from scoup.base.errors import InputError
 from scoup.raster import morton_order
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
-from scoup.scene.gaussians import Gaussians
+from scoup.scene.gaussians import SH_C0, Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions
 
 Array: TypeAlias = NDArray[np.float64]
@@ -33,7 +33,6 @@ CELLS = (400, 120, 40)  # things of one code, at levels s, m, l
 
 _BOXES, _BALLS = 12, 14
 _HAZE = 0.04  # share of Gaussians that float in the air
-_SH_0 = 0.28209479177387814  # the constant spherical harmonic
 
 
 def random_scene_gaussians(n_gaussians: int, seed: int = 0, order: Order = "random") -> Gaussians:
@@ -93,7 +92,7 @@ def random_scene_gaussians(n_gaussians: int, seed: int = 0, order: Order = "rand
     chosen = (
         morton_order(torch.from_numpy(means)).numpy() if order == "morton" else rng.permutation(n_gaussians)
     )
-    parts = (means, quats, scales, opacities, ((paint - 0.5) / _SH_0)[:, None])
+    parts = (means, quats, scales, opacities, ((paint - 0.5) / SH_C0)[:, None])
     return Gaussians(*(torch.from_numpy(part[chosen].astype(np.float32)) for part in parts))
 
 

@@ -29,6 +29,7 @@ from scoup.synthetic.observe import IntMap, observe
 from scoup.synthetic.splat import make_splat
 from scoup.synthetic.words import CANONICAL, Words, make_words
 
+LABELLED_LEVELS = ("m", "l")  # names of objects and groups are the labels of synthetic frames
 SMALLEST_LABEL = 75  # pixels, in an image 480 wide: a thing is labelled where it shows at least that many
 EMBEDDING_MODEL = "scoup-demo (simulated)"
 
@@ -77,7 +78,7 @@ class DemoScene:
         """
         for text in texts:
             if text not in self.words.texts:
-                raise UnknownNameError("word", text, self.words.texts, "the demo's table of texts")
+                raise UnknownNameError("word", text, self.words.texts, "the word table of the demo")
         return torch.from_numpy(np.stack([self.words.vector(text) for text in texts])).float()
 
     def level_of(self, name: str) -> str:

@@ -9,12 +9,11 @@ import torch
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from scoup.scene.gaussians import Gaussians
+from scoup.scene.gaussians import SH_C0, Gaussians
 from scoup.synthetic.art.lighting import Light, lit
 from scoup.synthetic.art.meshes import Floats, Ints, Mesh, merged
 from scoup.synthetic.art.things import Parts, Piece, Thing
 
-SH_C0 = 0.28209479177387814
 DISTANCES = (0.8, 0.65, 0.5)  # least distance of discs, as a share of the mean: tried in this order
 OVERSAMPLING = 6  # candidates for each Gaussian kept
 SPREAD = 0.68  # standard deviation of a disc, as a share of the mean distance between discs

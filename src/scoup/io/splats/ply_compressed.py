@@ -10,8 +10,7 @@ from scoup.base.errors import FileFormatError
 from scoup.io.splats.activation import keep_finite, scales_from_logs, unit_quats
 from scoup.io.splats.ply_header import read_header
 from scoup.io.splats.ply_rows import read_rows
-from scoup.io.splats.splat import SH_C0
-from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
+from scoup.scene.gaussians import MAX_SH_DEGREE, SH_C0, Gaussians
 
 _BLOCK = 256
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")

@@ -11,9 +11,7 @@ from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError
 from scoup.io.reading import existing_file
 from scoup.io.splats.activation import keep_finite, unit_quats
-from scoup.scene.gaussians import Gaussians
-
-SH_C0 = 0.28209479177387814
+from scoup.scene.gaussians import SH_C0, Gaussians
 
 _ROW = np.dtype([("center", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
 
