@@ -14,12 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from extract_support import smooth_image
 from PIL import Image
-from tiny_models import saved, tiny_clip, tiny_sam2
 
 import scoup
 from cli_support import snapshot
+from mask_samples import smooth_image
 from scoup.base.errors import InputError, ScoupError, ScoupWarning
 from scoup.base.processes import Processes
 from scoup.extract import (
@@ -38,6 +37,7 @@ from scoup.io.regions.manifest import MANIFEST, RegionManifest, write_manifest
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import LEVELS
 from support import make_camera
+from tiny_models import saved, tiny_clip, tiny_sam2
 
 
 class Blocks:

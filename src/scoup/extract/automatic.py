@@ -15,7 +15,7 @@ from scoup.extract.masks import Masks
 from scoup.extract.overlaps import keep_by_boxes, keep_by_masks
 from scoup.extract.settings import MaskSettings
 from scoup.extract.small_parts import without_small_parts
-from scoup.models.sam import Looked, PointModel
+from scoup.models.sam import EncodedImage, PointModel
 from scoup.scene.regions import LEVELS
 
 _CHUNK = 128 << 20  # bytes of logits at the size of the image that are in memory at once
@@ -41,7 +41,7 @@ class SamSegmenter:
     """The segmenter of the pipeline over a model that answers points.
 
     Args:
-        model: from ``sam.open_point_model``.
+        model: from ``sam.open_sam``.
         settings: see ``MaskSettings``.
         with_default: also make LangSplat's level "default": all three answers in one list.
     """
@@ -111,25 +111,25 @@ def _finished(parts: list[Masks], boxes: list[Box], size: tuple[int, int], setti
 def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings: MaskSettings) -> Candidates:
     """What one crop of the image gives, in pixels of the crop."""
     x0, y0, x1, y1 = box
-    looked = model.look(np.ascontiguousarray(image[y0:y1, x0:x1]))
+    encoded = model.encode(np.ascontiguousarray(image[y0:y1, x0:x1]))
     points = torch.from_numpy(point_grid(settings.points_per_side) * [x1 - x0, y1 - y0])
     crop_size, image_size = (y1 - y0, x1 - x0), (image.shape[0], image.shape[1])
     parts: list[Candidates] = []
     coarse: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
     for batch in points.split(settings.points_per_batch):
-        logits, iou = looked.ask(batch)
+        logits, iou = encoded.predict(batch)
         channels = torch.arange(logits.shape[1], device=iou.device).repeat(len(batch))
         logits, iou = logits.flatten(0, 1), iou.flatten()
         good = torch.nonzero(iou > settings.predicted_iou)[:, 0]
         if settings.coarse_filters:
-            stable = _stability(looked.trim(logits[good]), settings)
+            stable = _stability(encoded.without_padding(logits[good]), settings)
             kept = stable >= settings.stability
             good = good[kept]
             coarse.append((logits[good].half(), iou[good], stable[kept], channels[good]))
         else:
-            parts += _enlarged(looked, logits, iou, channels, good, settings, crop_size)
+            parts += _enlarged(encoded, logits, iou, channels, good, settings, crop_size)
     if settings.coarse_filters:
-        parts = _from_coarse(looked, coarse, settings, crop_size)
+        parts = _from_coarse(encoded, coarse, settings, crop_size)
     joined = Masks.joined(crop_size, [part.masks for part in parts])
     channels = np.concatenate([np.zeros(0, np.int64), *(part.channels for part in parts)])
     inside = ~touches_inner_edge(joined.corners(), box, *image_size)
@@ -137,7 +137,7 @@ def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings:
 
 
 def _enlarged(
-    looked: Looked,
+    encoded: EncodedImage,
     logits: Tensor,
     iou: Tensor,
     channels: Tensor,
@@ -149,7 +149,7 @@ def _enlarged(
     """Small masks at the size of the crop, a few at a time; stability is judged there unless it is given."""
     result: list[Candidates] = []
     for chunk in numbers.split(max(1, _CHUNK // (4 * size[0] * size[1]))):
-        large = looked.enlarge(logits[chunk].float())
+        large = encoded.upscale(logits[chunk].float())
         if stability is None:
             stable = _stability(large, settings)
             kept = stable >= settings.stability
@@ -163,14 +163,16 @@ def _enlarged(
 
 
 def _from_coarse(
-    looked: Looked,
+    encoded: EncodedImage,
     batches: list[tuple[Tensor, Tensor, Tensor, Tensor]],
     settings: MaskSettings,
     size: tuple[int, int],
 ) -> list[Candidates]:
     """Suppress boxes among the small masks of each answer, and enlarge the rest."""
     logits, iou, stability, channels = (torch.cat(items) for items in zip(*batches, strict=True))
-    small = [Masks.from_dense((part > 0).cpu().numpy()) for part in looked.trim(logits).split(256)]
+    small = [
+        Masks.from_dense((part > 0).cpu().numpy()) for part in encoded.without_padding(logits).split(256)
+    ]
     if not small:
         return []
     corners = np.concatenate([part.corners() for part in small])
@@ -180,7 +182,7 @@ def _from_coarse(
         scores = iou.cpu().numpy()[numbers]
         kept.append(numbers[keep_by_boxes(corners[numbers], scores, settings.box_overlap)])
     chosen = torch.from_numpy(np.sort(np.concatenate(kept))).to(logits.device)
-    return _enlarged(looked, logits, iou, channels, chosen, settings, size, stability)
+    return _enlarged(encoded, logits, iou, channels, chosen, settings, size, stability)
 
 
 def _stability(logits: Tensor, settings: MaskSettings) -> Tensor:

@@ -37,10 +37,10 @@ def open_segmenter(
             raise InputError(f"{name} has no level default: its levels are no answers to one point")
         return felzenszwalb.Felzenszwalb()
     from scoup.extract.automatic import SamSegmenter
-    from scoup.models.sam import open_point_model
+    from scoup.models.sam import open_sam
 
     settings = settings or MaskSettings()
-    return SamSegmenter(open_point_model(name, revision, device, settings.half), settings, with_default)
+    return SamSegmenter(open_sam(name, revision, device, settings.half), settings, with_default)
 
 
 def open_embedder(name: str, revision: str | None = None, device: torch.device | str = "cpu") -> Embedder:
