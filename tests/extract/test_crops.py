@@ -10,13 +10,13 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from literal_rules import crop_of, exact_crop_of
 
+from literal_rules import crop_of, exact_crop_of
 from mask_samples import mask_stacks, random_masks, smooth_image
 from scoup.extract.crops import mask_crops
 from scoup.extract.masks import Masks
-from scoup.extract.opening import open_embedder
 from scoup.extract.plain_colors import PlainColors
+from scoup.extract.registry import open_embedder
 from tiny_models import saved, tiny_clip, tiny_siglip
 
 os.environ["HF_HUB_OFFLINE"] = "1"

@@ -10,14 +10,14 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from literal_rules import cut_off, generate, mask_rule
 from scipy import ndimage
 from torch import Tensor
 from torch.nn import functional
 
+from literal_rules import cut_off, generate, mask_rule
 from mask_samples import smooth_image
 from scoup.base.errors import InputError
-from scoup.extract.automatic import SamSegmenter, automatic_masks
+from scoup.extract.automatic_masks import SamSegmenter, automatic_masks
 from scoup.extract.grids import crop_boxes, point_grid, touches_inner_edge
 from scoup.extract.masks import Masks
 from scoup.extract.settings import MaskSettings, mask_settings
@@ -134,7 +134,7 @@ def test_tiny_models(kind: str, tmp_path) -> None:
 def test_batches_and_chunks_change_nothing(monkeypatch) -> None:
     image, model = smooth_image(60, 80), MadeUp(3)
     one = automatic_masks(image, model, replace(LIVELY, points_per_batch=1))
-    monkeypatch.setattr("scoup.extract.automatic._CHUNK", 4 * 60 * 80 * 2)  # two masks at a time
+    monkeypatch.setattr("scoup.extract.automatic_masks.CHUNK_BYTES", 4 * 60 * 80 * 2)  # two masks at a time
     other = automatic_masks(image, model, replace(LIVELY, points_per_batch=1000))
     for level, masks in one.items():
         assert (masks.dense() == other[level].dense()).all()
