@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from tests.extract.literal_rules import box_of, mask_rule, painted
+from tests.literal_rules import box_of, mask_rule, painted
 
 from benchmarks.extract_masks import candidates, photograph_of, regions_of
 from scoup.bench import describe_environment, write_json
@@ -258,25 +258,27 @@ def _models(image: np.ndarray) -> list[dict[str, Any]]:
     """Seconds of the models at their real sizes."""
     import transformers
 
-    from scoup.models.sam import _IMAGENET, SamPoints
+    from scoup.models.normalization import IMAGENET
+    from scoup.models.sam import Sam
 
-    sam = SamPoints(
-        transformers.SamModel(transformers.SamConfig()).eval(), "random", "", 1024, False, _IMAGENET
-    )
+    sam = Sam(transformers.SamModel(transformers.SamConfig()).eval(), "random", "", 1024, False, IMAGENET)
     since = time.process_time()
-    looked = sam.look(image)
-    look = time.process_time() - since
+    encoded = sam.encode(image)
+    encode = time.process_time() - since
     since = time.process_time()
-    looked.ask(torch.rand(64, 2) * 1000)
-    ask = time.process_time() - since
+    encoded.predict(torch.rand(64, 2) * 1000)
+    predict = time.process_time() - since
     config = transformers.CLIPVisionConfig(patch_size=16, projection_dim=512)
     clip = transformers.CLIPVisionModelWithProjection(config).eval()
     since = time.process_time()
     with torch.inference_mode():
         clip(pixel_values=torch.randn(8, 3, 224, 224))
     return [
-        {"what": "SAM ViT-B looks at a crop (an image with langsplat: 5, fast: 1)", "seconds": look},
-        {"what": "SAM answers 64 points (an image with langsplat: 80 times, fast: 16)", "seconds": ask},
+        {"what": "SAM ViT-B encodes a crop (an image with langsplat: 5, fast: 1)", "seconds": encode},
+        {
+            "what": "SAM predicts masks of 64 points (an image with langsplat: 80 times, fast: 16)",
+            "seconds": predict,
+        },
         {"what": "CLIP ViT-B/16, 8 crops", "seconds": time.process_time() - since},
     ]
 

@@ -36,7 +36,7 @@ from scoup.bench.environment import in_one_line
 from scoup.bench.measure import torch_threads
 from scoup.field.language_field import FieldInfo, LanguageField
 from scoup.io import check_output
-from scoup.models.text import save_table
+from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.segment import localize_and_segment
 from scoup.scene.cameras import Camera

@@ -50,7 +50,7 @@ def test_extract_then_build(here) -> None:
     field = LanguageField.load("a.scoup")
     assert field.info.embedding_model == "colors"  # as the features say, not as the verb would guess
     assert field.dim == 72
-    assert "answer to no words" in refused("query", "a.scoup", "kettle", "--out", "answers")
+    assert "cannot be queried in words" in refused("query", "a.scoup", "kettle", "--out", "answers")
     run_json("build", "scene", *QUICK, "--out", "b.scoup", "--model", "my/model")
     assert LanguageField.load("b.scoup").info.embedding_model == "my/model"
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from extract_support import mask_stacks, random_masks
 from hypothesis import given
 from hypothesis import strategies as st
 from literal_rules import box_of, box_suppression, clean_up, mask_rule, painted
 
+from mask_samples import mask_stacks, random_masks
 from scoup.base.errors import InputError
 from scoup.extract.felzenszwalb import Felzenszwalb
 from scoup.extract.masks import Masks, paint

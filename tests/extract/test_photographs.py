@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from extract_support import smooth_image
 from PIL import Image, ImageOps
 
+from mask_samples import smooth_image
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
 from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
 from scoup.io import write_colmap

@@ -13,19 +13,15 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from io_samples import some_cameras, some_regions
 from safetensors.numpy import load_file, save_file
 
 from cli_support import snapshot
+from io_samples import some_cameras, some_regions
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io import convert_regions, load_regions, save_regions
-from scoup.io.regions.compact import (
-    read_compact_embeddings,
-    read_compact_labels,
-    read_compact_view,
-    write_compact_view,
-)
+from scoup.io.regions.compact import open_view, write_view
 from scoup.io.regions.manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
+from scoup.io.regions.views import ViewRegions
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import LEVELS, resize_labels
 
@@ -39,14 +35,13 @@ def write(folder: Path, cameras: Cameras, bits: int = 32):
     write_manifest(folder, MANIFEST_OF_TESTS)
     for camera in cameras:
         maps = {level: regions.load(camera.name, level) for level in LEVELS}
-        write_compact_view(
-            folder / f"{camera.stem}.regions",
+        view = ViewRegions(
             camera.name,
             {level: item.labels.numpy() for level, item in maps.items()},
             {level: item.embeddings.numpy().astype(f"f{bits // 8}") for level, item in maps.items()},
-            MANIFEST_OF_TESTS.fingerprint,
             "photo",
         )
+        write_view(folder, camera.stem, view, MANIFEST_OF_TESTS.fingerprint)
     return regions
 
 
@@ -76,13 +71,12 @@ def test_round_trip(tmp_path: Path, bits: int) -> None:
 def test_labels_of_every_size(height: int, width: int, rows: int, seed: int) -> None:
     labels = np.random.default_rng(seed).integers(-1, rows, (height, width)).astype(np.int32)
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "a.regions"
-        size = write_compact_view(path, "a.png", {"s": labels}, {"s": np.zeros((rows, 2), np.float16)})
-        assert path.stat().st_size == size
-        view = read_compact_view(path)
-        assert (view.name, view.width, view.height, view.rows["s"]) == ("a.png", width, height, rows)
-        assert (read_compact_labels(view, "s") == labels).all()
-        assert read_compact_embeddings(view, "s").dtype == np.float16
+        regions = ViewRegions("a.png", {"s": labels}, {"s": np.zeros((rows, 2), np.float16)})
+        write_view(Path(folder), "a", regions, "")
+        view = open_view(Path(folder), "a")
+        assert (view.name, view.width, view.height, view.counts) == ("a.png", width, height, {"s": rows})
+        assert (view.labels(("s",))[0] == labels).all()
+        assert view.embeddings("s").dtype == np.float16
 
 
 def test_labels_come_at_the_size_of_the_camera(tmp_path: Path) -> None:
@@ -204,7 +198,7 @@ def test_damaged_manifests(tmp_path: Path, text: str, message: str) -> None:
 def test_several_processes_may_write_one_manifest(tmp_path: Path) -> None:
     write_manifest(tmp_path, MANIFEST_OF_TESTS)
     write_manifest(tmp_path, MANIFEST_OF_TESTS)
-    with pytest.raises(InputError, match="somebody else"):
+    with pytest.raises(InputError, match="another process"):
         write_manifest(tmp_path, replace(MANIFEST_OF_TESTS, embedding_model="another"))
     assert read_manifest(tmp_path) == MANIFEST_OF_TESTS
 
@@ -242,8 +236,8 @@ def test_langsplat_to_compact_and_back_is_lossless(tmp_path: Path) -> None:
     assert set(after) - set(before) == {MANIFEST}
     convert_regions(tmp_path, tmp_path / "half")
     for stem in "abc":
-        view = read_compact_view(tmp_path / "half" / f"{stem}.regions")
-        rows = np.concatenate([read_compact_embeddings(view, level) for level in view.levels])
+        view = open_view(tmp_path / "half", stem)
+        rows = np.concatenate([view.embeddings(level) for level in view.levels])
         assert (rows == np.load(source / f"{stem}_f.npy").astype(np.float16)).all()
 
 
@@ -279,7 +273,9 @@ def test_conversions_that_are_refused(tmp_path: Path) -> None:
     before = snapshot(tmp_path / "b")
     with pytest.raises(OutputExistsError):
         convert_regions(tmp_path / "a", tmp_path / "b")
-    with pytest.raises(InputError, match=r"holds other region features \(bits: 32, not 16\)"):
+    with pytest.raises(
+        InputError, match=r"holds region features made with other settings \(bits: 32, not 16\)"
+    ):
         convert_regions(tmp_path / "a", tmp_path / "b", bits=32)
     with pytest.raises(InputError, match="features of the layout compact"):
         convert_regions(tmp_path / "a", tmp_path / "b", layout="langsplat", overwrite=True)

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from io_samples import save_images, some_cameras
 
+from io_samples import save_images, some_cameras
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear, sample_nearest
-from scoup.io.image_folder import ImageFolder, image_size
-from scoup.io.images import load_image, save_png
+from scoup.io.image_folder import ImageFolder
+from scoup.io.images import image_size, load_image, save_png
 from scoup.scene.cameras import Camera
 
 

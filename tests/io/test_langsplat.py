@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from io_samples import some_cameras, some_regions
 
+from io_samples import some_cameras, some_regions
 from scoup.base.errors import (
     FileFormatError,
     InputError,
@@ -16,9 +16,9 @@ from scoup.base.errors import (
     ScoupWarning,
     UnknownNameError,
 )
+from scoup.io import load_regions, save_regions
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
-from scoup.io.regions.langsplat import load_regions, save_regions
-from scoup.io.regions.langsplat_files import level_blocks
+from scoup.io.regions.langsplat_rows import level_blocks
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import LEVELS, RegionMap, Regions
 
@@ -260,6 +260,6 @@ def test_saving_needs_three_levels_of_one_size(tmp_path):
     with pytest.raises(InputError, match="differ in size"):
         save_regions(Regions.from_maps({"a": maps}), tmp_path)
     same = {level: RegionMap(labels, rows) for level in LEVELS}
-    with pytest.raises(InputError, match="share a file name"):
+    with pytest.raises(InputError, match="share the feature name 'a'"):
         save_regions(Regions.from_maps({"a.1.png": same, "a.2.png": same}), tmp_path)
     assert not list(tmp_path.iterdir())

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+
+import scoup.io
 from io_samples import (
     camera_difference,
     same_gaussians,
@@ -15,13 +17,11 @@ from io_samples import (
     some_cameras,
     some_gaussians,
 )
-
-import scoup.io
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io import as_stored, default_preset, load_cameras, load_gaussians, load_image, save_gaussians
 from scoup.io.cameras.colmap import write_colmap
 from scoup.io.cameras.inria import write_inria_cameras
-from scoup.io.cameras.transforms import write_transforms
+from scoup.io.cameras.nerfstudio import write_transforms
 from scoup.io.scenes import find_cameras
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -14,7 +14,8 @@ from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, WritesCommon, common_last
 
 if TYPE_CHECKING:
-    from scoup.extract import ExtractReport, MaskSettings
+    from scoup.base.processes import Processes
+    from scoup.extract import ExtractReport
 
 
 @common_last
@@ -22,9 +23,9 @@ if TYPE_CHECKING:
 class Extract(WritesCommon):
     """Cut the photographs of a scene into regions at three levels, and give each region an embedding.
 
-    Interrupted, the same command goes on where it stopped; photographs that changed are done again. Under torchrun
+    Interrupted, the same command continues where it stopped; photographs that changed are done again. Under torchrun
     every process takes its share of the photographs and, on a GPU machine, its own GPU. Models are fetched on first
-    use and kept where Hugging Face keeps them; --segmenter felzenszwalb --embedder colors needs none.
+    use into the cache of Hugging Face; --segmenter felzenszwalb --embedder colors needs none.
     """
 
     scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
@@ -38,9 +39,9 @@ class Extract(WritesCommon):
     felzenszwalb: regions of even colour from scikit-image, no model and no objects."""
     embedder: str = CLIP_MODEL
     """A CLIP or SigLIP model by folder or hub id, open_clip:ARCHITECTURE/PRETRAINED; or colors: no model, and no
-    answers in words."""
+    queries in words."""
     segmenter_revision: OptionalText = None
-    """Branch, tag or commit of the segmenter. The commit found is written down, and kept when work goes on."""
+    """Branch, tag or commit of the segmenter. The commit found is recorded, and kept when work is resumed."""
     embedder_revision: OptionalText = None
     """Branch, tag or commit of the embedder; as above."""
     preset: Literal["langsplat", "fast"] = "langsplat"
@@ -48,7 +49,7 @@ class Extract(WritesCommon):
     points_per_side: OptionalInteger = None
     """Points along each side of a grid. Default: 32."""
     points_per_batch: OptionalInteger = None
-    """Points asked at a time: fewer take less memory. Default: 64, or 256 with the preset fast."""
+    """Points predicted at a time: fewer take less memory. Default: 64, or 256 with the preset fast."""
     layout: Literal["compact", "langsplat"] = "compact"
     """compact: one small file a view. langsplat: <image>_s.npy and _f.npy, as other programs read them."""
     bits: Literal[16, 32] = 16
@@ -62,19 +63,17 @@ class Extract(WritesCommon):
         """Extract and report."""
         from scoup.base.errors import InputError
         from scoup.base.processes import device_of_process, of_environment
-        from scoup.extract import extract, find_photographs, mask_settings
-        from scoup.extract.opening import open_pair
+        from scoup.extract import Output, extract, find_photographs, mask_settings
+        from scoup.extract.registry import open_pair
         from scoup.io.regions.views import FOLDER_NAME
 
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
-        settings: MaskSettings = mask_settings(
+        settings = mask_settings(
             self.preset, points_per_side=self.points_per_side, points_per_batch=self.points_per_batch
         )
         photographs = find_photographs(self.scene, self.images)
         processes = of_environment()
-        rank, world = processes.rank, processes.world
-        device = device_of_process(self.device)
         out = self.out or (self.scene if self.scene.is_dir() else self.scene.parent) / FOLDER_NAME
         started = time.perf_counter()
         segmenter, embedder = open_pair(
@@ -82,50 +81,46 @@ class Extract(WritesCommon):
             self.embedder,
             settings,
             (self.segmenter_revision, self.embedder_revision),
-            device,
+            device_of_process(self.device),
             None if self.overwrite else out,
             self.with_default,
         )
+        output = Output(self.layout, self.bits, self.max_height or None)
         with console.progress() as progress:
             report = extract(
-                photographs,
-                out,
-                segmenter,
-                embedder,
-                layout=self.layout,
-                bits=self.bits,
-                max_height=self.max_height or None,
-                overwrite=self.overwrite,
-                device=device,
-                processes=processes,
-                progress=progress,
+                photographs, out, segmenter, embedder, output, self.overwrite, processes, progress
             )
         seconds = time.perf_counter() - started
-        self._say(console, report, out, seconds, f" (process {rank} of {world})" if world > 1 else "")
-        console.result(
-            {
-                "out": out,
-                "photographs": len(photographs),
-                "made": len(report.made),
-                "kept": report.kept,
-                "skipped": report.skipped,
-                "regions": report.regions,
-                "bytes": report.bytes,
-                "seconds": round(seconds, 2),
-                "stages": {stage: round(value, 2) for stage, value in report.seconds.items()},
-                "embedding_model": embedder.name,
-                **({"rank": rank, "world_size": world} if world > 1 else {}),
-            }
-        )
+        _say(console, report, out, seconds, processes)
+        record = {
+            "out": out,
+            "photographs": len(photographs),
+            **_record(report),
+            "seconds": round(seconds, 2),
+        }
+        shares = {"rank": processes.rank, "world_size": processes.world} if processes.world > 1 else {}
+        console.result({**record, "embedding_model": embedder.name, **shares})
 
-    @staticmethod
-    def _say(console: Console, report: ExtractReport, out: Path, seconds: float, share: str) -> None:
-        made = len(report.made)
-        there = f", {report.kept} were there already" if report.kept else ""
-        console.say(f"{out}: {made} views made{there}{share}, in {seconds:.0f} s")
-        if made:
-            stages = ", ".join(f"{stage} {value / made:.2f}" for stage, value in report.seconds.items())
-            console.say(
-                f"{report.regions / made:.0f} regions and {report.bytes / made / 1e3:.0f} kB a view; "
-                f"seconds a view: {stages}"
-            )
+
+def _record(report: ExtractReport) -> dict[str, Any]:
+    return {
+        "made": len(report.made),
+        "kept": report.kept,
+        "skipped": report.skipped,
+        "regions": report.regions,
+        "bytes": report.bytes,
+        "stages": {stage: round(value, 2) for stage, value in report.seconds.items()},
+    }
+
+
+def _say(console: Console, report: ExtractReport, out: Path, seconds: float, processes: Processes) -> None:
+    made = len(report.made)
+    there = f", {report.kept} were there already" if report.kept else ""
+    share = f" (process {processes.rank} of {processes.world})" if processes.world > 1 else ""
+    console.say(f"{out}: {made} views made{there}{share}, in {seconds:.0f} s")
+    if made:
+        stages = ", ".join(f"{stage} {value / made:.2f}" for stage, value in report.seconds.items())
+        console.say(
+            f"{report.regions / made:.0f} regions and {report.bytes / made / 1e3:.0f} kB a view; "
+            f"seconds a view: {stages}"
+        )

@@ -10,7 +10,7 @@ from scoup.base.errors import InputError, MissingFileError, UnknownNameError, lo
 from scoup.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
 from scoup.io import find_gaussians, load_cameras
 from scoup.io.labels import LabelledFrame, match_frames, read_labels
-from scoup.io.regions.langsplat import FOLDER_NAME
+from scoup.io.regions.views import FOLDER_NAME
 from scoup.query.presets import QueryPreset, query_preset
 from scoup.scene.cameras import Camera, Cameras
 

@@ -1,14 +1,14 @@
 """From photographs to region maps and embeddings (docs/extract.md).
 
-The only place that knows SAM and CLIP image models. ``extract`` is a loop over photographs that takes any segmenter
-and any embedder; ``open_segmenter`` and ``open_embedder`` find those by name.
+``extract`` is a loop over photographs that takes any segmenter and any embedder (``interfaces``). ``open_segmenter``
+and ``open_embedder`` open those by name (``registry``).
 """
 
+from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.masks import Masks, paint
-from scoup.extract.opening import open_embedder, open_segmenter
-from scoup.extract.parts import Embedder, Segmenter
 from scoup.extract.photographs import Photograph, find_photographs
-from scoup.extract.pipeline import ExtractReport, extract
+from scoup.extract.pipeline import ExtractReport, Output, extract
+from scoup.extract.registry import open_embedder, open_segmenter
 from scoup.extract.settings import MaskSettings, mask_settings
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "ExtractReport",
     "MaskSettings",
     "Masks",
+    "Output",
     "Photograph",
     "Segmenter",
     "extract",

@@ -1,4 +1,4 @@
-"""Masks to the pictures an image model is shown: the rest black, cut to the box, squared, resized; batched."""
+"""Masks to the inputs of an image model: the rest black, cut to the box, squared, resized; in batches."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a model is asked: grids of points, and crops of the image."""
+"""Grids of points, and crops of the image."""
 
 from __future__ import annotations
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
 from scoup.io import camera_photographs
-from scoup.io.image_folder import EXTENSIONS, size_in_header
-from scoup.io.images import MAX_PIXELS
-from scoup.io.scene_images import FACTORS
+from scoup.io.camera_images import FACTORS
+from scoup.io.image_folder import EXTENSIONS
+from scoup.io.images import open_image
 
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
 _MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # those that are mirrored left to right after the turns
@@ -123,28 +123,20 @@ def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
     """
     from PIL import Image
 
-    width, height = size_in_header(path)
-    if width * height > MAX_PIXELS:
-        raise FileFormatError(
-            path, f"has {width} x {height} pixels, too many to decode", "scale it down first"
-        )
-    digest = digest_of(path)
-    try:
-        with Image.open(path) as stored:
-            orientation = int(stored.getexif().get(0x0112, 1))
-            rgb = _to_rgb(stored)
+    with open_image(path) as stored:
+        width, height = stored.size
+        orientation = int(stored.getexif().get(0x0112, 1))
+        rgb = _to_rgb(stored)
         if max_height is not None and height > max_height:
             size = (max(1, int(width / (height / max_height))), max_height)
             rgb = rgb.resize(size, Image.Resampling.BILINEAR)
         array = np.asarray(rgb)
-    except Exception as error:  # damaged images raise nearly everything inside Pillow
-        raise FileFormatError(path, f"cannot be decoded ({error})", "copy it again, or remove it") from error
     mirrored = orientation in _MIRRORED
     turns = _MIRRORED.get(orientation, 0) if mirrored else _TURNS.get(orientation, 0)
     upright = np.rot90(array, turns)
     if mirrored:
         upright = upright[:, ::-1]
-    return Pixels(np.array(upright, order="C"), turns, mirrored, digest)
+    return Pixels(np.array(upright, order="C"), turns, mirrored, digest_of(path))
 
 
 def _to_rgb(image: Any) -> Any:
@@ -153,7 +145,7 @@ def _to_rgb(image: Any) -> Any:
     if image.mode.startswith("I") or image.mode == "F":
         values = np.asarray(image).astype(np.float64)
         if image.mode == "F" or values.max(initial=0) > 65535 or values.min(initial=0) < 0:
-            raise ValueError(f"pixels of mode {image.mode} are no photograph's")
+            raise ValueError(f"pixels of mode {image.mode} are not those of a photograph")
         return Image.fromarray((values / 256).astype(np.uint8)).convert("RGB")
     return image.convert("RGB")
 

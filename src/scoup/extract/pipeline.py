@@ -7,25 +7,38 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.base.errors import InputError, ScoupError, ScoupWarning
+from scoup.base.errors import ScoupError, ScoupWarning
 from scoup.base.processes import Processes
 from scoup.base.progress import Progress, no_progress
 from scoup.extract.crops import mask_crops
+from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.masks import Masks, paint
-from scoup.extract.parts import Embedder, Segmenter
-from scoup.extract.photographs import Photograph, digest_of, read_ahead
+from scoup.extract.photographs import Photograph, Pixels, digest_of, read_ahead
 from scoup.io.regions.manifest import Layout, RegionManifest
-from scoup.io.regions.store import RegionStore, ViewRegions
-from scoup.io.regions.views import check_stems
+from scoup.io.regions.store import RegionStore
+from scoup.io.regions.views import ViewRegions, check_stems
 
-ALONE = Processes()
 MAX_HEIGHT = 1080  # LangSplat's
+
+
+@dataclass(frozen=True)
+class Output:
+    """How regions are made of photographs and stored, whatever the models.
+
+    Attributes:
+        layout: "compact", or "langsplat" for LangSplat's files.
+        bits: of a stored embedding number, 16 or 32 (LangSplat's files always hold 32).
+        max_height: higher photographs are reduced to it; None for no limit.
+    """
+
+    layout: Layout = "compact"
+    bits: int = 16
+    max_height: int | None = MAX_HEIGHT
 
 
 @dataclass
@@ -48,7 +61,7 @@ class ExtractReport:
     bytes: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
 
-    def took(self, stage: str, since: float) -> float:
+    def add_time(self, stage: str, since: float) -> float:
         """Add the time since a moment to a stage; returns the moment now."""
         now = time.perf_counter()
         self.seconds[stage] = self.seconds.get(stage, 0.0) + now - since
@@ -60,25 +73,18 @@ def extract(
     folder: str | Path,
     segmenter: Segmenter,
     embedder: Embedder,
-    layout: Layout = "compact",
-    bits: int = 16,
-    max_height: int | None = MAX_HEIGHT,
+    output: Output = Output(),
     overwrite: bool = False,
-    device: torch.device | str = "cpu",
-    processes: Processes = ALONE,
+    processes: Processes = Processes(),  # noqa: B008 - frozen
     progress: Progress = no_progress,
 ) -> ExtractReport:
-    """Make region maps and embeddings of photographs. Interrupted, the same call goes on where it stopped.
+    """Make region maps and embeddings of photographs. Interrupted, the same call continues where it stopped.
 
     Args:
         photographs: from ``find_photographs``.
         folder: of the results; ``load_regions`` reads it.
-        layout: "compact", or "langsplat" for LangSplat's files.
-        bits: of a stored embedding number, 16 or 32 (LangSplat's files always hold 32).
-        max_height: higher photographs are reduced to it; None for no limit.
         overwrite: make views anew that are there already.
-        device: where crops are cut (models have their own).
-        processes: of several at work on one folder, each takes every world-th photograph. They need not be in touch; if
+        processes: of several at work on one folder, each takes every world-th photograph. They do not communicate; if
             one dies, its current view is lost.
 
     Raises:
@@ -89,38 +95,61 @@ def extract(
         ScoupWarning: photographs were skipped because they could not be read; says how many.
     """
     folder = Path(folder)
-    if bits not in (16, 32):
-        raise InputError(f"embeddings are stored with 16 or 32 bits, not {bits}")
     check_stems(folder, (item.name for item in photographs))
-    settings: dict[str, Any] = {**segmenter.record(), **embedder.record(), "max_height": max_height}
-    if layout == "compact":
-        settings["bits"] = bits
-    store = RegionStore(folder, RegionManifest(layout, embedder.name, settings), overwrite, bits)
+    settings = {**segmenter.record(), **embedder.record(), "max_height": output.max_height}
+    manifest = RegionManifest.of(output.layout, embedder.name, settings, output.bits)
+    store = RegionStore.create(folder, manifest, overwrite)
     mine = processes.share(photographs)
     report = ExtractReport()
     waiting = mine if overwrite else [item for item in mine if not _is_made(store, item)]
     report.kept = done = len(mine) - len(waiting)
     progress("regions", done, len(mine))
     moment = time.perf_counter()
-    for item, pixels in read_ahead(waiting, max_height):
-        moment = report.took("decode", moment)
+    for item, pixels in read_ahead(waiting, output.max_height):
+        moment = report.add_time("decode", moment)
         if isinstance(pixels, ScoupError):
             report.skipped[item.name] = str(pixels)
         else:
             masks = segmenter.segment(pixels.image)
-            moment = report.took("segment", moment)
-            regions = _regions(pixels.image, masks, segmenter, embedder, device)
-            moment = report.took("embed", moment)
-            stored = {level: pixels.as_stored(labels) for level, labels in regions.labels.items()}
-            written = ViewRegions(stored, regions.embeddings)
-            report.bytes += store.write(item.name, written, pixels.digest)
-            moment = report.took("write", moment)
+            moment = report.add_time("segment", moment)
+            regions = describe_masks(item.name, pixels, masks, segmenter, embedder)
+            moment = report.add_time("embed", moment)
+            report.bytes += store.write(regions, overwrite=True)
+            moment = report.add_time("write", moment)
             report.made.append(item.name)
-            report.regions += len(written)
+            report.regions += len(regions)
         done += 1
         progress("regions", done, len(mine))
-    _tell_skipped(report, len(mine))
+    _warn_of_skipped(report, len(mine))
     return report
+
+
+def describe_masks(
+    name: str, photograph: Pixels, masks: dict[str, Masks], segmenter: Segmenter, embedder: Embedder
+) -> ViewRegions:
+    """The regions of a photograph: labels in its stored orientation, and the embedding of each mask.
+
+    Args:
+        name: of the photograph.
+        masks: level -> masks, in painting order.
+    """
+    pixels = torch.from_numpy(photograph.image).to(embedder.device)
+    labels: dict[str, NDArray[np.int32]] = {}
+    embeddings: dict[str, NDArray[np.floating]] = {}
+    for level, found in masks.items():
+        painted = paint(found)
+        if segmenter.drop_hidden:
+            visible = np.zeros(len(found) + 1, np.bool_)
+            visible[painted + 1] = True
+            found = found.select(visible[1:])
+            painted = paint(found)
+        labels[level] = photograph.as_stored(painted)
+        rows = [
+            embedder.embed(crops).cpu()
+            for crops in mask_crops(pixels, found, embedder.side, segmenter.cut_last)
+        ]
+        embeddings[level] = (torch.cat(rows) if rows else torch.zeros(0, embedder.dim)).numpy()
+    return ViewRegions(name, labels, embeddings, photograph.digest)
 
 
 def _is_made(store: RegionStore, item: Photograph) -> bool:
@@ -130,32 +159,7 @@ def _is_made(store: RegionStore, item: Photograph) -> bool:
         return False  # cannot be read: counted when its turn comes
 
 
-def _regions(
-    image: NDArray[np.uint8],
-    masks: dict[str, Masks],
-    segmenter: Segmenter,
-    embedder: Embedder,
-    device: torch.device | str,
-) -> ViewRegions:
-    pixels = torch.from_numpy(image).to(device)
-    labels: dict[str, NDArray[np.int32]] = {}
-    embeddings: dict[str, NDArray[np.float32]] = {}
-    for level, found in masks.items():
-        labels[level] = paint(found)
-        if segmenter.drop_hidden:
-            seen = np.zeros(len(found) + 1, np.bool_)
-            seen[labels[level] + 1] = True
-            found = found.select(seen[1:])
-            labels[level] = paint(found)
-        rows = [
-            embedder.embed(crops).cpu()
-            for crops in mask_crops(pixels, found, embedder.side, segmenter.cut_last)
-        ]
-        embeddings[level] = (torch.cat(rows) if rows else torch.zeros(0, embedder.dim)).numpy()
-    return ViewRegions(labels, embeddings)
-
-
-def _tell_skipped(report: ExtractReport, total: int) -> None:
+def _warn_of_skipped(report: ExtractReport, total: int) -> None:
     if not report.skipped:
         return
     first = "; ".join(list(report.skipped.values())[:3])

@@ -1,4 +1,4 @@
-"""Embeddings without a model: colours and edges of a crop. They say nothing in words."""
+"""Embeddings without a model: colours and edges of a crop. Text cannot be compared with them."""
 
 from __future__ import annotations
 
@@ -19,13 +19,19 @@ _SIDE = 64
 class PlainColors:
     """The share of each colour (4 x 4 x 4 bins, softly assigned) and of each direction of edges.
 
-    Regions that look alike get like vectors, so that coding, voting and the tools run without a model. No text
-    encoder shares this space: a field built from it cannot be asked in words.
+    Regions of similar appearance get similar vectors, so that coding, voting and the tools run without a model. No text
+    encoder shares this space: a field built from it cannot be queried in words.
+
+    Args:
+        device: where crops are described.
     """
 
     name = NAME
     dim = _BINS**3 + _DIRECTIONS
     side = _SIDE
+
+    def __init__(self, device: torch.device | str = "cpu") -> None:
+        self.device = device
 
     def record(self) -> dict[str, Any]:
         """The settings that decide the result."""

@@ -12,11 +12,11 @@ Preset = Literal["langsplat", "fast"]
 
 @dataclass(frozen=True)
 class MaskSettings:
-    """How masks are made from a model that answers points; the defaults are LangSplat's.
+    """How masks are made with a model that predicts them from points; the defaults are LangSplat's.
 
     Attributes:
         points_per_side: of the square grid of points, in the image and in each crop.
-        points_per_batch: points asked at a time; decides memory, not the result.
+        points_per_batch: points predicted at a time; decides memory, not the result.
         predicted_iou: masks stay above it.
         stability, stability_offset: masks stay from this share of area left when the threshold of their logits moves
             from -offset to +offset.
@@ -25,7 +25,7 @@ class MaskSettings:
         crop_share: overlap of neighbouring crops as a share of the image's shorter side, in the first layer.
         least_area: smaller holes are filled and smaller islands removed, in pixels.
         mask_overlap, least_score, inside, covered: of the mask rule, see ``overlaps.keep_by_masks``.
-        coarse_filters: judge stability and boxes on the model's small masks, and enlarge only what is left.
+        coarse_filters: filter by stability and boxes on the model's low-resolution masks, and upscale only the rest.
         drop_hidden: leave out masks that later ones paint over entirely.
         cut_last: crops leave out the last row and column of the box (``crops.mask_crops``).
         half: run the model in 16 bits where the device can.
@@ -80,8 +80,8 @@ _FAST = replace(
 def mask_settings(preset: Preset = "langsplat", **changes: Any) -> MaskSettings:
     """A preset with changes; those that are None count as not given.
 
-    ``langsplat`` is faithful. ``fast`` asks one grid of points instead of five, filters on the model's small masks
-    before enlarging them, and runs in 16 bits on a GPU.
+    ``langsplat`` is faithful. ``fast`` uses one grid of points instead of five, filters the model's low-resolution
+    masks before upscaling them, and runs in 16 bits on a GPU.
 
     Raises:
         InputError: there is no such preset, or a value makes no sense.

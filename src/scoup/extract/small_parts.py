@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scoup.extract.masks import Masks
 from scoup.extract.overlaps import keep_by_boxes
 
-_CHUNK = 16 << 20  # pixels of boxes that are looked at together
+_CHUNK = 16 << 20  # pixels of boxes that are processed together
 
 
 def without_small_parts(masks: Masks, least_area: int, most_overlap: float) -> Masks:
@@ -69,7 +69,7 @@ def _with_margin(masks: Masks, number: int, least_area: int) -> tuple[NDArray[np
     x0, y0, x1, y1 = masks.boxes[number].tolist()
     crop = masks.crop(number)
     # What lies outside the box is at least one long strip. With a margin that holds ``least_area`` pixels a part
-    # that leaves the margin is large whatever lies beyond, so that nothing outside need be looked at.
+    # that leaves the margin is large whatever lies beyond, so that nothing outside matters.
     across, down = -(-least_area // crop.shape[0]), -(-least_area // crop.shape[1])
     left, right = min(x0, across), min(masks.size[1] - x1, across)
     top, bottom = min(y0, down), min(masks.size[0] - y1, down)

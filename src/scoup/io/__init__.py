@@ -3,10 +3,10 @@
 from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
 from scoup.io.cameras.colmap import read_colmap, read_points, read_tracks, write_colmap
 from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras, write_inria_cameras
-from scoup.io.cameras.transforms import read_transforms, write_transforms
+from scoup.io.cameras.nerfstudio import read_transforms, write_transforms
 from scoup.io.images import load_image, save_png
 from scoup.io.regions.convert import ConvertReport, convert_regions
-from scoup.io.regions.langsplat import load_regions, save_regions
+from scoup.io.regions.load import load_regions, save_regions
 from scoup.io.scenes import (
     camera_photographs,
     default_preset,

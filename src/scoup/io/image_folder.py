@@ -1,14 +1,10 @@
-"""Which image file belongs to which camera name, and how large it is, without decoding it."""
+"""A folder of image files: which file belongs to which name. No file is opened."""
 
 from __future__ import annotations
 
 import os
-import warnings
 from collections import defaultdict
 from pathlib import Path, PurePosixPath
-
-from scoup.base.errors import FileFormatError
-from scoup.io.reading import MAX_IMAGE_SIDE, existing_file
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 
@@ -58,34 +54,3 @@ def find_beside(folder: Path, relative: str) -> Path | None:
         if os.path.isfile(path):
             return Path(path)
     return None
-
-
-def image_size(path: str | Path) -> tuple[int, int]:
-    """Width and height of an image file in pixels, from its header alone; EXIF orientation is not applied.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is no image, or absurdly large.
-    """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Pillow warns about every large photograph
-        return size_in_header(path)
-
-
-def size_in_header(path: str | Path) -> tuple[int, int]:
-    """``image_size`` with Pillow's warnings. For threads: filters of warnings belong to the process, and threads would
-    put back each other's.
-    """
-    from PIL import Image
-
-    path = existing_file(path, "an image")
-    try:
-        with Image.open(path) as image:
-            width, height = image.size
-    except Exception as error:  # damaged images raise nearly everything inside Pillow
-        raise FileFormatError(
-            path, "is not an image that can be read", "copy it again, or remove it"
-        ) from error
-    if not (1 <= width <= MAX_IMAGE_SIDE and 1 <= height <= MAX_IMAGE_SIDE):
-        raise FileFormatError(path, f"claims {width} x {height} pixels", "the file is damaged; copy it again")
-    return width, height

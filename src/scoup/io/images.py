@@ -1,9 +1,12 @@
-"""Photographs in, pictures out."""
+"""One image file: its size, its pixels, and writing it."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,10 +15,41 @@ from torch import Tensor
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear
-from scoup.io.image_folder import image_size
+from scoup.io.reading import MAX_IMAGE_SIDE, existing_file
 from scoup.scene.cameras import Camera
 
 MAX_PIXELS = 1 << 29  # decoded at three bytes each
+
+
+def image_size(path: str | Path) -> tuple[int, int]:
+    """Width and height of an image file in pixels, from its header alone; EXIF orientation is not applied.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is no image, or absurdly large.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow warns about every large photograph
+        return size_in_header(path)
+
+
+def size_in_header(path: str | Path) -> tuple[int, int]:
+    """``image_size`` with Pillow's warnings. For threads: filters of warnings belong to the process, and threads would
+    restore those of each other.
+    """
+    from PIL import Image
+
+    path = existing_file(path, "an image")
+    try:
+        with Image.open(path) as image:
+            width, height = image.size
+    except Exception as error:  # damaged images raise nearly everything inside Pillow
+        raise FileFormatError(
+            path, "is not an image that can be read", "copy it again, or remove it"
+        ) from error
+    if not (1 <= width <= MAX_IMAGE_SIDE and 1 <= height <= MAX_IMAGE_SIDE):
+        raise FileFormatError(path, f"claims {width} x {height} pixels", "the file is damaged; copy it again")
+    return width, height
 
 
 def load_image(camera: Camera) -> Tensor:
@@ -67,22 +101,38 @@ def save_png(image: Tensor | np.ndarray, path: str | Path, overwrite: bool = Fal
         Image.fromarray(np.ascontiguousarray(array)).save(stream, format="PNG")
 
 
+@contextmanager
+def open_image(path: Path) -> Iterator[Any]:
+    """An image of Pillow; whatever fails in the block, decoding included, is a FileFormatError.
+
+    Pillow's warnings are not silenced, for the reason that ``size_in_header`` gives.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is no image, too large to decode, or damaged.
+    """
+    from PIL import Image
+
+    width, height = size_in_header(path)
+    if width * height > MAX_PIXELS:
+        raise FileFormatError(
+            path, f"has {width} x {height} pixels, too many to decode", "scale it down first"
+        )
+    try:
+        with Image.open(path) as image:
+            yield image
+    except Exception as error:  # damaged images raise nearly everything inside Pillow
+        raise FileFormatError(path, f"cannot be decoded ({error})", "copy it again, or remove it") from error
+
+
 def _decode(path: Path, width: int, height: int) -> np.ndarray:
     from PIL import Image
 
-    stored = image_size(path)
-    if stored[0] * stored[1] > MAX_PIXELS:
-        raise FileFormatError(
-            path, f"has {stored[0]} x {stored[1]} pixels, too many to decode", "scale it down first"
-        )
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(path) as image:
-                image.draft("RGB", (width, height))  # lets JPEG skip detail that would be thrown away
-                rgb = image.convert("RGB")
-                if rgb.size != (width, height):
-                    rgb = rgb.resize((width, height), Image.Resampling.BICUBIC)
-                return np.array(rgb)
-    except Exception as error:  # damaged images raise nearly everything inside Pillow
-        raise FileFormatError(path, f"cannot be decoded ({error})", "copy it again, or remove it") from error
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with open_image(path) as image:
+            image.draft("RGB", (width, height))  # lets JPEG skip detail that would be thrown away
+            rgb = image.convert("RGB")
+            if rgb.size != (width, height):
+                rgb = rgb.resize((width, height), Image.Resampling.BICUBIC)
+            return np.array(rgb)

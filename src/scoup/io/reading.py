@@ -1,4 +1,4 @@
-"""What all readers share: files that must be there, JSON that must make sense, cameras that must be sound."""
+"""Checks that all readers share: of files, JSON, numbers and cameras."""
 
 from __future__ import annotations
 
@@ -148,8 +148,7 @@ def make_camera(
     path: Path,
     name: str,
     world_to_camera: np.ndarray,
-    focal: tuple[float, float],
-    center: tuple[float, float],
+    intrinsics: tuple[float, float, float, float],
     size: tuple[int, int],
     distortion: tuple[float, ...] = (),
     distorted: Distorted = "refuse",
@@ -159,7 +158,7 @@ def make_camera(
 
     Args:
         world_to_camera: [3, 4] or [4, 4], OpenCV axes.
-        focal, center: in pixels of ``size`` (width, height).
+        intrinsics: fx, fy, cx, cy in pixels of ``size`` (width, height).
         distortion: (k1, k2, p1, p2); all zeros count as none.
 
     Raises:
@@ -182,12 +181,13 @@ def make_camera(
         raise FileFormatError(
             path, f"the pose of camera {name!r} is not a rotation", "remove scale and shear from it"
         )
-    intrinsics = [[focal[0], 0.0, center[0]], [0.0, focal[1], center[1]], [0.0, 0.0, 1.0]]
+    fx, fy, cx, cy = intrinsics
+    matrix_of_camera = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
     try:
         return Camera(
             name=name,
             viewmat=torch.from_numpy(viewmat),
-            K=torch.tensor(intrinsics, dtype=torch.float64),
+            K=torch.tensor(matrix_of_camera, dtype=torch.float64),
             width=size[0],
             height=size[1],
             image_path=image_path,

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Literal
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.cameras.colmap import is_model, read_colmap
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
-from scoup.io.cameras.transforms import read_transforms
+from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.reading import Distorted
-from scoup.io.scene_images import MissingImages, attach_images, image_files
 from scoup.io.splats.gsplat_checkpoint import read_gsplat_checkpoint
 from scoup.io.splats.ply import read_ply, write_ply
 from scoup.io.splats.splat import read_splat, write_splat

@@ -1,59 +1,201 @@
-"""Loading models through transformers: what is on this machine first, quietly, safetensors only."""
+"""The one loader of models: by name and revision, what is on this machine first, safetensors only, quietly.
+
+``load_pretrained`` loads through transformers, ``load_open_clip`` through open_clip. Both raise the same errors.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
 from typing import Any, TypeVar
 
-from scoup.base.errors import InputError
+import torch
+
+from scoup.base.errors import InputError, ScoupError
+from scoup.models.normalization import Normalization
 
 Loaded = TypeVar("Loaded")
 
 OPEN_CLIP = "open_clip:"
-"""Before the names of models of open_clip."""
+"""Prefix of the names of models of open_clip."""
 
 
-def open_clip_names(text: str) -> tuple[str, str]:
-    """Architecture and pretrained tag of ``open_clip:ARCHITECTURE/PRETRAINED``.
+@dataclass(frozen=True)
+class ModelRequest:
+    """A model that is wanted, and the words for messages about it.
 
-    Raises:
-        InputError: one of them is missing.
+    Attributes:
+        role: what the model is for: "text model", "embedder" or "segmenter".
+        name: as the user wrote it.
+        alternative: what works without the model, as an imperative: "use --embedder colors".
+        model_id: a folder or hub id, where ``name`` is short for one.
+        revision: branch, tag or commit of a hub model.
     """
-    architecture, _, pretrained = text.removeprefix(OPEN_CLIP).partition("/")
-    if not architecture or not pretrained:
-        raise InputError(
-            f"{text!r}: write {OPEN_CLIP}ARCHITECTURE/PRETRAINED, "
-            f"such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k"
+
+    role: str
+    name: str
+    alternative: str
+    model_id: str = ""
+    revision: str | None = None
+
+    @property
+    def source(self) -> str:
+        """The folder or hub id."""
+        return self.model_id or self.name
+
+    def failed(self, problem: str) -> ScoupError:
+        """The error for a model that was found but cannot be used."""
+        return ScoupError(f"{self.role} {self.name!r} cannot be loaded: {problem}")
+
+    def not_loaded(self, cause: BaseException) -> ScoupError:
+        """The error for a model whose files cannot be had or read."""
+        lines = str(cause).strip().splitlines()
+        reason = lines[0][:160] if lines else type(cause).__name__
+        return ScoupError(
+            f"{self.role} {self.name!r} cannot be loaded ({reason}); check the id, and fetch the weights "
+            f"(safetensors) while online, or {self.alternative}"
         )
-    return architecture, pretrained
+
+    def package(self, name: str, extra: str) -> Any:
+        """The package that loads the model.
+
+        Raises:
+            ScoupError: it is not installed.
+        """
+        try:
+            return import_module(name)
+        except ImportError as error:
+            raise ScoupError(
+                f"{self.role} {self.name!r} needs the package {name}: pip install 'scoup[{extra}]', "
+                f"or {self.alternative}"
+            ) from error
 
 
-def load_local_first(
-    load: Callable[[dict[str, Any]], Loaded], model_id: str, revision: str | None = None
-) -> Loaded:
-    """``load(options)`` with what is on this machine; only if that fails, with the network too.
+@dataclass(frozen=True, eq=False)
+class Pretrained:
+    """The files of one model, as transformers reads them.
+
+    Attributes:
+        transformers: the package.
+        model_id: a folder or hub id.
+        options: for every ``from_pretrained``: revision, and whether to stay offline.
+    """
+
+    transformers: Any
+    model_id: str
+    options: dict[str, Any]
+
+    @cached_property
+    def config(self) -> Any:
+        return self.transformers.AutoConfig.from_pretrained(self.model_id, **self.options)
+
+    @property
+    def commit(self) -> str:
+        """The commit of a hub model, or the revision that was asked for; "" where neither is known."""
+        return getattr(self.config, "_commit_hash", None) or self.options.get("revision") or ""
+
+    def tokenizer(self) -> Any:
+        return self.transformers.AutoTokenizer.from_pretrained(self.model_id, **self.options)
+
+    def model(self, kind: Any, **options: Any) -> Any:
+        """The model in evaluation mode, on the CPU, in 32 bits.
+
+        Args:
+            kind: a model class of transformers.
+            options: more for its ``from_pretrained``.
+
+        Raises:
+            ScoupError: the file lacks weights; transformers would invent them.
+        """
+        # Safetensors only: loading a pickled checkpoint runs whatever it contains.
+        model, loading = kind.from_pretrained(
+            self.model_id, use_safetensors=True, output_loading_info=True, **self.options, **options
+        )
+        missing = sorted(key for key in loading["missing_keys"] if not key.endswith("position_ids"))
+        if missing:
+            raise ScoupError(f"its file lacks weights such as {missing[0]!r}; use a complete model")
+        return model.eval()
+
+    def normalization(self) -> Normalization | None:
+        """What preprocessor_config.json says; None where there is no such file.
+
+        Read here because transformers' own image processors need torchvision.
+        """
+        from transformers.utils.hub import cached_file
+
+        try:
+            path = cached_file(self.model_id, "preprocessor_config.json", **self.options)
+        except OSError:
+            return None
+        if path is None:
+            return None
+        record = json.loads(Path(path).read_text(encoding="utf-8"))
+        mean, std = record.get("image_mean"), record.get("image_std")
+        valid = all(isinstance(item, list) and len(item) == 3 for item in (mean, std))
+        return Normalization(tuple(map(float, mean)), tuple(map(float, std))) if valid else None
+
+
+def load_pretrained(request: ModelRequest, load: Callable[[Pretrained], Loaded]) -> Loaded:
+    """``load(files)`` with what is on this machine; only if that fails, with the network too.
 
     The hub's client would wait half a minute for a network that is not there.
 
     Args:
-        load: calls ``from_pretrained`` with the options it is given.
-        model_id: a folder or hub id.
-        revision: branch, tag or commit.
+        load: makes the model from its files; may raise ScoupError where the model is of the wrong kind.
+
+    Raises:
+        ScoupError: transformers, the weights (safetensors) or a part of them are missing, or ``load`` refused.
     """
-    options: dict[str, Any] = {"revision": revision} if revision else {}
-    with quiet():
-        try:
-            return load({**options, "local_files_only": True})
-        except Exception:
-            if os.path.exists(model_id):
+    transformers = request.package("transformers", "models")
+    options: dict[str, Any] = {"revision": request.revision} if request.revision else {}
+    local = Pretrained(transformers, request.source, {**options, "local_files_only": True})
+    try:
+        with _quiet():
+            try:
+                return load(local)
+            except ScoupError:
                 raise
-            return load(options)
+            except Exception:
+                if os.path.exists(request.source):
+                    raise
+                return load(Pretrained(transformers, request.source, options))
+    except ScoupError as error:
+        raise request.failed(str(error)) from error
+    except Exception as error:  # hub, network, JSON and safetensors each raise kinds of their own
+        raise request.not_loaded(error) from error
+
+
+def load_open_clip(
+    request: ModelRequest, device: torch.device | str, with_tokenizer: bool = False
+) -> tuple[Any, Any]:
+    """A model of open_clip in evaluation mode, and its tokenizer (None unless wanted).
+
+    Raises:
+        InputError: the name is not ``open_clip:ARCHITECTURE/PRETRAINED``.
+        ScoupError: open_clip or the weights are missing.
+    """
+    architecture, _, pretrained = request.name.removeprefix(OPEN_CLIP).partition("/")
+    if not architecture or not pretrained:
+        raise InputError(
+            f"{request.name!r}: write {OPEN_CLIP}ARCHITECTURE/PRETRAINED, "
+            f"such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k"
+        )
+    open_clip = request.package("open_clip", "open-clip")
+    try:
+        model = open_clip.create_model(architecture, pretrained=pretrained, device=device).eval()
+        return model, open_clip.get_tokenizer(architecture) if with_tokenizer else None
+    except Exception as error:  # as above
+        raise request.not_loaded(error) from error
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
+def _quiet() -> Iterator[None]:
     """No reports, retries and progress bars of transformers and its hub; errors are raised, not printed."""
     from huggingface_hub.utils import logging as hub_logging
     from transformers.utils import logging
@@ -70,9 +212,3 @@ def quiet() -> Iterator[None]:
         hub_logging.set_verbosity(hub_verbosity)
         if bars:
             logging.enable_progress_bar()
-
-
-def first_line(error: BaseException) -> str:
-    """The first line of an error's text, shortened; its kind where it has none."""
-    lines = str(error).strip().splitlines()
-    return lines[0][:160] if lines else type(error).__name__

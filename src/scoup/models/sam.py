@@ -1,11 +1,9 @@
-"""SAM, SAM 2 and SAM 3's tracker through transformers, asked with points; three masks an answer, s, m and l."""
+"""SAM, SAM 2 and SAM 3's tracker through transformers: three masks for each point, levels s, m and l."""
 
 from __future__ import annotations
 
-import json
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,7 +13,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from scoup.base.errors import ScoupError
-from scoup.models.hub import first_line, load_local_first
+from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
+from scoup.models.normalization import HALF, IMAGENET, Normalization
 
 SHORT_NAMES = {
     "sam-vit-b": "facebook/sam-vit-base",
@@ -28,53 +27,51 @@ SHORT_NAMES = {
     "sam3": "facebook/sam3",
 }
 _CLASSES = {"sam3": "Sam3TrackerModel", "sam2": "Sam2Model", "sam": "SamModel"}
-_IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
-_HALF = ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
 
 
-class Looked(Protocol):
-    """An image that a model has looked at. Masks are logits: above 0 is inside."""
+class EncodedImage(Protocol):
+    """An image after the image encoder of a model. Masks are logits: above 0 is inside."""
 
-    def ask(self, points: Tensor) -> tuple[Tensor, Tensor]:
+    def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Masks for points [P, 2] in pixels x, y: logits [P, 3, h, w] and predicted IoU [P, 3]."""
         ...
 
-    def trim(self, logits: Tensor) -> Tensor:
-        """The part of small masks [N, h, w] that shows the image: without the model's padding."""
+    def without_padding(self, logits: Tensor) -> Tensor:
+        """The part of low-resolution masks [N, h, w] that shows the image."""
         ...
 
-    def enlarge(self, logits: Tensor) -> Tensor:
-        """Small masks [N, h, w] at the size of the image, [N, H, W]."""
+    def upscale(self, logits: Tensor) -> Tensor:
+        """Low-resolution masks [N, h, w] at the size of the image, [N, H, W]."""
         ...
 
 
 class PointModel(Protocol):
-    """A model that answers points with masks."""
+    """A model that predicts masks from points."""
 
     def record(self) -> dict[str, Any]:
         """What decides the result, as plain values for the manifest."""
         ...
 
-    def look(self, image: NDArray[np.uint8]) -> Looked:
-        """Encode an image [H, W, 3]."""
+    def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
+        """Run the image encoder on an image [H, W, 3]."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
-class _LookedWithSam:
+class _SamImage:
     """The image is scaled to the model's square by its longer side, and padded below or on the right."""
 
-    model: SamPoints
+    model: Sam
     embeddings: Any
     size: tuple[int, int]  # of the image
     scaled: tuple[int, int]  # within the model's square
 
-    def ask(self, points: Tensor) -> tuple[Tensor, Tensor]:
+    def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
         (height, width), (high, wide) = self.size, self.scaled
         factor = torch.tensor([wide / width, high / height], dtype=torch.float64)
-        return self.model.ask(self.embeddings, points * factor)
+        return self.model.predict(self.embeddings, points * factor)
 
-    def trim(self, logits: Tensor) -> Tensor:
+    def without_padding(self, logits: Tensor) -> Tensor:
         side = self.model.side
         high, wide = (
             max(1, round(length * whole / side))
@@ -82,91 +79,86 @@ class _LookedWithSam:
         )
         return logits[..., :high, :wide]
 
-    def enlarge(self, logits: Tensor) -> Tensor:
+    def upscale(self, logits: Tensor) -> Tensor:
         side = self.model.side
         whole = _resized(logits, (side, side))
         return _resized(whole[..., : self.scaled[0], : self.scaled[1]], self.size)
 
 
 @dataclass(frozen=True, eq=False)
-class _LookedWithSam2(_LookedWithSam):
+class _Sam2Image(_SamImage):
     """The image is stretched over the model's whole square."""
 
-    def enlarge(self, logits: Tensor) -> Tensor:
+    def upscale(self, logits: Tensor) -> Tensor:
         return _resized(logits, self.size)
 
 
-class SamPoints:
+@dataclass(frozen=True, eq=False)
+class Sam:
     """A SAM model of any generation.
 
-    Args:
+    Attributes:
         model: of transformers, in evaluation mode.
         name: id for the manifest.
         revision: commit it was loaded from, "" if there is none.
-        side: of the square it takes, in pixels.
+        side: of its square images, in pixels.
         stretches: whether images are stretched to the square (SAM 2 and 3), not padded (SAM).
-        normalization: mean and standard deviation of its images, of RGB 0..1.
+        normalization: of its images.
         half: encode images in 16 bits on a GPU.
     """
 
-    def __init__(
-        self,
-        model: Any,
-        name: str,
-        revision: str,
-        side: int,
-        stretches: bool,
-        normalization: tuple[tuple[float, ...], tuple[float, ...]],
-        half: bool = False,
-    ) -> None:
-        self.model = model
-        self.side = side
-        self._stretches = stretches
-        self._mean, self._std = (torch.tensor(values).view(3, 1, 1) for values in normalization)
-        self._device = next(model.parameters()).device
-        self._half = half and self._device.type == "cuda"
-        self._record = {"segmenter": name, "segmenter_revision": revision}
+    model: Any
+    name: str
+    revision: str
+    side: int
+    stretches: bool
+    normalization: Normalization
+    half: bool = False
+
+    @property
+    def device(self) -> torch.device:
+        return next(self.model.parameters()).device
 
     def record(self) -> dict[str, Any]:
-        return dict(self._record)
+        return {"segmenter": self.name, "segmenter_revision": self.revision}
 
-    def look(self, image: NDArray[np.uint8]) -> Looked:
+    def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
         from PIL import Image
 
         height, width = image.shape[:2]
         high = wide = self.side
-        if not self._stretches:
+        if not self.stretches:
             factor = self.side / max(height, width)
             high, wide = max(1, int(height * factor + 0.5)), max(1, int(width * factor + 0.5))
-        # Reduced with Pillow, as the models' own code does: its filter looks at every pixel.
+        # Reduced with Pillow, as the models' own code does: its filter covers every pixel.
         scaled = Image.fromarray(image).resize((wide, high), Image.Resampling.BILINEAR)
-        values = torch.from_numpy(np.array(scaled)).permute(2, 0, 1) / 255
-        values = (values - self._mean) / self._std
+        values = self.normalization(torch.from_numpy(np.array(scaled)).permute(2, 0, 1) / 255)
         values = functional.pad(values, (0, self.side - wide, 0, self.side - high))
         with torch.inference_mode(), self._precision():
-            embeddings = self.model.get_image_embeddings(values[None].to(self._device))
-        looked = _LookedWithSam2 if self._stretches else _LookedWithSam
-        return looked(self, embeddings, (height, width), (high, wide))
+            embeddings = self.model.get_image_embeddings(values[None].to(self.device))
+        kind = _Sam2Image if self.stretches else _SamImage
+        return kind(self, embeddings, (height, width), (high, wide))
 
-    def ask(self, embeddings: Any, points: Tensor) -> tuple[Tensor, Tensor]:
+    def predict(self, embeddings: Any, points: Tensor) -> tuple[Tensor, Tensor]:
         """Logits [P, 3, h, w] and predicted IoU [P, 3] for points [P, 2] in pixels of the model's square."""
-        prompts = points.float().to(self._device)[None, :, None]  # [1, P, 1, 2]
+        prompts = points.float().to(self.device)[None, :, None]  # [1, P, 1, 2]
         with torch.inference_mode(), self._precision():
-            answer = self.model(
+            output = self.model(
                 image_embeddings=embeddings,
                 input_points=prompts,
-                input_labels=torch.ones(prompts.shape[:3], dtype=torch.int32, device=self._device),
+                input_labels=torch.ones(prompts.shape[:3], dtype=torch.int32, device=self.device),
                 multimask_output=True,
             )
-        return answer.pred_masks[0].float(), answer.iou_scores[0].float()
+        return output.pred_masks[0].float(), output.iou_scores[0].float()
 
     def _precision(self) -> AbstractContextManager[Any]:
-        return torch.autocast("cuda", torch.float16) if self._half else nullcontext()
+        half = self.half and self.device.type == "cuda"
+        return torch.autocast("cuda", torch.float16) if half else nullcontext()
 
 
-def open_point_model(
+def open_sam(
     name: str, revision: str | None = None, device: torch.device | str = "cpu", half: bool = False
-) -> SamPoints:
+) -> Sam:
     """Load a SAM model.
 
     Args:
@@ -175,53 +167,25 @@ def open_point_model(
         half: encode images in 16 bits on a GPU.
 
     Raises:
-        ScoupError: transformers, the weights (safetensors) or a part of them are not there.
+        ScoupError: transformers, the weights (safetensors) or a part of them are missing.
     """
     model_id = SHORT_NAMES.get(name, name)
-    try:
-        import transformers
-    except ImportError as error:
-        raise ScoupError(
-            f"segmenter {name!r} needs the package transformers: pip install 'scoup[models]', or use "
-            "--segmenter felzenszwalb, which needs no model"
-        ) from error
 
-    def load(options: dict[str, Any]) -> Any:
-        config = transformers.AutoConfig.from_pretrained(model_id, **options)
-        kind = _class_of(transformers, config.model_type)
-        model, loading = kind.from_pretrained(
-            model_id, use_safetensors=True, output_loading_info=True, **options
-        )
-        return config, model, loading, _normalization(model_id, config.model_type, options)
+    def load(files: Pretrained) -> Sam:
+        kind = files.config.model_type
+        model = files.model(_class_of(files.transformers, kind))
+        # The config of a video model holds that of the image model; the loaded model has its own.
+        side = model.config.prompt_encoder_config.image_size
+        side = int(side if isinstance(side, int) else side[0])
+        normalization = files.normalization() or (HALF if kind.startswith("sam3") else IMAGENET)
+        return Sam(model.to(device), model_id, files.commit, side, kind != "sam", normalization, half)
 
-    failed = f"segmenter {name!r} cannot be loaded"
-    try:
-        config, model, loading, normalization = load_local_first(load, model_id, revision)
-    except ScoupError as error:
-        raise ScoupError(f"{failed}: {error}") from error
-    except Exception as error:  # hub, network, JSON and safetensors each raise kinds of their own
-        raise ScoupError(
-            f"{failed} ({first_line(error)}); check the id, and fetch the weights (safetensors) while online, or "
-            "use --segmenter felzenszwalb, which needs no model"
-        ) from error
-    missing = sorted(loading["missing_keys"])
-    if missing:
-        raise ScoupError(f"{failed}: its file lacks weights such as {missing[0]!r}; use a complete model")
-    commit = getattr(config, "_commit_hash", None) or revision or ""
-    stretches = not _is_first(config.model_type)
-    parts = getattr(model, "config", config)
-    side = parts.prompt_encoder_config.image_size
-    side = int(side if isinstance(side, int) else side[0])
-    model = model.to(device).eval()
-    return SamPoints(model, model_id, commit, side, stretches, normalization, half)
-
-
-def _is_first(model_type: str) -> bool:
-    return model_type == "sam"
+    alternative = "use --segmenter felzenszwalb, which needs no model"
+    return load_pretrained(ModelRequest("segmenter", name, alternative, model_id, revision), load)
 
 
 def _class_of(transformers: Any, model_type: str) -> Any:
-    """The class of a model by its config: also a video model's, whose file holds the image model too."""
+    """The class for a config, also for that of a video model, whose file holds the image model too."""
     generation = model_type.split("_", 1)[0]
     if generation not in _CLASSES:
         raise ScoupError(f"{model_type!r} is no SAM model; use SAM, SAM 2 or SAM 3")
@@ -231,34 +195,6 @@ def _class_of(transformers: Any, model_type: str) -> Any:
             f"this transformers ({transformers.__version__}) has no {generation}; pip install -U it"
         )
     return kind
-
-
-def _normalization(
-    model_id: str, model_type: str, options: dict[str, Any]
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    default = _HALF if model_type.startswith("sam3") else _IMAGENET
-    return image_normalization(model_id, options) or default
-
-
-def image_normalization(
-    model_id: str, options: dict[str, Any]
-) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-    """Mean and standard deviation from a model's preprocessor_config.json; None where it has no such file.
-
-    Read here because transformers' own image processors need torchvision.
-    """
-    from transformers.utils.hub import cached_file
-
-    try:
-        path = cached_file(model_id, "preprocessor_config.json", **options)
-    except OSError:
-        return None
-    if path is None:
-        return None
-    record = json.loads(Path(path).read_text(encoding="utf-8"))
-    mean, std = record.get("image_mean"), record.get("image_std")
-    sound = all(isinstance(item, list) and len(item) == 3 for item in (mean, std))
-    return (tuple(map(float, mean)), tuple(map(float, std))) if sound else None
 
 
 def _resized(logits: Tensor, size: tuple[int, int]) -> Tensor:

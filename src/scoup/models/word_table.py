@@ -1,4 +1,4 @@
-"""Table files of name -> embedding: .npz, .json, .safetensors."""
+"""Word tables, files of name -> embedding: .npz, .json, .safetensors."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 
 TABLE_SUFFIXES = (".npz", ".json", ".safetensors")
@@ -19,10 +20,10 @@ MODEL_KEY = "model"
 """Array, JSON entry or metadata entry that may name the embedding model; never a word of the table."""
 
 _MAX_BYTES = 1 << 31  # a table of words is small; a damaged size must not fill the memory
-_REMEDY = "the file is damaged or of another kind; write it again (scoup.models.text.save_table)"
+_REMEDY = "the file is damaged or of another kind; write it again (scoup.models.word_table.save_table)"
 
 
-class EmbeddingTable:
+class WordTable:
     """Names and their unit vectors.
 
     Attributes:
@@ -44,7 +45,7 @@ def is_table(model_or_table: str | Path) -> bool:
     return Path(model_or_table).suffix.lower() in TABLE_SUFFIXES
 
 
-def load_table(path: str | Path) -> EmbeddingTable:
+def load_table(path: str | Path) -> WordTable:
     """Read a table; see ``save_table`` for one of its forms.
 
     Forms: .npz with arrays ``names`` [M] and ``vectors`` [M, D], or one array [D] a name; .json with
@@ -88,13 +89,11 @@ def save_table(
         InputError: names and vectors do not fit, or a vector is zero or not finite.
         OutputExistsError: the file is there already.
     """
-    from scoup.base.atomic import atomic_file
-
     if Path(path).suffix.lower() != ".npz":
         raise InputError(f"{path}: tables are written as .npz; change the file's extension")
     if len(set(names)) != len(names):
         raise InputError(f"{path}: two names of the table are the same")
-    table = EmbeddingTable(Path(path), names, np.asarray(vectors), model)
+    table = WordTable(Path(path), names, np.asarray(vectors), model)
     arrays = {"names": np.array(table.names), "vectors": table.vectors, MODEL_KEY: np.array(model)}
     # Not numpy.savez: it stamps the time of writing, and the same table should give the same bytes.
     with atomic_file(path, overwrite) as stream, zipfile.ZipFile(stream, "w") as archive:
@@ -103,7 +102,7 @@ def save_table(
                 np.lib.format.write_array(member, array, allow_pickle=False)
 
 
-def _read_npz(path: Path) -> EmbeddingTable:
+def _read_npz(path: Path) -> WordTable:
     arrays: dict[str, np.ndarray] = {}
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
@@ -118,8 +117,8 @@ def _read_npz(path: Path) -> EmbeddingTable:
         if names.dtype.kind not in "US" or names.ndim != 1:
             raise FileFormatError(path, "its array 'names' is not a list of words", _REMEDY)
         words = [name.decode("utf-8") if isinstance(name, bytes) else str(name) for name in names.tolist()]
-        return EmbeddingTable(path, words, arrays["vectors"], model)
-    return EmbeddingTable(path, list(arrays), _stacked(path, arrays), model)
+        return WordTable(path, words, arrays["vectors"], model)
+    return WordTable(path, list(arrays), _stacked(path, arrays), model)
 
 
 def _read_array(path: Path, stream: Any, size: int) -> np.ndarray:
@@ -143,7 +142,7 @@ def _read_array(path: Path, stream: Any, size: int) -> np.ndarray:
     return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if column_major else "C")
 
 
-def _read_json(path: Path) -> EmbeddingTable:
+def _read_json(path: Path) -> WordTable:
     content = json.loads(path.read_text(encoding="utf-8-sig"))
     if not isinstance(content, dict):
         raise FileFormatError(path, "is not a JSON object of name -> list of numbers", _REMEDY)
@@ -156,10 +155,10 @@ def _read_json(path: Path) -> EmbeddingTable:
         if not numbers:
             raise FileFormatError(path, f"the entry {name[:40]!r} is not a list of numbers", _REMEDY)
         rows[name] = np.array(values, dtype=np.float64)
-    return EmbeddingTable(path, list(rows), _stacked(path, rows), model)
+    return WordTable(path, list(rows), _stacked(path, rows), model)
 
 
-def _read_safetensors(path: Path) -> EmbeddingTable:
+def _read_safetensors(path: Path) -> WordTable:
     from safetensors import safe_open
 
     with safe_open(path, framework="pt") as content:
@@ -171,8 +170,8 @@ def _read_safetensors(path: Path) -> EmbeddingTable:
         names = json.loads(metadata["names"])
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise FileFormatError(path, "its metadata entry 'names' is not a JSON list of words", _REMEDY)
-        return EmbeddingTable(path, names, tensors["vectors"], model)
-    return EmbeddingTable(path, list(tensors), _stacked(path, tensors), model)
+        return WordTable(path, names, tensors["vectors"], model)
+    return WordTable(path, list(tensors), _stacked(path, tensors), model)
 
 
 def _stacked(path: Path, rows: dict[str, np.ndarray]) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Phrases that every query is compared with: the canonical phrases of the papers, and everyday words.
 
-CLIP gives some places a high cosine to any word. The canonical phrases of the protocols are four words, all of one
-kind; the mean of many words of all kinds tells better what is common to them (docs/evaluation.md, "Everyday words").
+CLIP gives some places a high cosine with any word. The canonical phrases of the protocols are four words of one kind.
+The mean of many words of all kinds is a better estimate of what all words share (docs/evaluation.md, "Everyday words").
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 CANONICAL_PHRASES = ("object", "things", "stuff", "texture")
-"""What a query is compared with (method.md, stage 3), encoded as they stand, without a prompt template."""
+"""Every query is compared with these (method.md, stage 3). They are encoded without a prompt template."""
 
 EVERYDAY_WORDS = (
     "person", "child", "hand", "face", "dog", "cat", "bird", "horse", "cow", "elephant", "fish", "insect",
@@ -25,15 +25,15 @@ EVERYDAY_WORDS = (
     "ball", "toy", "doll", "guitar", "piano", "drum", "hammer", "rope", "bucket", "box", "candle",
     "towel", "toothbrush", "toilet", "bathtub", "wheel",
 )  # fmt: skip
-"""A hundred names of things, outdoors and indoors, for text models; a table has words of its own."""
+"""About a hundred names of things, outdoors and indoors, for text models; a word table has words of its own."""
 LEAST_WORDS = 16
-"""Fewer words than that tell nothing about words in general: with eight, absent things were often taken for present."""
+"""Fewer words say nothing about words in general: with eight, absent things were often reported as present."""
 
 
 def with_everyday(canonical: Tensor, words: Tensor) -> Tensor:
-    """The canonical phrases and, as one phrase more, the mean of everyday words: how the rule "default" asks.
+    """The canonical phrases and, as one more phrase, the mean of everyday words: the phrases of the preset "default".
 
-    The mean is not scaled to unit norm: its cosine with an embedding is then the mean of the words' cosines, about
+    The mean is not scaled to unit norm. Its cosine with an embedding is then the mean of the words' cosines, about
     that of any single word.
 
     Args:

@@ -49,11 +49,11 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
                 f"image {shot.name!r} refers to camera {shot.lens}, which {lens_path.name} does not have"
             )
             raise FileFormatError(path, problem, "the two files do not belong together")
-        focal, center, distortion = _pinhole(lens_path, lenses[shot.lens])
+        intrinsics, distortion = _pinhole(lens_path, lenses[shot.lens])
         size = (lenses[shot.lens].width, lenses[shot.lens].height)
         size = (pixels(lens_path, size[0], "image width"), pixels(lens_path, size[1], "image height"))
         pose = _pose(path, shot)
-        cameras.append(make_camera(lens_path, shot.name, pose, focal, center, size, distortion, distorted))
+        cameras.append(make_camera(lens_path, shot.name, pose, intrinsics, size, distortion, distorted))
     return sorted_cameras(path, cameras)
 
 
@@ -125,20 +125,20 @@ def write_colmap(
 
 def _pinhole(
     path: Path, lens: Lens
-) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float, float, float]]:
-    """Focal lengths, principal point and (k1, k2, p1, p2) of a lens."""
+) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
+    """(fx, fy, cx, cy) and (k1, k2, p1, p2) of a lens."""
     values = [number(path, value, f"a parameter of a {lens.model} camera") for value in lens.parameters]
     match lens.model, values:
         case "SIMPLE_PINHOLE", [f, cx, cy]:
-            return (f, f), (cx, cy), (0.0, 0.0, 0.0, 0.0)
+            return (f, f, cx, cy), (0.0, 0.0, 0.0, 0.0)
         case "PINHOLE", [fx, fy, cx, cy]:
-            return (fx, fy), (cx, cy), (0.0, 0.0, 0.0, 0.0)
+            return (fx, fy, cx, cy), (0.0, 0.0, 0.0, 0.0)
         case "SIMPLE_RADIAL", [f, cx, cy, k1]:
-            return (f, f), (cx, cy), (k1, 0.0, 0.0, 0.0)
+            return (f, f, cx, cy), (k1, 0.0, 0.0, 0.0)
         case "RADIAL", [f, cx, cy, k1, k2]:
-            return (f, f), (cx, cy), (k1, k2, 0.0, 0.0)
+            return (f, f, cx, cy), (k1, k2, 0.0, 0.0)
         case "OPENCV", [fx, fy, cx, cy, k1, k2, p1, p2]:
-            return (fx, fy), (cx, cy), (k1, k2, p1, p2)
+            return (fx, fy, cx, cy), (k1, k2, p1, p2)
         case _:
             raise FileFormatError(
                 path,

@@ -50,12 +50,10 @@ def read_inria_cameras(path: str | Path) -> Cameras:
         center = matrix(path, entry.get("position"), (3,), f"position of {what}")
         with np.errstate(all="ignore"):
             viewmat = np.concatenate([camera_to_world.T, -camera_to_world.T @ center[:, None]], axis=1)
-        focal = (
-            number(path, entry.get("fx"), f"fx of {what}"),
-            number(path, entry.get("fy"), f"fy of {what}"),
-        )
+        fx, fy = (number(path, entry.get(key), f"{key} of {what}") for key in ("fx", "fy"))
         name = portable_name(entry["img_name"])
-        cameras.append(make_camera(path, name, viewmat, focal, (width / 2, height / 2), (width, height)))
+        intrinsics = (fx, fy, width / 2, height / 2)
+        cameras.append(make_camera(path, name, viewmat, intrinsics, (width, height)))
     return sorted_cameras(path, cameras)
 
 

@@ -1,228 +1,187 @@
-"""Region maps and embeddings in the LangSplat layout: ``<stem>_s.npy`` and ``<stem>_f.npy`` per image."""
+"""Region features in the LangSplat layout: ``<stem>_s.npy`` (labels) and ``<stem>_f.npy`` (embeddings) per image.
+
+``<stem>_made.json`` beside them, of SCOUP alone, says what a view was made from.
+"""
 
 from __future__ import annotations
 
+import json
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from scoup.base.atomic import atomic_file, check_output
-from scoup.base.errors import FileFormatError, InputError
-from scoup.io.reading import existing_folder
-from scoup.io.regions.compact import holds_compact, load_compact
-from scoup.io.regions.langsplat_files import (
-    FILE_LEVELS,
-    copy_labels,
-    level_blocks,
-    open_langsplat_view,
-    open_planes,
-    open_rows,
-)
-from scoup.io.regions.views import (
-    FOLDER_NAME,
-    at_camera,
-    check_aspect,
-    check_stems,
-    refuse_without_features,
-    stem_of,
-    unit_rows,
-    view_files,
-    warn_of_missing,
-)
-from scoup.io.regions.views import REMEDY as _REMEDY
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.base.atomic import atomic_file, check_output, write_text
+from scoup.base.errors import FileFormatError
+from scoup.io.npy import open_npy
+from scoup.io.reading import MAX_IMAGE_SIDE, existing_file, read_json
+from scoup.io.regions.langsplat_rows import FILE_LEVELS, copy_labels, level_blocks
+from scoup.io.regions.views import REMEDY, ViewRegions
+
+ENDINGS = ("_s.npy", "_f.npy")
+_RECORD_ENDING = "_made.json"  # written after the two arrays
 
 
-@dataclass(frozen=True)
-class _Files:
-    """The two files of one camera, and the row blocks of their levels once somebody asked."""
+@dataclass(frozen=True, eq=False)
+class LangSplatView:
+    """The two files of a view; a ``views.StoredView``.
 
-    camera: Camera
-    stem: Path
-    blocks: dict[str, slice] = field(default_factory=dict)
-    lock: threading.Lock = field(default_factory=threading.Lock)
+    Neither file is kept open. Which rows belong to which level is read from the labels on first use, once.
+
+    Attributes:
+        folder, name: of the files; the name is their stem.
+        width, height: of the label maps.
+        rows: embeddings of all levels.
+        dim: D of the embeddings.
+    """
+
+    folder: Path
+    name: str
+    width: int
+    height: int
+    rows: int
+    dim: int
+    _blocks: dict[str, slice] = field(default_factory=dict)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    levels = FILE_LEVELS
+    manifest = None
 
     @property
-    def labels(self) -> Path:
-        return self.stem.with_name(f"{self.stem.name}_s.npy")
+    def counts(self) -> dict[str, int]:
+        return {"all": self.rows}
 
     @property
-    def embeddings(self) -> Path:
-        return self.stem.with_name(f"{self.stem.name}_f.npy")
+    def labels_path(self) -> Path:
+        return self.folder / f"{self.name}{ENDINGS[0]}"
+
+    @property
+    def embeddings_path(self) -> Path:
+        return self.folder / f"{self.name}{ENDINGS[1]}"
+
+    def labels(self, levels: Sequence[str]) -> NDArray[np.int32]:
+        """[levels, H, W] labels; embeddings are not read once the blocks are known.
+
+        Raises:
+            FileFormatError: they are damaged, or have changed since the view was opened.
+        """
+        blocks = self.blocks()
+        planes = _open_planes(self.labels_path)
+        labels = np.empty((len(levels), *planes.shape[1:]), np.int32)
+        for number, level in enumerate(levels):
+            if not copy_labels(planes[FILE_LEVELS.index(level)], blocks[level], labels[number]):
+                raise _changed(self.labels_path)
+        return labels
+
+    def embeddings(self, level: str) -> NDArray[np.floating]:
+        """[R, D] embeddings of a level, mapped.
+
+        Raises:
+            FileFormatError: as ``labels``.
+        """
+        block = self.blocks()[level]
+        rows = _open_rows(self.embeddings_path)
+        if block.stop > len(rows):
+            raise _changed(self.embeddings_path)
+        return rows[block]
+
+    def read(self) -> ViewRegions:
+        """Everything the files hold; the level "default" is left out where it has no regions."""
+        blocks = self.blocks()
+        levels = [level for level in FILE_LEVELS if level != "default" or blocks[level].stop > 0]
+        labels = dict(zip(levels, self.labels(levels), strict=True))
+        return ViewRegions("", labels, {level: np.array(self.embeddings(level)) for level in levels})
+
+    def blocks(self) -> dict[str, slice]:
+        """Level -> rows of its embeddings; both files are read and checked for them, once."""
+        with self._lock:
+            if not self._blocks:
+                planes, rows = _open_planes(self.labels_path), _open_rows(self.embeddings_path)
+                self._blocks.update(level_blocks(self.labels_path, planes, len(rows)))
+            return self._blocks
 
 
-def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Regions:
-    """Open region features lazily: headers are checked now, maps and embeddings read when asked for.
+def open_view(folder: Path, stem: str) -> LangSplatView:
+    """The headers of a view's files; see ``views.RegionLayout``."""
+    planes, rows = _open_planes(folder / f"{stem}_s.npy"), _open_rows(folder / f"{stem}_f.npy")
+    height, width = planes.shape[1:]
+    return LangSplatView(folder, stem, width, height, *rows.shape)
 
-    Reads LangSplat's layout, and the compact one (told by its manifest; see ``io.compact``).
 
-    Levels are "s", "m", "l" (the file's "default" is left out). Labels come at the camera's size (nearest
-    neighbour; undistorted where the camera says so) and count rows of their own level; embeddings are float32
-    [R, D] scaled to unit norm.
+def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, overwrite: bool = False) -> None:
+    """Write a view; levels that are missing stay empty; see ``views.RegionLayout``.
 
-    Args:
-        folder: the features, or a scene folder with ``language_features`` in it.
-        cameras: views to find features for, by image name cut at its first dot.
-
-    Raises:
-        MissingFileError: there is no such folder, or it has features of none of the cameras.
-        FileFormatError: a file is damaged, belongs to another image, or holds NaN (some only when loaded).
-
-    Warns:
-        ScoupWarning: some cameras have no features; says how many.
+    Where the photograph is known, a record of what the view was made from follows the arrays.
     """
-    folder = existing_folder(folder, "a folder of language features", "make them first, or check the path")
-    if (folder / FOLDER_NAME).is_dir():
-        folder = folder / FOLDER_NAME
-    views: dict[str, _Files] = {}
-    cameras = list(cameras)
-    if not cameras:
-        raise InputError(f"{folder}: cannot load regions for no cameras; give at least one camera")
-    check_stems(folder, (camera.name for camera in cameras))
-    if holds_compact(folder):
-        return load_compact(folder, cameras)
-    for camera in cameras:
-        files = _Files(camera, folder / camera.stem)
-        if files.labels.is_file() and files.embeddings.is_file():
-            views[camera.name] = files
-    if not views:
-        there = [path.name for path in view_files(folder, "_s.npy")]
-        refuse_without_features(folder, cameras, ("_s.npy", "_f.npy"), there)
-    warn_of_missing(folder, len(views), len(cameras))
-    _check_headers(list(views.values()))
-    return Regions(
-        LEVELS,
-        views,
-        load=lambda name, level: _load_map(views[name], level),
-        load_embeddings=lambda name, level: _load_embeddings(views[name], level),
-        load_labels=lambda name: _load_labels(views[name], LEVELS),
-    )
+    labels = folder / f"{stem}_s.npy"
+    embeddings = folder / f"{stem}_f.npy"
+    for path in (embeddings, labels):
+        check_output(path, overwrite)
+    record = folder / f"{stem}{_RECORD_ENDING}"
+    record.unlink(missing_ok=True)  # from here the pair does not count until it is complete
+    planes, rows = _joined(regions)
+    for path, array in ((embeddings, rows), (labels, planes)):
+        with atomic_file(path, overwrite) as stream:
+            np.save(stream, array, allow_pickle=False)
+    if regions.photograph:
+        made = {"view": regions.name, "manifest": manifest, "photograph": regions.photograph}
+        write_text(record, json.dumps(made, indent=2, sort_keys=True) + "\n")
 
 
-def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) -> None:
-    """Write regions with levels s, m, l in the LangSplat layout, at their own size; "default" stays empty.
-
-    Files are named by the view names cut at their first dot.
-
-    Raises:
-        OutputExistsError: a file is there already and ``overwrite`` is false; then nothing is written.
-        InputError: other levels, or two views with one stem.
-    """
-    if regions.levels != LEVELS:
-        raise InputError(f"the LangSplat layout holds levels {list(LEVELS)}, not {list(regions.levels)}")
-    folder = Path(folder)
-    stems = {name: stem_of(name) for name in regions.view_names}
-    if len(set(stems.values())) < len(stems):
-        raise InputError(
-            f"{folder}: two views share a file name when cut at the first dot; rename one of them"
-        )
-    for stem in stems.values():
-        check_output(folder / f"{stem}_s.npy", overwrite)
-        check_output(folder / f"{stem}_f.npy", overwrite)
-    for name, stem in stems.items():
-        maps = {level: regions.load(name, level) for level in LEVELS}
-        if len({tuple(item.labels.shape) for item in maps.values()}) > 1:
-            raise InputError(f"{folder}: the levels of view {name!r} differ in size; resize them to one")
-        labels = {level: item.labels.cpu().numpy() for level, item in maps.items()}
-        rows = {level: item.embeddings.cpu().numpy() for level, item in maps.items()}
-        write_langsplat_view(folder / stem, labels, rows, overwrite)
+def origin(folder: Path, stem: str) -> tuple[str, str]:
+    """Fingerprint of the manifest and SHA-256 of the photograph; see ``views.RegionLayout``."""
+    for ending in ENDINGS:
+        existing_file(folder / f"{stem}{ending}", "region features")
+    path = folder / f"{stem}{_RECORD_ENDING}"
+    record = read_json(path, "a record of region features")
+    if not isinstance(record, dict):
+        raise FileFormatError(path, "is not a record of region features", REMEDY)
+    return str(record.get("manifest", "")), str(record.get("photograph", ""))
 
 
-def write_langsplat_view(
-    stem: Path,
-    labels: Mapping[str, NDArray[np.int32]],
-    embeddings: Mapping[str, NDArray[np.floating]],
-    overwrite: bool = False,
-) -> int:
-    """Write one view as ``<stem>_s.npy`` and ``<stem>_f.npy``.
-
-    Args:
-        stem: folder and name without ending.
-        labels: level -> [H, W] row of that level's embeddings, or -1; levels that are missing stay empty.
-        embeddings: level -> [R, D], written as float32.
-
-    Returns:
-        Bytes of both files.
-
-    Raises:
-        OutputExistsError: a file is there already and ``overwrite`` is false.
-    """
-    first = next(iter(labels.values()))
+def _joined(regions: ViewRegions) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Planes [4, H, W] of global row numbers, and the rows [M, D] of all levels."""
+    first = next(iter(regions.labels.values()))
     planes = np.full((len(FILE_LEVELS), *first.shape), -1, np.float32)
     blocks: list[NDArray[np.float32]] = []
     start = 0
     for number, level in enumerate(FILE_LEVELS):
-        if level in labels:
-            planes[number] = np.where(labels[level] >= 0, labels[level] + start, -1)
-            blocks.append(np.asarray(embeddings[level], np.float32))
+        if level in regions.labels:
+            labels = regions.labels[level]
+            planes[number] = np.where(labels >= 0, labels + start, -1)
+            blocks.append(np.asarray(regions.embeddings[level], np.float32))
             start += len(blocks[-1])
-    arrays = {f"{stem.name}_f.npy": np.concatenate(blocks), f"{stem.name}_s.npy": planes}
-    for name in arrays:
-        check_output(stem.with_name(name), overwrite)
-    for name, array in arrays.items():
-        _save_array(array, stem.with_name(name), overwrite)
-    return sum(array.nbytes for array in arrays.values())
+    return planes, np.concatenate(blocks)
 
 
-def _check_headers(views: list[_Files]) -> None:
-    first: tuple[int, Path] | None = None
-    for files in views:
-        _, planes, rows = open_langsplat_view(files.stem)
-        height, width = planes.shape[1:]
-        check_aspect(files.labels, width, height, files.camera)
-        if first is not None and rows.shape[1] != first[0]:
-            raise FileFormatError(
-                files.embeddings,
-                f"has {rows.shape[1]} dimensions, but {first[1].name} has {first[0]}",
-                "the features come from different models; " + _REMEDY,
-            )
-        first = first or (rows.shape[1], files.embeddings)
+def _open_planes(path: Path) -> np.ndarray:
+    """The labels [4, H, W] of a view, mapped.
+
+    Raises:
+        MissingFileError, FileFormatError: the file is not there, or is no such file.
+    """
+    planes = open_npy(path, "region labels")
+    sides = planes.shape[1:]
+    valid = planes.ndim == 3 and len(planes) == len(FILE_LEVELS)
+    if not valid or not all(1 <= side <= MAX_IMAGE_SIDE for side in sides):
+        problem = f"has shape {list(planes.shape)}, expected [4, height, width]"
+        raise FileFormatError(path, problem, REMEDY)
+    return planes
 
 
-def _blocks(files: _Files) -> dict[str, slice]:
-    """The row blocks of the levels; both files are read and checked for them, once."""
-    with files.lock:
-        if not files.blocks:
-            path, planes, rows = open_langsplat_view(files.stem)
-            files.blocks.update(level_blocks(path, planes, len(rows)))
-        return files.blocks
-
-
-def _load_embeddings(files: _Files, level: str) -> Tensor:
-    block = _blocks(files)[level]
-    rows = open_rows(files.embeddings)
-    if block.stop > len(rows):
-        raise _changed(files.embeddings)
-    return unit_rows(files.embeddings, rows[block])
-
-
-def _load_labels(files: _Files, levels: Sequence[str]) -> Tensor:
-    """[levels, H, W] int32 labels at the camera's size; embeddings are not read once the blocks are known."""
-    blocks = _blocks(files)
-    planes = open_planes(files.labels)
-    labels = np.empty((len(levels), *planes.shape[1:]), np.int32)
-    for number, level in enumerate(levels):
-        block = blocks[level]
-        if not copy_labels(planes[FILE_LEVELS.index(level)], block, labels[number]):
-            raise _changed(files.labels)
-    return at_camera(torch.from_numpy(labels), files.camera)
+def _open_rows(path: Path) -> np.ndarray:
+    """The embeddings [M, D] of a view, mapped; as ``_open_planes``."""
+    rows = open_npy(path, "region embeddings")
+    if rows.ndim != 2 or rows.dtype.kind != "f" or (len(rows) and not rows.shape[1]):
+        problem = (
+            f"has shape {list(rows.shape)} of {rows.dtype}, expected floating point [regions, dimensions]"
+        )
+        raise FileFormatError(path, problem, REMEDY)
+    return rows
 
 
 def _changed(path: Path) -> FileFormatError:
     return FileFormatError(path, "has changed since it was opened", "open the features again")
-
-
-def _load_map(files: _Files, level: str) -> RegionMap:
-    return RegionMap(_load_labels(files, (level,))[0], _load_embeddings(files, level))
-
-
-def _save_array(array: np.ndarray, path: Path, overwrite: bool) -> None:
-    with atomic_file(path, overwrite) as stream:
-        np.save(stream, array, allow_pickle=False)

@@ -26,13 +26,32 @@ class RegionManifest:
 
     Attributes:
         layout: "compact" (one ``.regions`` file a view) or "langsplat" (two ``.npy`` files a view).
-        embedding_model: id of the model that made the embeddings; "" if nobody knows.
+        embedding_model: id of the model that made the embeddings; "" if it is not known.
         settings: everything else that decides the numbers; plain JSON values.
     """
 
     layout: Layout
     embedding_model: str
     settings: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, layout: Layout, embedding_model: str, settings: dict[str, Any], bits: int) -> RegionManifest:
+        """The manifest of new features.
+
+        Args:
+            bits: of a stored embedding number in the compact layout, 16 or 32; LangSplat's files always hold 32.
+
+        Raises:
+            InputError: another number of bits.
+        """
+        if bits not in (16, 32):
+            raise InputError(f"embeddings are stored with 16 or 32 bits, not {bits}")
+        return cls(layout, embedding_model, settings | ({"bits": bits} if layout == "compact" else {}))
+
+    @property
+    def bits(self) -> int:
+        """Of an embedding number in the compact layout."""
+        return int(self.settings.get("bits", 16))
 
     @property
     def fingerprint(self) -> str:
@@ -41,7 +60,7 @@ class RegionManifest:
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
     def differences(self, other: RegionManifest) -> list[str]:
-        """What differs from another manifest, as "name: mine, not theirs"."""
+        """What differs from another manifest, as "name: this one, not the other"."""
         pairs: dict[str, tuple[Any, Any]] = {
             "layout": (self.layout, other.layout),
             "embedding model": (self.embedding_model, other.embedding_model),
@@ -99,7 +118,7 @@ def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = Fal
         there = read_manifest(folder)
         if there is None or there != manifest:
             raise InputError(
-                f"{folder / MANIFEST}: somebody else has written another one meanwhile"
+                f"{folder / MANIFEST}: another process has written another one meanwhile"
             ) from None
 
 

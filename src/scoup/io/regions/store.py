@@ -1,125 +1,181 @@
-"""Where extracted regions go: a folder with a manifest, a view at a time, so that work can stop and go on."""
+"""A folder of region features: a manifest, and the views in one of two layouts. Everything that reads or writes such a
+folder goes through it.
+"""
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scoup.base.atomic import check_output, write_text
+from scoup.base.atomic import check_output
 from scoup.base.errors import InputError, ScoupError
-from scoup.io.reading import read_json
-from scoup.io.regions.compact import ENDING, read_compact_view, write_compact_view
-from scoup.io.regions.langsplat import write_langsplat_view
-from scoup.io.regions.manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
-from scoup.io.regions.views import stem_of, view_files
-
-_RECORD_ENDING = (
-    "_made.json"  # LangSplat's layout: written after the two arrays, says what they were made from
+from scoup.io.reading import existing_folder
+from scoup.io.regions import compact, langsplat
+from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, read_manifest, write_manifest
+from scoup.io.regions.views import (
+    RegionLayout,
+    StoredView,
+    ViewRegions,
+    region_folder,
+    stem_of,
+    view_files,
 )
 
+_LAYOUTS: dict[Layout, RegionLayout] = {"compact": compact, "langsplat": langsplat}
 
-@dataclass(frozen=True, eq=False)
-class ViewRegions:
-    """The regions of one view.
+
+@dataclass(frozen=True)
+class RegionStore:
+    """A folder of region features. Views are complete or not there.
 
     Attributes:
-        labels: level -> [H, W] int32 rows of that level's embeddings, -1 for none.
-        embeddings: level -> [R, D] float32 unit rows.
+        folder: of the features themselves.
+        manifest: how they were made; None for features of other programs.
+        layout: of the files; that of the manifest where there is one.
     """
 
-    labels: dict[str, NDArray[np.int32]]
-    embeddings: dict[str, NDArray[np.float32]]
+    folder: Path
+    manifest: RegionManifest | None = None
+    layout: Layout = "langsplat"
 
-    def __len__(self) -> int:
-        return sum(len(rows) for rows in self.embeddings.values())
+    @classmethod
+    def open(cls, folder: str | Path) -> RegionStore:
+        """The store in a folder of region features, or in a scene folder with ``language_features`` in it.
 
+        Raises:
+            MissingFileError: there is no such folder.
+            FileFormatError: the manifest is damaged, or of a newer version.
+        """
+        path = existing_folder(folder, "a folder of region features", "make them first, or check the path")
+        path = region_folder(path)
+        manifest = read_manifest(path)
+        if manifest is not None:
+            return cls(path, manifest, manifest.layout)
+        others = view_files(path, langsplat.ENDINGS[0])
+        return cls(
+            path, None, "compact" if not others and view_files(path, compact.ENDINGS[0]) else "langsplat"
+        )
 
-class RegionStore:
-    """A folder of region features made under one manifest. Views are complete or not there.
+    @classmethod
+    def create(cls, folder: Path, manifest: RegionManifest, overwrite: bool = False) -> RegionStore:
+        """The store of a manifest, to write to; a folder with the same manifest is continued.
 
-    Args:
-        folder: made if it is missing.
-        manifest: of this run.
-        overwrite: make everything anew, whatever is there.
-        bits: of a stored embedding number in the compact layout, 16 or 32.
+        Args:
+            folder: made if it is missing.
+            overwrite: put the manifest in place of another one; views made under that one no longer count.
 
-    Raises:
-        InputError: the folder holds something else, or was made with other settings; nothing has changed then.
-    """
-
-    def __init__(
-        self, folder: Path, manifest: RegionManifest, overwrite: bool = False, bits: int = 16
-    ) -> None:
-        self.folder = folder
-        self.manifest = manifest
-        self.overwrite = overwrite
-        self.bits = bits
+        Raises:
+            InputError: the folder holds something else, or was made with other settings; nothing has changed then.
+        """
+        if folder.is_file():
+            raise InputError(f"{folder}: is a file; give the name of a folder")
         there = read_manifest(folder) if folder.is_dir() else None
         if there is None:
-            _refuse_foreign(folder)
+            endings = [layout.ENDINGS[0] for layout in _LAYOUTS.values()]
+            foreign = [path.name for ending in endings for path in view_files(folder, ending)]
+            if foreign:
+                raise InputError(
+                    f"{folder}: holds region features that were not made by scoup ({foreign[0]} and "
+                    f"{len(foreign) - 1} more); choose another folder, or move them away"
+                )
         elif there != manifest and not overwrite:
             listed = "; ".join(manifest.differences(there))
             raise InputError(
-                f"{folder}: was made with other settings ({listed}); use the same, choose another folder with "
-                "--out, or pass --overwrite to make everything anew"
+                f"{folder}: holds region features made with other settings ({listed}); use the same settings, choose "
+                "another folder, or pass --overwrite (overwrite=True in Python) to make everything anew"
             )
         check_output(folder / MANIFEST, overwrite=True)
         if there != manifest:
             write_manifest(folder, manifest, overwrite)
+        return cls(folder, manifest, manifest.layout)
+
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """Of the files of a view."""
+        return _LAYOUTS[self.layout].ENDINGS
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the manifest; "" without one."""
+        return "" if self.manifest is None else self.manifest.fingerprint
+
+    def files(self, stem: str) -> list[Path]:
+        """The files of a view, whether they are there or not; labels first."""
+        return [self.folder / f"{stem}{ending}" for ending in self.endings]
+
+    def stems(self) -> list[str]:
+        """Stems of the views that count: not those made under a manifest that was given up.
+
+        Raises:
+            FileFormatError: a file is damaged, or of a newer version.
+        """
+        ending = self.endings[0]
+        stems = [path.name.removesuffix(ending) for path in view_files(self.folder, ending)]
+        if self.layout == "langsplat":  # whose files do not name their manifest
+            return stems
+        return [stem for stem in stems if self._counts(self.open_view(stem))]
+
+    def open_view(self, stem: str) -> StoredView:
+        """A view, whatever manifest it was made under.
+
+        Raises:
+            MissingFileError, FileFormatError: a file is missing, damaged, or of a newer version.
+        """
+        return _LAYOUTS[self.layout].open_view(self.folder, stem)
+
+    def view(self, stem: str) -> StoredView | None:
+        """A view that counts; None if there is none.
+
+        Raises:
+            FileFormatError: as ``open_view``.
+        """
+        if not all(path.is_file() for path in self.files(stem)):
+            return None
+        view = self.open_view(stem)
+        return view if self._counts(view) else None
+
+    def _counts(self, view: StoredView) -> bool:
+        return self.manifest is None or view.manifest in (None, self.fingerprint)
 
     def has(self, name: str, photograph: str) -> bool:
         """Whether the view was made under this manifest from this photograph (its SHA-256)."""
         try:
-            if self.manifest.layout == "compact":
-                view = read_compact_view(self._path(name, ENDING))
-                return (view.manifest, view.photograph) == (self.manifest.fingerprint, photograph)
-            record = read_json(self._path(name, _RECORD_ENDING), "a record of region features")
+            origin = _LAYOUTS[self.layout].origin(self.folder, stem_of(name))
         except ScoupError:  # not there, or damaged: made anew
             return False
-        arrays = all(self._path(name, end).is_file() for end in ("_s.npy", "_f.npy"))
-        return arrays and record == self._record(name, photograph)
+        return origin == (self.fingerprint, photograph)
 
-    def write(self, name: str, regions: ViewRegions, photograph: str) -> int:
-        """Write a view, in place of an older one; returns its bytes."""
-        if self.manifest.layout == "compact":
-            kind = np.float16 if self.bits == 16 else np.float32
+    def check_free(self, stems: Iterable[str], overwrite: bool) -> None:
+        """Check that these views may be written.
+
+        Raises:
+            OutputExistsError, InputError: as ``atomic.check_output``.
+        """
+        for stem in stems:
+            for path in self.files(stem):
+                check_output(path, overwrite)
+
+    def write(self, regions: ViewRegions, stem: str | None = None, overwrite: bool = False) -> int:
+        """Write a view; returns the bytes of its files.
+
+        Args:
+            stem: of the files; that of the view's name if None.
+            overwrite: in place of an older one.
+
+        Raises:
+            OutputExistsError, InputError: as ``atomic.check_output``.
+        """
+        stem = stem_of(regions.name) if stem is None else stem
+        if self.layout == "compact":
+            kind = np.float16 if self.manifest is None or self.manifest.bits == 16 else np.float32
             rows = {level: item.astype(kind) for level, item in regions.embeddings.items()}
-            return write_compact_view(
-                self._path(name, ENDING),
-                name,
-                regions.labels,
-                rows,
-                self.manifest.fingerprint,
-                photograph,
-                overwrite=True,
-            )
-        record = self._path(name, _RECORD_ENDING)
-        record.unlink(missing_ok=True)  # from here the pair does not count until it is complete
-        stem = self.folder / stem_of(name)
-        written = write_langsplat_view(stem, regions.labels, regions.embeddings, overwrite=True)
-        write_text(record, json.dumps(self._record(name, photograph), indent=2, sort_keys=True) + "\n")
-        return written
+            regions = replace(regions, embeddings=rows)
+        _LAYOUTS[self.layout].write_view(self.folder, stem, regions, self.fingerprint, overwrite)
+        return self.size_of(stem)
 
-    def _record(self, name: str, photograph: str) -> dict[str, str]:
-        return {"view": name, "manifest": self.manifest.fingerprint, "photograph": photograph}
-
-    def _path(self, name: str, ending: str) -> Path:
-        return self.folder / f"{stem_of(name)}{ending}"
-
-
-def _refuse_foreign(folder: Path) -> None:
-    """Refuse a folder with features that were made by something else: they would be mixed up."""
-    if folder.is_file():
-        raise InputError(f"{folder}: is a file; give the name of a folder with --out")
-    if not folder.is_dir():
-        return
-    foreign = [path.name for end in ("_s.npy", ENDING) for path in view_files(folder, end)]
-    if foreign:
-        raise InputError(
-            f"{folder}: holds region features that were not made by scoup extract ({foreign[0]} and "
-            f"{len(foreign) - 1} more); choose another folder with --out, or move them away"
-        )
+    def size_of(self, stem: str) -> int:
+        """Bytes of the files of a view."""
+        return sum(path.stat().st_size for path in self.files(stem))

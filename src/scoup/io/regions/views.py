@@ -1,23 +1,127 @@
-"""What readers of region features share: which view belongs to which camera, sizes, unit rows."""
+"""Views in a folder of region features: their names, and what every layout of the files gives and takes."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
-import torch
-from torch import Tensor
+from numpy.typing import NDArray
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
-from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
-from scoup.scene.cameras import Camera
-from scoup.scene.regions import resize_labels
+from scoup.base.errors import InputError
 
 FOLDER_NAME = "language_features"
-ASPECT_TOLERANCE = 0.02  # LangSplat truncates sizes; more is another image
 REMEDY = "extract the features again"
+
+
+@dataclass(frozen=True, eq=False)
+class ViewRegions:
+    """The regions of one view in memory, in the orientation of the stored photograph.
+
+    Attributes:
+        name: of the image; "" where a layout does not keep it.
+        labels: level -> [H, W] int32 rows of that level's embeddings, -1 for none; one size for all levels.
+        embeddings: level -> [R, D] floating point.
+        photograph: SHA-256 of the photograph's file; "" if it is not known.
+    """
+
+    name: str
+    labels: dict[str, NDArray[np.int32]]
+    embeddings: dict[str, NDArray[np.floating]]
+    photograph: str = ""
+
+    def __len__(self) -> int:
+        return sum(len(rows) for rows in self.embeddings.values())
+
+
+class StoredView(Protocol):
+    """A view in a folder. Its headers are checked, its arrays are read when they are needed.
+
+    Attributes:
+        name: of the image; the stem of the files where the layout does not keep the name.
+        levels: stored, in order.
+        width, height: of the label maps.
+        dim: D of the embeddings.
+        counts: level -> number of regions; one entry "all" where the headers do not tell the levels apart.
+        manifest: fingerprint of the manifest it was made under; None where the view does not tell.
+        labels_path, embeddings_path: of the files, for messages.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def levels(self) -> tuple[str, ...]: ...
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def dim(self) -> int: ...
+    @property
+    def counts(self) -> dict[str, int]: ...
+    @property
+    def manifest(self) -> str | None: ...
+    @property
+    def labels_path(self) -> Path: ...
+    @property
+    def embeddings_path(self) -> Path: ...
+
+    def labels(self, levels: Sequence[str]) -> NDArray[np.int32]:
+        """[levels, H, W] labels as stored: rows of each level's own embeddings, or -1."""
+        ...
+
+    def embeddings(self, level: str) -> NDArray[np.floating]:
+        """[R, D] embeddings of a level, as stored."""
+        ...
+
+    def read(self) -> ViewRegions:
+        """Everything the view holds."""
+        ...
+
+
+class RegionLayout(Protocol):
+    """How views lie in files; the modules ``compact`` and ``langsplat`` are two."""
+
+    @property
+    def ENDINGS(self) -> tuple[str, ...]:
+        """Of the files of a view, labels first; all of them must be there."""
+        ...
+
+    def open_view(self, folder: Path, stem: str) -> StoredView:
+        """A view whose files are there.
+
+        Raises:
+            MissingFileError, FileFormatError: a file is missing, something else, damaged, or of a newer version.
+        """
+        ...
+
+    def write_view(
+        self, folder: Path, stem: str, regions: ViewRegions, manifest: str, overwrite: bool = False
+    ) -> None:
+        """Write a view atomically.
+
+        Args:
+            manifest: fingerprint of the folder's manifest, "" if there is none.
+
+        Raises:
+            OutputExistsError, InputError: as ``atomic.check_output``.
+        """
+        ...
+
+    def origin(self, folder: Path, stem: str) -> tuple[str, str]:
+        """What a view was made from: fingerprint of the manifest, SHA-256 of the photograph; "" if not known.
+
+        Raises:
+            MissingFileError, FileFormatError: as ``open_view``.
+        """
+        ...
+
+
+def region_folder(path: Path) -> Path:
+    """The folder of region features of a scene folder; ``path`` itself where it is none."""
+    return path / FOLDER_NAME if (path / FOLDER_NAME).is_dir() else path
 
 
 def stem_of(name: str) -> str:
@@ -26,7 +130,7 @@ def stem_of(name: str) -> str:
 
 
 def view_files(folder: Path, ending: str) -> list[Path]:
-    """The files of a folder with that ending, in order; not the hidden ones that a killed process left behind."""
+    """The files of a folder with that ending, in order, without the hidden ones that a killed process leaves."""
     return sorted(path for path in folder.glob(f"*{ending}") if not path.name.startswith("."))
 
 
@@ -44,70 +148,3 @@ def check_stems(folder: Path, names: Iterable[str]) -> None:
                 f"{folder}: images {other!r} and {name!r} share the feature name {stem_of(name)!r}"
                 " (names are cut at the first dot); rename one of them"
             )
-
-
-def warn_of_missing(folder: Path, found: int, wanted: int) -> None:
-    """Tell how many cameras are left out because they have no features."""
-    if found < wanted:
-        warnings.warn(
-            f"{folder}: skipped {wanted - found} of {wanted} cameras that have no features",
-            ScoupWarning,
-            stacklevel=4,
-        )
-
-
-def refuse_without_features(
-    folder: Path, cameras: Sequence[Camera], endings: tuple[str, ...], there: list[str]
-) -> None:
-    """Raise a MissingFileError that tells which files were expected and which are there."""
-    names = ", ".join(
-        f"{camera.stem}{endings[0]}" + "".join(f" and {end}" for end in endings[1:]) for camera in cameras[:3]
-    )
-    expected = names + (", ..." if len(cameras) > 3 else "")
-    listed = f"it has {', '.join(there[:3])}" if there else f"it has no *{endings[0]} files"
-    raise MissingFileError(
-        folder,
-        f"has features of none of the {len(cameras)} cameras: expected {expected}; {listed}",
-        "give the features of these images",
-    )
-
-
-def check_aspect(path: Path, width: int, height: int, camera: Camera) -> None:
-    """Refuse labels of another shape than their image.
-
-    Raises:
-        FileFormatError: they are.
-    """
-    ratio = (width / height) / (camera.width / camera.height)
-    if abs(ratio - 1.0) > ASPECT_TOLERANCE:
-        raise FileFormatError(
-            path,
-            f"is {width} x {height}, of another shape than its image",
-            "these are features of other images; give those of this scene",
-        )
-
-
-def at_camera(labels: Tensor, camera: Camera) -> Tensor:
-    """Labels [..., H, W] of the photograph at the camera's size: nearest neighbour, undistorted where it says so."""
-    if camera.distortion:
-        pixels = photograph_pixels(camera, labels.shape[-1], labels.shape[-2])
-        maps = labels.reshape(-1, *labels.shape[-2:])
-        found = torch.stack([sample_nearest(item, pixels, outside=-1) for item in maps])
-        return found.reshape(*labels.shape[:-2], *found.shape[-2:])
-    return resize_labels(labels, camera.width, camera.height)
-
-
-def unit_rows(path: Path, rows: np.ndarray) -> Tensor:
-    """[R, D] float32 rows of unit norm.
-
-    Raises:
-        FileFormatError: a row is not finite.
-    """
-    with np.errstate(invalid="ignore"):  # a signalling NaN; refused below
-        wide = np.asarray(rows, dtype=np.float64)
-    if not np.isfinite(wide).all():
-        raise FileFormatError(path, "has embeddings that are not finite (NaN or infinite)", REMEDY)
-    norms = np.linalg.norm(wide, axis=1, keepdims=True)
-    # Rows that are unit to float32 rounding stay bit for bit; a zero row means "unknown" and stays zero.
-    unit = np.where(np.abs(norms - 1.0) < 1e-6, wide, wide / np.where(norms > 0, norms, 1.0))
-    return torch.from_numpy(unit.astype(np.float32))

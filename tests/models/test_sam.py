@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from extract_support import smooth_image
-from tiny_models import TINY_SAMS, saved, tiny_clip, tiny_sam, tiny_sam2, tiny_sam2_video
 from torch.nn import functional
 
+from mask_samples import smooth_image
 from scoup.base.errors import ScoupError
-from scoup.models.sam import _CLASSES, _IMAGENET, SHORT_NAMES, SamPoints, open_point_model
+from scoup.models.normalization import IMAGENET
+from scoup.models.sam import SHORT_NAMES, Sam, open_sam
+from tiny_models import TINY_SAMS, saved, tiny_clip, tiny_sam, tiny_sam2, tiny_sam2_video
 
 os.environ["HF_HUB_OFFLINE"] = "1"
 
@@ -27,7 +29,7 @@ def loaded(request, tmp_path_factory):
     """Kind, the model as built, and the same after a round trip through files."""
     model = TINY_SAMS[request.param]()
     folder = saved(model, tmp_path_factory.mktemp(request.param))
-    return request.param, model, open_point_model(str(folder))
+    return request.param, model, open_sam(str(folder))
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -64,12 +66,12 @@ def test_answers_are_those_of_the_model_fed_by_hand(loaded, size) -> None:
         large = functional.interpolate(whole[..., :high, :wide], size, mode="bilinear", align_corners=False)
     else:
         large = functional.interpolate(masks, size, mode="bilinear", align_corners=False)
-    looked = opened.look(image)
-    logits, iou = looked.ask(POINTS)
+    encoded = opened.encode(image)
+    logits, iou = encoded.predict(POINTS)
     torch.testing.assert_close(logits, masks, atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(iou, answer.iou_scores[0], atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(
-        looked.enlarge(logits.flatten(0, 1)), large.flatten(0, 1), atol=1e-4, rtol=1e-4
+        encoded.upscale(logits.flatten(0, 1)), large.flatten(0, 1), atol=1e-4, rtol=1e-4
     )
     assert logits.std() > 0.05, "the tiny model answers all alike: the comparison would say nothing"
     assert not torch.equal(logits[0], logits[1])
@@ -77,20 +79,20 @@ def test_answers_are_those_of_the_model_fed_by_hand(loaded, size) -> None:
 
 def test_video_models_are_used_as_image_models(tmp_path: Path) -> None:
     video = tiny_sam2_video()
-    opened = open_point_model(str(saved(video, tmp_path)))
+    opened = open_sam(str(saved(video, tmp_path)))
     weights = dict(video.named_parameters())
     own = dict(opened.model.named_parameters())
     assert len(own) > 100
     assert all(torch.equal(value, weights[name]) for name, value in own.items())
-    logits, _ = opened.look(smooth_image(40, 50)).ask(POINTS)
+    logits, _ = opened.encode(smooth_image(40, 50)).predict(POINTS)
     assert logits.shape == (3, 3, 16, 16)
 
 
 def test_trimmed_masks_show_the_image_alone(loaded) -> None:
     kind, _, opened = loaded
-    looked = opened.look(smooth_image(30, 60))
-    logits, _ = looked.ask(POINTS)
-    trimmed = looked.trim(logits.flatten(0, 1))
+    encoded = opened.encode(smooth_image(30, 60))
+    logits, _ = encoded.predict(POINTS)
+    trimmed = encoded.without_padding(logits.flatten(0, 1))
     height, width = logits.shape[-2:]
     assert tuple(trimmed.shape[-2:]) == ((height // 2, width) if kind == "sam" else (height, width))
     assert torch.equal(trimmed, logits.flatten(0, 1)[:, : trimmed.shape[1], : trimmed.shape[2]])
@@ -108,17 +110,17 @@ def test_preprocessing_is_that_of_transformers() -> None:
     model = tiny_sam()
     original = model.get_image_embeddings
     model.get_image_embeddings = lambda pixels: (seen.append(pixels[0]), original(pixels))[1]
-    SamPoints(model, "tiny", "", 64, False, _IMAGENET).look(image)
+    Sam(model, "tiny", "", 64, False, IMAGENET).encode(image)
     torch.testing.assert_close(seen[0], wanted, atol=1e-5, rtol=1e-5)
 
 
 def test_normalization_comes_with_the_model(tmp_path: Path) -> None:
     image = smooth_image(20, 30)
-    plain = open_point_model(str(saved(tiny_sam(), tmp_path / "plain")))
-    other = open_point_model(
+    plain = open_sam(str(saved(tiny_sam(), tmp_path / "plain")))
+    other = open_sam(
         str(saved(tiny_sam(), tmp_path / "other", image_mean=[0.1, 0.2, 0.3], image_std=[1, 1, 1]))
     )
-    same = open_point_model(
+    same = open_sam(
         str(
             saved(
                 tiny_sam(),
@@ -128,24 +130,25 @@ def test_normalization_comes_with_the_model(tmp_path: Path) -> None:
             )
         )
     )
-    one, two, three = (model.look(image).ask(POINTS)[0] for model in (plain, other, same))
+    one, two, three = (model.encode(image).predict(POINTS)[0] for model in (plain, other, same))
     assert torch.equal(one, three)
     assert not torch.allclose(one, two, atol=1e-3)
 
 
 def test_what_cannot_be_loaded_is_told(tmp_path: Path, monkeypatch) -> None:
     with pytest.raises(ScoupError, match=r"segmenter 'sam-vit-h' cannot be loaded .*felzenszwalb"):
-        open_point_model("sam-vit-h")
+        open_sam("sam-vit-h")
     with pytest.raises(ScoupError, match="'clip' is no SAM model"):
-        open_point_model(str(saved(tiny_clip(), tmp_path / "clip")))
+        open_sam(str(saved(tiny_clip(), tmp_path / "clip")))
     folder = saved(tiny_sam(), tmp_path / "pickled")
     (folder / "model.safetensors").unlink()
     torch.save(tiny_sam().state_dict(), folder / "pytorch_model.bin")
     with pytest.raises(ScoupError, match="cannot be loaded"):
-        open_point_model(str(folder))
-    monkeypatch.setitem(_CLASSES, "sam2", "NotYetThere")  # an older transformers
+        open_sam(str(folder))
+    newer = str(saved(tiny_sam2(), tmp_path / "sam2"))
+    monkeypatch.setattr(sys.modules["transformers"], "Sam2Model", None)  # an older transformers
     with pytest.raises(ScoupError, match="has no sam2"):
-        open_point_model(str(saved(tiny_sam2(), tmp_path / "sam2")))
+        open_sam(newer)
 
 
 def test_incomplete_models_are_refused(tmp_path: Path) -> None:
@@ -157,7 +160,7 @@ def test_incomplete_models_are_refused(tmp_path: Path) -> None:
     del weights[name]
     save_file(weights, folder / "model.safetensors", {"format": "pt"})
     with pytest.raises(ScoupError, match="lacks weights such as 'mask_decoder"):
-        open_point_model(str(folder))
+        open_sam(str(folder))
     shutil.rmtree(folder)
 
 

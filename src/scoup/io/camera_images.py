@@ -1,4 +1,4 @@
-"""Cameras meet their photographs: which folder, which file, which size."""
+"""The photographs of cameras: which folder, which file, which size."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
-from scoup.io.image_folder import ImageFolder, image_size
+from scoup.io.image_folder import ImageFolder
+from scoup.io.images import image_size
 from scoup.scene.cameras import Camera, Cameras
 
 MissingImages = Literal["skip", "keep"]
@@ -59,14 +60,14 @@ def attach_images(
             "give the folder of their photographs",
         )
     if missing and missing_images == "skip":
-        looked = str(folder.folder) if folder is not None else "no images folder"
+        searched = str(folder.folder) if folder is not None else "no images folder"
         if not attached:
             message = (
-                f"{source}: none of the {len(cameras)} images was found ({looked}); using the cameras alone"
+                f"{source}: none of the {len(cameras)} images was found ({searched}); using the cameras alone"
             )
         else:
             message = (
-                f"{source}: skipped {len(missing)} of {len(cameras)} cameras without an image ({looked})"
+                f"{source}: skipped {len(missing)} of {len(cameras)} cameras without an image ({searched})"
             )
         warnings.warn(message, ScoupWarning, stacklevel=3)
     kept = missing if missing_images == "keep" or not attached else []

@@ -1,4 +1,4 @@
-"""Random masks of many kinds, shared by the tests of extraction."""
+"""Random masks of many kinds, and soft images."""
 
 from __future__ import annotations
 

@@ -15,7 +15,8 @@ import numpy as np
 from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.io.cameras.inria import portable_name
-from scoup.io.image_folder import find_beside, image_size
+from scoup.io.image_folder import find_beside
+from scoup.io.images import image_size
 from scoup.io.reading import Distorted, make_camera, matrix, number, pixels, read_json, sorted_cameras
 from scoup.scene.cameras import Camera, Cameras
 
@@ -129,8 +130,8 @@ def _camera(
     else:
         width = pixels(path, entry["w"], f"w of frame {name!r}")
         height = pixels(path, entry["h"], f"h of frame {name!r}")
-    focal = _focal(path, name, entry, width, height)
-    center = (
+    intrinsics = (
+        *_focal(path, name, entry, width, height),
         number(path, entry.get("cx", width / 2), f"cx of frame {name!r}"),
         number(path, entry.get("cy", height / 2), f"cy of frame {name!r}"),
     )
@@ -142,9 +143,7 @@ def _camera(
     with np.errstate(all="ignore"):
         viewmat = np.concatenate([camera_to_world.T, -camera_to_world.T @ pose[:3, 3:]], axis=1)
     named = name if os.path.splitext(name)[1] or image_path is None else name + image_path.suffix
-    return make_camera(
-        path, named, viewmat, focal, center, (width, height), coefficients, distorted, image_path
-    )
+    return make_camera(path, named, viewmat, intrinsics, (width, height), coefficients, distorted, image_path)
 
 
 def _focal(path: Path, name: str, entry: Mapping[str, Any], width: int, height: int) -> tuple[float, float]:

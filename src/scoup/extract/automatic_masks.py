@@ -1,4 +1,4 @@
-"""Automatic masks: a model asked on grids of points, its answers filtered, by the rules of SAM and LangSplat."""
+"""Automatic masks: predictions for grids of points, filtered by the rules of SAM and LangSplat."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from scoup.extract.masks import Masks
 from scoup.extract.overlaps import keep_by_boxes, keep_by_masks
 from scoup.extract.settings import MaskSettings
 from scoup.extract.small_parts import without_small_parts
-from scoup.models.sam import Looked, PointModel
+from scoup.models.sam import EncodedImage, PointModel
 from scoup.scene.regions import LEVELS
 
-_CHUNK = 128 << 20  # bytes of logits at the size of the image that are in memory at once
+CHUNK_BYTES = 128 << 20
+"""Of logits at the size of the image that are in memory at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +28,7 @@ class Candidates:
 
     Attributes:
         masks: over a crop, later over the image.
-        channels: [N] which of the three answers each is: 0, 1, 2 for s, m, l.
+        channels: [N] which of the three masks of a point each is: 0, 1, 2 for s, m, l.
     """
 
     masks: Masks
@@ -38,12 +39,12 @@ class Candidates:
 
 
 class SamSegmenter:
-    """The segmenter of the pipeline over a model that answers points.
+    """The segmenter of the pipeline over a model that predicts masks from points.
 
     Args:
-        model: from ``sam.open_point_model``.
+        model: from ``sam.open_sam``.
         settings: see ``MaskSettings``.
-        with_default: also make LangSplat's level "default": all three answers in one list.
+        with_default: also make LangSplat's level "default": all three masks of each point in one list.
     """
 
     def __init__(self, model: PointModel, settings: MaskSettings, with_default: bool = False) -> None:
@@ -109,35 +110,35 @@ def _finished(parts: list[Masks], boxes: list[Box], size: tuple[int, int], setti
 
 
 def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings: MaskSettings) -> Candidates:
-    """What one crop of the image gives, in pixels of the crop."""
+    """The masks of one crop of the image, in pixels of the crop."""
     x0, y0, x1, y1 = box
-    looked = model.look(np.ascontiguousarray(image[y0:y1, x0:x1]))
+    encoded = model.encode(np.ascontiguousarray(image[y0:y1, x0:x1]))
     points = torch.from_numpy(point_grid(settings.points_per_side) * [x1 - x0, y1 - y0])
     crop_size, image_size = (y1 - y0, x1 - x0), (image.shape[0], image.shape[1])
     parts: list[Candidates] = []
     coarse: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
     for batch in points.split(settings.points_per_batch):
-        logits, iou = looked.ask(batch)
+        logits, iou = encoded.predict(batch)
         channels = torch.arange(logits.shape[1], device=iou.device).repeat(len(batch))
         logits, iou = logits.flatten(0, 1), iou.flatten()
         good = torch.nonzero(iou > settings.predicted_iou)[:, 0]
         if settings.coarse_filters:
-            stable = _stability(looked.trim(logits[good]), settings)
+            stable = _stability(encoded.without_padding(logits[good]), settings)
             kept = stable >= settings.stability
             good = good[kept]
             coarse.append((logits[good].half(), iou[good], stable[kept], channels[good]))
         else:
-            parts += _enlarged(looked, logits, iou, channels, good, settings, crop_size)
+            parts += _upscaled(encoded, logits, iou, channels, good, settings, crop_size)
     if settings.coarse_filters:
-        parts = _from_coarse(looked, coarse, settings, crop_size)
+        parts = _from_coarse(encoded, coarse, settings, crop_size)
     joined = Masks.joined(crop_size, [part.masks for part in parts])
     channels = np.concatenate([np.zeros(0, np.int64), *(part.channels for part in parts)])
     inside = ~touches_inner_edge(joined.corners(), box, *image_size)
     return Candidates(joined, channels).select(inside)
 
 
-def _enlarged(
-    looked: Looked,
+def _upscaled(
+    encoded: EncodedImage,
     logits: Tensor,
     iou: Tensor,
     channels: Tensor,
@@ -146,10 +147,10 @@ def _enlarged(
     size: tuple[int, int],
     stability: Tensor | None = None,
 ) -> list[Candidates]:
-    """Small masks at the size of the crop, a few at a time; stability is judged there unless it is given."""
+    """Low-resolution masks at the size of the crop, a few at a time; stability is computed there unless given."""
     result: list[Candidates] = []
-    for chunk in numbers.split(max(1, _CHUNK // (4 * size[0] * size[1]))):
-        large = looked.enlarge(logits[chunk].float())
+    for chunk in numbers.split(max(1, CHUNK_BYTES // (4 * size[0] * size[1]))):
+        large = encoded.upscale(logits[chunk].float())
         if stability is None:
             stable = _stability(large, settings)
             kept = stable >= settings.stability
@@ -163,14 +164,16 @@ def _enlarged(
 
 
 def _from_coarse(
-    looked: Looked,
+    encoded: EncodedImage,
     batches: list[tuple[Tensor, Tensor, Tensor, Tensor]],
     settings: MaskSettings,
     size: tuple[int, int],
 ) -> list[Candidates]:
-    """Suppress boxes among the small masks of each answer, and enlarge the rest."""
+    """Suppress boxes among the low-resolution masks of each channel, and upscale the rest."""
     logits, iou, stability, channels = (torch.cat(items) for items in zip(*batches, strict=True))
-    small = [Masks.from_dense((part > 0).cpu().numpy()) for part in looked.trim(logits).split(256)]
+    small = [
+        Masks.from_dense((part > 0).cpu().numpy()) for part in encoded.without_padding(logits).split(256)
+    ]
     if not small:
         return []
     corners = np.concatenate([part.corners() for part in small])
@@ -180,7 +183,7 @@ def _from_coarse(
         scores = iou.cpu().numpy()[numbers]
         kept.append(numbers[keep_by_boxes(corners[numbers], scores, settings.box_overlap)])
     chosen = torch.from_numpy(np.sort(np.concatenate(kept))).to(logits.device)
-    return _enlarged(looked, logits, iou, channels, chosen, settings, size, stability)
+    return _upscaled(encoded, logits, iou, channels, chosen, settings, size, stability)
 
 
 def _stability(logits: Tensor, settings: MaskSettings) -> Tensor:

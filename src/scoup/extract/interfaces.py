@@ -1,10 +1,11 @@
-"""What a segmenter and an embedder are, for the pipeline: any two that fit make an extraction."""
+"""The two parts of an extraction: any segmenter and any embedder with these methods."""
 
 from __future__ import annotations
 
 from typing import Any, Protocol
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -29,7 +30,7 @@ class Segmenter(Protocol):
         ...
 
     def segment(self, image: NDArray[np.uint8]) -> dict[str, Masks]:
-        """Level -> masks of an image [H, W, 3], in painting order; levels s, m, l, and perhaps default before."""
+        """Level -> masks of an image [H, W, 3], in painting order; levels s, m, l, or default, s, m, l."""
         ...
 
 
@@ -37,9 +38,10 @@ class Embedder(Protocol):
     """Turns crops into unit vectors.
 
     Attributes:
-        name: id of the model, as text encoders are asked for.
+        name: id of the model, as ``TextEncoder.open`` takes it.
         dim: D.
         side: of the crops it takes, in pixels.
+        device: where it wants its crops.
     """
 
     @property
@@ -48,6 +50,8 @@ class Embedder(Protocol):
     def dim(self) -> int: ...
     @property
     def side(self) -> int: ...
+    @property
+    def device(self) -> torch.device | str: ...
 
     def record(self) -> dict[str, Any]:
         """What decides the result, as plain values for the manifest."""

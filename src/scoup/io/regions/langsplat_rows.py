@@ -1,4 +1,4 @@
-"""The two files of a view in the LangSplat layout: opened, checked, and told which rows are of which level."""
+"""LangSplat's label planes: which embedding rows belong to which level, and labels by level."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base.errors import FileFormatError
-from scoup.io.npy import open_npy
-from scoup.io.reading import MAX_IMAGE_SIDE
 from scoup.io.regions.views import REMEDY
 from scoup.scene.regions import LEVELS
 
@@ -19,7 +17,7 @@ FILE_LEVELS = ("default", *LEVELS)  # order of the planes and of the row blocks
 
 
 def level_blocks(path: Path, planes: np.ndarray, rows: int) -> dict[str, slice]:
-    """Which embedding rows belong to which level, told from the label values.
+    """Which embedding rows belong to which level, by the label values.
 
     Levels are consecutive blocks in the order of ``FILE_LEVELS``. Rows that no pixel names belong to the
     level before them.
@@ -114,41 +112,3 @@ def _lowest(plane: np.ndarray) -> int:
     if plane.dtype.kind == "i":  # negative ones are the largest numbers without sign
         return int(plane.view(plane.dtype.str.replace("i", "u")).min())
     return int(plane.min())
-
-
-def open_langsplat_view(stem: Path) -> tuple[Path, np.ndarray, np.ndarray]:
-    """The files of one view, mapped, their headers checked: path of the labels, labels [4, H, W], rows [M, D].
-
-    Args:
-        stem: folder and name without ending.
-
-    Raises:
-        MissingFileError, FileFormatError: a file is not there, or is no such file.
-    """
-    labels, embeddings = stem.with_name(f"{stem.name}_s.npy"), stem.with_name(f"{stem.name}_f.npy")
-    return labels, open_planes(labels), open_rows(embeddings)
-
-
-def open_planes(labels: Path) -> np.ndarray:
-    """The labels [4, H, W] of a view, mapped; as ``open_langsplat_view``."""
-    planes = open_npy(labels, "region labels")
-    sides = planes.shape[1:]
-    if (
-        planes.ndim != 3
-        or len(planes) != len(FILE_LEVELS)
-        or not all(1 <= side <= MAX_IMAGE_SIDE for side in sides)
-    ):
-        problem = f"has shape {list(planes.shape)}, expected [4, height, width]"
-        raise FileFormatError(labels, problem, REMEDY)
-    return planes
-
-
-def open_rows(embeddings: Path) -> np.ndarray:
-    """The embeddings [M, D] of a view, mapped; as ``open_langsplat_view``."""
-    rows = open_npy(embeddings, "region embeddings")
-    if rows.ndim != 2 or rows.dtype.kind != "f" or (len(rows) and not rows.shape[1]):
-        problem = (
-            f"has shape {list(rows.shape)} of {rows.dtype}, expected floating point [regions, dimensions]"
-        )
-        raise FileFormatError(embeddings, problem, REMEDY)
-    return rows

@@ -8,7 +8,7 @@ import torch
 
 from scoup.base.errors import InputError
 from scoup.extract import felzenszwalb, plain_colors
-from scoup.extract.parts import Embedder, Segmenter
+from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
 from scoup.io.regions.manifest import read_manifest
 
@@ -20,7 +20,7 @@ def open_segmenter(
     device: torch.device | str = "cpu",
     with_default: bool = False,
 ) -> Segmenter:
-    """A segmenter.
+    """The segmenter of a name.
 
     Args:
         name: "felzenszwalb" (no model), a short name of ``sam.SHORT_NAMES`` such as "sam-vit-h", or a folder or hub
@@ -30,21 +30,21 @@ def open_segmenter(
         with_default: also make LangSplat's level "default" (models only).
 
     Raises:
-        ScoupError: the package or the weights that it needs are not there.
+        ScoupError: the package or the weights that it needs are missing.
     """
     if name == felzenszwalb.NAME:
         if with_default:
-            raise InputError(f"{name} has no level default: its levels are no answers to one point")
+            raise InputError(f"{name} has no level default: it does not predict masks from points")
         return felzenszwalb.Felzenszwalb()
-    from scoup.extract.automatic import SamSegmenter
-    from scoup.models.sam import open_point_model
+    from scoup.extract.automatic_masks import SamSegmenter
+    from scoup.models.sam import open_sam
 
     settings = settings or MaskSettings()
-    return SamSegmenter(open_point_model(name, revision, device, settings.half), settings, with_default)
+    return SamSegmenter(open_sam(name, revision, device, settings.half), settings, with_default)
 
 
 def open_embedder(name: str, revision: str | None = None, device: torch.device | str = "cpu") -> Embedder:
-    """An embedder.
+    """The embedder of a name.
 
     Args:
         name: "colors" (no model), a folder or hub id of a CLIP or SigLIP model that transformers knows, or
@@ -52,10 +52,10 @@ def open_embedder(name: str, revision: str | None = None, device: torch.device |
         revision: branch, tag or commit of a hub model.
 
     Raises:
-        ScoupError: the package or the weights that it needs are not there.
+        ScoupError: the package or the weights that it needs are missing.
     """
     if name == plain_colors.NAME:
-        return plain_colors.PlainColors()
+        return plain_colors.PlainColors(device)
     from scoup.models.image import open_image_model
 
     return open_image_model(name, revision, device)
@@ -70,9 +70,9 @@ def open_pair(
     resumed: Path | None = None,
     with_default: bool = False,
 ) -> tuple[Segmenter, Embedder]:
-    """A segmenter and an embedder; where work goes on in a folder, of the commits it was begun with.
+    """A segmenter and an embedder; where a folder is resumed, of the commits it was begun with.
 
-    A hub model that moves on meanwhile would otherwise be another model for the rest of the views.
+    A hub model that has changed meanwhile would otherwise be another model for the rest of the views.
 
     Args:
         revisions: of both, where the user names them.
@@ -81,12 +81,17 @@ def open_pair(
     """
     manifest = read_manifest(resumed) if resumed is not None and resumed.is_dir() else None
     begun = manifest.settings if manifest is not None else {}
-    found: list[str | None] = []
-    for key, name, given in zip(("segmenter", "embedder"), (segmenter, embedder), revisions, strict=True):
-        same = begun.get(key) in (name, _full_name(name))
-        found.append(given or (begun.get(f"{key}_revision") or None if same else None))
-    first = open_segmenter(segmenter, settings, found[0], device, with_default)
-    return first, open_embedder(embedder, found[1], device)
+
+    def revision_of(role: str, name: str, given: str | None) -> str | None:
+        same = begun.get(role) in (name, _full_name(name))
+        return given or (begun.get(f"{role}_revision") or None if same else None)
+
+    first = revision_of("segmenter", segmenter, revisions[0])
+    second = revision_of("embedder", embedder, revisions[1])
+    return (
+        open_segmenter(segmenter, settings, first, device, with_default),
+        open_embedder(embedder, second, device),
+    )
 
 
 def _full_name(name: str) -> str:

@@ -8,21 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from extract_support import smooth_image
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from literal_rules import cut_off, generate, mask_rule
 from scipy import ndimage
-from tiny_models import TINY_SAMS, saved
 from torch import Tensor
 from torch.nn import functional
 
+from literal_rules import cut_off, generate, mask_rule
+from mask_samples import smooth_image
 from scoup.base.errors import InputError
-from scoup.extract.automatic import SamSegmenter, automatic_masks
+from scoup.extract.automatic_masks import SamSegmenter, automatic_masks
 from scoup.extract.grids import crop_boxes, point_grid, touches_inner_edge
 from scoup.extract.masks import Masks
 from scoup.extract.settings import MaskSettings, mask_settings
-from scoup.models.sam import open_point_model
+from scoup.models.sam import open_sam
+from tiny_models import TINY_SAMS, saved
 
 LIVELY = MaskSettings(
     points_per_side=5, points_per_batch=7, predicted_iou=0.5, stability=0.7, stability_offset=0.1,
@@ -40,18 +40,18 @@ class MadeUp:
     def record(self) -> dict[str, Any]:
         return {"segmenter": "made up", "seed": self.seed}
 
-    def look(self, image: np.ndarray) -> MadeUpLook:
-        return MadeUpLook(image, self.seed, self.small)
+    def encode(self, image: np.ndarray) -> MadeUpImage:
+        return MadeUpImage(image, self.seed, self.small)
 
 
-class MadeUpLook:
+class MadeUpImage:
     def __init__(self, image: np.ndarray, seed: int, small: int) -> None:
         self.size, self.small = image.shape[:2], small
         self.seed = seed + int(image.astype(np.int64).sum()) % 1000
         rng = np.random.default_rng(self.seed)
         self.noise = ndimage.gaussian_filter(rng.normal(size=(small, small)), 2) * 8
 
-    def ask(self, points: Tensor) -> tuple[Tensor, Tensor]:
+    def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Deterministic in the point alone: asking in other batches changes nothing."""
         masks, quality = [], []
         rows, columns = np.mgrid[: self.small, : self.small] + 0.5
@@ -67,10 +67,10 @@ class MadeUpLook:
             quality.append(rng.integers(8, 21, 3) / 20)
         return torch.from_numpy(np.stack(masks)).float(), torch.from_numpy(np.stack(quality)).float()
 
-    def trim(self, logits: Tensor) -> Tensor:
+    def without_padding(self, logits: Tensor) -> Tensor:
         return logits
 
-    def enlarge(self, logits: Tensor) -> Tensor:
+    def upscale(self, logits: Tensor) -> Tensor:
         return functional.interpolate(logits[:, None], self.size, mode="bilinear", align_corners=False)[:, 0]
 
 
@@ -78,9 +78,9 @@ def answers_of(model: Any):
     """The model as the literal generator asks it: a crop and points in, masks at the size of the crop out."""
 
     def answer(part: np.ndarray, points: np.ndarray) -> tuple[Tensor, Tensor]:
-        looked = model.look(np.ascontiguousarray(part))
-        logits, iou = looked.ask(torch.from_numpy(points))
-        return looked.enlarge(logits.flatten(0, 1)).unflatten(0, logits.shape[:2]), iou
+        encoded = model.encode(np.ascontiguousarray(part))
+        logits, iou = encoded.predict(torch.from_numpy(points))
+        return encoded.upscale(logits.flatten(0, 1)).unflatten(0, logits.shape[:2]), iou
 
     return answer
 
@@ -124,7 +124,7 @@ def test_the_comparison_is_not_empty() -> None:
 
 @pytest.mark.parametrize("kind", list(TINY_SAMS))
 def test_tiny_models(kind: str, tmp_path) -> None:
-    model = open_point_model(str(saved(TINY_SAMS[kind](), tmp_path / kind)))
+    model = open_sam(str(saved(TINY_SAMS[kind](), tmp_path / kind)))
     image = smooth_image(70, 90)
     chosen = replace(LIVELY, points_per_side=3, stability=0.5, stability_offset=0.02, least_score=0.0)
     counts = compare(image, model, chosen)
@@ -134,7 +134,7 @@ def test_tiny_models(kind: str, tmp_path) -> None:
 def test_batches_and_chunks_change_nothing(monkeypatch) -> None:
     image, model = smooth_image(60, 80), MadeUp(3)
     one = automatic_masks(image, model, replace(LIVELY, points_per_batch=1))
-    monkeypatch.setattr("scoup.extract.automatic._CHUNK", 4 * 60 * 80 * 2)  # two masks at a time
+    monkeypatch.setattr("scoup.extract.automatic_masks.CHUNK_BYTES", 4 * 60 * 80 * 2)  # two masks at a time
     other = automatic_masks(image, model, replace(LIVELY, points_per_batch=1000))
     for level, masks in one.items():
         assert (masks.dense() == other[level].dense()).all()

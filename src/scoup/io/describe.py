@@ -1,0 +1,98 @@
+"""What is in a splat, in cameras, in region features or in a scene folder, as plain values for people and JSON."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.regions.load import load_regions
+from scoup.io.regions.store import RegionStore
+from scoup.io.scenes import find_cameras, find_gaussians, load_cameras, load_gaussians
+from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import Gaussians
+
+
+def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:
+    """Number, extent, medians and fingerprint of Gaussians."""
+    record: dict[str, Any] = {"gaussians": len(gaussians), "sh_degree": gaussians.sh_degree}
+    if len(gaussians):
+        record |= {
+            "lowest": [round(value, 4) for value in gaussians.means.amin(0).tolist()],
+            "highest": [round(value, 4) for value in gaussians.means.amax(0).tolist()],
+            "median_scale": float(f"{float(gaussians.scales.median()):.4g}"),
+            "median_opacity": round(float(gaussians.opacities.median()), 3),
+        }
+    return record | {"fingerprint": gaussians.fingerprint()}
+
+
+def describe_cameras(cameras: Cameras) -> dict[str, Any]:
+    """Number, sizes and names of cameras, and how many have an image or lens distortion."""
+    distorted = sum(bool(camera.distortion) for camera in cameras)
+    sizes = sorted({(camera.width, camera.height) for camera in cameras})
+    return {
+        "cameras": len(cameras),
+        "sizes": [f"{width} x {height}" for width, height in sizes[:5]],
+        "with_image": sum(camera.image_path is not None for camera in cameras),
+        "first": cameras.names[0] if len(cameras) else None,
+        "last": cameras.names[-1] if len(cameras) else None,
+        **({"distorted": f"{distorted} (scoup build needs --undistort)"} if distorted else {}),
+    }
+
+
+def describe_regions(store: RegionStore) -> dict[str, Any]:
+    """Views, sizes, regions and manifest of region features, without the cameras they belong to.
+
+    ``regions`` is their number at each level, or of all levels where headers do not tell them apart.
+
+    Raises:
+        MissingFileError, FileFormatError: a view is incomplete or damaged.
+    """
+    stems = store.stems()
+    views = [store.open_view(stem) for stem in stems]
+    counts: Counter[str] = Counter()
+    for view in views:
+        counts.update(view.counts)
+    dims = sorted({view.dim for view in views})
+    return {
+        "kind": "region features",
+        "layout": store.layout,
+        "views": len(views),
+        "sizes": sorted({f"{view.width} x {view.height}" for view in views}),
+        "regions": counts["all"] if list(counts) == ["all"] else dict(counts),
+        "dim": dims[0] if len(dims) == 1 else dims,
+        "bytes_a_view": sum(map(store.size_of, stems)) // max(1, len(stems)),
+        "embedding_model": store.manifest.embedding_model if store.manifest else "",
+        "settings": store.manifest.settings if store.manifest else {},
+        "first": views[0].name if views else None,
+        "last": views[-1].name if views else None,
+    }
+
+
+def describe_folder(path: Path) -> dict[str, Any]:
+    """A scene, or what there is of one; or region features alone. Missing parts are left out.
+
+    Raises:
+        FileFormatError: a part is damaged, or there is nothing of the kind.
+    """
+    record: dict[str, Any] = {}
+    with suppress(MissingFileError):
+        record["cameras_from"] = str(find_cameras(path).path)
+        cameras = load_cameras(path, distorted="undistort", missing_images="keep")
+        record |= describe_cameras(cameras)
+        with suppress(MissingFileError):
+            regions = load_regions(path, cameras)
+            record["views_with_regions"] = len(regions)
+            record["regions"] = {level: len(regions.embeddings(level)[0]) for level in regions.levels}
+    with suppress(MissingFileError):
+        splat = find_gaussians(path)
+        record |= {"splat": str(splat), **describe_gaussians(load_gaussians(splat))}
+    if "cameras" not in record and (store := RegionStore.open(path)).stems():
+        record |= describe_regions(store)
+    if not record:
+        raise FileFormatError(
+            path, "holds nothing known here: no cameras, no splat, no region features", "check the path"
+        )
+    return {"kind": "scene", **record}

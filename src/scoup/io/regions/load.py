@@ -1,0 +1,156 @@
+"""Region features as ``Regions``: opened lazily, at the size of the cameras, with embeddings of unit norm."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
+from scoup.io.regions.store import RegionStore
+from scoup.io.regions.views import REMEDY, StoredView, ViewRegions, check_stems, stem_of, view_files
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.regions import LEVELS, RegionMap, Regions, resize_labels
+
+ASPECT_TOLERANCE = 0.02  # LangSplat truncates sizes; more is another image
+
+
+def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Regions:
+    """Open region features lazily: headers are checked now, maps and embeddings are read when they are needed.
+
+    Reads LangSplat's layout and the compact one (``RegionStore``).
+
+    Levels are "s", "m", "l" (a stored level "default" is left out). Labels have the camera's size (nearest
+    neighbour; undistorted where the camera says so) and are rows of their own level's embeddings; embeddings are
+    float32 [R, D] scaled to unit norm.
+
+    Args:
+        folder: the features, or a scene folder with ``language_features`` in it.
+        cameras: views to find features for, by image name cut at its first dot.
+
+    Raises:
+        MissingFileError: there is no such folder, or it has features of none of the cameras.
+        FileFormatError: a file is damaged, belongs to another image, or holds NaN (some only when loaded).
+
+    Warns:
+        ScoupWarning: some cameras have no features; says how many.
+    """
+    store = RegionStore.open(folder)
+    cameras = list(cameras)
+    if not cameras:
+        raise InputError(f"{store.folder}: cannot load regions for no cameras; give at least one camera")
+    check_stems(store.folder, (camera.name for camera in cameras))
+    views: dict[str, tuple[Camera, StoredView]] = {}
+    for camera in cameras:
+        view = store.view(camera.stem)
+        if view is not None:
+            views[camera.name] = (camera, view)
+    if not views:
+        raise _without_features(store, cameras)
+    if len(views) < len(cameras):
+        warnings.warn(
+            f"{store.folder}: skipped {len(cameras) - len(views)} of {len(cameras)} cameras that have no features",
+            ScoupWarning,
+            stacklevel=2,
+        )
+    first = next(iter(views.values()))[1]
+    for camera, view in views.values():
+        _check_view(view, camera, first)
+
+    def labels(name: str, levels: Sequence[str] = LEVELS) -> Tensor:
+        camera, view = views[name]
+        return _at_camera(torch.from_numpy(view.labels(levels)), camera)
+
+    def embeddings(name: str, level: str) -> Tensor:
+        view = views[name][1]
+        return _normalized(view.embeddings_path, view.embeddings(level))
+
+    def load(name: str, level: str) -> RegionMap:
+        return RegionMap(labels(name, (level,))[0], embeddings(name, level))
+
+    return Regions(LEVELS, views, load, embeddings, labels)
+
+
+def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) -> None:
+    """Write regions with levels s, m, l in the LangSplat layout, at their own size; "default" stays empty.
+
+    Files are named by the view names cut at their first dot.
+
+    Raises:
+        OutputExistsError: a file is there already and ``overwrite`` is false; then nothing is written.
+        InputError: other levels, levels of different sizes, or two views with one stem.
+    """
+    if regions.levels != LEVELS:
+        raise InputError(f"the LangSplat layout holds levels {list(LEVELS)}, not {list(regions.levels)}")
+    store = RegionStore(Path(folder))
+    check_stems(store.folder, regions.view_names)
+    store.check_free([stem_of(name) for name in regions.view_names], overwrite)
+    for name in regions.view_names:
+        maps = {level: regions.load(name, level) for level in LEVELS}
+        if len({tuple(item.labels.shape) for item in maps.values()}) > 1:
+            raise InputError(f"{folder}: the levels of view {name!r} differ in size; resize them to one")
+        labels = {level: item.labels.cpu().numpy() for level, item in maps.items()}
+        rows = {level: item.embeddings.cpu().numpy() for level, item in maps.items()}
+        store.write(ViewRegions(name, labels, rows), overwrite=overwrite)
+
+
+def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingFileError:
+    """Tells which files were expected and which are there."""
+    expected = ", ".join(
+        " and ".join(path.name for path in store.files(camera.stem)) for camera in cameras[:3]
+    ) + (", ..." if len(cameras) > 3 else "")
+    there = [path.name for path in view_files(store.folder, store.endings[0])]
+    listed = f"it has {', '.join(there[:3])}" if there else f"it has no *{store.endings[0]} files"
+    return MissingFileError(
+        store.folder,
+        f"has features of none of the {len(cameras)} cameras: expected {expected}; {listed}",
+        "give the features of these images",
+    )
+
+
+def _check_view(view: StoredView, camera: Camera, first: StoredView) -> None:
+    """Refuse a view of other levels, of another image, or of another model than the first view."""
+    if not set(LEVELS) <= set(view.levels):
+        raise FileFormatError(view.labels_path, f"has levels {list(view.levels)}, not s, m and l", REMEDY)
+    ratio = (view.width / view.height) / (camera.width / camera.height)
+    if abs(ratio - 1.0) > ASPECT_TOLERANCE:
+        raise FileFormatError(
+            view.labels_path,
+            f"is {view.width} x {view.height}, of another shape than its image",
+            "these are features of other images; give those of this scene",
+        )
+    if view.dim != first.dim:
+        raise FileFormatError(
+            view.embeddings_path,
+            f"has {view.dim} dimensions, but {first.embeddings_path.name} has {first.dim}",
+            "the features come from different models; " + REMEDY,
+        )
+
+
+def _at_camera(labels: Tensor, camera: Camera) -> Tensor:
+    """Labels [S, H, W] of the photograph at the camera's size: nearest neighbour, undistorted where it says so."""
+    if camera.distortion:
+        pixels = photograph_pixels(camera, labels.shape[-1], labels.shape[-2])
+        return torch.stack([sample_nearest(item, pixels, outside=-1) for item in labels])
+    return resize_labels(labels, camera.width, camera.height)
+
+
+def _normalized(path: Path, rows: np.ndarray) -> Tensor:
+    """[R, D] float32 stored embeddings scaled to unit norm.
+
+    Raises:
+        FileFormatError: a row is not finite.
+    """
+    with np.errstate(invalid="ignore"):  # a signalling NaN; refused below
+        wide = np.asarray(rows, dtype=np.float64)
+    if not np.isfinite(wide).all():
+        raise FileFormatError(path, "has embeddings that are not finite (NaN or infinite)", REMEDY)
+    norms = np.linalg.norm(wide, axis=1, keepdims=True)
+    # Rows that are unit to float32 rounding stay bit for bit; a zero row means "unknown" and stays zero.
+    unit = np.where(np.abs(norms - 1.0) < 1e-6, wide, wide / np.where(norms > 0, norms, 1.0))
+    return torch.from_numpy(unit.astype(np.float32))

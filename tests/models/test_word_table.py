@@ -1,0 +1,197 @@
+"""Word tables of every form, whole and damaged, and the text encoder over them."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from scoup.base.errors import (
+    FileFormatError,
+    InputError,
+    MissingFileError,
+    OutputExistsError,
+    UnknownNameError,
+)
+from scoup.models.text import TextEncoder
+from scoup.models.word_table import load_table, save_table
+
+NAMES = ["apple", "Dark Cup", "chair"]
+VECTORS = np.array([[3.0, 0, 4], [0, 2, 0], [1, 1, 1]], dtype=np.float32)
+UNIT = torch.nn.functional.normalize(torch.from_numpy(VECTORS), dim=1)
+
+
+def write_table(path: Path, form: str) -> Path:
+    if form == "npz-pair":
+        np.savez(path, names=np.array(NAMES), vectors=VECTORS)
+    elif form == "npz-compressed":
+        np.savez_compressed(path, names=np.array(NAMES), vectors=VECTORS.astype(">f8"))
+    elif form == "npz-names":
+        np.savez(path, **dict(zip(NAMES, VECTORS, strict=True)))
+    elif form == "json":
+        path.write_text(json.dumps({name: row.tolist() for name, row in zip(NAMES, VECTORS, strict=True)}))
+    else:
+        from safetensors.torch import save_file
+
+        vectors = torch.from_numpy(VECTORS)
+        if form == "safetensors-pair":
+            save_file({"vectors": vectors.half()}, path, metadata={"names": json.dumps(NAMES)})
+        else:
+            save_file({name: row.clone() for name, row in zip(NAMES, vectors, strict=True)}, path)
+    return path
+
+
+FORMS = ["npz-pair", "npz-compressed", "npz-names", "json", "safetensors-pair", "safetensors-names"]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_tables_of_every_form(tmp_path: Path, form: str) -> None:
+    path = write_table(tmp_path / f"words.{form.split('-')[0]}", form)
+    with TextEncoder.open(path) as encoder:
+        assert (encoder.dim, encoder.name) == (3, "")
+        vectors = encoder.encode(["chair", "apple", "Dark Cup", "chair"])
+        assert vectors.dtype == torch.float32
+        torch.testing.assert_close(vectors, UNIT[[2, 0, 1, 2]], atol=1e-6, rtol=0)
+        torch.testing.assert_close(encoder.encode([" dark cup"]), UNIT[[1]])
+        assert encoder.encode([]).shape == (0, 3)
+    with pytest.raises(InputError, match="closed"):
+        encoder.encode(["apple"])
+
+
+def test_exact_case_goes_before_folded(tmp_path: Path) -> None:
+    path = tmp_path / "t.json"
+    path.write_text(json.dumps({"Apple": [1, 0], "apple": [0, 1]}))
+    encoder = TextEncoder.open(path)
+    assert encoder.encode(["apple", "Apple", "APPLE"]).tolist() == [[0, 1], [1, 0], [1, 0]]
+
+
+def test_missing_word_lists_the_nearest_names_and_the_file(tmp_path: Path) -> None:
+    encoder = TextEncoder.open(write_table(tmp_path / "words.npz", "npz-pair"))
+    with pytest.raises(
+        UnknownNameError, match=r"words\.npz: no text embedding named 'appel'; nearest names: 'apple'"
+    ):
+        encoder.encode(["chair", "appel"])
+    with pytest.raises(InputError, match="list of phrases"):
+        encoder.encode("apple")
+    with pytest.raises(InputError, match="blank"):
+        encoder.encode([" "])
+
+
+def test_save_table(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "words.npz"
+    save_table(path, NAMES, torch.from_numpy(VECTORS), model="some/model")
+    encoder = TextEncoder.open(path)
+    assert encoder.name == "some/model"
+    torch.testing.assert_close(encoder.encode(NAMES), UNIT)
+    loaded = np.load(path, allow_pickle=False)  # readable without this package
+    assert loaded["names"].tolist() == NAMES
+    before = path.read_bytes()
+    with pytest.raises(OutputExistsError):
+        save_table(path, ["x"], [[1.0]])
+    for names, vectors in (
+        (["a"], [[0.0, 0.0]]),
+        (["a", "b"], [[1.0]]),
+        (["a", "a"], [[1.0], [1.0]]),
+        ([], []),
+    ):
+        with pytest.raises(InputError):
+            save_table(path, names, vectors, overwrite=True)
+    assert path.read_bytes() == before
+    save_table(path, NAMES, VECTORS, overwrite=True, model="some/model")
+    assert path.read_bytes() == before
+    with pytest.raises(InputError, match="npz"):
+        save_table(tmp_path / "words.json", NAMES, VECTORS)
+
+
+def test_absent_tables_and_those_that_are_no_tables(tmp_path: Path) -> None:
+    for name in ("absent.npz", "absent.JSON", "absent.safetensors"):
+        with pytest.raises(MissingFileError, match="absent"):
+            TextEncoder.open(tmp_path / name)
+    for name in ("a.npz", "a.json", "a.safetensors"):
+        for content in (b"", b"nonsense", b"PK\x03\x04", b"[1, 2]", b'{"a": "b"}', b'{"a": [1, "b"]}', b"{}"):
+            (tmp_path / name).write_bytes(content)
+            with pytest.raises(FileFormatError, match=r"a\."):
+                TextEncoder.open(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"names": np.array(NAMES), "vectors": VECTORS[:2]},
+        {"names": np.array(NAMES), "vectors": VECTORS[0]},
+        {"names": np.array([1, 2, 3]), "vectors": VECTORS},
+        {"names": np.array(NAMES), "vectors": np.array(NAMES)},
+        {"names": np.array(NAMES), "vectors": np.full((3, 3), np.nan)},
+        {"names": np.array(NAMES), "vectors": np.zeros((3, 3))},
+        {"names": np.array(NAMES), "vectors": np.zeros((3, 0))},
+        {"names": np.array(NAMES, dtype=object), "vectors": VECTORS},
+        {"a": np.ones(2), "b": np.ones(3)},
+        {"a": np.ones((2, 2))},
+        {"a": np.float32(3)},
+        {},
+    ],
+)
+def test_bad_arrays(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
+    path = tmp_path / "bad.npz"
+    np.savez(path, **arrays)  # pyright: ignore
+    with pytest.raises(FileFormatError, match=r"bad\.npz"):
+        load_table(path)
+
+
+def test_a_claim_of_endless_data_takes_no_memory(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.npz"
+    header = "{'descr': '<f4', 'fortran_order': False, 'shape': (4611686018427387904, 8), }"
+    header = header.ljust(117) + "\n"
+    member = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("vectors.npy", member)
+        archive.writestr("names.npy", member)
+    with pytest.raises(FileFormatError, match="cut short"):
+        load_table(path)
+
+
+@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(st.sampled_from(FORMS), st.data())
+def test_damaged_tables_never_crash(tmp_path: Path, form: str, data: st.DataObject) -> None:
+    path = tmp_path / f"damaged.{form.split('-')[0]}"
+    path.unlink(missing_ok=True)
+    raw = bytearray(write_table(path, form).read_bytes())
+    for _ in range(data.draw(st.integers(0, 3))):
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    if data.draw(st.booleans()):
+        raw = raw[: data.draw(st.integers(0, len(raw)))]
+    path.write_bytes(bytes(raw))
+    try:
+        table = load_table(path)
+    except FileFormatError:
+        return
+    assert table.vectors.shape[0] == len(table.names)
+    assert np.isfinite(table.vectors).all()
+
+
+def test_everyday_words_of_a_table_are_its_other_names(tmp_path: Path) -> None:
+    names = ["red apple", "Object", "chair", "things", "stuff", "texture"]
+    vectors = np.random.default_rng(0).normal(size=(6, 5)).astype(np.float32)
+    save_table(tmp_path / "words.npz", names, vectors)
+    encoder = TextEncoder.open(tmp_path / "words.npz")
+    assert encoder.table_names == tuple(names)
+    assert torch.equal(encoder.everyday(), encoder.encode(["red apple", "chair"]))
+    assert torch.equal(encoder.canonical(), encoder.encode(["object", "things", "stuff", "texture"]))
+    assert torch.equal(encoder.canonical(everyday=True), encoder.canonical())  # two words are too few
+
+
+@pytest.mark.data
+def test_real_clip_table(data_folder: Path) -> None:
+    path = data_folder / "clip" / "text_vit_b16_laion2b.npz"
+    if not path.is_file():
+        pytest.skip(f"no text vectors at {path}")
+    encoder = TextEncoder.open(path)
+    vectors = encoder.encode(["object", "things", "stuff", "texture", "STAINLESS steel pots"])
+    assert vectors.shape == (5, 512)
+    torch.testing.assert_close(torch.linalg.vector_norm(vectors, dim=1), torch.ones(5))
