@@ -25,6 +25,7 @@ import tyro
 
 import scoup
 from scoup.baselines.dense import dense_uplift
+from scoup.baselines.fitted import FittedMethod
 from scoup.baselines.method import DEFAULTS, MethodSettings
 from scoup.baselines.rasterised_scene import RasterisedScene
 from scoup.baselines.sparse import SparseUplift, learn_codes
@@ -35,6 +36,7 @@ from scoup.evaluate.studies.study_scene import StudyScene
 from scoup.evaluate.text_vectors import encode_labels
 from scoup.io.labels import match_frames, read_labels
 from scoup.query.answers import QUERY_PRESETS
+from scoup.uplift.build import BuildSettings
 from scoup.uplift.rasterise import region_sums
 
 METHOD, ALL_ATOMS, DENSE = "top-4 vote", "no top-K", "dense 512-d"
@@ -85,11 +87,11 @@ def score_kitchen(arguments: Arguments, kitchen: Path, features: Path) -> dict:
         sums = region_sums(gaussians, cameras, regions, progress=report)
 
     rasterised = RasterisedScene(gaussians, cameras, regions, sums=sums)
-    fitted = {DENSE: dense_uplift(rasterised.inputs(), DEFAULTS)}
+    fitted: dict[str, FittedMethod] = {DENSE: dense_uplift(rasterised.inputs(), DEFAULTS)}
     for seed in arguments.seeds:
         settings = MethodSettings(
             seed,
-            scoup.BuildSettings(
+            BuildSettings(
                 arguments.n_atoms, rounds=1, solver=arguments.solver, epochs=arguments.epochs, seed=seed
             ),
         )

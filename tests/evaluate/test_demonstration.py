@@ -19,7 +19,7 @@ def test_demo_writes_everything_and_finds_things(tmp_path):
     assert code == 0, err
     record = json.loads(printed)
     assert {path.name for path in out.iterdir()} == {"scene", "demo.scoup", "queries.png", "scores.json"}
-    assert json.loads((out / "scores.json").read_text())["methods"] == record["variants"]
+    assert json.loads((out / "scores.json").read_text())["methods"] == record["methods"]
     method = record["methods"]["sparse, top-K vote"]
     # Chance level is a few per cent; a broken stage brings it there.
     assert method["miou"] > 0.35

@@ -1,70 +1,108 @@
-"""Plots: ticks that are round, pictures that hold what they should."""
+"""Plots: what is drawn, the same bytes again, no trace in the global state, and what happens without matplotlib."""
 
 from __future__ import annotations
 
+import importlib.util
+import io
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from PIL import Image
 
 from scoup.base.errors import InputError
-from scoup.pictures.plots import Series, interval_plot, line_plot, nice_ticks, plot_colors
+from scoup.evaluate.metrics import Interval
+from scoup.evaluate.plots import HOW_TO_GET_THEM, Curve, CurvePlot, IntervalPlot, Plot, png
+from scoup.evaluate.studies.study_report import StudyReport
+from scoup.evaluate.tables import Table
+
+needs_matplotlib = pytest.mark.skipif(
+    importlib.util.find_spec("matplotlib") is None, reason="matplotlib is not installed"
+)
+
+RISING = Curve("rising", (0, 1, 2), (Interval(10, 8, 12), Interval(20, 18, 22), Interval(30, 25, 35)))
+FLAT = Curve("flat", (0, 1), (Interval(15, 15, 15), Interval(15, 15, 15)))
+CURVES = CurvePlot([RISING, FLAT], "title", "x", "y")
+INTERVALS = IntervalPlot(
+    [
+        ("first", "a", Interval(50, 40, 60)),
+        ("first", "b", Interval(70, 68, 72)),
+        ("next", "c", Interval(1, 1, 1)),
+    ],
+    "title",
+    "x",
+)
 
 
-@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6))
-def test_ticks_span_the_data_and_are_evenly_spread(low: float, span: float) -> None:
-    ticks = nice_ticks(low, low + span)
-    assert 2 <= len(ticks) <= 8
-    step = ticks[1] - ticks[0]
-    assert step > 0
-    assert np.allclose(np.diff(ticks), step, rtol=1e-6)
-    assert ticks[0] <= low + 1e-6 * step + 1e-9
-    assert ticks[-1] >= low + span - 1e-6 * max(step, abs(low) * 1e-6) - 1e-9
+@needs_matplotlib
+def test_curves_and_bands_are_those_given() -> None:
+    (axes,) = CURVES.figure().axes
+    assert [line.get_label() for line in axes.lines] == ["rising", "flat"]
+    assert [list(np.asarray(line.get_ydata())) for line in axes.lines] == [[10, 20, 30], [15, 15]]
+    low, high = axes.collections[0].get_datalim(axes.transData).intervaly
+    assert (low, high) == (8, 35)
+    assert len({line.get_color() for line in axes.lines}) == 2
+    legend = axes.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["rising", "flat"]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x", "y")
 
 
-def test_ticks_by_hand() -> None:
-    assert nice_ticks(0, 8) == [0, 2, 4, 6, 8]
-    assert nice_ticks(31, 69) == [30, 40, 50, 60, 70]
-    assert nice_ticks(0.5, 0.5) == pytest.approx([0, 0.2, 0.4, 0.6, 0.8, 1.0])
-    with pytest.raises(InputError):
-        nice_ticks(0, float("nan"))
+@needs_matplotlib
+def test_intervals_stand_in_groups_from_top_to_bottom() -> None:
+    (axes,) = INTERVALS.figure().axes
+    spans = [list(np.asarray(line.get_xdata())) for line in axes.lines[::2]]
+    assert spans == [[40, 60], [68, 72], [1, 1]]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["a", "b", "c"]
+    assert list(axes.get_yticks()) == [1, 2, 4]  # headings are at 0 and 3
+    bottom, top = axes.get_ylim()
+    assert bottom > top
+    assert {"first", "next", "50.0", "70.0", "1.0"} <= {text.get_text() for text in axes.texts}
 
 
-def places(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
-    return np.argwhere((picture == np.array(color)).all(2))
-
-
-def test_a_rising_curve_rises() -> None:
-    plot = line_plot([Series("a", (0, 1), (0.0, 1.0))], "t", "x", "y", 500, 400)
-    assert plot.shape == (400, 500, 3)
-    assert plot.dtype == np.uint8
-    found = places(plot, plot_colors(1)[0])
-    found = found[found[:, 1] < 350]  # not the legend
-    left, right = found[found[:, 1].argmin()], found[found[:, 1].argmax()]
-    assert left[0] > right[0] + 150
-
-
-def test_intervals_are_as_long_as_they_should_be() -> None:
-    rows = [("a", 50.0, 40.0, 60.0), ("b", 70.0, 68.0, 72.0)]
-    plot = interval_plot(rows, "t", "x", 700, ["g", "g"])
-    color = plot_colors(1)[0]
-    line = tuple(round(150 / 255 * part + 105 / 255 * 255) for part in color)
-    near = (np.abs(plot.astype(int) - np.array(line)) <= 2).all(2)
-    lengths = sorted(count for count in near.sum(1) if count > 5)
-    assert lengths[-1] > 3 * lengths[0]
+@needs_matplotlib
+@pytest.mark.parametrize("plot", [CURVES, INTERVALS])
+def test_pictures_are_deterministic_and_pyplot_stays_out(plot: Plot) -> None:
+    first = png(plot)
+    assert png(plot) == first
+    with Image.open(io.BytesIO(first)) as picture:
+        assert min(picture.size) > 150
+        assert np.asarray(picture.convert("L")).std() > 5
+    assert "matplotlib.pyplot" not in sys.modules
 
 
 @pytest.mark.parametrize(
-    "series", [[], [Series("a", (), ())], [Series("a", (1, 2), (1,))], [Series("a", (1,), (1,), (1,), ())]]
+    "plot",
+    [
+        CurvePlot([Curve("a", (), ())], "", "", ""),
+        CurvePlot([Curve("a", (1, 2), (Interval(1, 1, 1),))], "", "", ""),
+        IntervalPlot([], "", ""),
+    ],
 )
-def test_bad_series(series: list[Series]) -> None:
+@needs_matplotlib
+def test_what_cannot_be_drawn(plot: Plot) -> None:
     with pytest.raises(InputError):
-        line_plot(series, "t", "x", "y")
-    with pytest.raises(InputError):
-        interval_plot([], "t", "x")
+        plot.figure()
 
 
-def test_many_curves_have_different_colors() -> None:
-    assert len(set(plot_colors(12))) == 12
-    first = [np.array(color) for color in plot_colors(9)]
-    assert min(np.abs(a - b).max() for i, a in enumerate(first) for b in first[:i]) > 40
+def report() -> StudyReport:
+    return StudyReport("study", "Study", [Table("t", ("a",), (("1",),))], {"a": 1}, {"p.png": CURVES})
+
+
+@needs_matplotlib
+def test_a_report_shows_its_plots(tmp_path: Path) -> None:
+    written = report().write(tmp_path)
+    assert {path.name for path in written} == {"study.md", "study.json", "study.tex", "p.png"}
+    assert all(path.is_file() for path in written)
+    assert "![p](p.png)" in (tmp_path / "study.md").read_text()
+
+
+def test_without_matplotlib_a_report_is_its_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    written = report().write(tmp_path)
+    assert {path.name for path in written} == {"study.md", "study.json", "study.tex"}
+    assert "png" not in (tmp_path / "study.md").read_text()
+    with pytest.raises(InputError) as refused:
+        png(CURVES)
+    assert str(refused.value) == HOW_TO_GET_THEM
