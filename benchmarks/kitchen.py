@@ -4,7 +4,7 @@
         [--out result.json]
 
 DATA is the folder that holds kitchen/ and clip/ (default: SCOUP_TEST_DATA, else ../shared/data). Geometry and text
-vectors of the scene are real, its masks and region embeddings are simulated: scores compare variants with each
+vectors of the scene are real, its masks and region embeddings are simulated: scores compare methods with each
 other and cannot be set against published LERF-OVS figures.
 """
 
@@ -24,11 +24,20 @@ import torch
 import tyro
 
 import scoup
+from scoup.baselines.dense import dense_uplift
+from scoup.baselines.fitted import FittedMethod
+from scoup.baselines.method import DEFAULTS, MethodSettings
+from scoup.baselines.rasterised_scene import RasterisedScene
+from scoup.baselines.sparse import SparseUplift, learn_codes
+from scoup.evaluate.data_sets import DATA_SETS, LabelledScene
 from scoup.evaluate.metrics import bootstrap_interval
-from scoup.evaluate.protocols.lerf_ovs import SceneScore, match_frames, read_labels
-from scoup.evaluate.variants import dense_variant, score_variants, sparse_variant
+from scoup.evaluate.scores import SceneScore
+from scoup.evaluate.studies.study_scene import StudyScene
+from scoup.evaluate.text_vectors import encode_labels
+from scoup.io.labels import match_frames, read_labels
+from scoup.query.presets import QUERY_PRESETS
+from scoup.uplift.build import BuildSettings
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.vote import vote
 
 METHOD, ALL_ATOMS, DENSE = "top-4 vote", "no top-K", "dense 512-d"
 
@@ -68,44 +77,38 @@ def make_features(kitchen: Path, folder: Path) -> Path:
 
 
 def score_kitchen(arguments: Arguments, kitchen: Path, features: Path) -> dict:
-    """Rasterise once, code once a seed, score every variant."""
+    """Rasterise once, code once a seed, score every method."""
     seconds: dict[str, float] = {}
-    gaussians = scoup.load_gaussians(kitchen / "scene" / "model.splat")
+    splat = kitchen / "scene" / "model.splat"
+    gaussians = scoup.load_gaussians(splat)
     cameras = scoup.load_cameras(kitchen).scaled(arguments.scale)
     regions = scoup.load_regions(features, cameras)
-    stacked = [regions.embeddings(level)[0] for level in regions.levels]
     with timed(seconds, "region sums, all views"):
         sums = region_sums(gaussians, cameras, regions, progress=report)
 
-    variants = [dense_variant(DENSE, sums, stacked)]
+    rasterised = RasterisedScene(gaussians, cameras, regions, sums=sums)
+    fitted: dict[str, FittedMethod] = {DENSE: dense_uplift(rasterised.inputs(), DEFAULTS)}
     for seed in arguments.seeds:
+        settings = MethodSettings(
+            seed,
+            BuildSettings(
+                arguments.n_atoms, rounds=1, solver=arguments.solver, epochs=arguments.epochs, seed=seed
+            ),
+        )
         with timed(seconds, f"coding, seed {seed}"):
-            books = [
-                scoup.fit_codes(
-                    rows, arguments.n_atoms, solver=arguments.solver, seed=seed, epochs=arguments.epochs
-                )
-                for rows in stacked
-            ]
-        codebook, codes = torch.stack([book.atoms for book in books]), [book.codes for book in books]
-        for name, keep in ((METHOD, 4), (ALL_ATOMS, None)):
+            rasterised.inputs().codes(learn_codes, settings.build)
+        for name, uplift in ((METHOD, SparseUplift()), (ALL_ATOMS, SparseUplift(keep=0))):
             with timed(seconds, f"vote, {name}, seed {seed}"):
-                found = vote(sums, codes, codebook, 1, keep)
-            variants.append(
-                sparse_variant(f"{name}, seed {seed}", gaussians, found, codebook, "inria", keep is None)
-            )
+                fitted[f"{name}, seed {seed}"] = uplift(rasterised.inputs(), settings)
 
     frames = match_frames(read_labels(kitchen / "label"), cameras)
-    labels = sorted({label for frame, _ in frames for label in frame.labels})
-    encoder = scoup.TextEncoder.open(kitchen.parent / "clip" / "text_vit_b16_laion2b.npz")
-    vectors = dict(zip(labels, encoder.encode(labels), strict=True))
-    canonical = encoder.canonical()
+    labelled = LabelledScene(DATA_SETS["lerf-ovs"], "kitchen", kitchen, splat, features, cameras, frames)
+    words = kitchen.parent / "clip" / "text_vit_b16_laion2b.npz"
+    study = StudyScene(labelled, encode_labels(labelled, str(words)), rasterised)
     with timed(seconds, "scoring"):
-        scores = score_variants(
-            variants, gaussians, frames, vectors, canonical, scene="kitchen", progress=report
-        )
-    return summarise(
-        scores, arguments, seconds, {variant.name: variant.bytes_per_gaussian for variant in variants}
-    )
+        scores = {name: study.score(method, QUERY_PRESETS["scoup"]) for name, method in fitted.items()}
+    sizes = {name: method.bytes_per_gaussian for name, method in fitted.items()}
+    return summarise(scores, arguments, seconds, sizes)
 
 
 def summarise(scores: dict[str, SceneScore], arguments: Arguments, seconds: dict, sizes: dict) -> dict:
@@ -130,7 +133,7 @@ def summarise(scores: dict[str, SceneScore], arguments: Arguments, seconds: dict
     print(
         f"\nkitchen, LERF-OVS 2D protocol, {pairs} (frame, query) pairs, codebook seeds {list(arguments.seeds)}\n"
     )
-    print("| variant | mIoU | 95 % interval over queries | localisation accuracy | bytes a Gaussian |")
+    print("| method | mIoU | 95 % interval over queries | localisation accuracy | bytes a Gaussian |")
     print("|---|---|---|---|---|")
     for family, row in rows.items():
         low, high = row["interval"]

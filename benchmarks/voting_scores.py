@@ -10,7 +10,7 @@ from torch import Tensor
 
 from benchmarks.voting_scenes import VotingScene
 from scoup import raster
-from scoup.baselines.dense import dense_relevancy
+from scoup.baselines.fitted import embedding_cosines, image_relevancy
 from scoup.evaluate.metrics import any_inside, iou
 from scoup.evaluate.protocols.lerf_ovs import LabelledFrame
 from scoup.field.relevancy import relevancy
@@ -59,7 +59,12 @@ def score_dense(scene: VotingScene, levels: Sequence[LevelSums]) -> Scores:
         features = torch.nn.functional.normalize(level.product(level.embeddings), dim=1)
         by_level.append(
             [
-                dense_relevancy(view, features, _queries(scene, frame), scene.canonical)
+                image_relevancy(
+                    raster.render_channels(view, features)[0],
+                    embedding_cosines,
+                    _queries(scene, frame),
+                    scene.canonical,
+                )
                 for frame, view in scene.frames
             ]
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor, nn
@@ -14,7 +16,7 @@ from scoup.baselines.autoencoder import (
     reconstruction_loss,
 )
 
-SMALL = AutoencoderSettings(epochs=30, batch=16, learning_rate=5e-3, encoder=(16, 3), decoder=(16,))
+SMALL = AutoencoderSettings(epochs=12, batch=16, learning_rate=1e-2, encoder=(16, 3), decoder=(16,))
 
 
 def clusters(count: int = 120, dim: int = 12, seed: int = 0) -> Tensor:
@@ -30,17 +32,17 @@ def cosines(found: Tensor, rows: Tensor) -> Tensor:
     return torch.nn.functional.cosine_similarity(found, rows, dim=1)
 
 
-def test_training_brings_reconstructions_nearer():
+def test_training_brings_reconstructions_nearer() -> None:
     rows = clusters()
     means = [
         fit_autoencoder(rows, AutoencoderSettings(**{**vars(SMALL), "epochs": epochs})).report.mean_cosine
-        for epochs in (0, 2, 30)
+        for epochs in (0, 2, 12)
     ]
     assert means == sorted(means)
     assert means[-1] > 0.95
 
 
-def test_codes_and_report():
+def test_codes_and_report() -> None:
     rows = clusters()
     fitted = fit_autoencoder(rows, SMALL)
     codes = fitted.encode(rows)
@@ -52,13 +54,13 @@ def test_codes_and_report():
     found = cosines(decoded, rows).double()
     assert fitted.report.mean_cosine == pytest.approx(float(found.mean()), abs=1e-5)
     assert fitted.report.low_cosine == pytest.approx(float(found.quantile(0.05)), abs=1e-5)
-    assert (fitted.report.regions, fitted.report.epochs) == (120, 30)
+    assert (fitted.report.regions, fitted.report.epochs) == (120, 12)
     assert fitted.report.seconds > 0
     assert "mean cosine" in str(fitted.report)
     assert not fitted.encode(rows).requires_grad
 
 
-def test_the_layers_are_those_of_langsplat():
+def test_the_layers_are_those_of_langsplat() -> None:
     fitted = fit_autoencoder(torch.randn(3, 512), AutoencoderSettings(epochs=0))
 
     def sizes(part: nn.Sequential) -> list[int]:
@@ -74,12 +76,12 @@ def test_the_layers_are_those_of_langsplat():
     assert (LANGSPLAT.epochs, LANGSPLAT.batch, LANGSPLAT.learning_rate) == (100, 64, 7e-4)
 
 
-def test_the_loss_is_that_of_langsplat():
+def test_the_loss_is_that_of_langsplat() -> None:
     found, rows = torch.tensor([[1.0, 0.0], [0.0, 1.0]]), torch.tensor([[1.0, 0.0], [1.0, 0.0]])
     assert float(reconstruction_loss(found, rows)) == pytest.approx(2 / 4 + 1e-3 * 0.5)
 
 
-def test_the_same_seed_gives_the_same_network_and_leaves_the_random_state_alone():
+def test_the_same_seed_gives_the_same_network_and_leaves_the_random_state_alone() -> None:
     rows = clusters()
     before = torch.random.get_rng_state()
     first, same = (fit_autoencoder(rows, SMALL, seed=3).encode(rows) for _ in range(2))
@@ -88,7 +90,7 @@ def test_the_same_seed_gives_the_same_network_and_leaves_the_random_state_alone(
     assert not torch.equal(first, fit_autoencoder(rows, SMALL, seed=4).encode(rows))
 
 
-def test_rows_of_norm_zero_are_left_out():
+def test_rows_of_norm_zero_are_left_out() -> None:
     rows = clusters()
     with_zeros = torch.cat([torch.zeros(1, 12), rows, torch.zeros(2, 12)])
     plain, fitted = fit_autoencoder(rows, SMALL), fit_autoencoder(with_zeros, SMALL)
@@ -101,7 +103,7 @@ def test_rows_of_norm_zero_are_left_out():
 
 
 @pytest.mark.parametrize("rows", [torch.zeros(0, 5), torch.zeros(4, 5)])
-def test_nothing_to_learn_from(rows):
+def test_nothing_to_learn_from(rows: Tensor) -> None:
     fitted = fit_autoencoder(rows, SMALL)
     assert fitted.encode(rows).shape == (len(rows), 3)
     assert not fitted.encode(rows).any()
@@ -109,16 +111,16 @@ def test_nothing_to_learn_from(rows):
 
 
 @pytest.mark.parametrize("count", [1, 2, 15, 16, 17, 33])
-def test_any_number_of_rows(count):
+def test_any_number_of_rows(count: int) -> None:
     seen: list[tuple[str, int, int]] = []
     rows = clusters(count)
     fitted = fit_autoencoder(rows, SMALL, progress=lambda *call: seen.append(call))
     assert torch.isfinite(fitted.encode(rows)).all()
-    steps = 30 * {33: 2}.get(count, 1)  # a row left over joins the batch before it
+    steps = 12 * {33: 2}.get(count, 1)  # a row left over joins the batch before it
     assert seen == [("autoencoder", done, steps) for done in range(steps + 1)]
 
 
-def test_interruption_passes_through():
+def test_interruption_passes_through() -> None:
     def interrupt(stage: str, done: int, total: int) -> None:
         if done == 3:
             raise KeyboardInterrupt
@@ -140,12 +142,12 @@ def test_interruption_passes_through():
         (torch.ones(3, 4), {"decoder": (0,)}, "one output"),
     ],
 )
-def test_bad_input_is_refused(rows, changes, problem):
+def test_bad_input_is_refused(rows: Tensor, changes: dict[str, Any], problem: str) -> None:
     with pytest.raises(InputError, match=problem):
         fit_autoencoder(rows, AutoencoderSettings(**{**vars(SMALL), **changes}))
 
 
-def test_rows_and_codes_of_another_size_are_refused():
+def test_rows_and_codes_of_another_size_are_refused() -> None:
     fitted = fit_autoencoder(clusters(20), SMALL)
     with pytest.raises(InputError, match="rows have 5"):
         fitted.encode(torch.ones(2, 5))

@@ -1,4 +1,4 @@
-"""The systems compared with: each makes something that can be asked, from one scene of random regions."""
+"""Methods: each is fitted to one scene of random regions and gives relevancy."""
 
 from __future__ import annotations
 
@@ -6,104 +6,131 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
-from scoup.baselines.dense import dense_features
-from scoup.baselines.methods import METHODS, MethodSettings, find_method
-from scoup.baselines.pixel_rules import gathered_sums
+from scoup.baselines.fitted import FittedChannels, FittedField, code_cosines
+from scoup.baselines.method import MethodSettings
+from scoup.baselines.methods import COMPARED, METHODS, find_method
+from scoup.baselines.rasterised_scene import RasterisedScene
 from scoup.field.relevancy import relevancy
-from scoup.uplift.build import build
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.rasterise import region_sums
+from scoup.scene.codes import SparseCodes
+from scoup.uplift.build import BuildSettings, build
+from scoup.uplift.build_settings import BUILD_PRESETS
 from support import small_scene, unit
 
 SETTINGS = MethodSettings(
-    build=BuildSettings(n_atoms=8, effort="fast"),
+    build=BuildSettings(n_atoms=8, effort="fast", epochs=5),
     autoencoder=AutoencoderSettings(epochs=2, encoder=(8, 3), decoder=(8,)),
 )
 
 
+@pytest.fixture(scope="module")
+def scene() -> RasterisedScene:
+    return RasterisedScene(*small_scene(count=60, views=3))
+
+
+def texts() -> tuple[Tensor, Tensor]:
+    """Queries [2, 16] and canonical phrases [3, 16]."""
+    return unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
+
+
 @pytest.mark.parametrize("name", list(METHODS))
-def test_every_method_can_be_asked(name: str) -> None:
-    gaussians, cameras, regions = small_scene(count=60, views=3)
+def test_every_method_gives_relevancy(scene: RasterisedScene, name: str) -> None:
     method = find_method(name)
-    if method.gather is None:
-        sums = region_sums(gaussians, cameras, regions)
-    else:
-        sums = gathered_sums(gaussians, cameras, regions, method.gather)
-    embeddings = [regions.embeddings(level)[0] for level in regions.levels]
-    field = method.make(sums, embeddings, SETTINGS)
-    queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
-    view = raster.project(gaussians, cameras[0])
-    found = field.relevancy(view, queries, canonical)
+    fitted = method.fit(scene, SETTINGS)
+    queries, canonical = texts()
+    projection = raster.project(scene.gaussians, scene.cameras[0])
+    found = fitted.relevancy(projection, queries, canonical)
     assert found.shape == (3, 2, 30, 40)
     assert found.min() >= 0
     assert found.max() <= 1
-    slow = replace(field, quick=None).relevancy(view, queries, canonical)
-    assert torch.allclose(found, slow, atol=1e-5)
-    own = field.gaussian_relevancy(queries, canonical)
-    coded = field.coded()
+    own = fitted.gaussian_relevancy(queries, canonical)
+    coded = fitted.coded()
     assert own.shape == (3, 2, 60)
     assert coded.any()
     for level in range(3):
         assert (own[level][:, ~coded[level]] == 0.5).all()
-    assert field.bytes_per_gaussian > 0
+    assert fitted.bytes_per_gaussian > 0
     assert method.follows
     assert method.departs
 
 
-def test_sizes() -> None:
-    gaussians, cameras, regions = small_scene(count=60, views=3)
-    sums = region_sums(gaussians, cameras, regions)
-    embeddings = [regions.embeddings(level)[0] for level in regions.levels]
+def test_codes_give_what_their_channels_give(scene: RasterisedScene) -> None:
+    """The same codes as channels: the same relevancy, rendered at any size and of the Gaussians themselves."""
+    fitted = METHODS["sparse"].fit(scene, SETTINGS)
+    assert isinstance(fitted, FittedField)
+    field = fitted.field
+    dense = [
+        SparseCodes(field.code_indices[:, level], field.code_weights[:, level].float(), 8).to_dense()
+        for level in range(3)
+    ]
+    channels = FittedChannels(dense, [code_cosines(atoms) for atoms in field.codebook], 36.0)
+    queries, canonical = texts()
+    projection = raster.project(scene.gaussians, scene.cameras[0])
+    for size in (None, (40, 30), (25, 19)):
+        found, expected = (
+            each.relevancy(projection, queries, canonical, size) for each in (fitted, channels)
+        )
+        assert torch.allclose(found, expected, atol=1e-5)
+    own, expected = (each.gaussian_relevancy(queries, canonical) for each in (fitted, channels))
+    assert torch.allclose(own, expected, atol=1e-5)
+    assert fitted.coded().equal(channels.coded())
+
+
+def test_sizes(scene: RasterisedScene) -> None:
     sizes = {
-        name: METHODS[name].make(sums, embeddings, SETTINGS).bytes_per_gaussian
-        for name in ("sparse", "sparse-64-all", "dense", "top-contributors", "autoencoder")
+        name: METHODS[name].fit(scene, SETTINGS).bytes_per_gaussian
+        for name in ("sparse", "sparse-all", "sparse-64-all", "dense", "top-contributors", "autoencoder")
     }
-    # 3 levels; 4 atoms of 3 bytes; 64 coefficients of 2; 16 floats; 16 bytes (D = 16); 3 floats.
+    # 3 levels; 4 atoms of 3 bytes; 8 or 64 coefficients of 2; 16 floats; 16 bytes (D = 16); 3 floats.
     assert sizes == {
-        "sparse": 36, "sparse-64-all": 384, "dense": 192, "top-contributors": 48, "autoencoder": 36,
+        "sparse": 36, "sparse-all": 48, "sparse-64-all": 384, "dense": 192, "top-contributors": 48, "autoencoder": 36,
     }  # fmt: skip
 
 
-def test_dense_is_dense_uplift_and_sparse_is_a_build() -> None:
-    gaussians, cameras, regions = small_scene(count=60, views=3)
-    sums = region_sums(gaussians, cameras, regions)
-    embeddings = [regions.embeddings(level)[0] for level in regions.levels]
-    dense = METHODS["dense"].make(sums, embeddings, SETTINGS)
-    for level in range(3):
-        assert torch.equal(dense.values[level], dense_features(sums, embeddings, level))
-    sparse = METHODS["sparse"].make(sums, embeddings, SETTINGS)
-    field = build(gaussians, cameras, regions, settings=SETTINGS.build)
-    queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
-    expected = field.relevancy(cameras[0], queries, canonical)
-    found = sparse.relevancy(raster.project(gaussians, cameras[0]), queries, canonical)
-    assert torch.allclose(found, expected, atol=2e-3)
+def test_sparse_is_a_build(scene: RasterisedScene) -> None:
+    sparse = METHODS["sparse"].fit(scene, SETTINGS)
+    assert isinstance(sparse, FittedField)
+    field = build(scene.gaussians, scene.cameras, scene.regions, settings=SETTINGS.build)
+    assert torch.equal(sparse.field.code_indices, field.code_indices)
+    assert torch.equal(sparse.field.code_weights, field.code_weights)
+    assert torch.equal(sparse.field.codebook, field.codebook)
 
 
-def test_the_autoencoder_decodes_what_was_rendered() -> None:
-    gaussians, cameras, regions = small_scene(count=60, views=3)
-    sums = region_sums(gaussians, cameras, regions)
-    embeddings = [regions.embeddings(level)[0] for level in regions.levels]
-    field = METHODS["autoencoder"].make(sums, embeddings, SETTINGS)
-    network = fit_autoencoder(torch.cat(embeddings), SETTINGS.autoencoder, 0)
-    queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
-    view = raster.project(gaussians, cameras[0])
-    image, _ = raster.render_channels(view, field.values[1])
+def test_the_paper_is_the_build_preset_of_that_name(scene: RasterisedScene) -> None:
+    settings = replace(SETTINGS, build=BuildSettings(epochs=3))
+    paper = METHODS["paper"].fit(scene, settings)
+    assert isinstance(paper, FittedField)
+    preset = replace(BUILD_PRESETS["paper"], epochs=3)
+    field = build(scene.gaussians, scene.cameras, scene.regions, settings=preset)
+    assert torch.equal(paper.field.code_indices, field.code_indices)
+    assert torch.equal(paper.field.codebook, field.codebook)
+
+
+def test_the_autoencoder_decodes_what_was_rendered(scene: RasterisedScene) -> None:
+    fitted = METHODS["autoencoder"].fit(scene, SETTINGS)
+    assert isinstance(fitted, FittedChannels)
+    network = fit_autoencoder(torch.cat(list(scene.inputs().embeddings)), SETTINGS.autoencoder, 0)
+    queries, canonical = texts()
+    projection = raster.project(scene.gaussians, scene.cameras[0])
+    image, _ = raster.render_channels(projection, fitted.channels[1])
     decoded = network.decode(image.view(-1, 3)).view(30, 40, 16)
     both = (decoded @ torch.cat([queries, canonical]).T).permute(2, 0, 1)
     expected = relevancy(both[None, :2], both[None, 2:])[0]
-    assert torch.allclose(field.relevancy(view, queries, canonical)[1], expected, atol=1e-5)
+    assert torch.allclose(fitted.relevancy(projection, queries, canonical)[1], expected, atol=1e-5)
 
 
-def test_unknown_method_and_consensus() -> None:
+def test_unknown_method_and_consensus(scene: RasterisedScene) -> None:
     with pytest.raises(UnknownNameError, match="dense"):
         find_method("dens")
-    gaussians, cameras, regions = small_scene(count=60, views=3)
-    sums = region_sums(gaussians, cameras, regions)
-    rows = [regions.embeddings(level)[0] for level in regions.levels]
-    settings = MethodSettings(build=BuildSettings(consensus=True))
     with pytest.raises(InputError, match="consensus"):
-        METHODS["sparse"].make(sums, rows, settings)
+        METHODS["sparse"].fit(scene, MethodSettings(build=BuildSettings(consensus=True)))
+
+
+def test_what_tables_and_documents_rely_on() -> None:
+    assert next(iter(METHODS)) == COMPARED[0] == "sparse"
+    systems = {method.system for method in METHODS.values()}
+    assert systems >= {"LUDVIG", "Occam's LGS", "VALA", "Dr. Splat", "LangSplat"}

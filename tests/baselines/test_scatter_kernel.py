@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 
@@ -21,7 +23,7 @@ def check_scatter(kind: str, levels: int, n_atoms: int, k: int, device: str) -> 
     from scoup.baselines.scatter_kernel import scatter_view
 
     gaussians, camera = scene_of(kind, 3, device == "cpu")
-    view, reference = projections_of(gaussians, camera, "inria", device)
+    projection, reference = projections_of(gaussians, camera, "inria", device)
     generator = torch.Generator().manual_seed(3)
     labels = random_labels(levels, camera.height, camera.width, 7, 3)
     labels[:, ~sure_pixels(gaussians, camera)] = -1
@@ -33,22 +35,25 @@ def check_scatter(kind: str, levels: int, n_atoms: int, k: int, device: str) -> 
         gaussian, region, weight = sums.triplets(level)
         expected[:, level].index_add_(0, gaussian, weight[:, None] * own.to_dense()[region])
     before = found.clone()
-    scatter_view(view, labels.to(device), codes, found)
+    scatter_view(projection, labels.to(device), codes, found)
     assert not torch.equal(found, before), "nothing was added: proves little"
     assert_close(found.cpu(), expected, 3.0)
     with pytest.raises(InputError, match="sums must be"):
-        scatter_view(view, labels, codes, found[:, :, 1:])
+        scatter_view(projection, labels, codes, found[:, :, 1:])
     with pytest.raises(InputError, match="labels"):
-        scatter_view(view, labels[:, 1:], codes, found)
+        scatter_view(projection, labels[:, 1:], codes, found)
 
 
-CASES = [("mixed", 3, 40, 4), ("needles", 1, 5, 1), ("giants", 2, 300, 9)]
+QUICK = ("needles", 1, 5, 1)
+CASES = [("mixed", 3, 40, 4), QUICK, ("giants", 2, 300, 9)]
 
 
-def test_agrees_with_the_reference(needs_triton: None) -> None:
+@pytest.mark.parametrize(
+    "case", [QUICK, *(pytest.param(case, marks=pytest.mark.slow) for case in CASES if case != QUICK)]
+)
+def test_agrees_with_the_reference(needs_triton: None, case: tuple[str, int, int, int]) -> None:
     with interpreter() as worker:
-        for case in CASES:
-            worker.submit(check_scatter, *case, "cpu").result()
+        worker.submit(check_scatter, *case, "cpu").result()
 
 
 @on_a_gpu
@@ -58,7 +63,7 @@ def test_agrees_with_the_reference_on_a_gpu(case: tuple[str, int, int, int]) -> 
 
 
 @pytest.mark.parametrize("capability", [80, 90])
-def test_compiles(needs_triton: None, tmp_path, capability: int) -> None:
+def test_compiles(needs_triton: None, tmp_path: Path, capability: int) -> None:
     from scoup.baselines.scatter_kernel import scatter_kernel
 
     types = {

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from cli_support import refused, run, run_json
-from scoup.evaluate.datasets import find_data_set, find_scenes
+from scoup.evaluate.data_sets import find_data_set, find_scenes
 from scoup.evaluate.protocols.lerf_ovs import read_labels
 
 pytestmark = pytest.mark.slow
@@ -128,7 +128,7 @@ def test_baselines(here: Path) -> None:
     assert list(record["methods"]) == list(names)
     for name, row in record["methods"].items():
         assert 0 < row["miou"] < 1
-        assert row["ask_seconds"] > 0
+        assert row["query_seconds"] > 0
         assert row["selection_miou"] is not None
         assert len(record["follows"][name]) == 3
     assert record["methods"]["dense"]["bytes_per_gaussian"] == 3 * 512 * 4

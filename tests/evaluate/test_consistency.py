@@ -8,7 +8,8 @@ import torch
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup.baselines.autoencoder import AutoencoderSettings
-from scoup.evaluate.studies.consistency import Matches, consistency, consistency_table, dominant_gaussians
+from scoup.evaluate.studies.consistency import consistency, consistency_table
+from scoup.evaluate.studies.matches import Matches, dominant_gaussians
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions

@@ -58,9 +58,10 @@ def test_box_means_at_every_border(kernel: int, border: str) -> None:
     np.testing.assert_allclose(found.numpy(), literal.box(values, kernel, border), atol=1e-12)
 
 
-@settings(max_examples=25)
-@given(maps(), truths(), st.sampled_from(["scoup", "langsplatv2", "langsplat"]))
-def test_lerf_ovs(levels: np.ndarray, frame: LabelledFrame, system: str) -> None:
+LERF_OVS = given(maps(), truths(), st.sampled_from(["scoup", "langsplatv2", "langsplat"]))
+
+
+def check_lerf_ovs(levels: np.ndarray, frame: LabelledFrame, system: str) -> None:
     preset = query_preset(system, "lerf-ovs")
     (pair,) = lerf_ovs.score_frame(frame, torch.from_numpy(levels)[:, None], preset)
     truth, boxes = frame.masks["cup"].numpy(), frame.boxes["cup"].tolist()
@@ -69,22 +70,67 @@ def test_lerf_ovs(levels: np.ndarray, frame: LabelledFrame, system: str) -> None
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, hit)
 
 
-@settings(max_examples=25)
-@given(maps(), truths(), st.sampled_from([("scoup", 0.3, 7), ("langsplatv2", 0.25, 29)]))
-def test_threed_ovs(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
+@settings(max_examples=5)
+@LERF_OVS
+def test_lerf_ovs(levels: np.ndarray, frame: LabelledFrame, system: str) -> None:
+    check_lerf_ovs(levels, frame, system)
+
+
+@pytest.mark.slow
+@settings(max_examples=50)
+@LERF_OVS
+def test_lerf_ovs_on_many_maps(levels: np.ndarray, frame: LabelledFrame, system: str) -> None:
+    check_lerf_ovs(levels, frame, system)
+
+
+THREED_OVS = given(maps(), truths(), st.sampled_from([("scoup", 0.3, 7), ("langsplatv2", 0.25, 29)]))
+
+
+def check_threed_ovs(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
     system, threshold, kernel = rules
     (pair,) = threed_ovs.score_frame(frame, torch.from_numpy(levels)[:, None], threed_ovs.preset(system))
     iou, level = literal.mask_mean_level(levels[1:], frame.masks["cup"].numpy(), kernel, threshold)
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level + 1, None)
 
 
-@settings(max_examples=25)
-@given(maps(), truths(), st.sampled_from([("scoup", 0.45, 7), ("langsplatv2", 0.4, 29)]))
-def test_mipnerf360(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
+@settings(max_examples=5)
+@THREED_OVS
+def test_threed_ovs(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
+    check_threed_ovs(levels, frame, rules)
+
+
+@pytest.mark.slow
+@settings(max_examples=50)
+@THREED_OVS
+def test_threed_ovs_on_many_maps(
+    levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]
+) -> None:
+    check_threed_ovs(levels, frame, rules)
+
+
+MIPNERF360 = given(maps(), truths(), st.sampled_from([("scoup", 0.45, 7), ("langsplatv2", 0.4, 29)]))
+
+
+def check_mipnerf360(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
     system, threshold, kernel = rules
     (pair,) = mipnerf360.score_frame(frame, torch.from_numpy(levels)[:, None], mipnerf360.preset(system))
     iou, level = literal.mask_mean_level(levels, frame.masks["cup"].numpy(), kernel, threshold)
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, None)
+
+
+@settings(max_examples=5)
+@MIPNERF360
+def test_mipnerf360(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
+    check_mipnerf360(levels, frame, rules)
+
+
+@pytest.mark.slow
+@settings(max_examples=50)
+@MIPNERF360
+def test_mipnerf360_on_many_maps(
+    levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]
+) -> None:
+    check_mipnerf360(levels, frame, rules)
 
 
 @pytest.mark.parametrize("size", [(WIDTH * 2, HEIGHT * 3), (7, 5), (WIDTH + 1, HEIGHT - 1)])

@@ -7,16 +7,11 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.baselines.channels import (
-    ChannelField,
-    code_cosines,
-    embedding_cosines,
-    field_relevancy,
-    resized_image,
-)
+from scoup.baselines.fitted import FittedChannels, FittedField, embedding_cosines, resized_image
 from scoup.evaluate.protocols import mipnerf360
 from scoup.field.relevancy import relevancy
 from scoup.io.labels import LabelledFrame
+from scoup.scene.codes import SparseCodes
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from support import small_scene, unit
@@ -65,8 +60,9 @@ def test_features_are_resized_before_they_are_compared() -> None:
     """Of a language field: coefficients are resized, which is the same as resizing features."""
     gaussians, cameras, regions = small_scene(count=80, views=2)
     field = build(gaussians, cameras, regions, BuildSettings(n_atoms=8))
+    fitted, projection = FittedField(field), field.project(cameras[0])
     queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
-    found = field_relevancy(field, cameras[0], queries, canonical, size=(25, 19))
+    found = fitted.relevancy(projection, queries, canonical, (25, 19))
     assert found.shape == (3, 2, 19, 25)
     codes = field.render_codes(cameras[0])
     for level in range(3):
@@ -74,30 +70,20 @@ def test_features_are_resized_before_they_are_compared() -> None:
         cosines = (features @ torch.cat([queries, canonical]).T).permute(2, 0, 1)
         expected = relevancy(cosines[None, :2], cosines[None, 2:])[0]
         assert torch.allclose(found[level], expected, atol=1e-5)
-    same = field_relevancy(field, cameras[0], queries, canonical, size=(40, 30))
+    same = fitted.relevancy(projection, queries, canonical, (40, 30))
     assert same.equal(field.relevancy(cameras[0], queries, canonical))
 
 
-def test_channel_fields_answer_as_language_fields_do() -> None:
-    """The same codes as channels: the same relevancy, rendered and of the Gaussians themselves."""
+def test_decoded_features_answer_as_their_field_does() -> None:
     gaussians, cameras, regions = small_scene(count=80, views=2)
     field = build(gaussians, cameras, regions, BuildSettings(n_atoms=8))
-    dense = [
-        torch.zeros(80, 8).scatter_add_(1, field.code_indices[:, s].long(), field.code_weights[:, s].float())
-        for s in range(3)
+    features = [
+        SparseCodes(field.code_indices[:, level], field.code_weights[:, level].float(), 8).to_dense() @ atoms
+        for level, atoms in enumerate(field.codebook)
     ]
-    channels = ChannelField(dense, [code_cosines(atoms) for atoms in field.codebook], 36.0)
+    fitted, decoded = FittedField(field), FittedChannels(features, [embedding_cosines] * 3, 6144.0)
     queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
-    view = raster.project(gaussians, cameras[0])
-    expected = field.relevancy(cameras[0], queries, canonical)
-    assert torch.allclose(channels.relevancy(view, queries, canonical), expected, atol=1e-5)
-    own = field.gaussian_relevancy(queries, canonical)
-    assert torch.allclose(channels.gaussian_relevancy(queries, canonical), own, atol=1e-5)
-    assert channels.coded().equal((field.code_weights > 0).any(-1).T)
-    features = [values @ atoms for values, atoms in zip(dense, field.codebook, strict=True)]
-    decoded = ChannelField(features, [embedding_cosines] * 3, 6144.0)
-    assert torch.allclose(decoded.relevancy(view, queries, canonical), expected, atol=1e-4)
-    at_size = decoded.relevancy(view, queries, canonical, (25, 19))
-    assert torch.allclose(
-        at_size, field_relevancy(field, cameras[0], queries, canonical, size=(25, 19)), atol=1e-4
-    )
+    projection = raster.project(gaussians, cameras[0])
+    for size in (None, (25, 19)):
+        found, expected = (each.relevancy(projection, queries, canonical, size) for each in (decoded, fitted))
+        assert torch.allclose(found, expected, atol=1e-4)

@@ -7,8 +7,8 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from literal_rules import box_of, box_suppression, clean_up, mask_rule, painted
 
+from literal_rules import box_of, box_suppression, clean_up, mask_rule, painted
 from mask_samples import mask_stacks, random_masks
 from scoup.base.errors import InputError
 from scoup.extract.felzenszwalb import Felzenszwalb

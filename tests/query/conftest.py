@@ -34,4 +34,6 @@ def queried() -> Queried:
     gaussians, cameras, regions = small_scene(count=80, views=3)
     field = build(gaussians, cameras, regions, BuildSettings(n_atoms=8))
     vectors = random_vectors(11, 16), random_vectors(3, 16, seed=1), random_vectors(30, 16, seed=2)
-    return Queried(field, cameras[0], TextVectors("words.npz", *vectors))
+    return Queried(
+        field, cameras[0], TextVectors(tuple(f"word {i}" for i in range(11)), *vectors, source="words.npz")
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 import torch
@@ -16,7 +17,6 @@ from scoup.query.presence import scene_z_scores, view_z_scores
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import segment
 from scoup.query.select import select_each
-from scoup.query.text_vectors import TextVectors
 
 
 @pytest.mark.parametrize("name", QUERY_PRESETS)
@@ -95,7 +95,7 @@ def test_records_hold_no_infinity() -> None:
 
 def test_presence_needs_enough_words(queried: Queried) -> None:
     texts = queried.texts
-    few = TextVectors(texts.source, texts.queries, texts.canonical, texts.everyday[: LEAST_WORDS - 1])
+    few = replace(texts, everyday=texts.everyday[: LEAST_WORDS - 1])
     assert len(answer_view(queried.field, queried.camera, few)) == len(texts.queries)
     with pytest.raises(InputError, match="everyday words or more"):
         answer_view(queried.field, queried.camera, few, present_from=2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -46,10 +47,11 @@ def test_what_does_not_fit_is_refused(queried: Queried, tmp_path: Path) -> None:
 
 def test_everyday_words_are_one_more_phrase() -> None:
     vectors = random_vectors(2, 16), random_vectors(4, 16), random_vectors(LEAST_WORDS, 16, seed=1)
-    texts = TextVectors("", *vectors)
+    texts = TextVectors(("mug", "plate"), *vectors)
+    assert texts.of(["plate"]).equal(texts.queries[1:])
     assert texts.can_judge_presence
     assert texts.with_everyday().canonical.equal(with_everyday(texts.canonical, texts.everyday))
     assert texts.with_everyday().everyday is texts.everyday
-    few = TextVectors("", texts.queries, texts.canonical, texts.everyday[1:])
+    few = replace(texts, everyday=texts.everyday[1:])
     assert not few.can_judge_presence
     assert few.with_everyday().canonical is texts.canonical

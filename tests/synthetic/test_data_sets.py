@@ -12,7 +12,7 @@ from benchmarks.scenes import __main__ as scenes_script
 from PIL import Image
 
 from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
-from scoup.evaluate.datasets import Places, find_data_set, find_scenes, open_scene
+from scoup.evaluate.data_sets import Places, find_data_set, find_scenes, open_scene
 from scoup.evaluate.protocols import threed_ovs
 from scoup.io import load_cameras, load_gaussians, load_regions, read_points
 from scoup.io.labels import read_labels

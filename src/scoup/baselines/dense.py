@@ -1,6 +1,6 @@
-"""Dense uplift: the blending-weighted mean of full embeddings for each Gaussian (as in LUDVIG, without diffusion).
+"""Dense uplift: the mean of full embeddings for each Gaussian, by blending weights (as in LUDVIG, without diffusion).
 
-It keeps D floats a level for each Gaussian, which is what sparse codes avoid, and serves as the upper reference for
+It stores D floats a level for each Gaussian, which is what sparse codes avoid, and serves as the upper reference for
 what coding loses.
 """
 
@@ -11,45 +11,30 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from scoup import raster
-from scoup.field.relevancy import relevancy
+from scoup.baselines.fitted import FittedChannels, embedding_cosines
+from scoup.baselines.method import MethodSettings, UpliftInputs
 from scoup.uplift.region_sums import RegionSums
 
-ROWS_AT_A_TIME = 128  # image rows normalised and compared together
 
-
-def dense_features(sums: RegionSums, embeddings: Sequence[Tensor], level: int) -> Tensor:
-    """[N, D] float32 unit-norm features of one level; zero rows where nothing painted.
+def dense_features(sums: RegionSums, rows: Tensor, level: int) -> Tensor:
+    """[N, C] float32 unit-norm features of one level; zero rows where nothing painted.
 
     Args:
         sums: region sums of all views.
-        embeddings: per level [R, D], in the order of ``Regions.embeddings``.
+        rows: [R, C] of the regions of the level, embeddings or the like, in the order of ``Regions.embeddings``.
         level: position of the level.
     """
-    summed = torch.from_numpy(sums.matrix(level) @ embeddings[level].cpu().numpy())
+    summed = torch.from_numpy(sums.matrix(level) @ rows.cpu().numpy())
     return torch.nn.functional.normalize(summed, dim=1)
 
 
 def weighted_means(sums: RegionSums, rows: Sequence[Tensor]) -> list[Tensor]:
-    """``dense_features`` of every level, of rows [R, C] of any kind."""
-    return [dense_features(sums, rows, level) for level in range(len(rows))]
+    """``dense_features`` of every level, of rows [R, C] each."""
+    return [dense_features(sums, of_level, level) for level, of_level in enumerate(rows)]
 
 
-def dense_relevancy(view: raster.Projection, features: Tensor, queries: Tensor, canonical: Tensor) -> Tensor:
-    """Relevancy of one level from rendered D-channel features: [Q, H, W] float32.
-
-    The whole D-channel image is made, a few times H x W x D x 4 bytes: that is what a dense field costs.
-
-    Args:
-        view: from ``raster.project``.
-        features: [N, D].
-        queries, canonical: [Q, D] and [P, D], unit norm.
-    """
-    image, _ = raster.render_channels(view, features)
-    both = torch.cat([queries, canonical])
-    cosines = torch.empty(len(both), view.height, view.width, device=features.device)
-    for rows in torch.arange(view.height).split(ROWS_AT_A_TIME):
-        unit = torch.nn.functional.normalize(image[rows], dim=-1)
-        cosines[:, rows] = (unit @ both.T).permute(2, 0, 1)
-    count = len(queries)
-    return relevancy(cosines[None, :count], cosines[None, count:])[0]
+def dense_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
+    """The weighted mean of embeddings of each Gaussian, scaled to unit norm."""
+    features = weighted_means(inputs.sums, inputs.embeddings)
+    size = 4.0 * sum(rows.shape[1] for rows in features)
+    return FittedChannels(features, [embedding_cosines] * len(features), size)

@@ -1,9 +1,9 @@
-"""Which pixels tell a Gaussian what it is: region sums that count other weights than the full blending weights.
+"""Which pixels count for which Gaussians.
 
-Dense and sparse uplift count every pixel by its blending weight (``scoup.region_sums``). The systems compared
-with count fewer: the pixel at the projected centre of a Gaussian (``CentrePixel``), the same where the Gaussian is seen
-(``VisibleCentrePixel``), or the Gaussians that paint most of a pixel (``TopContributors``). Each gives region sums of
-the same form, so that whatever comes after can be shared.
+Dense and sparse uplift count every pixel by its blending weight (``AllPixels``). Other systems count fewer: the pixel
+at the projected centre of a Gaussian (``CentrePixel``), the same where the Gaussian is visible
+(``VisibleCentrePixel``), or only the Gaussians that paint most of a pixel (``TopContributors``). Every rule gives
+region sums of the same form, so that all that comes after can be shared.
 
 The blending weights come from the rasteriser's contract: region sums of a map in which every pixel is a region of its
 own.
@@ -11,7 +11,8 @@ own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -25,8 +26,8 @@ from scoup.base.progress import Progress, no_progress
 from scoup.raster import ViewSums
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import Regions
-from scoup.uplift.rasterise import cameras_with_regions
+from scoup.scene.regions import RegionMap, Regions
+from scoup.uplift.rasterise import cameras_with_regions, region_sums
 from scoup.uplift.region_sums import RegionSums
 
 PIXELS_AT_A_TIME = 1 << 17  # a band of rows: some ten million pairs of a Gaussian and a pixel at most
@@ -51,16 +52,60 @@ class PixelWeights:
         return PixelWeights(self.gaussian[chosen], self.pixel[chosen], self.weight[chosen])
 
 
-class Gather(Protocol):
-    """A rule that keeps some of the pairs of a band of rows."""
+class PixelRule(Hashable, Protocol):
+    """A rule by which pixels count for Gaussians. Equal rules give the same region sums."""
 
-    def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
-        """The pairs that count; ``centres`` [N] int64 is the pixel under each Gaussian's centre, -1 for none."""
+    def region_sums(
+        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
+    ) -> RegionSums:
+        """Region sums of all views that count only what the rule keeps."""
         ...
 
 
 @dataclass(frozen=True)
-class CentrePixel:
+class AllPixels:
+    """Every pixel counts, by the weight with which the Gaussian paints it."""
+
+    def region_sums(
+        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
+    ) -> RegionSums:
+        """See ``PixelRule``."""
+        return region_sums(gaussians, cameras, regions, raster_preset)
+
+
+ALL_PIXELS = AllPixels()
+
+
+@dataclass(frozen=True)
+class EveryNthPixel:
+    """Every ``stride``-th pixel of every ``stride``-th row counts."""
+
+    stride: int
+
+    def region_sums(
+        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
+    ) -> RegionSums:
+        """See ``PixelRule``."""
+        return region_sums(gaussians, cameras, every_nth_pixel(regions, self.stride), raster_preset)
+
+
+class PairRule(ABC):
+    """A ``PixelRule`` that judges each pair of a Gaussian and a pixel it paints."""
+
+    @abstractmethod
+    def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
+        """The pairs of a band of rows that count; ``centres`` [N] int64 is the pixel under the centre of each Gaussian,
+        -1 for none."""
+
+    def region_sums(
+        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
+    ) -> RegionSums:
+        """See ``PixelRule``."""
+        return gathered_sums(gaussians, cameras, regions, self, raster_preset)
+
+
+@dataclass(frozen=True)
+class CentrePixel(PairRule):
     """The one pixel under the projected centre, by the weight with which the Gaussian paints it (Occam's LGS)."""
 
     def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
@@ -68,11 +113,11 @@ class CentrePixel:
 
 
 @dataclass(frozen=True)
-class VisibleCentrePixel:
+class VisibleCentrePixel(PairRule):
     """The pixel under the centre, in views where the Gaussian is among those that make up that pixel (VALA).
 
     Attributes:
-        share: of a pixel's painted weight. A Gaussian is visible if those that weigh more than it have less than this.
+        share: of a pixel's painted weight. A Gaussian is visible if those with larger weights have less than this.
     """
 
     share: float = 0.5
@@ -90,7 +135,7 @@ class VisibleCentrePixel:
 
 
 @dataclass(frozen=True)
-class TopContributors:
+class TopContributors(PairRule):
     """For each pixel the Gaussians that paint most of it (Dr. Splat).
 
     Attributes:
@@ -112,20 +157,20 @@ def gathered_sums(
     gaussians: Gaussians,
     cameras: Cameras,
     regions: Regions,
-    rule: Gather,
+    rule: PairRule,
     raster_preset: str = "inria",
     backend: str | None = None,
     progress: Progress = no_progress,
 ) -> RegionSums:
-    """Region sums of all views that count only the pairs a rule keeps; arguments otherwise as ``region_sums``."""
+    """Region sums of all views that count only the pairs a rule keeps; other arguments as of ``region_sums``."""
     chosen = cameras_with_regions(cameras, regions)
     sums = RegionSums.of(gaussians, regions.levels, raster_preset)
     progress("gather", 0, len(chosen))
     for camera in chosen:
         labels = regions.load_labels(camera.name, camera.width, camera.height)
-        view = raster.project(gaussians, camera, raster_preset, backend)
+        projection = raster.project(gaussians, camera, raster_preset, backend)
         centres = centre_pixels(gaussians, camera)
-        parts = [_of_regions(rule(pairs, centres), labels) for pairs in pixel_weights(view)]
+        parts = [_of_regions(rule(pairs, centres), labels) for pairs in pixel_weights(projection)]
         gaussian, level, region, weight = (
             torch.from_numpy(np.concatenate(each)) for each in zip(*parts, strict=True)
         )
@@ -136,11 +181,24 @@ def gathered_sums(
     return sums
 
 
-def pixel_weights(view: raster.Projection, pixels: int = PIXELS_AT_A_TIME) -> Iterator[PixelWeights]:
-    """Every pair of a Gaussian and a pixel it paints, band of rows by band; sorted by Gaussian, then pixel."""
+def every_nth_pixel(regions: Regions, stride: int) -> Regions:
+    """The regions with labels only at every ``stride``-th pixel of every ``stride``-th row."""
+
+    def load(view: str, level: str) -> RegionMap:
+        found = regions.load(view, level)
+        labels = torch.full_like(found.labels, -1)
+        kept = (slice(stride // 2, None, stride),) * 2
+        labels[kept] = found.labels[kept]
+        return RegionMap(labels, found.embeddings)
+
+    return Regions(regions.levels, regions.view_names, load, regions.load_embeddings)
+
+
+def pixel_weights(projection: raster.Projection, pixels: int = PIXELS_AT_A_TIME) -> Iterator[PixelWeights]:
+    """Every pair of a Gaussian and a pixel it paints, band by band of rows; sorted by Gaussian, then pixel."""
     if pixels < 1:
         raise InputError(f"a band needs at least one pixel, not {pixels}")
-    height, width = view.height, view.width
+    height, width = projection.height, projection.width
     rows = max(1, pixels // width)
     for top in range(0, height, rows):
         bottom = min(height, top + rows)
@@ -148,7 +206,7 @@ def pixel_weights(view: raster.Projection, pixels: int = PIXELS_AT_A_TIME) -> It
         count = (bottom - top) * width
         labels[0, top:bottom] = torch.arange(count, dtype=torch.int32).view(bottom - top, width)
         gaussian, pixel, weight = (
-            part.cpu().numpy() for part in raster.region_sums(view, labels).triplets(0)
+            part.cpu().numpy() for part in raster.region_sums(projection, labels).triplets(0)
         )
         yield PixelWeights(gaussian, pixel + top * width, weight)
 

@@ -77,7 +77,7 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
         "gaussians": len(result.field),
         "coded": int(result.field.coded().sum()),
         "field_bytes": result.field_path.stat().st_size,
-        "variants": summary(result),
+        "methods": summary(result),
         "names": [asdict(row) for row in rows_by_name(result)],
         "seconds": {stage: round(value, 2) for stage, value in result.seconds.items()},
         "threads": torch.get_num_threads(),

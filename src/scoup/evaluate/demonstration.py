@@ -1,19 +1,24 @@
-"""The demo: make a scene, write it as files, build a field from the files, query every name, and score the answers."""
+"""The demo: make a scene, write it as files, build a field from the files, query it for every name, and score it."""
 
 from __future__ import annotations
 
-import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
 
+from scoup.base.measuring import timed
 from scoup.base.progress import Progress, no_progress
+from scoup.baselines.fitted import FittedField, FittedMethod
+from scoup.baselines.method import MethodSettings
+from scoup.baselines.methods import METHODS
+from scoup.baselines.rasterised_scene import RasterisedScene
+from scoup.baselines.sparse import learn_codes
+from scoup.evaluate.data_sets import DATA_SETS, LabelledScene
 from scoup.evaluate.metrics import bootstrap_interval
-from scoup.evaluate.protocols.lerf_ovs import PairScore, SceneScore
-from scoup.evaluate.variants import Variant, dense_variant, score_variants, sparse_variant
+from scoup.evaluate.scores import PairScore, SceneScore
+from scoup.evaluate.studies.study_scene import StudyScene
+from scoup.evaluate.text_vectors import TextVectors
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output, load_cameras, load_gaussians, load_regions
 from scoup.query.presets import QUERY_PRESETS
@@ -25,8 +30,6 @@ from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_codes import RegionCodes
-from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.vote import GaussianCodes, vote
 
 METHOD, ALL_ATOMS, DENSE = "sparse, top-K vote", "sparse, no top-K", "dense 512-d"
 
@@ -59,9 +62,9 @@ class DemoResult:
         scene: the scene and its truth.
         field: the field built.
         field_path: its file.
-        scores: by variant, over every name that the held-out views show.
-        bytes_per_gaussian: by variant.
-        seconds: by stage, in the order of the stages.
+        scores: by method, over every named thing in sight in the held-out views.
+        bytes_per_gaussian: by method.
+        seconds: by stage, in the order they ran.
     """
 
     scene: DemoScene
@@ -78,10 +81,10 @@ class NameRow:
 
     Attributes:
         name: the query.
-        views: the number of views.
-        iou: mean by variant.
-        accuracy: share of hits by variant.
-        levels: how often the method chose each level, "s", "m", "l".
+        views: how many views.
+        iou: mean by method.
+        accuracy: share of hits by method.
+        levels: how often each level was chosen by ours, "s", "m", "l".
     """
 
     name: str
@@ -101,8 +104,9 @@ def run_demo(
     """
     path = out / "demo.scoup"
     check_output(path, overwrite)
+    build_settings = BuildSettings(seed=settings.seed)
     seconds: dict[str, float] = {}
-    with _timed(seconds, "make the scene"):
+    with timed(seconds, "make the scene"):
         scene = make_demo_scene(
             settings.seed,
             settings.n_gaussians,
@@ -112,74 +116,77 @@ def run_demo(
             max(1, settings.n_building // 4),
             settings.layout,
         )
-    with _timed(seconds, "write it as files"):
+    with timed(seconds, "write it as files"):
         folder = write_demo_scene(scene, out / "scene", overwrite, progress=progress)
-    with _timed(seconds, "read the files"):
+    with timed(seconds, "read the files"):
         splat = folder / "point_cloud.ply"
         gaussians = load_gaussians(splat)
         cameras = load_cameras(folder)
         regions = load_regions(folder, cameras)
-    with _timed(seconds, "rasterise: region sums of all views"):
+    with timed(seconds, "rasterise: region sums of all views"):
         sums = region_sums(gaussians, cameras, regions, progress=progress)
-    with _timed(seconds, "build the field: coding and vote"):
+    with timed(seconds, "build the field: coding and vote"):
         field = build(
             gaussians,
             cameras,
             regions,
-            settings=BuildSettings(seed=settings.seed),
+            settings=build_settings,
             embedding_model=EMBEDDING_MODEL,
             geometry_path=splat,
             sums=sums,
             progress=progress,
         )
     field.save(path, overwrite)
-    with _timed(seconds, "dense 512-d uplift, to compare"):
-        dense = dense_variant(DENSE, sums, [regions.embeddings(level)[0] for level in regions.levels])
-    variants = [*_sparse_variants(field, sums), dense]
-    frames = [(scene.labelled_frame(camera.name, LABELLED_LEVELS), camera) for camera in scene.held_out]
-    labels = sorted({label for frame, _ in frames for label in frame.labels})
-    vectors = dict(zip(labels, scene.text_vectors(labels), strict=True))
-    with _timed(seconds, "query and score all three"):
-        scores = score_variants(
-            variants,
-            gaussians,
-            frames,
-            vectors,
-            scene.canonical,
-            progress=progress,
-            preset=QUERY_PRESETS["default"],
-        )
-    sizes = {variant.name: variant.bytes_per_gaussian for variant in variants}
+    rasterised = RasterisedScene(gaussians, cameras, regions, sums=sums)
+    with timed(seconds, "no top-K and dense 512-d uplift, to compare"):
+        fitted = _fitted(rasterised, field, build_settings)
+    with timed(seconds, "query and score all three"):
+        labelled = _labelled(scene, folder)
+        study = StudyScene(labelled, _texts(scene, labelled.labels), rasterised)
+        scores = {}
+        progress("scoring", 0, len(fitted))
+        for name, method in fitted.items():
+            scores[name] = study.score(method, QUERY_PRESETS["default"])
+            progress("scoring", len(scores), len(fitted))
+    sizes = {name: method.bytes_per_gaussian for name, method in fitted.items()}
     return DemoResult(scene, field, path, scores, sizes, seconds)
 
 
-def _sparse_variants(field: LanguageField, sums: RegionSums) -> list[Variant]:
-    """The field, and the same without the top-K step."""
-    coded = RegionCodes.kept(sums)
+def _fitted(scene: RasterisedScene, field: LanguageField, settings: BuildSettings) -> dict[str, FittedMethod]:
+    """The field, the same without the top-K step, and dense uplift."""
+    coded = RegionCodes.kept(scene.region_sums())
     assert coded is not None  # the build has kept them there
-    settings = field.info.provenance["settings"]
-    voters = sums.of_views(coded.rows[0], coded.rows)
-    everything = vote(voters, coded.codes, coded.codebook, settings["rounds"], None, settings["keep"])
-    preset = field.info.raster_preset
-    of_field = GaussianCodes(field.code_indices, field.code_weights.float())
-    return [
-        sparse_variant(METHOD, field.gaussians, of_field, field.codebook, preset),
-        sparse_variant(ALL_ATOMS, field.gaussians, everything, field.codebook, preset, all_kept=True),
-    ]
+    scene.inputs().keep(learn_codes, settings, (list(coded.codes), coded.codebook))
+    return {
+        METHOD: FittedField(field),
+        ALL_ATOMS: METHODS["sparse-all"].fit(scene, MethodSettings(settings.seed, settings)),
+        DENSE: METHODS["dense"].fit(scene),
+    }
+
+
+def _labelled(scene: DemoScene, folder: Path) -> LabelledScene:
+    """The held-out views with their labels."""
+    frames = [(scene.labelled_frame(camera.name, LABELLED_LEVELS), camera) for camera in scene.held_out]
+    return LabelledScene(DATA_SETS["lerf-ovs"], "", folder, folder, folder, scene.held_out, frames)
+
+
+def _texts(scene: DemoScene, labels: list[str]) -> TextVectors:
+    canonical = scene.canonical
+    return TextVectors(tuple(labels), scene.text_vectors(labels), canonical, canonical[:0])
 
 
 def rows_by_name(result: DemoResult) -> list[NameRow]:
-    """One row a name, the best IoU of the method first."""
+    """One row a name, best IoU of ours first."""
     by_name: dict[str, dict[str, list[PairScore]]] = {}
-    for variant, score in result.scores.items():
+    for method, score in result.scores.items():
         for pair in score.pairs:
-            by_name.setdefault(pair.label, {}).setdefault(variant, []).append(pair)
+            by_name.setdefault(pair.label, {}).setdefault(method, []).append(pair)
     rows = [
         NameRow(
             name,
             len(pairs[METHOD]),
-            {variant: mean(pair.iou for pair in of_variant) for variant, of_variant in pairs.items()},
-            {variant: mean(bool(pair.hit) for pair in of_variant) for variant, of_variant in pairs.items()},
+            {method: mean(pair.iou for pair in of_method) for method, of_method in pairs.items()},
+            {method: mean(bool(pair.hit) for pair in of_method) for method, of_method in pairs.items()},
             dict(Counter(result.field.levels[pair.level] for pair in pairs[METHOD])),
         )
         for name, pairs in by_name.items()
@@ -188,23 +195,16 @@ def rows_by_name(result: DemoResult) -> list[NameRow]:
 
 
 def summary(result: DemoResult) -> dict[str, dict[str, float | list[float]]]:
-    """By variant: mIoU with its 95 % interval over names, localisation accuracy, bytes a Gaussian."""
+    """By method: mIoU with its 95 % interval over names, localisation accuracy, bytes a Gaussian."""
     table = {}
-    for variant, score in result.scores.items():
+    for method, score in result.scores.items():
         interval = bootstrap_interval(
             [pair.iou for pair in score.pairs], [pair.label for pair in score.pairs]
         )
-        table[variant] = {
+        table[method] = {
             "miou": score.miou,
             "interval": [interval.low, interval.high],
             "accuracy": score.accuracy,
-            "bytes_per_gaussian": result.bytes_per_gaussian[variant],
+            "bytes_per_gaussian": result.bytes_per_gaussian[method],
         }
     return table
-
-
-@contextmanager
-def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
-    started = time.perf_counter()
-    yield
-    seconds[stage] = time.perf_counter() - started

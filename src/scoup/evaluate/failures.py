@@ -6,13 +6,16 @@ from collections.abc import Callable
 
 from torch import Tensor
 
+from scoup.evaluate.data_sets import LabelledScene
+from scoup.evaluate.protocols.threed_ovs import LEVELS_QUERIED
 from scoup.evaluate.scores import PairScore, SceneScore
-from scoup.io.labels import LabelledFrame
+from scoup.field.language_field import LanguageField
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
-from scoup.pictures.colors import ArrayOrTensor, Picture
+from scoup.pictures.colors import Picture
 from scoup.query.localize import localize
 from scoup.query.presets import QueryPreset
 from scoup.query.segment import segment
+from scoup.raster import render_colors
 
 TRUTH_COLOR = (70, 200, 110)
 MOST = 6  # queries on a sheet
@@ -31,51 +34,47 @@ def worst_pairs(score: SceneScore, count: int = MOST) -> list[PairScore]:
 
 def failure_sheet(
     score: SceneScore,
-    frames: dict[str, LabelledFrame],
+    scene: LabelledScene,
+    field: LanguageField,
     maps: Callable[[PairScore], Tensor],
-    color: Callable[[str, int, int], ArrayOrTensor],
     preset: QueryPreset,
-    level_rows: tuple[int, ...],
-    level_names: tuple[str, ...],
-    note: str = "",
 ) -> Picture:
     """Rows of truth, relevancy and mask for the worst queries of a scene.
 
     Args:
         score: of the scene.
-        frames: the truth by frame name.
+        scene: the truth.
+        field: for the colours.
         maps: gives the relevancy [S, H, W] of a pair.
-        color: gives the colour render [H, W, 3] of a frame at (width, height).
         preset: by which masks were made.
-        level_rows: positions of the levels that are asked, within the S.
-        level_names: of all S levels.
-        note: written below.
     """
+    rows = [
+        position
+        for position, level in enumerate(field.levels)
+        if scene.data_set.name != "3d-ovs" or level in LEVELS_QUERIED
+    ]
+    frames = {frame.name: (frame, camera) for frame, camera in scene.frames}
     tiles: list[Picture] = []
-    for pair in worst_pairs(score):
-        relevancy = maps(pair)
-        asked = relevancy[list(level_rows)]
+    worst = worst_pairs(score)
+    for pair in worst:
+        relevancy = maps(pair)[rows]
         height, width = relevancy.shape[1:]
-        rgb = color(pair.frame, width, height)
-        truth = frames[pair.frame].resized(width, height)
-        found = segment(asked, preset)
-        point = localize(asked, preset).pixel if pair.hit is not None else None
+        frame, camera = frames[pair.frame]
+        rgb = render_colors(field.gaussians, camera.resized(width, height)).cpu()
+        truth = frame.resized(width, height)
+        found = segment(relevancy, preset)
+        point = localize(relevancy, preset).pixel if pair.hit is not None else None
         box = truth.boxes.get(pair.label)
         # Of several boxes none: one alone would mislead.
         corners = None if box is None or len(box) > 1 else (*box[0, :2].tolist(), *(box[0, 2:] + 1).tolist())
+        name, remark = f'"{pair.label}"', f"truth, {pair.frame}"
+        level = field.levels[rows[found.level]]
         tiles += [
-            mask_overlay(
-                truth.masks[pair.label],
-                rgb,
-                corners,
-                None,
-                f'"{pair.label}"',
-                f"truth, {pair.frame}",
-                TRUTH_COLOR,
-            ),
-            heat_map(asked[found.level], rgb, "relevancy", level_names[level_rows[found.level]], found.score),
+            mask_overlay(truth.masks[pair.label], rgb, corners, None, name, remark, TRUTH_COLOR),
+            heat_map(relevancy[found.level], rgb, "relevancy", level, found.score),
             mask_overlay(found.mask, rgb, found.box, point, "found", f"IoU {pair.iou:.2f}"),
         ]
-    heading = f"{score.scene}: the worst of {len({p.label for p in score.pairs})} queries; scene mIoU {score.miou:.2f}"
-    footer = f"Protocol: {score.protocol}. Each query in the frame answered worst. {note}".strip()
+    count = len({pair.label for pair in score.pairs})
+    heading = f"{score.scene}: the worst {len(worst)} of {count} queries; scene mIoU {score.miou:.2f}"
+    footer = f"Protocol: {score.protocol}. Each query in the frame answered worst."
     return contact_sheet(tiles, columns=3, width=1200, heading=heading, footer=footer)

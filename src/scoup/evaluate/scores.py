@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from scoup.base.errors import InputError
+from scoup.evaluate.metrics import Interval, bootstrap_interval
 
 
 @dataclass(frozen=True)
@@ -100,3 +101,25 @@ def scene_score(scene: str, preset: str, pairs: Iterable[PairScore], protocol: s
     if not pairs:
         raise InputError(f"scene {scene!r}: there are no labels to score")
     return SceneScore(scene, preset, pairs, protocol)
+
+
+def miou_interval(scenes: Sequence[SceneScore]) -> Interval:
+    """Of the mean over scenes, each counting alike; queries are drawn scene by scene."""
+    pairs = [(scene.scene, pair) for scene in scenes for pair in scene.pairs]
+    return bootstrap_interval(
+        [pair.iou for _, pair in pairs],
+        [pair.label for _, pair in pairs],
+        scenes=[name for name, _ in pairs],
+    )
+
+
+def accuracy_interval(scenes: Sequence[SceneScore]) -> Interval | None:
+    """The same of the localisation accuracy; None in protocols without it."""
+    if not all(scene.localizes for scene in scenes):
+        return None
+    pairs = [(scene.scene, pair) for scene in scenes for pair in scene.pairs]
+    return bootstrap_interval(
+        [float(bool(pair.hit)) for _, pair in pairs],
+        [pair.label for _, pair in pairs],
+        scenes=[name for name, _ in pairs],
+    )

@@ -1,18 +1,15 @@
-"""Tables of scores: overall, by scene and by query, as Markdown, LaTeX and JSON."""
+"""Tables of text, as Markdown to read and LaTeX to print."""
 
 from __future__ import annotations
 
-from collections import Counter
+import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
-from statistics import mean
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from scoup.evaluate.metrics import Interval, bootstrap_interval
-from scoup.evaluate.published import PUBLISHED, Published
-from scoup.evaluate.scores import SceneScore, overall
+from scoup.io import write_text
 
-OURS = "this run"
 CAVEATS = (
     "Thresholds are tuned for each data set by the papers.",
     "All views with regions are used for building, labelled ones too: nothing is held out.",
@@ -59,192 +56,38 @@ class Table:
         return "\n".join(lines) + "\n"
 
 
-@dataclass(frozen=True)
-class Report:
-    """Scores of one protocol and one system's rules over scenes.
-
-    Attributes:
-        protocol: whose rules.
-        system: whose constants.
-        scenes: their scores.
-        published_scenes: scenes of the published data set: published rows stand beside ours only where all of ours are
-            among them.
-        settings: what else tells this run from others, for the JSON.
-        notes: for below the overall table.
-    """
-
-    protocol: str
-    system: str
-    scenes: tuple[SceneScore, ...]
-    published_scenes: tuple[str, ...] = ()
-    settings: dict[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-    @property
-    def comparable(self) -> bool:
-        """Whether the scenes are those of the published data set, by name."""
-        return {scene.scene for scene in self.scenes} <= set(self.published_scenes)
-
-    @property
-    def published(self) -> tuple[Published, ...]:
-        """Rows that may stand beside ours."""
-        return PUBLISHED.get(self.protocol, ()) if self.comparable else ()
-
-
-def miou_interval(scenes: Sequence[SceneScore]) -> Interval:
-    """Of the mean over scenes, each counting alike; queries are drawn scene by scene."""
-    pairs = [(scene.scene, pair) for scene in scenes for pair in scene.pairs]
-    return bootstrap_interval(
-        [pair.iou for _, pair in pairs],
-        [pair.label for _, pair in pairs],
-        scenes=[name for name, _ in pairs],
-    )
-
-
-def accuracy_interval(scenes: Sequence[SceneScore]) -> Interval | None:
-    """The same of the localisation accuracy; None in protocols without it."""
-    if not all(scene.localizes for scene in scenes):
-        return None
-    pairs = [(scene.scene, pair) for scene in scenes for pair in scene.pairs]
-    return bootstrap_interval(
-        [float(bool(pair.hit)) for _, pair in pairs],
-        [pair.label for _, pair in pairs],
-        scenes=[name for name, _ in pairs],
-    )
-
-
-def overall_table(report: Report) -> Table:
-    """Ours with its intervals, then the published rows, marked as such. Scores in percent."""
-    localizes = all(scene.localizes for scene in report.scenes)
-    headers = ["system", "source", "mIoU", "95 % interval"]
-    headers += ["localisation", "95 % interval"] if localizes else []
-    row = [f"{OURS} ({report.system} rules)", "measured", *_cells(miou_interval(report.scenes))]
-    found = accuracy_interval(report.scenes)
-    row += _cells(found) if found is not None else []
-    rows = [tuple(row)]
-    for other in report.published:
-        cells = [other.system, "published", _figure(other.miou), "-"]
-        cells += [_figure(other.accuracy), "-"] if localizes else []
-        rows.append(tuple(cells))
-    notes = [*report.notes, *CAVEATS]
-    if report.published:
-        notes.append("Published rows are as the papers report them; none was measured here.")
-    elif PUBLISHED.get(report.protocol):
-        notes.append("The scenes are not those of the published data set: published figures are left out.")
-    count = sum(len(scene.pairs) for scene in report.scenes)
-    title = f"{report.protocol}: {len(report.scenes)} scenes, {count} (frame, label) pairs"
-    return Table(title, tuple(headers), tuple(rows), tuple(notes))
-
-
-def scene_table(report: Report) -> Table:
-    """One row a scene, with what the papers report for it."""
-    localizes = all(scene.localizes for scene in report.scenes)
-    published = [other for other in report.published if other.by_scene]
-    headers = ["scene", "pairs", "mIoU", "95 % interval"]
-    headers += ["localisation", "95 % interval"] if localizes else []
-    headers += [f"{other.system}, published" for other in published]
-    rows = []
-    for scene in report.scenes:
-        cells = [scene.scene, str(len(scene.pairs)), *_cells(miou_interval([scene]))]
-        found = accuracy_interval([scene])
-        cells += _cells(found) if found is not None else []
-        for other in published:
-            miou, accuracy = other.by_scene.get(scene.scene, (None, None))
-            figures = [miou, accuracy] if localizes else [miou]
-            cells.append(" / ".join(_figure(value) for value in figures))
-        rows.append(tuple(cells))
-    return Table(f"{report.protocol}: by scene", tuple(headers), tuple(rows))
-
-
-def query_table(report: Report, levels: Sequence[str] = ()) -> Table:
-    """One row for each query of each scene, worst first within a scene.
+def write_tables(
+    tables: Sequence[Table],
+    folder: Path,
+    stem: str,
+    title: str,
+    record: dict[str, Any],
+    overwrite: bool = False,
+    pictures: Sequence[str] = (),
+) -> list[Path]:
+    """Write tables as ``stem.md`` and ``stem.tex``, and a record as ``stem.json``; these files.
 
     Args:
-        report: the scores.
-        levels: names of the levels, to tell which ones answered.
+        tables: in order.
+        folder: made if it is missing.
+        stem: of the file names.
+        title: of the Markdown page.
+        record: of the JSON; no NaN.
+        overwrite: replace what is there.
+        pictures: file names to show at the end of the page.
     """
-    localizes = all(scene.localizes for scene in report.scenes)
-    headers = ["query", "scene", "frames", "mIoU"]
-    headers += ["localisation"] if localizes else []
-    headers += ["levels"] if levels else []
-    rows = []
-    for scene in report.scenes:
-        for record in query_records(scene):
-            cells = [record["query"], scene.scene, str(record["frames"]), _percent(record["miou"])]
-            cells += [_percent(record["accuracy"])] if localizes else []
-            counts = [(levels[level] if levels and level >= 0 else "-", n) for level, n in record["levels"]]
-            cells += [" ".join(f"{name}{n}" for name, n in counts)] if levels else []
-            rows.append(tuple(cells))
-    return Table(f"{report.protocol}: by query", tuple(headers), tuple(rows))
-
-
-def query_records(scene: SceneScore) -> list[dict[str, Any]]:
-    """For each query of a scene: frames, mean IoU, share of hits, how often each level answered; worst first."""
-    by_label: dict[str, list] = {}
-    for pair in scene.pairs:
-        by_label.setdefault(pair.label, []).append(pair)
-    records = [
-        {
-            "query": label,
-            "frames": len(pairs),
-            "miou": mean(pair.iou for pair in pairs),
-            "accuracy": mean(bool(pair.hit) for pair in pairs) if scene.localizes else None,
-            "levels": Counter(pair.level for pair in pairs).most_common(),
-        }
-        for label, pairs in by_label.items()
-    ]
-    return sorted(records, key=lambda record: (record["miou"], record["query"]))
-
-
-def report_record(report: Report) -> dict[str, Any]:
-    """Everything, for JSON: scores 0..1 and not rounded, published figures apart and in percent."""
-    miou, accuracy = overall(report.scenes)
-    found = accuracy_interval(report.scenes)
-    return {
-        "protocol": report.protocol,
-        "system": report.system,
-        "settings": report.settings,
-        "overall": {
-            "miou": miou,
-            "miou_interval": _ends(miou_interval(report.scenes)),
-            "accuracy": accuracy,
-            "accuracy_interval": None if found is None else _ends(found),
-            "pairs": sum(len(scene.pairs) for scene in report.scenes),
-        },
-        "scenes": {
-            scene.scene: {
-                "miou": scene.miou,
-                "miou_interval": _ends(miou_interval([scene])),
-                "accuracy": scene.accuracy if scene.localizes else None,
-                "queries": query_records(scene),
-                "pairs": [_plain(asdict(pair)) for pair in scene.pairs],
-            }
-            for scene in report.scenes
-        },
-        "published_percent": [asdict(other) for other in report.published],
-        "caveats": list(CAVEATS),
+    folder.mkdir(parents=True, exist_ok=True)
+    shown = [f"![{Path(name).stem}]({name})\n" for name in pictures]
+    page = "\n".join([f"# {title}\n", *(table.markdown() for table in tables), *shown])
+    contents = {
+        "md": page,
+        "json": json.dumps(record, indent=1, allow_nan=False) + "\n",
+        "tex": "\n".join(table.latex() for table in tables),
     }
-
-
-def _plain(record: dict[str, Any]) -> dict[str, Any]:
-    """JSON knows no NaN."""
-    return {key: None if value != value else value for key, value in record.items()}
-
-
-def _ends(interval: Interval) -> list[float]:
-    return [interval.low, interval.high]
-
-
-def _cells(interval: Interval) -> list[str]:
-    return [_percent(interval.mean), f"{100 * interval.low:.1f} to {100 * interval.high:.1f}"]
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f}"
-
-
-def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}" if round(value, 1) == value else f"{value:.2f}"
+    files = [folder / f"{stem}.{suffix}" for suffix in contents]
+    for file, content in zip(files, contents.values(), strict=True):
+        write_text(file, content, overwrite)
+    return files
 
 
 def _line(cells: Sequence[str]) -> str:

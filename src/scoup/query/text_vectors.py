@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
@@ -18,16 +19,22 @@ class TextVectors:
     """Queries, and the vectors that they are compared with; all of unit norm and from one encoder.
 
     Attributes:
-        source: the table or model they are from.
-        queries: [Q, D].
+        texts: Q queries.
+        queries: [Q, D], of the texts.
         canonical: [P, D] of the canonical phrases.
         everyday: [B, D] of everyday words.
+        source: the table or model they are from.
     """
 
-    source: str
+    texts: tuple[str, ...]
     queries: Tensor  # [Q, D]
     canonical: Tensor  # [P, D]
     everyday: Tensor  # [B, D]
+    source: str = ""
+
+    def of(self, texts: Sequence[str]) -> Tensor:
+        """[len(texts), D] vectors of some of the texts."""
+        return torch.stack([self.queries[self.texts.index(text)] for text in texts])
 
     @property
     def can_judge_presence(self) -> bool:
@@ -72,4 +79,4 @@ def encode_texts(
             f"{source}: lacks {error.name!r}; relevancy compares every text with the phrases "
             f"{', '.join(CANONICAL_PHRASES)}, so encode them into the table too"
         ) from error
-    return TextVectors(source, queries, canonical, encoder.everyday())
+    return TextVectors(tuple(texts), queries, canonical, encoder.everyday(), source)

@@ -1,6 +1,6 @@
 """The protocol of Mip-NeRF 360 with the GAGS annotations: masks from relevancy maps (docs/protocols.md).
 
-Labels are files as in LERF-OVS. Maps are made at the size of the labels (``scoup.baselines.channels.resized_image``);
+Labels are files as in LERF-OVS. Maps are made at the size of the labels (``scoup.baselines.fitted.resized_image``);
 the level whose mask has the highest mean relevancy answers. There is no localisation.
 """
 

@@ -26,7 +26,7 @@ from scoup.query.segment import segment
 from scoup.scene.regions import LEVELS
 
 PROTOCOL = "3d-ovs 2D"
-LEVELS_ASKED = ("m", "l")
+LEVELS_QUERIED = ("m", "l")
 WHITE = 127  # a pixel above this belongs to the class
 UNITED = {"room": ("wood table", "wood wall")}
 """Scene -> (class, class whose truth it is added to)."""
@@ -157,10 +157,10 @@ _DEFAULT = preset()
 
 
 def _positions(levels: Sequence[str]) -> list[int]:
-    missing = [level for level in LEVELS_ASKED if level not in levels]
+    missing = [level for level in LEVELS_QUERIED if level not in levels]
     if missing:
-        raise InputError(f"3D-OVS asks the levels {', '.join(LEVELS_ASKED)}; there is no {missing[0]!r}")
-    return [list(levels).index(level) for level in LEVELS_ASKED]
+        raise InputError(f"3D-OVS asks the levels {', '.join(LEVELS_QUERIED)}; there is no {missing[0]!r}")
+    return [list(levels).index(level) for level in LEVELS_QUERIED]
 
 
 def _read_classes(path: Path) -> list[str]:

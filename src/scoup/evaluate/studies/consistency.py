@@ -1,8 +1,7 @@
 """Multi-view consistency: how alike the features of one point are in two views, raw, after the autoencoder, and after
 sparse coding (the last appendix figure of the method's paper).
 
-Observations are matched by COLMAP's tracks where the model keeps them; else by Gaussians, in the views where they paint
-most of the pixel under their centre. Only what lies in 2D is compared: nothing is lifted.
+Only what lies in 2D is compared: nothing is lifted.
 """
 
 from __future__ import annotations
@@ -10,47 +9,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from pathlib import Path
 from statistics import mean
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from scoup import raster
-from scoup.base.errors import InputError, MissingFileError
+from scoup.base.errors import InputError
+from scoup.base.progress import Progress, no_progress
 from scoup.baselines.autoencoder import LANGSPLAT, AutoencoderSettings, fit_autoencoder
-from scoup.baselines.pixel_rules import centre_pixels, pixel_weights
-from scoup.evaluate.metrics import bootstrap_interval
+from scoup.evaluate.metrics import Interval, bootstrap_interval
+from scoup.evaluate.plots import IntervalPlot
+from scoup.evaluate.studies.matches import Matches, Observation, matched_points
+from scoup.evaluate.studies.study_report import StudyReport
+from scoup.evaluate.studies.study_scene import StudyScene
 from scoup.evaluate.tables import Table
-from scoup.io import read_tracks
-from scoup.pictures.colors import Picture
-from scoup.pictures.plots import interval_plot
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
+from scoup.scene.cameras import Cameras
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_codes import learn_codebook
 
-DOMINANT = 0.5  # of a pixel's weight: a Gaussian that paints this much is what one sees there
 MOST_PAIRS = 40_000  # of matched observations, drawn at random beyond
-
-Observation = tuple[str, int]
-"""(view, pixel), pixel = row * width + column."""
-
-
-@dataclass(frozen=True, eq=False)
-class Matches:
-    """Points and where they are seen.
-
-    Attributes:
-        source: "COLMAP tracks" or "Gaussians".
-        points: the observations of each point, two or more.
-    """
-
-    source: str
-    points: list[list[Observation]]
 
 
 @dataclass(frozen=True)
@@ -72,51 +51,9 @@ class ConsistencyResult:
     pairs: int
     unmatched: float
 
-
-def tracked_points(folder: Path, cameras: Cameras) -> Matches | None:
-    """Points of a COLMAP model in the images of their tracks, at the pixels they project to; None if it keeps no
-    tracks."""
-    try:
-        positions, tracks = read_tracks(folder)
-    except MissingFileError:
-        return None
-    known = {camera.name: camera for camera in cameras}
-    stems = {camera.stem: camera for camera in cameras}
-    points = []
-    for position, names in zip(torch.from_numpy(positions), tracks, strict=True):
-        found = []
-        for name in names:
-            camera = known.get(name) or stems.get(Path(name).name.split(".", 1)[0])
-            pixel = None if camera is None else _pixel(position, camera)
-            if camera is not None and pixel is not None:
-                found.append((camera.name, pixel))
-        if len(found) > 1:
-            points.append(found)
-    return Matches("COLMAP tracks", points) if points else None
-
-
-def dominant_gaussians(
-    gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str = "inria"
-) -> Matches:
-    """Gaussians in the views where they paint more than half of the pixel under their centre."""
-    seen: dict[int, list[Observation]] = {}
-    for camera in cameras:
-        centres = centre_pixels(gaussians, camera)
-        for pairs in pixel_weights(raster.project(gaussians, camera, raster_preset)):
-            chosen = pairs.kept((centres[pairs.gaussian] == pairs.pixel) & (pairs.weight > DOMINANT))
-            for gaussian, pixel in zip(chosen.gaussian.tolist(), chosen.pixel.tolist(), strict=True):
-                seen.setdefault(gaussian, []).append((camera.name, pixel))
-    return Matches("Gaussians", [found for _, found in sorted(seen.items()) if len(found) > 1])
-
-
-def _pixel(position: Tensor, camera: Camera) -> int | None:
-    x, y, z = (camera.viewmat[:3, :3] @ position.double() + camera.viewmat[:3, 3]).tolist()
-    if not z > 0:
-        return None
-    column, row = int(np.floor(camera.fx * x / z + camera.cx)), int(np.floor(camera.fy * y / z + camera.cy))
-    if not (0 <= column < camera.width and 0 <= row < camera.height):
-        return None
-    return row * camera.width + column
+    def interval(self) -> Interval:
+        """Of the cosine, over points."""
+        return bootstrap_interval(self.cosines, [str(number) for number in range(len(self.cosines))])
 
 
 def consistency(
@@ -174,6 +111,25 @@ def consistency(
     return results
 
 
+def run_consistency(
+    scenes: Sequence[StudyScene],
+    settings: BuildSettings,
+    autoencoder: AutoencoderSettings = LANGSPLAT,
+    seed: int = 0,
+    progress: Progress = no_progress,
+) -> tuple[list[ConsistencyResult], dict[str, str]]:
+    """``consistency`` of several scenes, and by what the points of each were matched."""
+    results, sources = [], {}
+    for done, scene in enumerate(scenes):
+        progress("consistency", done, len(scenes))
+        matches = matched_points(scene)
+        sources[scene.name] = matches.source
+        cameras, regions = scene.rasterised.cameras, scene.rasterised.regions
+        results += consistency(scene.name, matches, cameras, regions, settings, autoencoder, seed)
+    progress("consistency", len(scenes), len(scenes))
+    return results, sources
+
+
 def _pairs(matches: Matches, seed: int) -> tuple[list[Observation], list[Observation], np.ndarray]:
     """Pairs of observations of one point, and its number."""
     found = [(a, b, number) for number, point in enumerate(matches.points) for a, b in combinations(point, 2)]
@@ -214,7 +170,7 @@ def consistency_table(results: Sequence[ConsistencyResult], sources: dict[str, s
     rows = []
     means: dict[str, list[tuple[float, float]]] = {}
     for result in results:
-        interval = bootstrap_interval(result.cosines, [str(i) for i in range(len(result.cosines))])
+        interval = result.interval()
         cells = (
             f"{interval.mean:.3f}",
             f"{interval.low:.3f} to {interval.high:.3f}",
@@ -250,16 +206,13 @@ def consistency_table(results: Sequence[ConsistencyResult], sources: dict[str, s
     )
 
 
-def consistency_plot(results: Sequence[ConsistencyResult]) -> Picture:
+def consistency_plot(results: Sequence[ConsistencyResult]) -> IntervalPlot:
     """Points with intervals, by scene and level."""
-    rows, headings = [], []
-    for result in sorted(results, key=lambda each: (each.scene, each.level)):
-        interval = bootstrap_interval(result.cosines, [str(i) for i in range(len(result.cosines))])
-        rows.append((result.features, *(round(v, 3) for v in (interval.mean, interval.low, interval.high))))
-        headings.append(f"{result.scene}, level {result.level}")
-    return interval_plot(
-        rows, "Multi-view consistency", "cosine between matched observations", 900, headings, digits=3
-    )
+    rows = [
+        (f"{result.scene}, level {result.level}", result.features, result.interval().scaled(1, 3))
+        for result in sorted(results, key=lambda each: (each.scene, each.level))
+    ]
+    return IntervalPlot(rows, "Multi-view consistency", "cosine between matched observations", 3)
 
 
 def consistency_record(results: Sequence[ConsistencyResult], sources: dict[str, str]) -> dict[str, Any]:
@@ -277,3 +230,13 @@ def consistency_record(results: Sequence[ConsistencyResult], sources: dict[str, 
         for result in results
     ]
     return {"matched_by": sources, "results": rows}
+
+
+def consistency_report(
+    results: Sequence[ConsistencyResult], sources: dict[str, str], settings: dict[str, Any]
+) -> StudyReport:
+    """Table, plot and record; ``settings`` go into the record."""
+    record = {**settings, **consistency_record(results, sources)}
+    plots = {"consistency.png": consistency_plot(results)}
+    tables = [consistency_table(results, sources)]
+    return StudyReport("consistency", "Multi-view consistency", tables, record, plots)

@@ -1,5 +1,5 @@
-"""Accuracy against what goes wrong: masks that shift or are missing, embeddings that are noisy or another thing's,
-fewer views. Every method meets the same faults."""
+"""Accuracy under faults: masks that are displaced or missing, embeddings that are noisy or another region's, fewer
+views. Every method meets the same faults."""
 
 from __future__ import annotations
 
@@ -9,29 +9,28 @@ from statistics import mean
 from typing import Any
 
 import numpy as np
-import torch
 from scipy import ndimage
 
 from scoup.base.errors import looked_up
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.methods import DEFAULTS, Method, MethodSettings
-from scoup.evaluate.scores import SceneScore
-from scoup.evaluate.studies.comparison import paired_difference, signed
-from scoup.evaluate.studies.rasterised import PreparedScene, Rule
-from scoup.evaluate.tables import CAVEATS, Table, miou_interval
-from scoup.pictures.colors import Picture
-from scoup.pictures.plots import Series, line_plot
+from scoup.baselines.method import DEFAULTS, Method, MethodSettings
+from scoup.baselines.rasterised_scene import UpliftInputs
+from scoup.evaluate.plots import Curve, CurvePlot
+from scoup.evaluate.scores import SceneScore, miou_interval
+from scoup.evaluate.studies.comparison import paired_difference
+from scoup.evaluate.studies.study_report import StudyReport
+from scoup.evaluate.studies.study_scene import StudyScene
+from scoup.evaluate.tables import CAVEATS, Table
 from scoup.query.presets import QueryPreset
 from scoup.scene.regions import RegionMap, Regions
-from scoup.synthetic.faults import LevelSums, as_region_sums, level_sums, perturbed
-from scoup.uplift.region_sums import RegionSums
+from scoup.synthetic.faults import as_region_sums, level_sums, perturbed
 
 SMOOTHNESS = 6.0  # pixels of an image 480 wide: how far displacements of neighbouring pixels go together
 
 
 @dataclass(frozen=True)
-class Fault:
-    """Something that goes wrong, more and more.
+class FaultScale:
+    """A fault, stronger and stronger.
 
     Attributes:
         name: short, for file names.
@@ -44,18 +43,18 @@ class Fault:
     strengths: tuple[float, ...]
 
 
-FAULTS: dict[str, Fault] = {
+FAULT_SCALES: dict[str, FaultScale] = {
     fault.name: fault
     for fault in (
-        Fault(
+        FaultScale(
             "masks",
             "displacement of mask borders, pixels of an image 480 wide (standard deviation)",
             (0, 2, 4, 8),
         ),
-        Fault("missing", "share of masks missing, %", (0, 20, 40, 60)),
-        Fault("noise", "length of noise on unit embeddings, hundredths", (0, 30, 60, 90)),
-        Fault("wrong", "share of regions with another region's embedding, %", (0, 10, 20, 40)),
-        Fault("views", "share of the views used, %", (100, 50, 25, 12.5)),
+        FaultScale("missing", "share of masks missing, %", (0, 20, 40, 60)),
+        FaultScale("noise", "length of noise on unit embeddings, hundredths", (0, 30, 60, 90)),
+        FaultScale("wrong", "share of regions with another region's embedding, %", (0, 10, 20, 40)),
+        FaultScale("views", "share of the views used, %", (100, 50, 25, 12.5)),
     )
 }
 """By name."""
@@ -76,19 +75,19 @@ class CurvePoint:
     scores: list[SceneScore]
 
 
-def find_fault(name: str) -> Fault:
+def find_fault(name: str) -> FaultScale:
     """A fault by name.
 
     Raises:
         UnknownNameError: there is none.
     """
-    return looked_up("fault", name, FAULTS)
+    return looked_up("fault", name, FAULT_SCALES)
 
 
 def run_curves(
-    scenes: Sequence[PreparedScene],
+    scenes: Sequence[StudyScene],
     methods: Sequence[Method],
-    faults: Sequence[Fault],
+    faults: Sequence[FaultScale],
     preset: QueryPreset,
     settings: MethodSettings = DEFAULTS,
     draw: int = 0,
@@ -97,62 +96,44 @@ def run_curves(
     """Score every method under every strength of every fault; without faults each is scored once.
 
     Args:
-        scenes: rasterised once for each way of gathering, and again for displaced masks.
+        scenes: rasterised once for each way of counting pixels, and again for displaced masks.
         methods: see ``scoup.baselines.methods``.
-        faults: see ``FAULTS``.
+        faults: see ``FAULT_SCALES``.
         preset: the protocol's rules.
         settings: of the methods.
         draw: seed of the faults, the same for all methods.
-        progress: told after each point and scene.
+        progress: called after each point and scene.
     """
-    points = [
-        (fault, strength, method) for fault in faults for strength in fault.strengths for method in methods
-    ]
     found: dict[tuple[str, float, str], list[SceneScore]] = {}
-    total, done = len(points) * len(scenes), 0
+    total, done = len(methods) * sum(len(fault.strengths) for fault in faults) * len(scenes), 0
     progress("curves", 0, total)
     for scene in scenes:
-        clean: dict[str, SceneScore] = {}
-        displaced: dict[float, PreparedScene] = {}
-        for fault, strength, method in points:
-            none = strength == fault.strengths[0]
-            if not none or method.name not in clean:
-                place = scene
-                if fault.name == "masks" and not none:
-                    if strength not in displaced:
-                        moved = displaced_masks(scene.regions, strength, draw)
-                        displaced = {strength: replace(scene, regions=moved, sums={}, seconds={})}
-                    place = displaced[strength]
-                score = _score(place, method, fault, strength, preset, settings, draw)
-                if none:
-                    clean[method.name] = score
-            else:
-                score = clean[method.name]
-            found.setdefault((fault.name, strength, method.name), []).append(score)
-            done += 1
-            progress("curves", done, total)
+        clean = {
+            method.name: scene.score(method.fit(scene.rasterised, settings), preset) for method in methods
+        }
+        for fault in faults:
+            for strength in fault.strengths:
+                faulty = scene
+                if fault.name == "masks" and strength != fault.strengths[0]:
+                    moved = displaced_masks(scene.rasterised.regions, strength, draw)
+                    faulty = replace(scene, rasterised=scene.rasterised.with_regions(moved))
+                for method in methods:
+                    if strength == fault.strengths[0]:
+                        score = clean[method.name]
+                    elif fault.name == "masks":
+                        score = faulty.score(method.fit(faulty.rasterised, settings), preset)
+                    else:
+                        inputs = faulty_inputs(scene, method, fault.name, strength, draw)
+                        score = scene.score(method.uplift(inputs, settings), preset)
+                    found.setdefault((fault.name, strength, method.name), []).append(score)
+                    done += 1
+                    progress("curves", done, total)
     return [CurvePoint(*key, scores) for key, scores in found.items()]
 
 
-def _score(
-    scene: PreparedScene,
-    method: Method,
-    fault: Fault,
-    strength: float,
-    preset: QueryPreset,
-    settings: MethodSettings,
-    draw: int,
-) -> SceneScore:
-    sums, rows = scene.gathered(method.gather), scene.embeddings()
-    if strength != fault.strengths[0] and fault.name != "masks":
-        sums, rows = _faulty(level_sums(sums, scene.regions), fault.name, strength, draw)
-    made = method.make(sums, rows, settings)
-    return scene.scores(made, {"all": Rule(preset)})["all"]
-
-
-def _faulty(
-    levels: list[LevelSums], fault: str, strength: float, draw: int
-) -> tuple[RegionSums, list[torch.Tensor]]:
+def faulty_inputs(scene: StudyScene, method: Method, fault: str, strength: float, draw: int) -> UpliftInputs:
+    """What a method is fitted to, with a fault put into region sums and embeddings."""
+    levels = level_sums(scene.rasterised.region_sums(method.pixels), scene.rasterised.regions)
     if fault == "views":
         count = max(int(level.views.max(initial=0)) for level in levels) + 1
         kept = max(1, round(count * strength / 100))
@@ -160,7 +141,7 @@ def _faulty(
         levels = [level.kept(np.isin(level.views, chosen)) for level in levels]
     else:
         levels = perturbed(levels, f"{fault}{round(strength)}", draw)
-    return as_region_sums(levels), [level.embeddings for level in levels]
+    return UpliftInputs(as_region_sums(levels), [level.embeddings for level in levels])
 
 
 def displaced_masks(regions: Regions, pixels: float, seed: int = 0) -> Regions:
@@ -189,7 +170,7 @@ def displaced_masks(regions: Regions, pixels: float, seed: int = 0) -> Regions:
     return Regions(regions.levels, regions.view_names, load, regions.load_embeddings)
 
 
-def curve_tables(points: Sequence[CurvePoint], faults: Sequence[Fault], protocol: str) -> list[Table]:
+def curve_tables(points: Sequence[CurvePoint], faults: Sequence[FaultScale], protocol: str) -> list[Table]:
     """A table for each fault: mIoU of each method, then the first method minus each other's."""
     tables = []
     for fault in faults:
@@ -211,7 +192,7 @@ def curve_tables(points: Sequence[CurvePoint], faults: Sequence[Fault], protocol
             (
                 f"{methods[0]} - {name}",
                 *(
-                    signed(paired_difference(by_place[methods[0], strength], by_place[name, strength]))
+                    paired_difference(by_place[methods[0], strength], by_place[name, strength]).signed()
                     for strength in fault.strengths
                 ),
             )
@@ -222,18 +203,15 @@ def curve_tables(points: Sequence[CurvePoint], faults: Sequence[Fault], protocol
     return tables
 
 
-def curve_plot(points: Sequence[CurvePoint], fault: Fault, protocol: str) -> Picture:
+def curve_plot(points: Sequence[CurvePoint], fault: FaultScale, protocol: str) -> CurvePlot:
     """mIoU of every method, with bands of the 95 % interval over queries."""
     mine = [point for point in points if point.fault == fault.name]
-    series = []
+    curves = []
     for name in dict.fromkeys(point.method for point in mine):
         own = sorted((point for point in mine if point.method == name), key=lambda point: point.strength)
-        intervals = [miou_interval(point.scores) for point in own]
-        columns = [
-            tuple(100 * getattr(interval, part) for interval in intervals) for part in ("mean", "low", "high")
-        ]
-        series.append(Series(name, tuple(point.strength for point in own), *columns))
-    return line_plot(series, f"Accuracy, {protocol}", fault.label, "mIoU, %", 980, 560)
+        intervals = tuple(miou_interval(point.scores).scaled(100) for point in own)
+        curves.append(Curve(name, tuple(point.strength for point in own), intervals))
+    return CurvePlot(curves, f"Accuracy, {protocol}", fault.label, "mIoU, %")
 
 
 def curve_record(points: Sequence[CurvePoint]) -> list[dict[str, Any]]:
@@ -247,8 +225,17 @@ def curve_record(points: Sequence[CurvePoint]) -> list[dict[str, Any]]:
                 "strength": point.strength,
                 "method": point.method,
                 "miou": interval.mean,
-                "miou_interval": [interval.low, interval.high],
+                "miou_interval": interval.ends,
                 "scenes": {score.scene: score.miou for score in point.scores},
             }
         )
     return record
+
+
+def curve_report(
+    points: Sequence[CurvePoint], faults: Sequence[FaultScale], protocol: str, settings: dict[str, Any]
+) -> StudyReport:
+    """Tables, plots and record; ``settings`` go into the record."""
+    record = {"protocol": protocol, **settings, "points": curve_record(points)}
+    plots = {f"curve_{fault.name}.png": curve_plot(points, fault, protocol) for fault in faults}
+    return StudyReport("curves", "Accuracy and faults", curve_tables(points, faults, protocol), record, plots)

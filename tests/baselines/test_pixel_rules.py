@@ -9,11 +9,14 @@ import torch
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup.baselines.pixel_rules import (
+    AllPixels,
     CentrePixel,
+    EveryNthPixel,
     PixelWeights,
     TopContributors,
     VisibleCentrePixel,
     centre_pixels,
+    every_nth_pixel,
     gathered_sums,
     pixel_weights,
 )
@@ -120,3 +123,15 @@ def test_a_hidden_gaussian_gathers_nothing_through_the_gate() -> None:
     assert set(CentrePixel()(pairs, centres).gaussian) == {0, 1}
     assert set(VisibleCentrePixel()(pairs, centres).gaussian) == {0}
     assert set(VisibleCentrePixel(0.95)(pairs, centres).gaussian) == {0, 1}
+
+
+def test_every_nth_pixel_counts_a_share() -> None:
+    gaussians, cameras, regions = small_scene(count=60, views=2)
+    whole = AllPixels().region_sums(gaussians, cameras, regions)
+    thinned = EveryNthPixel(2).region_sums(gaussians, cameras, regions)
+    labels = every_nth_pixel(regions, 2).load(regions.view_names[0], "m").labels
+    assert (labels[::2] == -1).all()
+    assert (labels[:, ::2] == -1).all()
+    assert torch.equal(labels[1::2, 1::2], regions.load(regions.view_names[0], "m").labels[1::2, 1::2])
+    share = thinned.matrix(0).sum() / whole.matrix(0).sum()
+    assert 0.2 < share < 0.3

@@ -1,4 +1,4 @@
-"""scoup eval: the tables of the papers, and what else tells how good answers are."""
+"""scoup eval: the tables of the papers, and other studies of how good answers are."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Annotated
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.evaluate_data_sets import LerfOvs, MipNerf360, ThreeDOvs
-from scoup.cli.evaluate_many import Baselines, Presence
-from scoup.cli.evaluate_studies import Ablations, Consistency, Curves
-from scoup.cli.evaluate_synthetic import Synthetic
+from scoup.cli.evaluate.comparisons import Baselines, Presence
+from scoup.cli.evaluate.data_sets import LerfOvs, MipNerf360, ThreeDOvs
+from scoup.cli.evaluate.studies import Ablations, Consistency, Curves
+from scoup.cli.evaluate.synthetic import Synthetic
 
 What = (
     Annotated[LerfOvs, tyro.conf.subcommand("lerf-ovs", prefix_name=False)]

@@ -1,10 +1,12 @@
-"""What a piece of work costs: seconds, and the most memory the process held beyond what it had before."""
+"""What a piece of work costs: seconds, and the most memory the process held beyond what it held before."""
 
 from __future__ import annotations
 
 import os
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +21,7 @@ class Cost:
     Attributes:
         seconds: wall-clock time.
         peak_bytes: resident memory beyond that at the start, at its highest, sampled; None where the system does not
-            tell. Memory that the process had freed and kept is not seen again.
+            say. Memory that the process had freed and kept is not counted again.
     """
 
     seconds: float
@@ -53,8 +55,16 @@ class Meter:
                 self._peak = max(self._peak, now)
 
 
+@contextmanager
+def timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    """Put the wall-clock seconds of the block into a table, under the name of the stage."""
+    started = time.perf_counter()
+    yield
+    seconds[stage] = time.perf_counter() - started
+
+
 def resident_bytes() -> int | None:
-    """Memory of this process that is in RAM; None where the system does not tell."""
+    """Memory of this process that is in RAM; None where the system does not say."""
     try:
         return int(_STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, IndexError):

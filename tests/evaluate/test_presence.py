@@ -10,7 +10,7 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.evaluate.datasets import find_data_set, open_scene
+from scoup.evaluate.data_sets import LabelledScene, find_data_set
 from scoup.evaluate.studies.presence import (
     ABSENT,
     IN_SCENE,
@@ -18,16 +18,20 @@ from scoup.evaluate.studies.presence import (
     PRESENT,
     Question,
     absent_words,
-    auc,
-    best_bound,
-    held_out_answers,
-    presence_score,
-    presence_tables,
     rendered_mean,
     signals_of,
 )
+from scoup.evaluate.studies.presence_scores import (
+    auc,
+    best_bound,
+    held_out_answers,
+    presence_report,
+    presence_score,
+)
+from scoup.io.labels import LabelledFrame
 from scoup.query.segment import segment
-from support import small_scene
+from scoup.scene.cameras import Cameras
+from support import make_camera, small_scene
 
 
 def question(scene: str, kind: str, value: float, number: int = 0, frame: str = "f") -> Question:
@@ -123,11 +127,11 @@ def test_a_constant_map_answers_nothing() -> None:
 
 def test_rendered_means_are_over_coded_gaussians() -> None:
     gaussians, cameras, _ = small_scene(count=40, views=1)
-    view = raster.project(gaussians, cameras[0])
+    projection = raster.project(gaussians, cameras[0])
     values = torch.rand(40, 3, generator=torch.Generator().manual_seed(0))
     coded = torch.rand(40, 3, generator=torch.Generator().manual_seed(1)) > 0.4
-    weights = raster.render_channels(view, torch.eye(40))[0]
-    found = rendered_mean(view, values, coded)
+    weights = raster.render_channels(projection, torch.eye(40))[0]
+    found = rendered_mean(projection, values, coded)
     for level in range(3):
         counted = coded[:, level].float()
         total = weights @ counted
@@ -138,23 +142,30 @@ def test_rendered_means_are_over_coded_gaussians() -> None:
 
 
 def test_tables() -> None:
-    tables, record = presence_tables([*study(), *study("")])
+    report = presence_report([*study(), *study("")])
+    record = report.record
     assert record["auc"]["peak"][OUT_OF_VIEW] is None
     assert record["rules"]["the protocols' rule (paints always)"]["recall"] == 1
     assert record["questions"] == {PRESENT: 40, OUT_OF_VIEW: 0, ABSENT: 40}
     fixed = record["scene_rules"]["z-score, 2 or more (the default)"]
     assert (fixed["recall"], fixed["absent_refused"]) == (1, 0.5)
-    assert len(tables) == 3
+    assert len(report.tables) == 3
 
 
-def test_absent_words(synthetic_data_sets: Path, tmp_path: Path) -> None:
-    data_set, root = find_data_set("lerf-ovs"), synthetic_data_sets / "lerf-ovs"
-    table, shelves = (open_scene(data_set, root, name) for name in ("table", "shelves"))
-    assert "elephant" in absent_words(table, [shelves])
-    from dataclasses import replace
+def labelled(folder: Path, name: str, *labels: str) -> LabelledScene:
+    """A scene with one frame of these labels."""
+    mask = torch.zeros(30, 40, dtype=torch.bool)
+    frame = LabelledFrame("view_00.png", 40, 30, dict.fromkeys(labels, mask), {})
+    camera = make_camera(name="view_00.png")
+    places = [folder / name] * 3
+    return LabelledScene(find_data_set("lerf-ovs"), name, *places, Cameras([camera]), [(frame, camera)])
 
-    bare = replace(table, folder=tmp_path)
-    found = absent_words(bare, [shelves])
-    assert set(found) == set(shelves.labels) - set(table.labels)
+
+def test_absent_words(tmp_path: Path) -> None:
+    table, shelves = labelled(tmp_path, "table", "cup", "pot"), labelled(tmp_path, "shelves", "book", "cup")
+    assert absent_words(table, [shelves]) == ["book"]
     with pytest.raises(InputError, match=r"absent\.txt"):
-        absent_words(bare, [])
+        absent_words(table, [])
+    table.folder.mkdir()
+    (table.folder / "absent.txt").write_text("elephant\n\ncup\npiano\nelephant\n")
+    assert absent_words(table, [shelves]) == ["elephant", "piano"]

@@ -9,19 +9,17 @@ import pytest
 
 from scoup.base.errors import OutputExistsError
 from scoup.evaluate.published import PUBLISHED
-from scoup.evaluate.scores import PairScore, SceneScore
-from scoup.evaluate.tables import (
+from scoup.evaluate.report import (
     Report,
-    Table,
-    accuracy_interval,
-    miou_interval,
     overall_table,
     query_records,
     query_table,
     report_record,
     scene_table,
+    write_report,
 )
-from scoup.evaluate.writing import write_report
+from scoup.evaluate.scores import PairScore, SceneScore, accuracy_interval, miou_interval
+from scoup.evaluate.tables import Table
 
 
 def scene(name: str, ious: dict[str, list[float]], protocol: str = "lerf-ovs 2D") -> SceneScore:

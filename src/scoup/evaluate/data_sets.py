@@ -24,7 +24,6 @@ class DataSet:
         protocol: as tables name it.
         scenes: of the published data set.
         systems: whose presets are known for it.
-        localizes: whether points are asked for too.
         at_label_size: whether features are brought to the size of the label (else labels to that of the render).
     """
 
@@ -32,7 +31,6 @@ class DataSet:
     protocol: str
     scenes: tuple[str, ...]
     systems: tuple[str, ...]
-    localizes: bool = False
     at_label_size: bool = False
 
 
@@ -42,7 +40,6 @@ DATA_SETS: dict[str, DataSet] = {
         lerf_ovs.PROTOCOL,
         ("ramen", "teatime", "waldo_kitchen", "figurines"),
         ("scoup", "langsplatv2", "langsplat"),
-        localizes=True,
     ),
     "3d-ovs": DataSet(
         "3d-ovs",
@@ -61,10 +58,11 @@ DATA_SETS: dict[str, DataSet] = {
 
 
 @dataclass(frozen=True, eq=False)
-class EvalScene:
+class LabelledScene:
     """A scene of a data set, ready to be built and scored; the splat and the features are not read yet.
 
     Attributes:
+        data_set: whose protocol scores it.
         name: of its folder.
         folder: the scene.
         splat: file or folder of the trained Gaussians.
@@ -73,6 +71,7 @@ class EvalScene:
         frames: labelled frames with their cameras.
     """
 
+    data_set: DataSet
     name: str
     folder: Path
     splat: Path
@@ -82,12 +81,18 @@ class EvalScene:
 
     @property
     def labels(self) -> list[str]:
-        """Everything asked for in any frame, in alphabetic order."""
+        """All labels of all frames, in alphabetic order."""
         return sorted({label for frame, _ in self.frames for label in frame.labels})
 
     @property
     def n_pairs(self) -> int:
+        """(frame, label) pairs."""
         return sum(len(frame.labels) for frame, _ in self.frames)
+
+    def map_size(self, frame: LabelledFrame, camera: Camera) -> tuple[int, int]:
+        """(width, height) of the maps a frame is scored at."""
+        of_label = self.data_set.at_label_size
+        return (frame.width, frame.height) if of_label else (camera.width, camera.height)
 
 
 @dataclass(frozen=True)
@@ -156,7 +161,7 @@ def find_scenes(data_set: DataSet, root: Path, wanted: Sequence[str] = ()) -> li
 
 def open_scene(
     data_set: DataSet, root: Path, name: str, places: Places = Places(), undistort: bool = False
-) -> EvalScene:
+) -> LabelledScene:
     """Read cameras and labels of a scene, and find its splat and features.
 
     Raises:
@@ -184,7 +189,7 @@ def open_scene(
         frames = [frame for frame in read_labels(labels) if frame.labels]
     if not frames:
         raise InputError(f"{labels}: there are no labels to score")
-    return EvalScene(name, folder, splat, features, cameras, match_frames(frames, cameras))
+    return LabelledScene(data_set, name, folder, splat, features, cameras, match_frames(frames, cameras))
 
 
 def _labels(data_set: DataSet, root: Path, name: str) -> Path:

@@ -1,0 +1,72 @@
+"""Methods: ways from a rasterised scene to relevancy. Our presets, ablations and baselines are all methods, and tables,
+studies and curves treat them alike.
+
+All share the rasteriser, the regions, the text vectors and the queries, so that scores differ by what is compared and
+nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from scoup.base.progress import Progress, no_progress
+from scoup.baselines.autoencoder import LANGSPLAT, AutoencoderSettings
+from scoup.baselines.fitted import FittedMethod
+from scoup.baselines.pixel_rules import ALL_PIXELS, PixelRule
+from scoup.baselines.rasterised_scene import RasterisedScene, UpliftInputs
+from scoup.uplift.build import BuildSettings
+from scoup.uplift.build_settings import BUILD_PRESETS
+
+
+@dataclass(frozen=True)
+class MethodSettings:
+    """What can be set for all methods at once.
+
+    Attributes:
+        seed: of all that is random.
+        build: of the sparse codes; methods may change some of it.
+        quantised_parts: bytes of a quantised feature; 0 takes 64, or the largest divisor of D below.
+        autoencoder: schedule of LangSplat's network.
+        progress: called while the network is trained.
+    """
+
+    seed: int = 0
+    build: BuildSettings = BUILD_PRESETS["default"]
+    quantised_parts: int = 0
+    autoencoder: AutoencoderSettings = LANGSPLAT
+    progress: Progress = no_progress
+
+
+DEFAULTS = MethodSettings()
+
+Uplift = Callable[[UpliftInputs, MethodSettings], FittedMethod]
+"""From region sums and embeddings to what gives relevancy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """A way to carry the embeddings of regions onto Gaussians.
+
+    Attributes:
+        name: short.
+        uplift: what becomes of the region sums and embeddings.
+        system: whose idea.
+        follows, departs: what of it is followed, and where this departs.
+        pixels: which pixels count for which Gaussians.
+        views: share of the views that is used.
+        random: whether the result depends on the seed.
+    """
+
+    name: str
+    uplift: Uplift
+    system: str = "SCOUP"
+    follows: str = ""
+    departs: str = ""
+    pixels: PixelRule = ALL_PIXELS
+    views: float = 1.0
+    random: bool = True
+
+    def fit(self, scene: RasterisedScene, settings: MethodSettings = DEFAULTS) -> FittedMethod:
+        """Fit to a scene; the scene keeps region sums and codes for the next method."""
+        return self.uplift(scene.inputs(self.pixels, self.views), settings)

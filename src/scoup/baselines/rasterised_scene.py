@@ -1,0 +1,129 @@
+"""A scene that is rasterised once and to which many methods are then fitted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from torch import Tensor
+
+from scoup.baselines.pixel_rules import ALL_PIXELS, PixelRule
+from scoup.scene.cameras import Cameras
+from scoup.scene.codes import SparseCodes
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
+from scoup.uplift.build import BuildSettings
+from scoup.uplift.region_sums import RegionSums
+
+Codes = tuple[list[SparseCodes], Tensor]
+"""Codes of the regions of each level, and the codebook [S, L, D]."""
+
+
+class Coder(Hashable, Protocol):
+    """A way to learn codes."""
+
+    def __call__(self, embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
+        """Codes of embeddings [R, D] of each level."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class UpliftInputs:
+    """What a method is fitted to.
+
+    Attributes:
+        sums: region sums.
+        embeddings: per level [R, D], of the regions of these sums.
+        kept_codes: codes learned so far, by the coder and settings.
+    """
+
+    sums: RegionSums
+    embeddings: Sequence[Tensor]
+    kept_codes: dict[tuple[Coder, BuildSettings], Codes] = field(default_factory=dict)
+
+    def codes(self, coder: Coder, settings: BuildSettings) -> Codes:
+        """Codes of the embeddings, learned once for all settings that differ in the vote only."""
+        if _key(coder, settings) not in self.kept_codes:
+            self.keep(coder, settings, coder(self.embeddings, settings))
+        return self.kept_codes[_key(coder, settings)]
+
+    def keep(self, coder: Coder, settings: BuildSettings, codes: Codes) -> None:
+        """Keep codes that were learned elsewhere."""
+        self.kept_codes[_key(coder, settings)] = codes
+
+
+def _key(coder: Coder, settings: BuildSettings) -> tuple[Coder, BuildSettings]:
+    return coder, replace(settings, keep=settings.k, rounds=1)
+
+
+class RasterisedScene:
+    """The region sums of a scene, made when they are first needed and kept.
+
+    Args:
+        gaussians: N of them.
+        cameras: of the views with regions; others may be among them.
+        regions: maps and embeddings.
+        raster_preset: constants of the rasteriser.
+        sums: region sums of all pixels, if they were made before.
+    """
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        regions: Regions,
+        raster_preset: str = "inria",
+        sums: RegionSums | None = None,
+    ) -> None:
+        self.gaussians = gaussians
+        self.cameras = cameras
+        self.regions = regions
+        self.raster_preset = raster_preset
+        self._sums: dict[PixelRule, RegionSums] = {} if sums is None else {ALL_PIXELS: sums}
+        self._seconds: dict[PixelRule, float] = {} if sums is None else {ALL_PIXELS: 0.0}
+        self._embeddings: dict[float, list[Tensor]] = {}  # by the share of the views, as the codes
+        self._codes: dict[float, dict[tuple[Coder, BuildSettings], Codes]] = {}
+
+    def with_regions(self, regions: Regions) -> RasterisedScene:
+        """The scene with other regions, not rasterised yet."""
+        return RasterisedScene(self.gaussians, self.cameras, regions, self.raster_preset)
+
+    def region_sums(self, pixels: PixelRule = ALL_PIXELS) -> RegionSums:
+        """Region sums of the pixels that count by a rule."""
+        if pixels not in self._sums:
+            started = time.perf_counter()
+            made = pixels.region_sums(self.gaussians, self.cameras, self.regions, self.raster_preset)
+            self._sums[pixels] = made
+            self._seconds[pixels] = time.perf_counter() - started
+        return self._sums[pixels]
+
+    def seconds(self, pixels: PixelRule = ALL_PIXELS) -> float:
+        """How long it took to make the region sums by a rule; 0 for those given."""
+        self.region_sums(pixels)
+        return self._seconds[pixels]
+
+    def inputs(self, pixels: PixelRule = ALL_PIXELS, views: float = 1.0) -> UpliftInputs:
+        """What a method is fitted to, from a share of the views, spread evenly."""
+        sums = self.region_sums(pixels)
+        regions = self.regions if views == 1 else spread_views(self.regions, views)
+        if views not in self._embeddings:
+            self._embeddings[views] = [regions.embeddings(level)[0] for level in regions.levels]
+        if views != 1:
+            rows = [regions.embeddings(level)[1] for level in regions.levels]
+            sums = sums.of_views([name for name in sums.views if name in regions], rows)
+        return UpliftInputs(sums, self._embeddings[views], self._codes.setdefault(views, {}))
+
+    def forget_codes(self) -> None:
+        """Drop the codes learned so far: the next method learns its own."""
+        self._codes.clear()
+
+
+def spread_views(regions: Regions, share: float) -> Regions:
+    """The regions of a share of the views, spread evenly, at least one."""
+    names = regions.view_names
+    count = max(1, round(share * len(names)))
+    places = ((np.arange(count) + 0.5) * len(names) / count).astype(int)
+    return regions.select(names[place] for place in places)

@@ -1,0 +1,95 @@
+"""scoup eval baselines, presence: methods and signals compared on the scenes of one data set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from scoup.cli.console import Console
+from scoup.cli.evaluate.options import Names, StudyOptions
+from scoup.cli.options import Flag, common_last
+
+
+@common_last
+@dataclass(frozen=True, kw_only=True)
+class Baselines(StudyOptions):
+    """Compare the method with dense uplift, centre pixels (Occam's LGS), visible centre pixels (VALA), top contributors
+    with product quantisation (Dr. Splat) and LangSplat's autoencoder, on the same regions and with the same queries.
+
+    Accuracy, time, memory and storage of each; docs/evaluation.md says what each follows and where it departs.
+    """
+
+    methods: Names = ()
+    """Methods to run; repeat it for several. Default: all but paper (Adam, slow) and sparse-all."""
+    seed: int = 0
+    """Of all that is random."""
+    epochs: int = 100
+    """Of the autoencoder; LangSplat's own is 100."""
+    selection: Flag = False
+    """Also score by the 3D-selection protocol, in a table of its own."""
+
+    def run(self, console: Console) -> None:
+        """Run all and write the tables."""
+        from dataclasses import replace
+
+        from scoup.baselines.autoencoder import LANGSPLAT
+        from scoup.baselines.method import MethodSettings
+        from scoup.baselines.methods import COMPARED, find_method
+        from scoup.bench.environment import describe_environment
+        from scoup.evaluate.studies.comparison import compare, comparison_report
+
+        methods = [find_method(name) for name in self.methods or COMPARED]
+        settings = MethodSettings(self.seed, autoencoder=replace(LANGSPLAT, epochs=self.epochs))
+        scenes = self.open_study(console, "baselines")
+        with console.progress() as progress:
+            results = compare(scenes, methods, self.preset(), settings, self.selection, progress)
+        described = {
+            "rules": self.rules,
+            "seed": self.seed,
+            "epochs": self.epochs,
+            "environment": describe_environment(),
+        }
+        self.write(console, comparison_report(results, methods, described))
+
+
+@common_last
+@dataclass(frozen=True, kw_only=True)
+class Presence(StudyOptions):
+    """How well absent things are recognised: precision and recall of presence in views and scenes, by the z-score of a
+    query against everyday words, and by other signals.
+
+    Absent words are the lines of absent.txt in each scene's folder, or else the labels of the other scenes. Bounds are
+    judged on scenes that they were not chosen on. The bounds that separate best on all scenes are printed, for
+    `scoup query --presence` and `scoup select --presence`.
+    """
+
+    seed: int = 0
+    """Of the codebook's start."""
+
+    def run(self, console: Console) -> None:
+        """Query, judge, write."""
+        from scoup.base.errors import InputError
+        from scoup.evaluate.studies.presence import absent_words, query_scene
+        from scoup.evaluate.studies.presence_scores import presence_report
+        from scoup.evaluate.text_vectors import encode_words
+        from scoup.uplift.build import build_settings
+
+        scenes = self.open_study(console, "presence")
+        if len(scenes) < 2:
+            raise InputError("each scene is judged by a bound chosen on others; give two scenes or more")
+        labelled = [scene.labelled for scene in scenes]
+        absent = []
+        for scene in labelled:
+            words = absent_words(scene, [other for other in labelled if other is not scene])
+            why = f"an absent word for {scene.name}"
+            absent.append(encode_words(words, self.text_source(scene), why))
+        settings = build_settings(seed=self.seed)
+        with console.progress() as progress:
+            questions = [
+                question
+                for scene, words in zip(scenes, absent, strict=True)
+                for question in query_scene(scene, words, settings, progress=progress)
+            ]
+        report = presence_report(questions)
+        self.write(console, report)
+        for verb, bound in report.record["bounds"].items():
+            console.say(f"separates best on these scenes: scoup {verb} --presence {bound:.2f}")

@@ -1,0 +1,159 @@
+"""Plots of studies, drawn by matplotlib (``pip install 'scoup[eval]'``): curves with bands, points with intervals."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from scoup.base.errors import InputError
+from scoup.evaluate.metrics import Interval
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+HOW_TO_GET_THEM = "plots need the package matplotlib: pip install 'scoup[eval]', and run again"
+_MARKERS = "osD^vPX*"
+_GREY = "#6e727a"
+_ROW = 0.27  # inches
+
+
+class Plot(Protocol):
+    """Something to draw."""
+
+    def figure(self) -> Figure:
+        """The drawing."""
+        ...
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Intervals over x.
+
+    Attributes:
+        name: for the legend.
+        x: in rising order.
+        y: one for each.
+    """
+
+    name: str
+    x: tuple[float, ...]
+    y: tuple[Interval, ...]
+
+
+@dataclass(frozen=True)
+class CurvePlot:
+    """Curves with bands, and a legend on the right.
+
+    Attributes:
+        curves: at least one, each of one point or more.
+        title, x_label, y_label: written around.
+    """
+
+    curves: Sequence[Curve]
+    title: str
+    x_label: str
+    y_label: str
+
+    def figure(self) -> Figure:
+        """See ``Plot``.
+
+        Raises:
+            InputError: a curve has no points, or lists of different lengths.
+        """
+        for curve in self.curves:
+            if not curve.x or len(curve.x) != len(curve.y):
+                raise InputError(f"the curve {curve.name!r} has {len(curve.x)} x and {len(curve.y)} y")
+        figure, axes = _axes(9.8, 5.6, self.title, self.x_label)
+        axes.set_ylabel(self.y_label)
+        for number, curve in enumerate(self.curves):
+            color, marker = f"C{number}", _MARKERS[number % len(_MARKERS)]
+            axes.plot(curve.x, [y.mean for y in curve.y], color=color, marker=marker, label=curve.name)
+            low, high = [y.low for y in curve.y], [y.high for y in curve.y]
+            axes.fill_between(curve.x, low, high, color=color, alpha=0.12, linewidth=0)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+        return figure
+
+
+@dataclass(frozen=True)
+class IntervalPlot:
+    """Points with intervals, a row each, from top to bottom, under the heading of their group.
+
+    Attributes:
+        rows: (group, name, interval); rows of a group follow each other.
+        title, x_label: written around.
+        digits: of the means, after the point.
+    """
+
+    rows: Sequence[tuple[str, str, Interval]]
+    title: str
+    x_label: str
+    digits: int = 1
+
+    def figure(self) -> Figure:
+        """See ``Plot``.
+
+        Raises:
+            InputError: there are no rows.
+        """
+        if not self.rows:
+            raise InputError("a plot needs rows")
+        places, names, headings, y = [], [], [], 0
+        for number, (group, name, _) in enumerate(self.rows):
+            if number == 0 or group != self.rows[number - 1][0]:
+                headings.append((y, group))
+                y += 1
+            places.append(y)
+            names.append(name)
+            y += 1
+        figure, axes = _axes(9.0, 1.1 + _ROW * y, self.title, self.x_label)
+        for place, (_, _, interval) in zip(places, self.rows, strict=True):
+            axes.plot([interval.low, interval.high], [place, place], color="C0", alpha=0.6, linewidth=2)
+            axes.plot([interval.mean], [place], color="C0", marker="o")
+            text = f"{interval.mean:.{self.digits}f}"
+            axes.text(1.02, place, text, transform=axes.get_yaxis_transform(), va="center")
+        for place, group in headings:
+            axes.text(0.01, place, group, transform=axes.get_yaxis_transform(), va="center", weight="bold")
+        axes.set_yticks(places, names)
+        axes.tick_params(axis="y", length=0)
+        axes.grid(visible=False, axis="y")
+        axes.set_ylim(y - 0.5, -0.5)
+        return figure
+
+
+def can_draw() -> bool:
+    """Whether matplotlib is installed."""
+    return importlib.util.find_spec("matplotlib") is not None
+
+
+def png(plot: Plot) -> bytes:
+    """A plot as PNG: the same bytes for the same plot and version of matplotlib.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    if not can_draw():
+        raise InputError(HOW_TO_GET_THEM)
+    stream = io.BytesIO()
+    plot.figure().savefig(stream, format="png", metadata={"Software": None})
+    return stream.getvalue()
+
+
+def _axes(width: float, height: float, title: str, x_label: str) -> tuple[Figure, Axes]:
+    """An empty figure, in inches; pyplot and its global state stay out of it."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set_title(title, loc="left")
+    axes.set_xlabel(x_label)
+    axes.grid(color="#e2e4e8")
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(_GREY)
+    return figure, axes

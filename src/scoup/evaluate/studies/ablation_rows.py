@@ -1,0 +1,113 @@
+"""The rows of the ablation table: what is changed from a base, one thing at a time.
+
+The base has the paper's sizes (64 atoms, 4 of them, top-4 vote, one round) with exact coding, which takes seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from scoup.base.errors import UnknownNameError
+from scoup.baselines.method import Method
+from scoup.baselines.methods import METHODS
+from scoup.baselines.pixel_rules import EveryNthPixel
+from scoup.baselines.sparse import AdamCoder, Coder, Half, SparseUplift, learn_codes
+from scoup.evaluate.studies.study_scene import ScoringRule
+from scoup.query.presets import QueryPreset
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """A row of the table.
+
+    Attributes:
+        name, group: for people.
+        method: what is fitted; rows that differ in the rule only share it.
+        rule: how the level is chosen: as the protocol does; by "peak", by "mask"; or only one level may answer; or,
+            with "everyday", everyday words are compared with too and the level is chosen as the protocol does.
+        published: name of the paper's row that changes the same, if any.
+    """
+
+    name: str
+    group: str
+    method: Method
+    rule: Literal["protocol", "peak", "mask", "s", "m", "l", "everyday"] = "protocol"
+    published: str = ""
+
+    @property
+    def is_base(self) -> bool:
+        """Whether nothing is changed."""
+        return self.method is BASE and self.rule == "protocol"
+
+    def scoring_rule(self, preset: QueryPreset) -> ScoringRule:
+        """How maps become scores, from the protocol's constants."""
+        if self.rule == "protocol":
+            return ScoringRule(preset)
+        if self.rule == "everyday":
+            return ScoringRule(preset, everyday=True)
+        if self.rule in ("peak", "mask"):
+            return ScoringRule(replace(preset, level_choice=self.rule))
+        return ScoringRule(preset, (self.rule,))
+
+
+BASE = METHODS["sparse-64"]
+
+
+def _changed(
+    name: str,
+    group: str,
+    coder: Coder = learn_codes,
+    dropped: Half | None = None,
+    published: str = "",
+    **changes: int,
+) -> Ablation:
+    """A row with other codes or another vote than the base."""
+    uplift = SparseUplift(coder, dropped, **{"n_atoms": 64, "rounds": 1, **changes})
+    return Ablation(name, group, Method(name, uplift), published=published)
+
+
+_CALM, _TORN = "without the 50 % of highest entropy", "without the 50 % of lowest entropy"
+ABLATIONS: tuple[Ablation, ...] = (
+    Ablation("base: L=64, K=4, top-K", "vote", BASE, published="top-K (L=64, K=4)"),
+    Ablation("dense uplift", "vote", METHODS["dense"], published="dense uplift"),
+    Ablation("no top-K", "vote", METHODS["sparse-64-all"], published="no top-K"),
+    _changed("two rounds", "vote", rounds=2),
+    _changed("two rounds, no top-K", "vote", rounds=2, keep=0),
+    _changed("L=32", "atoms", published="L=32", n_atoms=32),
+    _changed("L=128", "atoms", published="L=128", n_atoms=128),
+    _changed("K=2", "non-zeros", published="K=2", k=2, keep=2),
+    _changed("K=8", "non-zeros", published="K=8", k=8, keep=8),
+    _changed(_CALM, "entropy", dropped="highest", published=_CALM),
+    _changed(_TORN, "entropy", dropped="lowest", published=_TORN),
+    _changed("Adam", "solver and start", AdamCoder()),
+    _changed("Adam, from random regions", "solver and start", AdamCoder("random regions")),
+    _changed("Adam, from random directions", "solver and start", AdamCoder("random directions")),
+    _changed("Adam, equal logits", "solver and start", AdamCoder(logit_scale=0.0)),
+    Ablation("only level s", "levels", BASE, "s"),
+    Ablation("only level m", "levels", BASE, "m"),
+    Ablation("only level l", "levels", BASE, "l"),
+    Ablation("level by peak", "levels", BASE, "peak"),
+    Ablation("level by mask", "levels", BASE, "mask"),
+    Ablation("beside everyday words", "phrases", BASE, "everyday"),
+    Ablation("1/8 of the views", "views", replace(BASE, views=0.125)),
+    Ablation("1/4 of the views", "views", replace(BASE, views=0.25)),
+    Ablation("1/2 of the views", "views", replace(BASE, views=0.5)),
+    Ablation("every 2nd pixel", "pixels", replace(BASE, pixels=EveryNthPixel(2))),
+    Ablation("every 4th pixel", "pixels", replace(BASE, pixels=EveryNthPixel(4))),
+    Ablation("every 8th pixel", "pixels", replace(BASE, pixels=EveryNthPixel(8))),
+)
+
+
+def find_ablations(groups: Sequence[str]) -> list[Ablation]:
+    """The base, and the rows of some groups (all, for none).
+
+    Raises:
+        UnknownNameError: there is no such group.
+    """
+    known = list(dict.fromkeys(ablation.group for ablation in ABLATIONS))
+    for group in groups:
+        if group not in known:
+            raise UnknownNameError("group of ablations", group, known)
+    return [each for each in ABLATIONS if each.is_base or not groups or each.group in groups]

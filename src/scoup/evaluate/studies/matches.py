@@ -1,0 +1,94 @@
+"""Observations of one point in several views: by COLMAP's tracks where the model keeps them; else by Gaussians, in the
+views where they paint most of the pixel under their centre."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.base.errors import MissingFileError
+from scoup.baselines.pixel_rules import centre_pixels, pixel_weights
+from scoup.evaluate.studies.study_scene import StudyScene
+from scoup.io import read_tracks
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+
+DOMINANT = 0.5  # of a pixel's weight: a Gaussian that paints this much is what one sees there
+
+Observation = tuple[str, int]
+"""(view, pixel), pixel = row * width + column."""
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Points and where they are seen.
+
+    Attributes:
+        source: "COLMAP tracks" or "Gaussians".
+        points: the observations of each point, two or more.
+    """
+
+    source: str
+    points: list[list[Observation]]
+
+
+def matched_points(scene: StudyScene) -> Matches:
+    """By COLMAP's tracks where the model keeps them, else by Gaussians."""
+    rasterised = scene.rasterised
+    tracked = tracked_points(scene.labelled.folder / "sparse" / "0", rasterised.cameras)
+    if tracked is not None:
+        return tracked
+    views = [camera for camera in rasterised.cameras if camera.name in rasterised.regions]
+    return dominant_gaussians(rasterised.gaussians, views, rasterised.raster_preset)
+
+
+def tracked_points(folder: Path, cameras: Cameras) -> Matches | None:
+    """Points of a COLMAP model in the images of their tracks, at the pixels they project to; None if it keeps no
+    tracks."""
+    try:
+        positions, tracks = read_tracks(folder)
+    except MissingFileError:
+        return None
+    known = {camera.name: camera for camera in cameras}
+    stems = {camera.stem: camera for camera in cameras}
+    points = []
+    for position, names in zip(torch.from_numpy(positions), tracks, strict=True):
+        found = []
+        for name in names:
+            camera = known.get(name) or stems.get(Path(name).name.split(".", 1)[0])
+            pixel = None if camera is None else _pixel(position, camera)
+            if camera is not None and pixel is not None:
+                found.append((camera.name, pixel))
+        if len(found) > 1:
+            points.append(found)
+    return Matches("COLMAP tracks", points) if points else None
+
+
+def dominant_gaussians(
+    gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str = "inria"
+) -> Matches:
+    """Gaussians in the views where they paint more than half of the pixel under their centre."""
+    seen: dict[int, list[Observation]] = {}
+    for camera in cameras:
+        centres = centre_pixels(gaussians, camera)
+        for pairs in pixel_weights(raster.project(gaussians, camera, raster_preset)):
+            chosen = pairs.kept((centres[pairs.gaussian] == pairs.pixel) & (pairs.weight > DOMINANT))
+            for gaussian, pixel in zip(chosen.gaussian.tolist(), chosen.pixel.tolist(), strict=True):
+                seen.setdefault(gaussian, []).append((camera.name, pixel))
+    return Matches("Gaussians", [found for _, found in sorted(seen.items()) if len(found) > 1])
+
+
+def _pixel(position: Tensor, camera: Camera) -> int | None:
+    x, y, z = (camera.viewmat[:3, :3] @ position.double() + camera.viewmat[:3, 3]).tolist()
+    if not z > 0:
+        return None
+    column, row = int(np.floor(camera.fx * x / z + camera.cx)), int(np.floor(camera.fy * y / z + camera.cy))
+    if not (0 <= column < camera.width and 0 <= row < camera.height):
+        return None
+    return row * camera.width + column

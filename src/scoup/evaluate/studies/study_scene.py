@@ -1,0 +1,105 @@
+"""A labelled scene, rasterised once, on which methods and rules are tried."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from scoup import raster
+from scoup.baselines.fitted import FittedMethod
+from scoup.baselines.rasterised_scene import RasterisedScene
+from scoup.evaluate.data_sets import LabelledScene
+from scoup.evaluate.scores import SceneScore
+from scoup.evaluate.scoring import score_maps, score_selection
+from scoup.evaluate.text_vectors import TextVectors
+from scoup.io import default_preset, load_gaussians, load_regions
+from scoup.io.labels import LabelledFrame
+from scoup.models.words import with_everyday
+from scoup.query.presets import QueryPreset
+
+
+@dataclass(frozen=True)
+class ScoringRule:
+    """How maps become scores.
+
+    Attributes:
+        preset: constants and choice of the level.
+        levels: names of those that may answer; None leaves that to the protocol.
+        everyday: compare with everyday words too (``scoup.models.words``), which no protocol does.
+    """
+
+    preset: QueryPreset
+    levels: tuple[str, ...] | None = None
+    everyday: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class StudyScene:
+    """What all methods tried on a scene share. Made by ``open_study_scene``.
+
+    Attributes:
+        labelled: the scene with its labels.
+        texts: vectors of the labels.
+        rasterised: the scene that methods are fitted to.
+    """
+
+    labelled: LabelledScene
+    texts: TextVectors
+    rasterised: RasterisedScene
+
+    @property
+    def name(self) -> str:
+        return self.labelled.name
+
+    def maps(
+        self, fitted: FittedMethod, canonical: Sequence[Tensor]
+    ) -> Iterator[tuple[LabelledFrame, list[Tensor]]]:
+        """Each labelled frame with its relevancy [S, Q, H, W] for each set of canonical vectors [P, D]."""
+        for frame, camera in self.labelled.frames:
+            projection = raster.project(self.rasterised.gaussians, camera, self.rasterised.raster_preset)
+            size = self.labelled.map_size(frame, camera)
+            queries = self.texts.of(frame.labels)
+            yield frame, [fitted.relevancy(projection, queries, each, size) for each in canonical]
+
+    def score(self, fitted: FittedMethod, preset: QueryPreset) -> SceneScore:
+        """The score by the protocol."""
+        return self.scores(fitted, {"": ScoringRule(preset)})[""]
+
+    def scores(self, fitted: FittedMethod, rules: Mapping[str, ScoringRule]) -> dict[str, SceneScore]:
+        """Scores by the name of the rule. Maps are made once a frame, and once more with everyday words."""
+        pairs: dict[str, list] = {name: [] for name in rules}
+        protocol = ""
+        kinds = sorted({rule.everyday for rule in rules.values()})
+        plain = self.texts.canonical
+        compared = [with_everyday(plain, self.texts.everyday) if everyday else plain for everyday in kinds]
+        for frame, maps in self.maps(fitted, compared):
+            for name, rule in rules.items():
+                part = self._score(frame, maps[kinds.index(rule.everyday)], rule)
+                pairs[name].extend(part.pairs)
+                protocol = part.protocol
+        return {
+            name: SceneScore(self.name, rules[name].preset.name, tuple(of_rule), protocol)
+            for name, of_rule in pairs.items()
+        }
+
+    def selection_score(self, fitted: FittedMethod) -> SceneScore:
+        """The score by the 3D-selection protocol."""
+        scene = self.rasterised
+        return score_selection(self.labelled, self.texts, fitted, scene.gaussians, scene.raster_preset)
+
+    def _score(self, frame: LabelledFrame, maps: Tensor, rule: ScoringRule) -> SceneScore:
+        levels = tuple(self.rasterised.regions.levels)
+        if rule.levels is not None:
+            # Other levels get the maps of one that may answer: protocols expect all levels.
+            maps = maps[[levels.index(name if name in rule.levels else rule.levels[0]) for name in levels]]
+        return score_maps(self.labelled.data_set, self.name, [(frame, maps)], rule.preset, levels)
+
+
+def open_study_scene(labelled: LabelledScene, texts: TextVectors) -> StudyScene:
+    """Load the splat and open the regions; nothing is rasterised yet."""
+    gaussians = load_gaussians(labelled.splat)
+    regions = load_regions(labelled.features, labelled.cameras)
+    preset = default_preset(labelled.splat)
+    return StudyScene(labelled, texts, RasterisedScene(gaussians, labelled.cameras, regions, preset))

@@ -1,0 +1,46 @@
+"""Where the vectors of labels come from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.evaluate.data_sets import LabelledScene
+from scoup.models.text import TextEncoder
+from scoup.query.text_vectors import TextVectors
+
+
+def text_source(root: Path, scene: LabelledScene, wanted: str | None, default: str) -> str:
+    """The table or model that turns labels into vectors: the one wanted, or ``text.npz`` of the scene or of the data
+    set, or ``default``."""
+    if wanted is not None:
+        return wanted.replace("{scene}", scene.name)
+    for table in (scene.folder / "text.npz", root / "text.npz"):
+        if table.is_file():
+            return str(table)
+    return default
+
+
+def encode_labels(scene: LabelledScene, source: str, device: str = "cpu") -> TextVectors:
+    """Vectors of every label of a scene.
+
+    Raises:
+        InputError: a table lacks a label or a canonical phrase.
+    """
+    return encode_words(scene.labels, source, f"a label of {scene.name}", device)
+
+
+def encode_words(words: Sequence[str], source: str, why: str, device: str = "cpu") -> TextVectors:
+    """Vectors of words; ``why`` they are needed, for the error.
+
+    Raises:
+        InputError: a table lacks a word or a canonical phrase.
+    """
+    with TextEncoder.open(source, device=device) as encoder:
+        try:
+            vectors = encoder.encode(list(words))
+            canonical, everyday = encoder.canonical(), encoder.everyday()
+        except UnknownNameError as error:
+            raise InputError(f"{source}: has no vector for {error.name!r}, {why}") from error
+    return TextVectors(tuple(words), vectors, canonical, everyday, source)

@@ -1,0 +1,38 @@
+"""Sparse codes as a method: starts of Adam, halves of the Gaussians by the entropy of their votes."""
+
+from __future__ import annotations
+
+import torch
+
+from scoup.baselines.sparse import AdamCoder, without_half
+from scoup.query.presence import vote_entropy
+from scoup.uplift.vote import GaussianCodes
+from support import unit
+
+
+def test_halves_by_entropy() -> None:
+    votes = torch.rand(41, 3, 8, generator=torch.Generator().manual_seed(0)) ** 4
+    votes[5:9, 1] = 0  # without votes
+    entropy = vote_entropy(votes)
+    whole = GaussianCodes(torch.zeros(41, 3, 8, dtype=torch.uint8), votes)
+    calm, torn = (without_half(whole, whole, half).weights for half in ("highest", "lowest"))
+    for level in range(3):
+        kept, dropped = calm[:, level].any(1), torn[:, level].any(1)
+        voted = votes[:, level].any(1)
+        assert torch.equal(kept | dropped, voted)
+        assert not (kept & dropped).any()
+        assert abs(int(kept.sum()) - int(dropped.sum())) <= 1
+        assert entropy[kept, level].max() <= entropy[dropped, level].min()
+        assert torch.equal(calm[kept, level], votes[kept, level])
+
+
+def test_starts() -> None:
+    rows = unit(torch.randn(30, 6))
+    assert AdamCoder().first_atoms(rows, 4, 0) is None
+    drawn = AdamCoder("random regions").first_atoms(rows, 4, 0)
+    assert drawn is not None
+    assert all((rows == atom).all(1).any() for atom in drawn)
+    free = AdamCoder("random directions").first_atoms(rows, 4, 0)
+    assert free is not None
+    assert torch.allclose(free.norm(dim=1), torch.ones(4))
+    assert not any((rows == atom).all(1).any() for atom in free)
