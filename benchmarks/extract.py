@@ -13,7 +13,7 @@ one row of 0 and 1 a mask. Times are seconds of the processor (all threads toget
 machine disturb least. Memory is the most that Python objects and arrays held above the start.
 
 ``--models`` adds seconds an image of the models themselves at their real sizes, with random weights (their speed does
-not depend on the weights): SAM ViT-B looking at one crop and answering 64 points, CLIP ViT-B/16 on 8 crops.
+not depend on the weights): SAM ViT-B encoding one crop and predicting masks of 64 points, CLIP ViT-B/16 on 8 crops.
 """
 
 from __future__ import annotations

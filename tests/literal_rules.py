@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -130,78 +131,97 @@ def exact_crop_of(image: np.ndarray, mask: np.ndarray, side: int, cut_last: bool
     return large[0].permute(1, 2, 0).numpy()
 
 
-def generate(
-    image: np.ndarray,
-    answer: Callable[[np.ndarray, np.ndarray], tuple[Tensor, Tensor]],
-    points_per_side: int,
-    batch: int,
-    layers: int = 1,
-    iou_limit: float = 0.7,
-    stability_limit: float = 0.85,
-    offset: float = 1.0,
-    box_limit: float = 0.7,
-    crop_limit: float = 0.7,
-    least: int = 100,
-    crop_share: float = 512 / 1500,
-) -> dict[str, list[tuple[np.ndarray, float, float]]]:
-    """Level -> (mask, predicted IoU, stability) of LangSplat's generator, before its suppression of masks.
+Answer = Callable[[np.ndarray, np.ndarray], tuple[Tensor, Tensor]]
+"""(crop [h, w, 3], points [P, 2] in its pixels) -> logits [P, 3, h, w] and predicted IoU [P, 3]."""
+Crop = tuple[int, int, int, int]
+Item = tuple[np.ndarray, float, float, list[int]]
+"""Mask, predicted IoU, stability, and box."""
 
-    Args:
-        answer: (crop [h, w, 3], points [P, 2] in its pixels) -> logits [P, 3, h, w] and predicted IoU [P, 3].
-    """
-    height, width = image.shape[:2]
-    boxes = [(0, 0, width, height)]
-    if layers:
-        overlap = int(crop_share * min(height, width))
-        wide, high = math.ceil((overlap + width) / 2), math.ceil((overlap + height) / 2)
-        for x0 in (0, wide - overlap):
-            for y0 in (0, high - overlap):
-                boxes.append((x0, y0, min(x0 + wide, width), min(y0 + high, height)))
-    lists: dict[str, list[tuple[np.ndarray, float, float, int]]] = {
-        name: [] for name in ("default", "s", "m", "l")
-    }
-    for crop in boxes:
+
+@dataclass(frozen=True)
+class Generator:
+    """LangSplat's generator of masks, before its suppression of masks."""
+
+    points_per_side: int
+    batch: int
+    layers: int = 1
+    iou_limit: float = 0.7
+    stability_limit: float = 0.85
+    offset: float = 1.0
+    box_limit: float = 0.7
+    crop_limit: float = 0.7
+    least: int = 100
+    crop_share: float = 512 / 1500
+
+    def generate(self, image: np.ndarray, answer: Answer) -> dict[str, list[tuple[np.ndarray, float, float]]]:
+        """Level -> (mask, predicted IoU, stability)."""
+        height, width = image.shape[:2]
+        crops = self.crops(height, width)
+        lists: dict[str, list[tuple[np.ndarray, float, float, int]]] = {
+            name: [] for name in ("default", "s", "m", "l")
+        }
+        for crop in crops:
+            x0, y0, x1, y1 = crop
+            for level, items in self.candidates(image, crop, answer).items():
+                for number in box_suppression([i[3] for i in items], [i[1] for i in items], self.box_limit):
+                    mask, quality, stability, _ = items[number]
+                    whole = np.zeros((height, width), bool)
+                    whole[y0:y1, x0:x1] = mask
+                    lists[level].append((whole, quality, stability, (x1 - x0) * (y1 - y0)))
+        result = {}
+        for level, items in lists.items():
+            if len(crops) > 1:
+                scores = [float(np.float32(1) / np.float32(item[3])) for item in items]
+                kept = box_suppression([box_of(item[0]) for item in items], scores, self.crop_limit)
+                items = [items[number] for number in kept]
+            limit = max(self.box_limit, self.crop_limit)
+            masks, kept = clean_up([item[0] for item in items], self.least, limit)
+            result[level] = [(mask, items[n][1], items[n][2]) for mask, n in zip(masks, kept, strict=True)]
+        return result
+
+    def crops(self, height: int, width: int) -> list[Crop]:
+        """The image, and four overlapping crops with one layer."""
+        boxes = [(0, 0, width, height)]
+        if self.layers:
+            overlap = int(self.crop_share * min(height, width))
+            wide, high = math.ceil((overlap + width) / 2), math.ceil((overlap + height) / 2)
+            for x0 in (0, wide - overlap):
+                for y0 in (0, high - overlap):
+                    boxes.append((x0, y0, min(x0 + wide, width), min(y0 + high, height)))
+        return boxes
+
+    def candidates(self, image: np.ndarray, crop: Crop, answer: Answer) -> dict[str, list[Item]]:
+        """Level -> what the points of one crop give, filtered one by one."""
         x0, y0, x1, y1 = crop
-        part = image[y0:y1, x0:x1]
         places = [
-            ((column + 0.5) / points_per_side * (x1 - x0), (row + 0.5) / points_per_side * (y1 - y0))
-            for row in range(points_per_side)
-            for column in range(points_per_side)
+            (
+                (column + 0.5) / self.points_per_side * (x1 - x0),
+                (row + 0.5) / self.points_per_side * (y1 - y0),
+            )
+            for row in range(self.points_per_side)
+            for column in range(self.points_per_side)
         ]
-        found: dict[str, list[tuple[np.ndarray, float, float, list[int]]]] = {name: [] for name in lists}
-        for start in range(0, len(places), batch):
-            logits, iou = answer(part, np.array(places[start : start + batch]))
+        found: dict[str, list[Item]] = {name: [] for name in ("default", "s", "m", "l")}
+        for start in range(0, len(places), self.batch):
+            logits, iou = answer(image[y0:y1, x0:x1], np.array(places[start : start + self.batch]))
             for point in range(len(logits)):
                 for channel, level in enumerate(("s", "m", "l")):
-                    values = logits[point, channel]
-                    if not float(iou[point, channel]) > np.float32(iou_limit):
-                        continue
-                    low = (values > -offset).sum()
-                    stability = (values > offset).sum().float() / low.float()
-                    if not bool(stability >= stability_limit):
-                        continue
-                    mask = (values > 0).numpy()
-                    box = box_of(mask)
-                    if cut_off(box, crop, width, height):
-                        continue
-                    item = (mask, float(iou[point, channel]), float(stability), box)
-                    found[level].append(item)
-                    found["default"].append(item)
-        for level, items in found.items():
-            for number in box_suppression([i[3] for i in items], [i[1] for i in items], box_limit):
-                mask, quality, stability, _ = items[number]
-                whole = np.zeros((height, width), bool)
-                whole[y0:y1, x0:x1] = mask
-                lists[level].append((whole, quality, stability, (x1 - x0) * (y1 - y0)))
-    result = {}
-    for level, items in lists.items():
-        if len(boxes) > 1:
-            scores = [float(np.float32(1) / np.float32(item[3])) for item in items]
-            kept = box_suppression([box_of(item[0]) for item in items], scores, crop_limit)
-            items = [items[number] for number in kept]
-        masks, kept = clean_up([item[0] for item in items], least, max(box_limit, crop_limit))
-        result[level] = [(mask, items[n][1], items[n][2]) for mask, n in zip(masks, kept, strict=True)]
-    return result
+                    item = self.judged(logits[point, channel], float(iou[point, channel]))
+                    if item is not None and not cut_off(item[3], crop, image.shape[1], image.shape[0]):
+                        found[level].append(item)
+                        found["default"].append(item)
+        return found
+
+    def judged(self, values: Tensor, iou: float) -> Item | None:
+        """One mask, if its quality and stability suffice."""
+        if not iou > np.float32(self.iou_limit):
+            return None
+        low = (values > -self.offset).sum()
+        stability = (values > self.offset).sum().float() / low.float()
+        if not bool(stability >= self.stability_limit):
+            return None
+        mask = (values > 0).numpy()
+        return mask, iou, float(stability), box_of(mask)
 
 
 def cut_off(box: Sequence[int], crop: Sequence[int], width: int, height: int, near: float = 20) -> bool:

@@ -83,7 +83,7 @@ def tiny_sam2_video(seed: int = 0) -> Any:
 
 
 def lively(model: Any) -> Any:
-    """Random weights large enough that answers depend on image and point, in the range that filters look at."""
+    """Random weights large enough that masks depend on image and point, in the range of the filters."""
     with torch.no_grad():
         for name, parameter in model.named_parameters():
             if parameter.dim() > 1:

@@ -14,7 +14,7 @@ from scipy import ndimage
 from torch import Tensor
 from torch.nn import functional
 
-from literal_rules import cut_off, generate, mask_rule
+from literal_rules import Generator, cut_off, mask_rule
 from mask_samples import smooth_image
 from scoup.base.errors import InputError
 from scoup.extract.automatic_masks import SamSegmenter, automatic_masks
@@ -52,7 +52,7 @@ class MadeUpImage:
         self.noise = ndimage.gaussian_filter(rng.normal(size=(small, small)), 2) * 8
 
     def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Deterministic in the point alone: asking in other batches changes nothing."""
+        """Deterministic in the point alone: other batches change nothing."""
         masks, quality = [], []
         rows, columns = np.mgrid[: self.small, : self.small] + 0.5
         for x, y in points.tolist():
@@ -75,7 +75,7 @@ class MadeUpImage:
 
 
 def answers_of(model: Any):
-    """The model as the literal generator asks it: a crop and points in, masks at the size of the crop out."""
+    """The model as the literal generator calls it: a crop and points in, masks at the size of the crop out."""
 
     def answer(part: np.ndarray, points: np.ndarray) -> tuple[Tensor, Tensor]:
         encoded = model.encode(np.ascontiguousarray(part))
@@ -87,11 +87,12 @@ def answers_of(model: Any):
 
 def compare(image: np.ndarray, model: Any, chosen: MaskSettings) -> dict[str, int]:
     """Every level, "default" included, must be the literal one, in order; returns how many masks each has."""
-    literal = generate(
-        image, answers_of(model), chosen.points_per_side, chosen.points_per_batch, chosen.crop_layers,
-        chosen.predicted_iou, chosen.stability, chosen.stability_offset, chosen.box_overlap,
-        chosen.crop_overlap, chosen.least_area, chosen.crop_share,
+    generator = Generator(
+        chosen.points_per_side, chosen.points_per_batch, chosen.crop_layers, chosen.predicted_iou,
+        chosen.stability, chosen.stability_offset, chosen.box_overlap, chosen.crop_overlap, chosen.least_area,
+        chosen.crop_share,
     )  # fmt: skip
+    literal = generator.generate(image, answers_of(model))
     found = automatic_masks(image, model, chosen, with_default=True)
     assert list(found) == ["default", "s", "m", "l"]
     counts = {}

@@ -27,7 +27,8 @@ def test_packed_masks_are_the_masks(dense: np.ndarray) -> None:
     assert (paint(masks) == painted(list(dense), dense.shape[1:])).all()
     chosen = np.arange(len(dense))[::-2]
     assert (masks.select(chosen).dense() == dense[chosen]).all()
-    assert (masks.select(dense.any((1, 2))).dense() == dense[dense.any((1, 2))]).all()
+    filled = np.asarray(dense.any((1, 2)), np.bool_)
+    assert (masks.select(filled).dense() == dense[filled]).all()
     height, width = dense.shape[1:]
     moved = masks.moved(3, 2, (height + 5, width + 4)).dense()
     assert (moved == np.pad(dense, ((0, 0), (2, 3), (3, 1)))).all()
@@ -122,7 +123,7 @@ def real_masks(data_folder, count: int) -> np.ndarray:
     for number in rng.integers(0, len(all_masks), count):
         mask = all_masks[number]
         if rng.random() < 0.5:
-            mask = ndimage.binary_dilation(mask, iterations=int(rng.integers(1, 4)))
+            mask = np.asarray(ndimage.binary_dilation(mask, iterations=int(rng.integers(1, 4))), np.bool_)
         if rng.random() < 0.3:
             mask = mask | all_masks[rng.integers(len(all_masks))]
         result.append(mask & (rng.random(mask.shape) < 0.999))  # pinholes

@@ -15,6 +15,7 @@ from mask_samples import smooth_image
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
 from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
 from scoup.io import write_colmap
+from scoup.scene.cameras import Cameras
 from support import make_camera
 
 IMAGE = smooth_image(20, 30)
@@ -104,7 +105,7 @@ def test_which_photographs_a_scene_has(tmp_path: Path) -> None:
     assert [item.name for item in find_photographs(folder)] == ["a.JPG", "b.png", "left/c.png"]
     assert [item.name for item in find_photographs(folder / "images_2" / "left")] == ["c.png"]
     assert [item.name for item in find_photographs(tmp_path, folder / "images_2" / "left")] == ["c.png"]
-    write_colmap([make_camera(30, 20, name="b.png")], folder / "sparse" / "0")
+    write_colmap(Cameras([make_camera(30, 20, name="b.png")]), folder / "sparse" / "0")
     assert [item.name for item in find_photographs(folder)] == ["b.png"]  # those of the cameras
     with pytest.raises(MissingFileError, match="no such scene"):
         find_photographs(tmp_path / "nowhere")

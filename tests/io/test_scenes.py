@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -61,7 +62,7 @@ def test_precedence(tmp_path):
     write_colmap(cameras, tmp_path / "colmap" / "sparse" / "0")
     assert find_cameras(tmp_path).path == tmp_path / "colmap" / "sparse" / "0"
     write_transforms(cameras, tmp_path / "transforms.json")
-    assert find_cameras(tmp_path).format == "transforms"
+    assert find_cameras(tmp_path).format == "nerfstudio"
     write_colmap(cameras, tmp_path / "sparse" / "0")
     assert find_cameras(tmp_path).format == "colmap"
     (tmp_path / "point_cloud").mkdir()
@@ -98,14 +99,16 @@ def test_only_scaled_images(tmp_path):
 def test_downscale(tmp_path):
     scene = colmap_scene(tmp_path)
     save_images(some_cameras(3), scene / "images_2", 2)
-    for factor, folder in ((1, "images"), (2, "images_2"), (4, "images"), (8, "images")):
+    folders: tuple[tuple[Literal[1, 2, 4, 8], str], ...]
+    folders = ((1, "images"), (2, "images_2"), (4, "images"), (8, "images"))
+    for factor, folder in folders:
         camera = load_cameras(scene, downscale=factor)[0]
         assert (camera.width, camera.height) == (32 // factor, 24 // factor)
         assert camera.image_path == scene / folder / "view_00.png"
         assert camera.K[0, 2] == pytest.approx(16.7 / factor)
         assert load_image(camera).shape == (24 // factor, 32 // factor, 3)
     with pytest.raises(InputError, match="downscale is 3"):
-        load_cameras(scene, downscale=3)
+        load_cameras(scene, downscale=3)  # pyright: ignore[reportArgumentType]
 
 
 def test_downscale_works_for_every_format(tmp_path):

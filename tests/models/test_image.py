@@ -73,15 +73,15 @@ def test_open_clip_models_are_used_through_their_own_interface(monkeypatch) -> N
         def encode_image(self, pixels: torch.Tensor) -> torch.Tensor:
             return pixels.flatten(1) @ weights
 
-    asked = []
+    created = []
 
     def create_model(name: str, pretrained: str, device: str) -> Model:
-        asked.append((name, pretrained, device))
+        created.append((name, pretrained, device))
         return Model()
 
     monkeypatch.setitem(sys.modules, "open_clip", SimpleNamespace(create_model=create_model))
     embedder = open_image_model("open_clip:ViT-B-16/laion2b_s34b_b88k")
-    assert asked == [("ViT-B-16", "laion2b_s34b_b88k", "cpu")]
+    assert created == [("ViT-B-16", "laion2b_s34b_b88k", "cpu")]
     assert (embedder.dim, embedder.side, embedder.name) == (6, 10, "open_clip:ViT-B-16/laion2b_s34b_b88k")
     crops = torch.from_numpy(smooth_image(10, 10))[None]
     pixels = (crops.permute(0, 3, 1, 2) / 255 - torch.tensor([0.2, 0.3, 0.4]).view(3, 1, 1)) / torch.tensor(

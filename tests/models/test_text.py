@@ -155,8 +155,8 @@ def test_absent_packages(monkeypatch: pytest.MonkeyPatch, model: str, package: s
 
 
 def test_open_clip(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a stand-in for the package, which is optional: what is asked of it, and what is made of its
-    answer.
+    """With a stand-in for the package, which is optional: how it is called, and what is made of its
+    result.
     """
     from types import SimpleNamespace
 

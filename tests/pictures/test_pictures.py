@@ -117,7 +117,7 @@ def test_sizes_that_disagree_are_refused():
     with pytest.raises(InputError, match="does not fit"):
         region_overlay(np.zeros((3, 4), int), photo(4, 3))
     with pytest.raises(InputError, match="H, W, 3"):
-        captioned(np.zeros((3, 4)), "x")
+        captioned(np.zeros((3, 4), np.uint8), "x")
     with pytest.raises(InputError, match="H, W, L"):
         code_picture(np.zeros((3, 4)))
 

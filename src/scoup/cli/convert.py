@@ -32,7 +32,7 @@ class Convert(WritesCommon):
     bits: Literal[16, 32] = 16
     """Bits of a stored embedding number in the compact layout."""
     model: OptionalText = None
-    """What made the embeddings, for scoup build. Default: what SOURCE says; LangSplat's layout does not."""
+    """Id of the model that made the embeddings. Default: as SOURCE says; LangSplat's layout does not."""
 
     def run(self, console: Console) -> None:
         """Convert and report."""

@@ -1,4 +1,4 @@
-"""scoup regions: what the regions of a photograph look like."""
+"""scoup regions: a picture of the regions of a photograph."""
 
 from __future__ import annotations
 
@@ -38,8 +38,7 @@ class ShowRegions(WritesCommon):
         """Load, draw, write."""
         from scoup.base.errors import InputError
         from scoup.io import check_output, load_cameras, load_image, load_regions, save_png
-        from scoup.io.regions.manifest import read_manifest
-        from scoup.io.regions.views import FOLDER_NAME
+        from scoup.io.regions.store import RegionStore
         from scoup.pictures import regions_sheet
 
         if not 200 <= self.width <= 20_000:
@@ -52,8 +51,7 @@ class ShowRegions(WritesCommon):
         check_output(out, self.overwrite)
         folder = self.features or (self.scene if self.scene.is_dir() else self.scene.parent)
         regions: Regions = load_regions(folder, [camera])
-        place = folder / FOLDER_NAME if (folder / FOLDER_NAME).is_dir() else folder
-        manifest = read_manifest(place)
+        manifest = RegionStore.open(folder).manifest
         made = _made_by(manifest.settings if manifest else {})
         labels, embeddings = regions.load_view(camera.name, camera.width, camera.height)
         sheet = regions_sheet(load_image(camera), labels, regions.levels, camera.name, made, self.width)

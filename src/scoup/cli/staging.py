@@ -27,13 +27,13 @@ def staged(folder: Path, files: Sequence[str], overwrite: bool) -> Iterator[Path
         OutputExistsError, InputError: as ``io.check_output``, before and after the block.
     """
     check_outputs(folder, files, overwrite)
-    # In the nearest folder that is there already: the same file system, so that moving is only renaming.
+    # In the nearest existing folder: on the same file system, moving is only renaming.
     home = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
     hidden = home / f".scoup-{secrets.token_hex(6)}"
     try:
         hidden.mkdir()
         yield hidden
-        check_outputs(folder, files, overwrite)  # somebody else may have written meanwhile
+        check_outputs(folder, files, overwrite)  # another process may have written meanwhile
         for file in files:
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             os.replace(hidden / file, folder / file)

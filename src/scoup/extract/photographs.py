@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -152,14 +152,14 @@ def _to_rgb(image: Any) -> Any:
 
 def read_ahead(
     photographs: Iterable[Photograph], max_height: int | None, ahead: int = 2
-) -> Iterator[tuple[Photograph, Pixels | ScoupError]]:
+) -> Generator[tuple[Photograph, Pixels | ScoupError], None, None]:
     """Photographs with their pixels, in order, the next ones decoded by threads meanwhile.
 
     One that cannot be decoded comes with its error. At most ``ahead`` + 1 images are in memory.
     """
     waiting = iter(photographs)
     with warnings.catch_warnings(), ThreadPoolExecutor(max_workers=ahead) as pool:
-        # Not in the threads: filters belong to the process, and they would put back each other's.
+        # Not in the threads: filters belong to the process, and threads would restore those of each other.
         warnings.filterwarnings("ignore", module=r"PIL\.")
         queue: list[tuple[Photograph, Future[Pixels]]] = []
 

@@ -1,4 +1,4 @@
-"""Readers and writers: one file a format, all giving and taking the dataclasses of floor 0."""
+"""Readers and writers: one module a format; all give and take the dataclasses of ``scene/``."""
 
 from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
 from scoup.io.cameras.colmap import read_colmap, read_points, read_tracks, write_colmap

@@ -19,7 +19,7 @@ from scoup.io.splats.splat import read_splat, write_splat
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 
-CameraFormat = Literal["colmap", "transforms", "inria"]
+CameraFormat = Literal["colmap", "nerfstudio", "inria"]
 
 _COLMAP_FOLDERS = ("sparse/0", "sparse")
 _NERFSTUDIO_COLMAP_FOLDERS = ("colmap/sparse/0", "colmap/sparse")
@@ -164,7 +164,7 @@ def load_cameras(
 
 
 def camera_photographs(path: str | Path, images: str | Path | None = None) -> list[tuple[str, Path]]:
-    """Names of a scene's cameras and their photographs, where there are any; the photographs are not looked at.
+    """Names of a scene's cameras and their photographs, where there are any; the photographs are not opened.
 
     Args:
         path, images: as in ``load_cameras``.
@@ -228,7 +228,7 @@ def _source_of_file(path: Path) -> CameraSource:
     # A list is Inria's, a mapping nerfstudio's, whatever the file is called.
     if start.startswith(b"["):
         return CameraSource("inria", path, _inria_roots(folder))
-    return CameraSource("transforms", path, (folder,))
+    return CameraSource("nerfstudio", path, (folder,))
 
 
 def _scene_of_model(folder: Path) -> Path:
@@ -257,6 +257,6 @@ def _inria_roots(folder: Path) -> tuple[Path, ...]:
 def _read(source: CameraSource, distorted: Distorted) -> Cameras:
     if source.format == "colmap":
         return read_colmap(source.path, distorted)
-    if source.format == "transforms":
+    if source.format == "nerfstudio":
         return read_transforms(source.path, distorted)
     return read_inria_cameras(source.path)

@@ -97,7 +97,7 @@ class Pretrained:
 
     @property
     def commit(self) -> str:
-        """The commit of a hub model, or the revision that was asked for; "" where neither is known."""
+        """The commit of a hub model, or the requested revision; "" where neither is known."""
         return getattr(self.config, "_commit_hash", None) or self.options.get("revision") or ""
 
     def tokenizer(self) -> Any:
@@ -200,7 +200,7 @@ def _quiet() -> Iterator[None]:
     from huggingface_hub.utils import logging as hub_logging
     from transformers.utils import logging
 
-    verbosity, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    verbosity, shows_progress = logging.get_verbosity(), logging.is_progress_bar_enabled()
     hub_verbosity = hub_logging.get_verbosity()
     logging.set_verbosity_error()  # it would list the weights of the towers that are not wanted
     logging.disable_progress_bar()
@@ -210,5 +210,5 @@ def _quiet() -> Iterator[None]:
     finally:
         logging.set_verbosity(verbosity)
         hub_logging.set_verbosity(hub_verbosity)
-        if bars:
+        if shows_progress:
             logging.enable_progress_bar()

@@ -39,7 +39,7 @@ def heat_map(
     Args:
         relevancy: [H, W].
         rgb: [H, W, 3] float 0..1 or uint8.
-        query: the text asked for, written above; no strip if there is neither text, level nor score.
+        query: its text, written above; no strip if there is neither text, level nor score.
         level: the level shown, for example "m".
         score: written beside the level.
         span: relevancy at the two ends of the colours; by default from the median of the map (at least half

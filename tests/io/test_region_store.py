@@ -1,0 +1,103 @@
+"""The region store: the same rules for both layouts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli_support import snapshot
+from io_samples import some_cameras, some_regions
+from scoup.base.errors import InputError, MissingFileError, OutputExistsError
+from scoup.io import load_regions, save_regions
+from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest
+from scoup.io.regions.store import RegionStore
+from scoup.io.regions.views import ViewRegions
+from scoup.scene.regions import LEVELS
+
+LAYOUTS: tuple[Layout, ...] = ("compact", "langsplat")
+
+
+def view(name: str, seed: int = 0, photograph: str = "digest") -> ViewRegions:
+    rng = np.random.default_rng(seed)
+    labels = {level: rng.integers(-1, 4, (6, 9)).astype(np.int32) for level in LEVELS}
+    embeddings = {level: rng.normal(size=(4, 5)).astype(np.float32) for level in LEVELS}
+    for item in labels.values():
+        item[0, :4] = np.arange(4)  # every region has a pixel
+    return ViewRegions(name, labels, {**embeddings}, photograph)
+
+
+def manifest_of(layout: Layout, **settings: object) -> RegionManifest:
+    return RegionManifest.of(layout, "some/model", settings, 32)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_views_come_back_as_they_were_written(tmp_path: Path, layout: Layout) -> None:
+    store = RegionStore.create(tmp_path / "a", manifest_of(layout))
+    written = {"b": view("left/b.png", 1), "a": view("a.0001.png", 2)}
+    for stem, item in written.items():
+        size = store.write(item)
+        assert size == sum(path.stat().st_size for path in store.files(stem))
+    again = RegionStore.open(tmp_path / "a")
+    assert (again.layout, again.manifest, again.stems()) == (layout, manifest_of(layout), ["a", "b"])
+    for stem, item in written.items():
+        opened = again.open_view(stem)
+        assert (opened.width, opened.height, opened.dim) == (9, 6, 5)
+        assert sum(opened.counts.values()) == len(item) == 12
+        read = opened.read()
+        for level in LEVELS:
+            assert (read.labels[level] == item.labels[level]).all()
+            assert (read.embeddings[level] == item.embeddings[level]).all()
+    assert again.view("c") is None
+    with pytest.raises(MissingFileError):
+        again.open_view("c")
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_view_counts_for_its_manifest_and_photograph(tmp_path: Path, layout: Layout) -> None:
+    store = RegionStore.create(tmp_path, manifest_of(layout))
+    store.write(view("a.png"))
+    assert store.has("a.png", "digest")
+    assert not store.has("a.png", "another")
+    assert not store.has("b.png", "digest")
+    with pytest.raises(OutputExistsError):
+        store.write(view("a.png"))
+    before = snapshot(tmp_path)
+    with pytest.raises(InputError, match=r"side: 3, not none"):
+        RegionStore.create(tmp_path, manifest_of(layout, side=3))
+    assert snapshot(tmp_path) == before
+    renewed = RegionStore.create(tmp_path, manifest_of(layout, side=3), overwrite=True)
+    assert not renewed.has("a.png", "digest")
+    renewed.write(view("a.png", photograph=""), overwrite=True)  # of an unknown photograph
+    assert not renewed.has("a.png", "digest")
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_folders_without_a_manifest(tmp_path: Path, layout: Layout) -> None:
+    """They are read, by the files that are there; new features are not mixed with them."""
+    cameras = some_cameras(2)
+    if layout == "langsplat":
+        save_regions(some_regions(cameras), tmp_path)
+    else:
+        store = RegionStore.create(tmp_path, manifest_of(layout))
+        for camera in cameras:
+            maps = {level: some_regions(cameras).load(camera.name, level) for level in LEVELS}
+            labels = {level: item.labels.numpy() for level, item in maps.items()}
+            rows = {level: item.embeddings.numpy() for level, item in maps.items()}
+            store.write(ViewRegions(camera.name, labels, rows))
+        (tmp_path / MANIFEST).unlink()
+    assert RegionStore.open(tmp_path).layout == layout
+    assert load_regions(tmp_path, cameras).view_names == cameras.names
+    with pytest.raises(InputError, match="not made by scoup"):
+        RegionStore.create(tmp_path, manifest_of(layout), overwrite=True)
+
+
+def test_stored_bits(tmp_path: Path) -> None:
+    for bits, kind in ((16, np.float16), (32, np.float32)):
+        manifest = RegionManifest.of("compact", "", {}, bits)
+        store = RegionStore.create(tmp_path / str(bits), manifest)
+        store.write(view("a.png"))
+        assert store.open_view("a").embeddings("s").dtype == kind
+    with pytest.raises(InputError, match="16 or 32 bits, not 8"):
+        RegionManifest.of("langsplat", "", {}, 8)
