@@ -1,4 +1,4 @@
-// The coder for Python; scoup/coding/arithmetic.py is its only user.
+// The coder for Python; scoup/coding/native.py is its only user.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 

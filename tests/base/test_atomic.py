@@ -13,7 +13,7 @@ def test_writes_and_makes_the_folder(tmp_path):
     assert [item.name for item in target.parent.iterdir()] == ["file.txt"]
 
 
-def test_refuses_to_replace_unless_asked(tmp_path):
+def test_refuses_to_replace_by_default(tmp_path):
     target = tmp_path / "file.txt"
     write_text(target, "old")
     with pytest.raises(OutputExistsError, match="overwrite"):

@@ -90,7 +90,7 @@ def test_a_core_that_was_not_built(monkeypatch, platform, remedy):
 
 
 @pytest.mark.usefixtures("no_core")
-def test_the_user_is_told_once():
+def test_the_user_is_warned_once():
     with pytest.warns(ScoupWarning, match="slower code serves: the compiled core was not built"):
         native.warn_if_missing()
     with warnings.catch_warnings():

@@ -242,7 +242,7 @@ def test_a_vote_refuses_what_does_not_fit():
             vote.deviations(bad, 0, 2, 1)
 
 
-def test_memory_outlives_whoever_asked_for_it():
+def test_memory_outlives_its_owner():
     image, alpha = core.render_channels(project(), np.ones((N, 1), np.float32), 1)
     kept = alpha.copy()
     vote = core.Vote(**vote_arrays())  # nobody else holds the arrays

@@ -92,7 +92,7 @@ def test_several_processes_build_what_one_builds(tmp_path: Path, world: int) -> 
         assert (tmp_path / f"{rank}.scoup").read_bytes() == (tmp_path / "alone.scoup").read_bytes()
 
 
-def test_what_a_process_has_taken_in_counts_once(tmp_path: Path) -> None:
+def test_what_a_process_has_added_counts_once(tmp_path: Path) -> None:
     """The views in a process's file are not rasterised again, whoever's share they are."""
     gaussians, cameras, regions = small_scene(count=700, views=5)
     build(gaussians, cameras, regions, settings=SETTINGS).save(tmp_path / "alone.scoup")

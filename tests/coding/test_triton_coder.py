@@ -92,7 +92,7 @@ def test_copies_of_an_atom_are_used_once(interpreted: Coder) -> None:
 @pytest.mark.parametrize(
     ("n_atoms", "k", "warm"), [(1, 1, False), (64, 4, False), (256, 4, True), (1024, 16, False)]
 )
-@pytest.mark.parametrize("capability", [80, 90])
+@pytest.mark.parametrize("capability", [pytest.param(80, marks=pytest.mark.slow), 90])
 def test_compiles_without_spilling(
     needs_triton: None, tmp_path: Path, capability: int, n_atoms: int, k: int, warm: bool
 ) -> None:

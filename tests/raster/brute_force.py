@@ -26,7 +26,7 @@ def blending_weights(gaussians, camera, preset: str, margin: float = 2e-3) -> Tr
         getattr(gaussians, n).numpy().astype(np.float64) for n in ("means", "quats", "scales")
     )
     opacities = gaussians.opacities.numpy().astype(np.float64)
-    projection, K = camera.viewmat.numpy(), camera.K.numpy()
+    viewmat, K = camera.viewmat.numpy(), camera.K.numpy()
     height, width = camera.height, camera.width
     ys, xs = np.mgrid[:height, :width] + 0.5
     weights = np.zeros((len(means), height, width))
@@ -37,13 +37,13 @@ def blending_weights(gaussians, camera, preset: str, margin: float = 2e-3) -> Tr
         numbers = np.concatenate([means[i], quats[i], scales[i]])
         if not np.isfinite(numbers).all() or np.isnan(opacities[i]) or not quats[i].any():
             continue
-        depth = (projection[:3, :3] @ means[i] + projection[:3, 3])[2]
+        depth = (viewmat[:3, :3] @ means[i] + viewmat[:3, 3])[2]
         if depth > near:
             drawable.append((depth, i))
     transmittance = np.ones((height, width))
     stopped = np.zeros((height, width), bool)
     for _, i in sorted(drawable):
-        centre, covariance = _project(means[i], quats[i], scales[i], projection, K, width, height, preset)
+        centre, covariance = _project(means[i], quats[i], scales[i], viewmat, K, width, height, preset)
         conic = np.linalg.inv(covariance)
         dx, dy = xs - centre[0], ys - centre[1]
         q = conic[0, 0] * dx * dx + (conic[0, 1] + conic[1, 0]) * dx * dy + conic[1, 1] * dy * dy
@@ -58,7 +58,7 @@ def blending_weights(gaussians, camera, preset: str, margin: float = 2e-3) -> Tr
     return Truth(weights, unsure)
 
 
-def _project(mean, quat, scale, projection, K, width, height, preset):
+def _project(mean, quat, scale, viewmat, K, width, height, preset):
     w, x, y, z = quat / np.linalg.norm(quat)
     rotation = np.array(
         [
@@ -68,7 +68,7 @@ def _project(mean, quat, scale, projection, K, width, height, preset):
         ]
     )
     covariance = rotation @ np.diag(scale**2) @ rotation.T
-    tx, ty, tz = projection[:3, :3] @ mean + projection[:3, 3]
+    tx, ty, tz = viewmat[:3, :3] @ mean + viewmat[:3, 3]
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     half_x, half_y = width / (2 * fx), height / (2 * fy)
     if preset == "inria":
@@ -83,5 +83,5 @@ def _project(mean, quat, scale, projection, K, width, height, preset):
     sx = tz * min(bounds[1], max(bounds[0], tx / tz))
     sy = tz * min(bounds[3], max(bounds[2], ty / tz))
     jacobian = np.array([[fx / tz, 0, -fx * sx / tz**2], [0, fy / tz, -fy * sy / tz**2]])
-    turned = jacobian @ projection[:3, :3]
+    turned = jacobian @ viewmat[:3, :3]
     return (fx * tx / tz + cx, fy * ty / tz + cy), turned @ covariance @ turned.T + 0.3 * np.eye(2)

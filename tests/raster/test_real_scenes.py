@@ -101,8 +101,8 @@ def codes_and_queries(count: int) -> tuple[torch.Tensor, ...]:
 
 
 @pytest.mark.parametrize(("view", "preset", "downscale"), VIEWS)
-def test_flips_are_few_small_and_explained(data_folder, projection, preset, downscale):
-    scene, number = projection.split()[0], int(projection.split()[1])
+def test_flips_are_few_small_and_explained(data_folder, view, preset, downscale):
+    scene, number = view.split()[0], int(view.split()[1])
     gaussians = load_scene(data_folder, scene)
     camera = load_camera(data_folder, scene, number, downscale, gaussians)
     views = both(gaussians, camera, preset)
@@ -123,8 +123,8 @@ def test_flips_are_few_small_and_explained(data_folder, projection, preset, down
 
 
 @pytest.mark.parametrize(("view", "preset", "downscale"), [VIEWS[2], VIEWS[4], VIEWS[7]])
-def test_cosines(data_folder, projection, preset, downscale):
-    scene, number = projection.split()[0], int(projection.split()[1])
+def test_cosines(data_folder, view, preset, downscale):
+    scene, number = view.split()[0], int(view.split()[1])
     gaussians = load_scene(data_folder, scene)
     camera = load_camera(data_folder, scene, number, downscale, gaussians)
     views = both(gaussians, camera, preset)

@@ -104,7 +104,7 @@ def test_a_build_agrees_with_the_reference(interpreted, rounds):
     interpreted(gpu_checks.check_build, rounds)
 
 
-@pytest.mark.parametrize("capability", [80, 90])
+@pytest.mark.parametrize("capability", [pytest.param(80, marks=pytest.mark.slow), 90])
 def test_kernels_compile_within_a_gpu(needs_triton: None, tmp_path: Path, capability: int) -> None:
     for name, launch in launches().items():
         usage = compile_kernel(*launch, capability, tmp_path)

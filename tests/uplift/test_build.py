@@ -83,19 +83,19 @@ def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, tmp_path, 
     taken = {"region sums": 2, "vote": 4, "coding m": 0}[at[0]]
     sums = resumed(path, gaussians, regions)
     assert len(sums) == taken
-    looked = []
+    projected = []
     project = scoup.raster.project
-    monkeypatch.setattr(scoup.raster, "project", lambda *a, **k: looked.append(a[1].name) or project(*a, **k))
+    monkeypatch.setattr(scoup.raster, "project", lambda *a, **k: projected.append(a[1].name) or project(*a, **k))
     stages = Stages()
     again = build(*scene, settings=QUICK, sums=sums, progress=stages)
-    assert len(looked) == 4 - taken  # no view is done again
+    assert len(projected) == 4 - taken  # no view is done again
     assert ("coding s" in stages.names()) == (
         at[0] == "coding m"
     )  # codes are kept as soon as they are learned
     assert saved(again, tmp_path / "resumed.scoup") == whole
 
 
-def test_what_changed_during_an_interruption_is_taken_in_anew(scene, tmp_path):
+def test_what_changed_during_an_interruption_is_rasterised_again(scene, tmp_path):
     gaussians, cameras, regions = scene
     sums = resumed(tmp_path / "f.partial", gaussians, regions)
     build(*scene, settings=QUICK, sums=sums)
@@ -244,7 +244,7 @@ def test_cameras_that_see_nothing(scene):
         build(away, cameras, regions, settings=QUICK)
 
 
-def test_almost_nothing_seen_is_told(scene):
+def test_almost_nothing_seen_is_reported(scene):
     _, cameras, regions = scene
     many = random_gaussians(400, 3)
     many.means[1:] -= 100

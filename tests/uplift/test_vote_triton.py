@@ -51,7 +51,7 @@ def test_damaged_sums_are_refused(interpreted):
     interpreted(triton_checks.check_damage)
 
 
-@pytest.mark.parametrize("capability", [80, 90])
+@pytest.mark.parametrize("capability", [pytest.param(80, marks=pytest.mark.slow), 90])
 def test_compiles(needs_triton: None, tmp_path: Path, capability: int) -> None:
     found = {name: launch for name, launch in launches().items() if name.startswith("vote")}
     assert len(found) > 2

@@ -48,7 +48,7 @@ class GeometryMismatchError(InputError):
 
 
 class OutputExistsError(ScoupError, FileExistsError):
-    """An output is already there and overwriting was not asked for."""
+    """An output is already there and overwriting was not allowed."""
 
     def __init__(self, path: str | Path) -> None:
         super().__init__(f"{path}: already exists; pass --overwrite (overwrite=True in Python) to replace it")
@@ -58,8 +58,8 @@ class UnknownNameError(InputError, KeyError):
     """A word, camera or level that is not in the set searched. The message lists the nearest names.
 
     Args:
-        kind: what was looked for, for example "camera".
-        name: the name asked for.
+        kind: what was searched, for example "camera".
+        name: the name that is not there.
         known: the names there are.
         where: the file or thing that was searched.
     """
@@ -79,7 +79,7 @@ def looked_up(kind: str, name: str, table: Mapping[str, Entry]) -> Entry:
     """The entry of that name.
 
     Args:
-        kind: what is looked for, for the error.
+        kind: what is searched, for the error.
         name: of the entry.
         table: all entries.
 

@@ -1,4 +1,4 @@
-"""The compiled core: loaded when first used, and what to tell the user where there is none.
+"""The compiled core: loaded when first used; where there is none, why, and the remedy.
 
 The environment variable ``SCOUP_NATIVE`` decides what is used: ``off`` counts the core as absent; ``baseline``, ``v3``
 or ``v4`` takes that instruction set (x86-64-v2, v3, v4) instead of the best one that the CPU has.

@@ -38,7 +38,7 @@ def unit(vectors: Tensor, otherwise: Tensor) -> Tensor:
     norms = square_root(ordered_sum(vectors * vectors, 1))[:, None]
     scaled = vectors / norms.clamp(min=1e-6)
     whole = norms > 1e-6
-    # Nearly always all are, and on a CPU it costs nothing to ask; a GPU would have to be waited for.
+    # Nearly always all are, and on a CPU the question costs nothing; a GPU would have to be waited for.
     if norms.device.type == "cpu" and bool(whole.all()):
         return scaled
     return torch.where(whole, scaled, otherwise)

@@ -2,7 +2,7 @@
 
 ``project`` projects, bins and sorts the Gaussians for one camera. The other functions take its ``Projection``. They all
 use the same blending weights e = alpha * transmittance of each Gaussian at each pixel (method.md, stage 2), so
-what is lifted is exactly what is rendered. Gaussians that are not finite are never drawn; a pixel that nothing paints
+what is uplifted is exactly what is rendered. Gaussians that are not finite are never drawn; a pixel that nothing paints
 is zero.
 
 A backend is one module with these functions, chosen by the device of the tensors or by name (``base.backends``).

@@ -28,7 +28,7 @@ class CombinedLabels:
     table: Tensor  # [C, S]
 
     def digest(self) -> str:
-        """SHA-256: equal for equal label maps only, to tell later whether they are the same."""
+        """SHA-256: equal for equal label maps only, to compare them later."""
         digest = hashlib.sha256(str([list(self.map.shape), list(self.table.shape)]).encode())
         for part in (self.table, self.map):
             digest.update(part.cpu().contiguous().numpy().data)

@@ -1,7 +1,7 @@
 """Consensus before coding: regions seen by the same Gaussians come to agree on their embeddings.
 
 Source: the project's study of codes and votes ("consensus before coding", variant RS adaptive). It stands between the
-region sums of one rasterisation pass and stage 1 of the method: the embeddings it gives are coded and lifted as usual.
+region sums of one rasterisation pass and stage 1 of the method: the embeddings it gives are coded and uplifted as ever.
 
 With A [N, R] the region sums of one level and z its row sums, M = A^T diag(1/z) A, rows scaled to sum 1, says what
 share of what region r shows is shown by region s too. From G = F, the unit embeddings, three times
@@ -39,10 +39,14 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 STAGE = "consensus"  # of progress
-SAMPLE = 2048  # regions whose pairs tell kappa; the median of their many pairs is that of all to about 1 %
-LEAST_DISTANCE = 1e-4  # what 1 - cos is told from 0; bounds kappa where all embeddings are equal
+SAMPLE = (
+    2048  # regions whose pairs determine kappa; the median of their many pairs is that of all to about 1 %
+)
+LEAST_DISTANCE = (
+    1e-4  # the least 1 - cos that counts as a difference; bounds kappa where all embeddings are equal
+)
 BLOCK_ENTRIES = 4_000_000  # of M before pruning, at a time
-SCAN = 8_000_000  # non-zeros of A looked at together
+SCAN = 8_000_000  # non-zeros of A read together
 REPORT_EVERY = 512  # regions between two reports
 
 Step = Callable[[int], None]

@@ -144,7 +144,7 @@ def learn_region_codes(
 ) -> RegionCodes:
     """Codes of every level, each learned by one of the processes; kept beside the sums as soon as they are known.
 
-    Codes that are there already, of these embeddings and settings, are taken as they are.
+    Codes that are there already, of these embeddings and settings, are used as they are.
     """
     key = inputs_digest("", [], embeddings, settings.of_codes)
     kept = processes.gather(RegionCodes.kept(sums, key) if processes.first else None)[0]

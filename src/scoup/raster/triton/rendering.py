@@ -78,7 +78,7 @@ class PackedCodes:
 
     Attributes:
         words: [N, S, GROUPS * SLOTS] int32, or int64 where ``wide``.
-        wide: weights are kept as float32, because they came so or because another precision was asked for.
+        wide: weights are kept as float32, because they came so or because of another precision.
     """
 
     words: Tensor

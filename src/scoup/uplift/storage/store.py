@@ -22,7 +22,7 @@ class Store:
         most_in_memory: bytes kept in memory where there is no path.
 
     Attributes:
-        bytes_in_memory: taken so far.
+        bytes_in_memory: of the records kept there.
     """
 
     def __init__(self, path: Path | None, head: Record, most_in_memory: int = MOST_IN_MEMORY) -> None:
