@@ -20,8 +20,8 @@ from scoup.baselines.method import MethodSettings
 from scoup.baselines.rasterised_scene import RasterisedScene
 from scoup.baselines.sparse import SparseUplift, vote_codes
 from scoup.evaluate.data_sets import LabelledScene
+from scoup.evaluate.label_vectors import LabelVectors
 from scoup.evaluate.studies.study_scene import StudyScene
-from scoup.evaluate.text_vectors import TextVectors
 from scoup.field.language_field import LanguageField
 from scoup.models.words import with_everyday
 from scoup.query.answers import QUERY_PRESETS, QueryPreset, choose_level, level_masks, select_with_level
@@ -75,7 +75,7 @@ def absent_words(scene: LabelledScene, others: Sequence[LabelledScene]) -> list[
 
 def query_scene(
     scene: StudyScene,
-    absent: TextVectors,
+    absent: LabelVectors,
     settings: BuildSettings,
     preset: QueryPreset = QUERY_PRESETS["default"],
     progress: Progress = no_progress,
@@ -90,9 +90,9 @@ def query_scene(
         progress: called after each view.
     """
     field, vote_values = _field(scene.rasterised, settings)
-    words, queries = (*scene.texts.texts, *absent.texts), torch.cat([scene.texts.queries, absent.queries])
+    words, queries = (*scene.vectors.texts, *absent.texts), torch.cat([scene.vectors.queries, absent.queries])
     everyday = absent.everyday
-    canonical = with_everyday(scene.texts.canonical, everyday)
+    canonical = with_everyday(scene.vectors.canonical, everyday)
     questions = []
     frames = scene.labelled.frames
     progress(f"presence {scene.name}", 0, len(frames))

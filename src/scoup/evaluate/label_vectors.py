@@ -15,20 +15,22 @@ from scoup.models.text import TextEncoder
 
 
 @dataclass(frozen=True, eq=False)
-class TextVectors:
-    """Texts and their unit vectors.
+class LabelVectors:
+    """Labels or other words by name, and the vectors that they are compared with; all of unit norm.
 
     Attributes:
-        texts: Q of them.
+        source: the table or model they are from.
         queries: [Q, D], of the texts.
         canonical: [P, D] of the canonical phrases.
         everyday: [B, D] of everyday words.
+        texts: Q of them.
     """
 
+    source: str
+    queries: Tensor  # [Q, D]
+    canonical: Tensor  # [P, D]
+    everyday: Tensor  # [B, D]
     texts: tuple[str, ...]
-    queries: Tensor
-    canonical: Tensor
-    everyday: Tensor
 
     def of(self, texts: Sequence[str]) -> Tensor:
         """[len(texts), D] vectors of some of the texts."""
@@ -46,7 +48,7 @@ def text_source(root: Path, scene: LabelledScene, wanted: str | None, default: s
     return default
 
 
-def encode_labels(scene: LabelledScene, source: str, device: str = "cpu") -> TextVectors:
+def encode_labels(scene: LabelledScene, source: str, device: str = "cpu") -> LabelVectors:
     """Vectors of every label of a scene.
 
     Raises:
@@ -55,7 +57,7 @@ def encode_labels(scene: LabelledScene, source: str, device: str = "cpu") -> Tex
     return encode_words(scene.labels, source, f"a label of {scene.name}", device)
 
 
-def encode_words(words: Sequence[str], source: str, why: str, device: str = "cpu") -> TextVectors:
+def encode_words(words: Sequence[str], source: str, why: str, device: str = "cpu") -> LabelVectors:
     """Vectors of words; ``why`` they are needed, for the error.
 
     Raises:
@@ -67,4 +69,4 @@ def encode_words(words: Sequence[str], source: str, why: str, device: str = "cpu
             canonical, everyday = encoder.canonical(), encoder.everyday()
         except UnknownNameError as error:
             raise InputError(f"{source}: has no vector for {error.name!r}, {why}") from error
-    return TextVectors(tuple(words), vectors, canonical, everyday)
+    return LabelVectors(source, vectors, canonical, everyday, tuple(words))
