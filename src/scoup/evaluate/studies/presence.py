@@ -1,4 +1,4 @@
-"""Presence on labelled scenes: signals that may tell absent things from present ones (docs/evaluation.md).
+"""Presence on labelled scenes: signals that may separate absent things from present ones (docs/evaluation.md).
 
 Every labelled view is queried for three kinds of words: labels of the view (present), labels of other views of the
 scene (out of view), and things that the scene does not have (absent). Then the scene as a whole is queried for every
