@@ -30,10 +30,10 @@ from scoup.baselines.method import DEFAULTS, MethodSettings
 from scoup.baselines.rasterised_scene import RasterisedScene
 from scoup.baselines.sparse import SparseUplift, learn_codes
 from scoup.evaluate.data_sets import DATA_SETS, LabelledScene
+from scoup.evaluate.label_vectors import encode_labels
 from scoup.evaluate.metrics import bootstrap_interval
 from scoup.evaluate.scores import SceneScore
 from scoup.evaluate.studies.study_scene import StudyScene
-from scoup.evaluate.text_vectors import encode_labels
 from scoup.io.labels import match_frames, read_labels
 from scoup.query.presets import QUERY_PRESETS
 from scoup.uplift.build import BuildSettings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -23,6 +24,7 @@ def check_scatter(kind: str, levels: int, n_atoms: int, k: int, device: str) -> 
     from scoup.baselines.scatter_kernel import scatter_view
 
     gaussians, camera = scene_of(kind, 3, device == "cpu")
+    projection: Any
     projection, reference = projections_of(gaussians, camera, "inria", device)
     generator = torch.Generator().manual_seed(3)
     labels = random_labels(levels, camera.height, camera.width, 7, 3)

@@ -84,7 +84,7 @@ def test_predicted_once_scored_by_other_rules(here: Path) -> None:
         for rules in ("scoup", "langsplat")
     ]
     assert both[0] != both[1]
-    # The same again gives the same, and is refused unless asked for.
+    # The same again gives the same, and is refused without --overwrite.
     message = refused("eval", "lerf-ovs", "lerf-ovs", *QUICK, "--scenes", "table", folder=here)
     assert "--overwrite" in message
     again = run_json(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import literal
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from evaluate import literal
 from scoup.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
 from scoup.io.labels import LabelledFrame
 from scoup.query.presets import QUERY_PRESETS, query_preset

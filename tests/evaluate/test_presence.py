@@ -157,8 +157,9 @@ def labelled(folder: Path, name: str, *labels: str) -> LabelledScene:
     mask = torch.zeros(30, 40, dtype=torch.bool)
     frame = LabelledFrame("view_00.png", 40, 30, dict.fromkeys(labels, mask), {})
     camera = make_camera(name="view_00.png")
-    folders = folder / name, folder / name, folder / name
-    return LabelledScene(find_data_set("lerf-ovs"), name, *folders, Cameras([camera]), [(frame, camera)])
+    home = folder / name
+    frames = [(frame, camera)]
+    return LabelledScene(find_data_set("lerf-ovs"), name, home, home, home, Cameras([camera]), frames)
 
 
 def test_absent_words(tmp_path: Path) -> None:

@@ -85,7 +85,9 @@ def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, tmp_path, 
     assert len(sums) == taken
     projected = []
     project = scoup.raster.project
-    monkeypatch.setattr(scoup.raster, "project", lambda *a, **k: projected.append(a[1].name) or project(*a, **k))
+    monkeypatch.setattr(
+        scoup.raster, "project", lambda *a, **k: projected.append(a[1].name) or project(*a, **k)
+    )
     stages = Stages()
     again = build(*scene, settings=QUICK, sums=sums, progress=stages)
     assert len(projected) == 4 - taken  # no view is done again

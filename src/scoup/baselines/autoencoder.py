@@ -1,7 +1,7 @@
 """LangSplat's autoencoder: three numbers for each region, and a network that makes an embedding of them again.
 
 What sparse codes are compared with in method.md. A splat of LangSplat stores the three numbers for each Gaussian, and
-a picture of it three for each pixel; everybody who asks needs the network, which is trained for each scene.
+a picture of it three for each pixel; every query needs the network, which is trained for each scene.
 
 Followed from LangSplat's public code: layers 512-256-128-64-32-3 and 3-16-32-64-128-256-256-512, batch normalisation
 and ReLU between the layers of the encoder, ReLU alone between those of the decoder; the three numbers and the result
@@ -13,10 +13,10 @@ Where this departs from it:
 
 * The cosine of the loss is between an embedding and its reconstruction. Theirs is taken along the batch, for each of
   the 512 numbers. For unit vectors both terms are multiples of 1 - cosine, so the second hardly matters.
-* The four last epochs are looked at whatever their number; theirs are those from the 97th on.
+* The last four epochs compete, however many there are; theirs are those from the 97th on.
 * One row left over at the end of an epoch joins the batch before it: a batch of one has no variance, and
   stops their code with an error.
-* Nothing is logged and autograd looks for no anomalies, so steps cost less than theirs would on the same machine.
+* Nothing is logged and autograd's anomaly detection is off, so steps cost less than theirs on the same machine.
 * Any D, not only 512. Rows of norm zero are left out, and get three zeros.
 """
 
@@ -136,7 +136,7 @@ def fit_autoencoder(
         embeddings: [R, D] floating point, one row a region, any norm; rows of norm zero are left out.
         settings: see ``AutoencoderSettings``.
         seed: of the first weights and of the order of the rows.
-        progress: told after every step, as stage "autoencoder". An exception it raises (or Ctrl-C) stops the fit and
+        progress: called after every step, as stage "autoencoder". An exception it raises (or Ctrl-C) stops the fit and
             nothing is kept.
 
     Raises:

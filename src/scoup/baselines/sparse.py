@@ -29,7 +29,7 @@ def learn_codes(embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
     """Codes of the regions of each level, as ``scoup.build`` learns them.
 
     Raises:
-        InputError: the settings ask for consensus.
+        InputError: the settings have consensus.
     """
     if settings.consensus:
         raise InputError("consensus is not compared here; build without it")

@@ -117,12 +117,12 @@ def _say_totals(console: Console, result: DemoResult) -> None:
     from scoup.evaluate.demonstration import summary
 
     totals = Table(title="Means over all (view, name) pairs", title_justify="left")
-    for heading in ("variant", "mIoU", "95 % interval over names", "localisation", "bytes a Gaussian"):
-        totals.add_column(heading, justify="left" if heading == "variant" else "right")
-    for variant, row in summary(result).items():
+    for heading in ("method", "mIoU", "95 % interval over names", "localisation", "bytes a Gaussian"):
+        totals.add_column(heading, justify="left" if heading == "method" else "right")
+    for method, row in summary(result).items():
         low, high = row["interval"]  # pyright: ignore[reportGeneralTypeIssues]
         totals.add_row(
-            variant,
+            method,
             f"{row['miou']:.3f}",
             f"{low:.3f} to {high:.3f}",
             f"{row['accuracy']:.1%}",

@@ -97,7 +97,7 @@ class LabelledScene:
 
 @dataclass(frozen=True)
 class Places:
-    """Where the parts of a scene lie, if not where they usually do; ``{scene}`` stands for its name.
+    """Where the parts of a scene lie, if not where they usually do; ``{scene}`` is replaced by its name.
 
     Attributes:
         gaussians: the trained splat. Default: the one in the scene's folder.

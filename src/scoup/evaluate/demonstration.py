@@ -18,10 +18,10 @@ from scoup.evaluate.data_sets import DATA_SETS, LabelledScene
 from scoup.evaluate.metrics import bootstrap_interval
 from scoup.evaluate.scores import PairScore, SceneScore
 from scoup.evaluate.studies.study_scene import StudyScene
-from scoup.evaluate.text_vectors import TextVectors
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output, load_cameras, load_gaussians, load_regions
 from scoup.query.presets import QUERY_PRESETS
+from scoup.query.text_vectors import TextVectors
 from scoup.synthetic.art.layout import Layout
 from scoup.synthetic.art.table import TABLE
 from scoup.synthetic.folder import write_demo_scene
@@ -142,7 +142,7 @@ def run_demo(
         fitted = _fitted(rasterised, field, build_settings)
     with timed(seconds, "query and score all three"):
         labelled = _labelled(scene, folder)
-        study = StudyScene(labelled, _texts(scene, labelled.labels), rasterised)
+        study = StudyScene(labelled, _vectors(scene, labelled.labels), rasterised)
         scores = {}
         progress("scoring", 0, len(fitted))
         for name, method in fitted.items():
@@ -170,7 +170,7 @@ def _labelled(scene: DemoScene, folder: Path) -> LabelledScene:
     return LabelledScene(DATA_SETS["lerf-ovs"], "", folder, folder, folder, scene.held_out, frames)
 
 
-def _texts(scene: DemoScene, labels: list[str]) -> TextVectors:
+def _vectors(scene: DemoScene, labels: list[str]) -> TextVectors:
     canonical = scene.canonical
     return TextVectors(tuple(labels), scene.text_vectors(labels), canonical, canonical[:0])
 

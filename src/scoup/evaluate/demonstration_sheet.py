@@ -1,4 +1,4 @@
-"""The contact sheet of the demo: for each query the truth, the relevancy and the mask."""
+"""The demo's contact sheet: query, truth, relevancy and mask."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ TRUTH_COLOR = (70, 200, 110)
 
 
 def query_sheet(result: DemoResult) -> Picture:
-    """Rows of truth, relevancy and mask: some favourites, and the worst answer, so that the sheet does not mislead.
+    """Rows of truth, relevancy and mask: some favourites, and the worst answer of all.
 
     Each name is shown in the view of its median score, not of its best.
     """
     pairs = [_median_pair(result, name) for name in names_to_show(result)]
     tiles = [tile for pair in pairs for tile in _row(result, pair)]
     score = result.scores[METHOD]
-    queries = f"{len(score.pairs)} queries in held-out views"
-    heading = f"{queries}: mIoU {score.miou:.2f}, localisation {score.accuracy:.0%}"
+    count = f"{len(score.pairs)} queries in held-out views"
+    heading = f"{count}: mIoU {score.miou:.2f}, localisation {score.accuracy:.0%}"
     footer = (
         "Scene, regions and embeddings are simulated; the truth comes from the scene's geometry. "
         "Each name is shown in its view of median score. The last row is the worst answer of the run."
@@ -53,9 +53,8 @@ def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture
     camera = scene.held_out[pair.frame]
     projection = field.project(camera)
     rgb = render_colors(field.gaussians, camera, projection)
-    maps: Tensor = field.relevancy(camera, scene.text_vectors([pair.label]), scene.canonical, projection)[
-        :, 0
-    ]
+    query = scene.text_vectors([pair.label])
+    maps: Tensor = field.relevancy(camera, query, scene.canonical, projection)[:, 0]
     place, shape = localize_and_segment(maps)
     truth = mask_overlay(
         scene.mask(camera.name, pair.label),

@@ -14,11 +14,11 @@ from scoup.base.version import VERSION
 from scoup.baselines.fitted import FittedField
 from scoup.evaluate.data_sets import DataSet, LabelledScene, data_set_preset
 from scoup.evaluate.failures import failure_sheet
+from scoup.evaluate.label_vectors import encode_labels
 from scoup.evaluate.predictions import PredictionCache, file_digest
 from scoup.evaluate.report import Report, write_report
 from scoup.evaluate.scores import PairScore, SceneScore
 from scoup.evaluate.scoring import build_field, predict, score_maps, score_selection
-from scoup.evaluate.text_vectors import encode_labels
 from scoup.io import check_output, save_png
 from scoup.uplift.build import BuildSettings
 
@@ -93,21 +93,21 @@ def evaluate_scene(
         settings: see there.
         progress: called while building and predicting.
     """
-    texts = encode_labels(scene, text_source, settings.device)
+    vectors = encode_labels(scene, text_source, settings.device)
     path = out / "fields" / f"{scene.name}.scoup"
     field = build_field(scene, path, settings.build, text_source, settings.rebuild, settings.device, progress)
     cache, digest = PredictionCache(out / "cache"), file_digest(path)
     preset = data_set_preset(settings.data_set, settings.rules)
-    maps = predict(scene, texts, field, digest, cache, progress=progress)
+    maps = predict(scene, vectors, field, digest, cache, progress=progress)
     score = score_maps(settings.data_set, scene.name, maps, preset, field.levels)
     selected = None
     if settings.selection:
         raster_preset = field.info.raster_preset
-        selected = score_selection(scene, texts, FittedField(field), field.gaussians, raster_preset)
+        selected = score_selection(scene, vectors, FittedField(field), field.gaussians, raster_preset)
     if settings.sheets:
 
         def map_of(pair: PairScore) -> Tensor:
-            ((frame, found),) = predict(scene, texts, field, digest, cache, [pair.frame])
+            ((frame, found),) = predict(scene, vectors, field, digest, cache, [pair.frame])
             return found[:, frame.labels.index(pair.label)]
 
         sheet = failure_sheet(score, scene, field, map_of, preset)

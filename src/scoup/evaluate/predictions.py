@@ -75,7 +75,7 @@ def prediction_key(
     """SHA-256 of all that a map depends on.
 
     Args:
-        source: digest of the field (``file_digest``), or whatever else tells methods apart.
+        source: digest of the field (``file_digest``), or of whatever else gives the maps.
         camera: the view.
         labels: in the order of the maps.
         vectors, canonical: [Q, D] and [P, D] of the words.

@@ -26,7 +26,7 @@ class Report:
         scenes: their scores.
         published_scenes: scenes of the published data set: published rows stand beside ours only where all of ours are
             among them.
-        settings: what else tells this run from others, for the JSON.
+        settings: of this run, for the JSON.
         notes: for below the overall table.
     """
 
@@ -96,7 +96,7 @@ def query_table(report: Report, levels: Sequence[str] = ()) -> Table:
 
     Args:
         report: the scores.
-        levels: names of the levels, to tell which ones answered.
+        levels: names of the levels, to name those that answered.
     """
     localizes = all(scene.localizes for scene in report.scenes)
     headers = ["query", "scene", "frames", "mIoU"]

@@ -56,7 +56,7 @@ class SceneScore:
 
     @property
     def localizes(self) -> bool:
-        """Whether the protocol asks for points too."""
+        """Whether the protocol scores points too."""
         return all(pair.hit is not None for pair in self.pairs)
 
     @property

@@ -16,13 +16,13 @@ from scoup.evaluate.data_sets import DataSet, LabelledScene
 from scoup.evaluate.predictions import PredictionCache, prediction_key
 from scoup.evaluate.protocols import lerf_ovs, mipnerf360, selection, threed_ovs
 from scoup.evaluate.scores import SceneScore
-from scoup.evaluate.text_vectors import TextVectors
 from scoup.field.language_field import LanguageField
 from scoup.io import default_preset, load_gaussians, load_regions
 from scoup.io.labels import LabelledFrame
 from scoup.query.neighbours import Neighbourhood
 from scoup.query.presets import QueryPreset
 from scoup.query.select import select_by_relevancy
+from scoup.query.text_vectors import TextVectors
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS
 from scoup.uplift.build import build
@@ -78,7 +78,7 @@ def build_field(
 
 def predict(
     scene: LabelledScene,
-    texts: TextVectors,
+    vectors: TextVectors,
     field: LanguageField,
     digest: str,
     cache: PredictionCache,
@@ -89,7 +89,7 @@ def predict(
 
     Args:
         scene: its frames.
-        texts: the labels.
+        vectors: of the labels.
         field: of the scene.
         digest: of the field, for the cache.
         cache: where maps are kept.
@@ -100,12 +100,12 @@ def predict(
     wanted = [pair for pair in scene.frames if frames is None or pair[0].name in frames]
     progress(f"predict {scene.name}", 0, len(wanted))
     for done, (frame, camera) in enumerate(wanted, start=1):
-        queries = texts.of(frame.labels)
+        queries = vectors.of(frame.labels)
         size = scene.map_size(frame, camera)
-        key = prediction_key(digest, camera, frame.labels, queries, texts.canonical, size)
+        key = prediction_key(digest, camera, frame.labels, queries, vectors.canonical, size)
 
         def relevancy(camera=camera, queries=queries, size=size) -> Tensor:
-            return fitted.relevancy(field.project(camera), queries, texts.canonical, size)
+            return fitted.relevancy(field.project(camera), queries, vectors.canonical, size)
 
         yield frame, cache.get(f"{scene.name}/{frame.name}", key, relevancy)
         progress(f"predict {scene.name}", done, len(wanted))
@@ -127,13 +127,17 @@ def score_maps(
 
 
 def score_selection(
-    scene: LabelledScene, texts: TextVectors, fitted: FittedMethod, gaussians: Gaussians, raster_preset: str
+    scene: LabelledScene,
+    vectors: TextVectors,
+    fitted: FittedMethod,
+    gaussians: Gaussians,
+    raster_preset: str,
 ) -> SceneScore:
     """Score a scene by the 3D-selection protocol."""
     rule, coded = selection.VALA_3D, fitted.coded()
     around = Neighbourhood.of(gaussians.means, coded.any(0), rule.neighbours) if rule.neighbours else None
     chosen = {}
-    for label, query in zip(texts.texts, texts.queries, strict=True):
-        relevancy = fitted.gaussian_relevancy(query[None], texts.canonical)[:, 0]
+    for label, query in zip(vectors.texts, vectors.queries, strict=True):
+        relevancy = fitted.gaussian_relevancy(query[None], vectors.canonical)[:, 0]
         chosen[label] = select_by_relevancy(relevancy, coded, around, rule.threshold).mask
     return selection.score_scene(scene.name, gaussians, scene.frames, chosen, raster_preset, rule)

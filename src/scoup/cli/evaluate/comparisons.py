@@ -68,9 +68,9 @@ class Presence(StudyOptions):
     def run(self, console: Console) -> None:
         """Query, judge, write."""
         from scoup.base.errors import InputError
+        from scoup.evaluate.label_vectors import encode_words
         from scoup.evaluate.studies.presence import absent_words, query_scene
         from scoup.evaluate.studies.presence_scores import presence_report
-        from scoup.evaluate.text_vectors import encode_words
         from scoup.uplift.build import build_settings
 
         scenes = self.open_study(console, "presence")

@@ -61,7 +61,7 @@ class DataSetOptions(WritesCommon):
 
     def text_source(self, scene: LabelledScene) -> str:
         """The table or model that turns the labels of a scene into vectors."""
-        from scoup.evaluate.text_vectors import text_source
+        from scoup.evaluate.label_vectors import text_source
 
         return text_source(self.root, scene, self.text, CLIP_MODEL)
 
@@ -87,8 +87,8 @@ class StudyOptions(DataSetOptions):
 
     def open_study(self, console: Console, stem: str) -> list[StudyScene]:
         """The scenes with splats, regions and text vectors; refuses outputs that are there, before any work."""
+        from scoup.evaluate.label_vectors import encode_labels
         from scoup.evaluate.studies.study_scene import open_study_scene
-        from scoup.evaluate.text_vectors import encode_labels
         from scoup.io import check_output
 
         for suffix in (".md", ".json", ".tex"):

@@ -42,7 +42,7 @@ def score_frame(
 
     Args:
         frame: the truth; resized to the size of the relevancy maps (masks nearest) if they differ.
-        relevancy: per label of the frame [S, H, W] in 0..1 (a mapping may make them as it is asked), or all
+        relevancy: per label of the frame [S, H, W] in 0..1 (a mapping may make them on access), or all
             stacked in the order of ``frame.labels``, [S, Q, H, W].
         preset: how maps become masks and points. The protocol's default is "scoup", which chooses the level as the
             paper does; everyday queries (``segment``) choose it otherwise.

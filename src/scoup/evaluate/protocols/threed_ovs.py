@@ -93,7 +93,7 @@ def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
 def united(frames: Iterable[LabelledFrame], scene: str) -> list[LabelledFrame]:
     """The frames with the rule of some scenes: in ``room`` the truth of "wood table" also counts as "wood wall".
 
-    *Choice*: the rule is taken to be about the truth. Both classes stay and are asked for.
+    *Choice*: the rule is taken to be about the truth. Both classes stay queries.
     """
     if scene not in UNITED:
         return list(frames)
@@ -119,7 +119,7 @@ def score_frame(
         frame: the truth, with ``united`` applied.
         relevancy: per class of the frame [S, H, W] in 0..1, or all stacked [S, Q, H, W].
         preset: how maps become masks; by default SCOUP's for this data set.
-        levels: names of the S levels, "m" and "l" among them: only these are asked.
+        levels: names of the S levels, "m" and "l" among them: only these may answer.
 
     Raises:
         InputError: a class has no relevancy map, or a level is missing.
@@ -159,7 +159,7 @@ _DEFAULT = preset()
 def _positions(levels: Sequence[str]) -> list[int]:
     missing = [level for level in LEVELS_QUERIED if level not in levels]
     if missing:
-        raise InputError(f"3D-OVS asks the levels {', '.join(LEVELS_QUERIED)}; there is no {missing[0]!r}")
+        raise InputError(f"3D-OVS queries the levels {', '.join(LEVELS_QUERIED)}; there is no {missing[0]!r}")
     return [list(levels).index(level) for level in LEVELS_QUERIED]
 
 

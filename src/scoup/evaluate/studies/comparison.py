@@ -97,10 +97,10 @@ def _query_seconds(scene: StudyScene, fitted: FittedMethod) -> float:
     seconds = []
     for frame, camera in scene.labelled.frames:
         projection = raster.project(scene.rasterised.gaussians, camera, scene.rasterised.raster_preset)
-        queries = scene.texts.of(frame.labels)
+        queries = scene.vectors.of(frame.labels)
         size = scene.labelled.map_size(frame, camera)
         started = time.perf_counter()
-        fitted.relevancy(projection, queries, scene.texts.canonical, size)
+        fitted.relevancy(projection, queries, scene.vectors.canonical, size)
         seconds.append(time.perf_counter() - started)
     return mean(seconds)
 

@@ -41,7 +41,7 @@ class ConsistencyResult:
         cosines: [P] mean over the pairs of each point.
         pairs: how many pairs in all.
         unmatched: mean cosine when the second of each pair is that of another pair drawn at random: features that are
-            all alike have a high cosine between matched observations too, and tell nothing.
+            all alike have a high cosine between matched observations too, and say nothing.
     """
 
     scene: str

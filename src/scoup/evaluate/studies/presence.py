@@ -1,4 +1,4 @@
-"""Presence on labelled scenes: signals that may tell absent things from present ones (docs/evaluation.md).
+"""Presence on labelled scenes: signals that may separate absent things from present ones (docs/evaluation.md).
 
 Every labelled view is queried for three kinds of words: labels of the view (present), labels of other views of the
 scene (out of view), and things that the scene does not have (absent). Then the scene as a whole is queried for every
@@ -21,13 +21,13 @@ from scoup.baselines.rasterised_scene import RasterisedScene
 from scoup.baselines.sparse import SparseUplift, vote_codes
 from scoup.evaluate.data_sets import LabelledScene
 from scoup.evaluate.studies.study_scene import StudyScene
-from scoup.evaluate.text_vectors import TextVectors
 from scoup.field.language_field import LanguageField
 from scoup.models.words import with_everyday
 from scoup.query.presence import scene_z_scores, view_z_scores, vote_entropy
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.segment import choose_level, level_masks, segment
 from scoup.query.select import select_each
+from scoup.query.text_vectors import TextVectors
 from scoup.uplift.build import BuildSettings
 
 SIGNALS = ("z-score", "peak", "inside", "contrast", "entropy", "vote entropy", "vote weight")
@@ -92,9 +92,9 @@ def query_scene(
         progress: called after each view.
     """
     field, vote_values = _field(scene.rasterised, settings)
-    words, queries = (*scene.texts.texts, *absent.texts), torch.cat([scene.texts.queries, absent.queries])
+    words, queries = (*scene.vectors.texts, *absent.texts), torch.cat([scene.vectors.queries, absent.queries])
     everyday = absent.everyday
-    canonical = with_everyday(scene.texts.canonical, everyday)
+    canonical = with_everyday(scene.vectors.canonical, everyday)
     questions = []
     frames = scene.labelled.frames
     progress(f"presence {scene.name}", 0, len(frames))

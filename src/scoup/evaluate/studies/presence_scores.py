@@ -1,5 +1,5 @@
-"""How well signals tell absent things from present ones, and how well a bound on a signal does on scenes that it was
-not chosen on."""
+"""How well signals separate absent things from present ones, and how well a bound on a signal does on scenes that it
+was not chosen on."""
 
 from __future__ import annotations
 

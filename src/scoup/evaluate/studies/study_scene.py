@@ -13,11 +13,11 @@ from scoup.baselines.rasterised_scene import RasterisedScene
 from scoup.evaluate.data_sets import LabelledScene
 from scoup.evaluate.scores import SceneScore
 from scoup.evaluate.scoring import score_maps, score_selection
-from scoup.evaluate.text_vectors import TextVectors
 from scoup.io import default_preset, load_gaussians, load_regions
 from scoup.io.labels import LabelledFrame
 from scoup.models.words import with_everyday
 from scoup.query.presets import QueryPreset
+from scoup.query.text_vectors import TextVectors
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,12 @@ class StudyScene:
 
     Attributes:
         labelled: the scene with its labels.
-        texts: vectors of the labels.
+        vectors: of the labels.
         rasterised: the scene that methods are fitted to.
     """
 
     labelled: LabelledScene
-    texts: TextVectors
+    vectors: TextVectors
     rasterised: RasterisedScene
 
     @property
@@ -60,7 +60,7 @@ class StudyScene:
         for frame, camera in self.labelled.frames:
             projection = raster.project(self.rasterised.gaussians, camera, self.rasterised.raster_preset)
             size = self.labelled.map_size(frame, camera)
-            queries = self.texts.of(frame.labels)
+            queries = self.vectors.of(frame.labels)
             yield frame, [fitted.relevancy(projection, queries, each, size) for each in canonical]
 
     def score(self, fitted: FittedMethod, preset: QueryPreset) -> SceneScore:
@@ -72,8 +72,8 @@ class StudyScene:
         pairs: dict[str, list] = {name: [] for name in rules}
         protocol = ""
         kinds = sorted({rule.everyday for rule in rules.values()})
-        plain = self.texts.canonical
-        compared = [with_everyday(plain, self.texts.everyday) if everyday else plain for everyday in kinds]
+        plain = self.vectors.canonical
+        compared = [with_everyday(plain, self.vectors.everyday) if everyday else plain for everyday in kinds]
         for frame, maps in self.maps(fitted, compared):
             for name, rule in rules.items():
                 part = self._score(frame, maps[kinds.index(rule.everyday)], rule)
@@ -87,7 +87,7 @@ class StudyScene:
     def selection_score(self, fitted: FittedMethod) -> SceneScore:
         """The score by the 3D-selection protocol."""
         scene = self.rasterised
-        return score_selection(self.labelled, self.texts, fitted, scene.gaussians, scene.raster_preset)
+        return score_selection(self.labelled, self.vectors, fitted, scene.gaussians, scene.raster_preset)
 
     def _score(self, frame: LabelledFrame, maps: Tensor, rule: ScoringRule) -> SceneScore:
         levels = tuple(self.rasterised.regions.levels)
@@ -97,9 +97,9 @@ class StudyScene:
         return score_maps(self.labelled.data_set, self.name, [(frame, maps)], rule.preset, levels)
 
 
-def open_study_scene(labelled: LabelledScene, texts: TextVectors) -> StudyScene:
+def open_study_scene(labelled: LabelledScene, vectors: TextVectors) -> StudyScene:
     """Load the splat and open the regions; nothing is rasterised yet."""
     gaussians = load_gaussians(labelled.splat)
     regions = load_regions(labelled.features, labelled.cameras)
     preset = default_preset(labelled.splat)
-    return StudyScene(labelled, texts, RasterisedScene(gaussians, labelled.cameras, regions, preset))
+    return StudyScene(labelled, vectors, RasterisedScene(gaussians, labelled.cameras, regions, preset))

@@ -1,0 +1,157 @@
+"""Every study on scenes of random regions, in memory: which rows there are, and what must be equal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from scoup.baselines.autoencoder import AutoencoderSettings
+from scoup.baselines.method import MethodSettings
+from scoup.baselines.methods import find_method
+from scoup.baselines.rasterised_scene import RasterisedScene
+from scoup.evaluate.data_sets import LabelledScene, find_data_set
+from scoup.evaluate.plots import can_draw
+from scoup.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
+from scoup.evaluate.studies.ablations import ablation_report, run_ablations
+from scoup.evaluate.studies.comparison import compare, comparison_report
+from scoup.evaluate.studies.consistency import consistency_report, run_consistency
+from scoup.evaluate.studies.curves import curve_report, find_fault, run_curves
+from scoup.evaluate.studies.presence import query_scene
+from scoup.evaluate.studies.presence_scores import presence_report
+from scoup.evaluate.studies.study_report import StudyReport
+from scoup.evaluate.studies.study_scene import ScoringRule, StudyScene
+from scoup.io.labels import LabelledFrame
+from scoup.query.presets import QUERY_PRESETS
+from scoup.query.text_vectors import TextVectors
+from scoup.uplift.build import BuildSettings
+from support import small_scene, unit
+
+PRESET = QUERY_PRESETS["scoup"]
+SETTINGS = MethodSettings(build=BuildSettings(n_atoms=8, effort="fast", epochs=3))
+LABELS = ("cup", "pot")
+
+
+def vectors(*texts: str, seed: int = 0) -> TextVectors:
+    """Random unit vectors, with twenty everyday words."""
+    generator = torch.Generator().manual_seed(seed)
+    queries, canonical, everyday = (
+        unit(torch.randn(count, 16, generator=generator)) for count in (len(texts), 4, 20)
+    )
+    return TextVectors(texts, queries, canonical, everyday, "random")
+
+
+def make_study_scene(seed: int, folder: Path) -> StudyScene:
+    """Four views, two of them labelled: each label is a region of the middle level, and its vector the region's."""
+    gaussians, cameras, regions = small_scene(120, seed=seed)
+    known = vectors(*LABELS, seed=seed)
+    frames = []
+    for camera in list(cameras)[:2]:
+        found = regions.load(camera.name, "m")
+        masks = {label: found.labels == number for number, label in enumerate(LABELS)}
+        boxes = {label: torch.tensor([[0.0, 0.0, 39.0, 29.0]]) for label in LABELS}
+        frames.append((LabelledFrame(camera.name, 40, 30, masks, boxes), camera))
+    known = replace(known, queries=unit(regions.load(frames[0][1].name, "m").embeddings[:2]))
+    data_set = find_data_set("lerf-ovs")
+    labelled = LabelledScene(data_set, f"scene {seed}", folder, folder, folder, cameras, frames)
+    return StudyScene(labelled, known, RasterisedScene(gaussians, cameras, regions))
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[StudyScene]:
+    return [make_study_scene(seed, tmp_path_factory.mktemp(f"scene{seed}")) for seed in (0, 1)]
+
+
+def check_report(report: StudyReport, folder: Path) -> None:
+    """All of it can be written, and nothing is empty."""
+    assert all(table.rows for table in report.tables)
+    written = report.write(folder)
+    assert len(written) == 3 + (len(report.plots) if can_draw() else 0)
+
+
+def test_comparison(scenes: list[StudyScene], tmp_path: Path) -> None:
+    methods = [find_method(name) for name in ("sparse", "dense", "centre-pixel")]
+    results = compare(scenes, methods, PRESET, SETTINGS, selection=True)
+    assert [(result.method, result.score.scene) for result in results] == [
+        (method.name, scene.name) for scene in scenes for method in methods
+    ]
+    for result in results:
+        assert result.fit.seconds > 0
+        assert result.query_seconds > 0
+        assert result.selected is not None
+    report = comparison_report(results, methods, {"seed": 0})
+    assert len(report.tables) == 3
+    assert report.record["methods"]["dense"]["bytes_per_gaussian"] == 3 * 16 * 4
+    assert report.record["seed"] == 0
+    check_report(report, tmp_path)
+
+
+def test_each_method_of_a_comparison_learns_its_own_codes(scenes: list[StudyScene]) -> None:
+    """Else the second would look cheaper than it is."""
+    calls: list[str] = []
+    sparse = find_method("sparse")
+
+    def uplift(inputs, settings):
+        calls.append("kept" if inputs.kept_codes else "new")
+        return sparse.uplift(inputs, settings)
+
+    compare(scenes[:1], [replace(sparse, uplift=uplift)] * 2, PRESET, SETTINGS)
+    assert calls == ["new", "new"]
+
+
+def test_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
+    rows = find_ablations(["vote", "levels", "pixels"])
+    results = {each.ablation.name: each for each in run_ablations(scenes[:1], rows, PRESET, (0, 1), 2)}
+    base = results[ABLATIONS[0].name]
+    assert list(base.scores) == [0, 1]
+    assert list(results["dense uplift"].scores) == [0]
+    assert results["level by peak"].by_seed() == base.by_seed()
+    report = ablation_report(list(results.values()), "lerf-ovs 2D", {})
+    assert list(report.record["rows"]) == [row.name for row in rows]
+    check_report(report, tmp_path)
+
+
+@pytest.mark.slow
+def test_all_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
+    results = run_ablations(scenes, ABLATIONS, PRESET, (0,), 3)
+    check_report(ablation_report(results, "lerf-ovs 2D", {}), tmp_path)
+
+
+def test_rules_choose_levels(scenes: list[StudyScene]) -> None:
+    scene = scenes[0]
+    fitted = find_method("dense").fit(scene.rasterised)
+    rules = {level: ScoringRule(PRESET, (level,)) for level in ("s", "m", "l")}
+    scores = scene.scores(fitted, {**rules, "all": ScoringRule(PRESET)})
+    peaks = [max(scores[level].pairs[0].score for level in rules), scores["all"].pairs[0].score]
+    assert peaks[0] == peaks[1]
+    assert scores["all"].pairs == scene.score(fitted, PRESET).pairs
+
+
+def test_curves(scenes: list[StudyScene], tmp_path: Path) -> None:
+    methods = [find_method(name) for name in ("sparse", "dense")]
+    faults = [find_fault(name) for name in ("masks", "noise", "views")]
+    points = run_curves(scenes[:1], methods, faults, PRESET, SETTINGS)
+    found = {(point.fault, point.strength, point.method): point.scores[0].miou for point in points}
+    assert len(found) == len(points) == 3 * 4 * 2
+    for method in ("sparse", "dense"):
+        assert found["masks", 0, method] == found["noise", 0, method] == found["views", 100, method]
+    report = curve_report(points, faults, "lerf-ovs 2D", {})
+    assert len(report.tables) == len(report.plots) == 3
+    check_report(report, tmp_path)
+
+
+def test_consistency(scenes: list[StudyScene], tmp_path: Path) -> None:
+    quick = AutoencoderSettings(epochs=1, encoder=(8, 3), decoder=(8,))
+    results, sources = run_consistency(scenes[:1], SETTINGS.build, quick)
+    assert sources == {"scene 0": "Gaussians"}
+    check_report(consistency_report(results, sources, {}), tmp_path)
+
+
+def test_presence(scenes: list[StudyScene], tmp_path: Path) -> None:
+    absent = vectors("elephant", "piano", seed=9)
+    questions = [question for scene in scenes for question in query_scene(scene, absent, SETTINGS.build)]
+    assert len(questions) == 2 * (2 * 4 + 4)
+    assert {len(question.signals) for question in questions if question.frame} == {7}
+    check_report(presence_report(questions), tmp_path)
