@@ -17,12 +17,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks.gpu.launches import launches
-
 from compiling import compile_kernel
 from interpreting import interpreter
+from launches import launches
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
 from scoup import raster
@@ -30,7 +27,7 @@ from scoup.base.errors import InputError, ScoupWarning
 from support import make_camera, random_gaussians, scenes
 
 # Bytes a thread, nearly all of it behind the loop over Gaussians, where the coefficients of one level wait for those of
-# another; ``tests/bench/test_instructions.py`` bounds what is spilled in the loop.
+# another.
 MOST_SPILLED = 2560
 MOST_SHARED = 99 << 10  # bytes a block may have on the smallest of the GPUs served
 

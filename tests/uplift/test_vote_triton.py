@@ -10,12 +10,9 @@ from pathlib import Path
 import pytest
 import torch
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks.gpu.launches import launches
-
 from compiling import compile_kernel
 from interpreting import interpreter
+from launches import launches
 from scoup.base.errors import InputError
 from uplift import triton_checks
 from uplift.ballots import Sizes, random_ballot

@@ -3,15 +3,12 @@
 ``scoup bench`` and the scripts of ``benchmarks/`` are made of these.
 """
 
-from scoup.bench.bound import FORMULA as FORMULA
-from scoup.bench.bound import arithmetic_bound as arithmetic_bound
-from scoup.bench.bound import clock_hz as clock_hz
-from scoup.bench.bound import count_evaluations as count_evaluations
 from scoup.bench.environment import describe_environment as describe_environment
 from scoup.bench.measure import Slope as Slope
 from scoup.bench.measure import StageClock as StageClock
 from scoup.bench.measure import Task as Task
 from scoup.bench.measure import Timing as Timing
+from scoup.bench.measure import Watch as Watch
 from scoup.bench.measure import fit_slope as fit_slope
 from scoup.bench.measure import time_tasks as time_tasks
 from scoup.bench.report import Row as Row
