@@ -25,17 +25,13 @@ import tyro
 from PIL import Image
 
 import scoup
+from benchmarks.bound import FORMULA, bound_rows, count_evaluations, print_bounds
 from scoup.bench import (
-    FORMULA,
     STAGES,
     Row,
     Task,
     Workload,
-    arithmetic_bound,
-    clock_hz,
-    count_evaluations,
     describe_environment,
-    markdown,
     room_workload,
     stage_runs,
     stage_table,
@@ -44,7 +40,7 @@ from scoup.bench import (
     write_json,
 )
 from scoup.bench.environment import in_one_line
-from scoup.bench.report import SPECIFICATION, milliseconds, ratios
+from scoup.bench.report import SPECIFICATION, ratios
 from scoup.bench.stages import make_workload
 from scoup.io import check_output
 from scoup.synthetic.room import Order
@@ -188,70 +184,6 @@ def measure_scene(work: Workload, backends: list[str], arguments: Arguments) -> 
                 tasks[stage, backend, threads] = Task(own[stage], threads, repeats)
     timings = time_tasks(tasks, progress=report)
     return [Row(work.name, len(work.gaussians), *key, timing) for key, timing in timings.items()]
-
-
-def bound_rows(
-    rows: list[Row], evaluations: list[dict[str, Any]], clock_ghz: float | None
-) -> list[dict[str, Any]]:
-    """For every row of `alpha`: the bound and which part of the time it is."""
-    clock = clock_hz(clock_ghz)
-    if clock is None:
-        return []
-    counts = {(item["scene"], item["gaussians"]): item["evaluations"] for item in evaluations}
-    found = []
-    for row in rows:
-        if row.stage != "alpha":
-            continue
-        count = counts[row.scene, row.n_gaussians]
-        bound = arithmetic_bound(count, clock.hz, row.threads)
-        found.append(
-            {
-                "scene": row.scene,
-                "gaussians": row.n_gaussians,
-                "backend": row.backend,
-                "threads": row.threads,
-                "evaluations": count,
-                "clock_hz": clock.hz,
-                "clock_from": clock.source,
-                "bound_s": bound,
-                "measured_s": row.timing.median,
-                "fraction": bound / row.timing.median,
-            }
-        )
-    return found
-
-
-def print_bounds(bounds: list[dict[str, Any]]) -> None:
-    """The second table."""
-    if not bounds:
-        print("\nno arithmetic bound: the clock is not known; give --clock-ghz")
-        return
-    first = bounds[0]
-    print(f"\n{FORMULA}; clock {first['clock_hz'] / 1e9:.2f} GHz ({first['clock_from']})\n")
-    headers = [
-        "scene",
-        "Gaussians",
-        "backend",
-        "threads",
-        "evaluations",
-        "bound, ms",
-        "alpha, ms",
-        "fraction",
-    ]
-    body = [
-        [
-            item["scene"],
-            f"{item['gaussians']:,}",
-            item["backend"],
-            str(item["threads"]),
-            f"{item['evaluations'] / 1e6:.1f} M",
-            milliseconds(item["bound_s"]),
-            milliseconds(item["measured_s"]),
-            f"{item['fraction']:.3f}",
-        ]
-        for item in bounds
-    ]
-    print(markdown(headers, body, left=3))
 
 
 def report(stage: str, done: int, total: int) -> None:

@@ -27,48 +27,44 @@ def stage_on_a_cpu(**changes: Any) -> Stage:
     return Stage(torch.device("cpu"), TINY, float("inf"), **{"send": lambda message: None, **changes})
 
 
-@pytest.fixture(scope="module")
-def record(needs_triton: None, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the command writes on a machine without a GPU; all stages but parity, which has a test of its own."""
-    out = tmp_path_factory.mktemp("gpu") / "gpu.json"
-    words = ["--quick", "--stages", "timing", "precision", "build", "--out", str(out)]
+def written_by_the_command(folder: Path, *stages: str) -> dict[str, Any]:
+    """What the command writes on a machine without a GPU."""
+    out = folder / "gpu.json"
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
-    command = [sys.executable, "-m", "benchmarks.gpu", *words]
+    command = [sys.executable, "-m", "benchmarks.gpu", "--quick", "--stages", *stages, "--out", str(out)]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     found = json.loads(out.read_text())
     assert out.with_suffix(".md").read_text() == report(found)
+    assert found["finished"]
+    assert list(found["stages"]) == list(stages)
     return found
 
 
+def test_precisions_agree_where_products_are_exact(needs_triton: None, tmp_path: Path) -> None:
+    record = written_by_the_command(tmp_path, "precision")
+    rows = [row for row in record["stages"]["precision"]["rows"] if precision.KEYS[0] in row]
+    assert len(rows) == len(precision.OTHERS) + 1
+    assert all(row["pixels_of_another_order"] <= 1e-3 for row in rows)
+    assert all(row[key] < 1e-5 for row in rows for key in precision.KEYS[:3])
+    assert "no time here means anything" in report(record)
+    on_a_gpu = {**record, "settings": {**record["settings"], "interpreted": False}}
+    assert "## Expected and measured" in report(on_a_gpu)
+
+
 @pytest.mark.slow
-def test_every_stage_runs(record: dict[str, Any]) -> None:
-    assert record["finished"]
-    assert list(record["stages"]) == ["timing", "precision", "build"]
+def test_every_stage_runs(needs_triton: None, tmp_path: Path) -> None:
+    """Parity has tests of its own: its suite is most of the tests of the kernels."""
+    record = written_by_the_command(tmp_path, "timing", "precision", "build")
     for name, result in record["stages"].items():
         assert "reason" not in result, (name, result)
         assert result["rows"], name
         for row in result["rows"]:
             known = {"median_s", "value", precision.KEYS[0]} & set(row)
             assert known or row["reason"] == "gsplat needs a CUDA device", (name, row)
-
-
-@pytest.mark.slow
-def test_precisions_agree_where_products_are_exact(record: dict[str, Any]) -> None:
-    rows = [row for row in record["stages"]["precision"]["rows"] if precision.KEYS[0] in row]
-    assert len(rows) == len(precision.OTHERS) + 1
-    assert all(row["pixels_of_another_order"] <= 1e-3 for row in rows)
-    assert all(row[key] < 1e-5 for row in rows for key in precision.KEYS[:3])
-
-
-@pytest.mark.slow
-def test_the_page_says_what_is_known(record: dict[str, Any]) -> None:
     page = report(record)
-    assert "no time here means anything" in page
     assert all(f"## {STAGES[name]}" in page for name in record["stages"])
     assert "gsplat: RGB: gsplat needs a CUDA device" in page
-    on_a_gpu = {**record, "settings": {**record["settings"], "interpreted": False}}
-    assert "## Expected and measured" in report(on_a_gpu)
 
 
 SOME = """
