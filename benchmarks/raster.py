@@ -29,23 +29,21 @@ from benchmarks.bound import FORMULA, bound_rows, count_evaluations, print_bound
 from scoup.bench import (
     STAGES,
     Row,
-    Task,
     Workload,
+    comparison,
     describe_environment,
-    room_workload,
+    make_workload,
+    random_workload,
     stage_runs,
     stage_table,
-    time_tasks,
+    time_stages,
     usable_backends,
     write_json,
 )
 from scoup.bench.environment import in_one_line
-from scoup.bench.report import SPECIFICATION, ratios
-from scoup.bench.stages import make_workload
+from scoup.bench.report import SPECIFICATION
 from scoup.io import check_output
 from scoup.synthetic.room import Order
-
-Setting = tuple[str, str, int]  # stage, backend, threads
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ class Arguments:
     order: Order = "random"
     """Of the room's rows; trained scenes have none."""
     prepared: bool = False
-    """Look at scenes prepared for many views, as a build does."""
+    """Project scenes that are prepared for many views, as a build does."""
     threads: tuple[int, ...] = (1, 2)
     """Numbers of threads."""
     repeats: int = 5
@@ -77,7 +75,7 @@ class Arguments:
     data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
     """Folder that holds kitchen/."""
     clock_ghz: float | None = None
-    """Clock of a core under this load; what the system tells by default, which may be the nominal one."""
+    """Clock of a core under this load; what the system reports by default, which may be the nominal one."""
     out: Path | None = None
     """Where to write the figures as JSON."""
     overwrite: bool = False
@@ -137,8 +135,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         },
         "backends": backends,
         "backends_not_working": reasons,
-        "rows": [row.record() for row in rows],
-        "ratios": [item.record() for item in ratios(rows)],
+        **comparison(rows),
         "evaluations": evaluations,
         "bound": {"formula": FORMULA, "rows": bounds},
     }
@@ -155,7 +152,7 @@ def scenes(arguments: Arguments) -> Iterator[Workload]:
     elif arguments.kitchen:
         print(f"kitchen is left out: no folder {kitchen.name}/ in DATA", file=sys.stderr)
     for count in arguments.n_gaussians:
-        yield room_workload(count, arguments.width, arguments.height, order=arguments.order)
+        yield random_workload(count, arguments.width, arguments.height, order=arguments.order)
 
 
 def kitchen_workload(folder: Path, frame: int = 12) -> Workload:
@@ -174,16 +171,12 @@ def measure_scene(work: Workload, backends: list[str], arguments: Arguments) -> 
         for backend in backends
         if backend != SPECIFICATION or len(work.gaussians) <= arguments.reference_up_to
     }
-    tasks: dict[Setting, Task] = {}
-    for stage in arguments.stages:
-        for backend, own in runs.items():
-            repeats = arguments.repeats
-            if backend == SPECIFICATION:
-                repeats = min(repeats, arguments.reference_repeats)
-            for threads in arguments.threads:
-                tasks[stage, backend, threads] = Task(own[stage], threads, repeats)
-    timings = time_tasks(tasks, progress=report)
-    return [Row(work.name, len(work.gaussians), *key, timing) for key, timing in timings.items()]
+
+    def repeats(backend: str) -> int:
+        most = arguments.reference_repeats if backend == SPECIFICATION else arguments.repeats
+        return min(most, arguments.repeats)
+
+    return time_stages(work, runs, arguments.threads, repeats, progress=report)
 
 
 def report(stage: str, done: int, total: int) -> None:

@@ -20,7 +20,7 @@ from benchmarks.gpu.runner import STAGES
 from benchmarks.gpu.stage import FULL, QUICK, TINY, Stage, Unavailable
 
 from scoup import raster
-from scoup.bench import make_room, room_cameras, room_workload
+from scoup.bench import make_room, random_workload, room_cameras
 
 
 def stage_on_a_cpu(**changes: Any) -> Stage:
@@ -168,7 +168,7 @@ def test_a_gsplat_that_does_not_work_is_the_reason_of_all_its_rows() -> None:
 
 
 def test_dense_uplift_by_gradients() -> None:
-    work = room_workload(60, 30, 20, regions=(4, 3, 2))
+    work = random_workload(60, 30, 20, regions=(4, 3, 2))
     projection = raster.project(work.gaussians, work.camera, "gsplat", "reference")
 
     def rasterization(colors: torch.Tensor, **_: object) -> tuple[torch.Tensor]:

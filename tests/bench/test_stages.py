@@ -7,7 +7,7 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.bench.stages import STAGES, make_workload, room_workload, stage_runs, usable_backends
+from scoup.bench.stages import STAGES, make_workload, random_workload, stage_runs, usable_backends
 from scoup.synthetic.room import make_room, room_cameras
 
 BACKENDS = usable_backends()[0]
@@ -15,7 +15,7 @@ BACKENDS = usable_backends()[0]
 
 @pytest.fixture(scope="module")
 def work():
-    return room_workload(300, 40, 30, regions=(6, 4, 2))
+    return random_workload(300, 40, 30, regions=(6, 4, 2))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
