@@ -7,6 +7,7 @@ from scoup.bench.environment import describe_environment as describe_environment
 from scoup.bench.measure import DeviceClock as DeviceClock
 from scoup.bench.measure import Slope as Slope
 from scoup.bench.measure import StageClock as StageClock
+from scoup.bench.measure import Stopwatch as Stopwatch
 from scoup.bench.measure import Task as Task
 from scoup.bench.measure import Timing as Timing
 from scoup.bench.measure import Watch as Watch

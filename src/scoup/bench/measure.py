@@ -8,7 +8,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from statistics import median
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import torch
 
@@ -16,6 +16,7 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 
 Key = TypeVar("Key", bound=Hashable)
+Result = TypeVar("Result")
 
 
 MOST_IN_A_ROW = 50
@@ -193,6 +194,25 @@ def time_tasks(
 def _wake() -> None:
     """Let torch start its threads before the clock runs."""
     torch.zeros(1 << 17).add_(1.0)
+
+
+class Stopwatch:
+    """Seconds of calls by name, for steps that need each other's results and so cannot be interleaved.
+
+    Args:
+        clock: ``time.process_time`` counts what the processors spent, whatever else the machine does.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._clock = clock
+        self.seconds: dict[str, list[float]] = {}
+
+    def __call__(self, name: str, run: Callable[..., Result], *arguments: Any, **named: Any) -> Result:
+        """What ``run`` returns; its seconds are added to those of the name."""
+        started = self._clock()
+        result = run(*arguments, **named)
+        self.seconds.setdefault(name, []).append(self._clock() - started)
+        return result
 
 
 @dataclass(frozen=True)
