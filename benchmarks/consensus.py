@@ -11,8 +11,6 @@ noise, some of another object; the last line says what the consensus made of the
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -29,7 +27,7 @@ from benchmarks.lerf_sized import peak_memory
 from benchmarks.raster import report
 from scoup.bench import describe_environment, markdown, write_json
 from scoup.bench.environment import in_one_line
-from scoup.bench.measure import torch_threads
+from scoup.bench.measure import Stopwatch, torch_threads
 from scoup.io import check_output
 from scoup.raster import ViewSums
 from scoup.uplift.consensus import ConsensusSettings, consensus_of, covisible
@@ -87,14 +85,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
     )
     rows, truth = embeddings_of(objects, arguments.dim, arguments.wrong, arguments.seed)
     before = peak_memory()
-    spent: dict[str, list[float]] = {}
-
-    def timed(name: str, run: Callable[..., Result], *given: Any, **named: Any) -> Result:
-        started = time.perf_counter()
-        result = run(*given, **named)
-        spent.setdefault(name, []).append(time.perf_counter() - started)
-        return result
-
+    timed = Stopwatch()
     with torch_threads(arguments.threads):
         matrix = timed(STACK, sums.matrix, 0)
         shares = timed(MATRIX, covisible, matrix, settings, report)
@@ -108,7 +99,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
             timed(WHOLE, consensus_of, matrix, rows, settings, report)
             if arguments.coding:
                 timed(CODING, scoup.fit_codes, rows, solver="exact", progress=report)
-    seconds = {name: median(values) for name, values in spent.items()}
+    seconds = {name: median(values) for name, values in timed.seconds.items()}
     whole = seconds[STACK] + seconds[WHOLE]
     painted = np.diff(matrix.indptr).astype(np.float64)
     record: dict[str, Any] = {
@@ -125,7 +116,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         "entries_of_m": int(shares.nnz),
         "mass_kept": float(shares.sum()) / max(1, int((np.diff(shares.indptr) > 0).sum())),
         "seconds": seconds,
-        "all_seconds": spent,
+        "all_seconds": timed.seconds,
         "over_exact_coding": whole / seconds[CODING] if arguments.coding else None,
         "peak_memory_bytes": memory,
         "peak_memory_before_bytes": before,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -22,6 +21,7 @@ from torch import Tensor
 
 import scoup
 from benchmarks.kitchen import make_features
+from scoup.bench import Stopwatch
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -82,7 +82,7 @@ def measure(
         books.append(scoup.fit_codes(embeddings, solver="exact"))
         rows.append(of_views)
     codes, codebook = [book.codes for book in books], torch.stack([book.atoms for book in books])
-    seconds: dict[str, list[float]] = {name: [] for name in VARIANTS}
+    timed = Stopwatch()
     strongest: dict[str, GaussianCodes] = {}
     painted: list[Tensor] = []
     for _ in range(arguments.repeats):
@@ -91,18 +91,20 @@ def measure(
                 camera.resized(round(camera.width * scale), round(camera.height * scale))
                 for camera in cameras[::step]
             )
-            started = time.perf_counter()
-            sums = region_sums(gaussians, views, regions)
+            sums = timed(name, region_sums, gaussians, views, regions)
             sums.rows = [{name: places[name] for name in views.names} for places in rows]
-            strongest[name] = vote(sums, codes, codebook, keep=1)
-            seconds[name].append(time.perf_counter() - started)
+            strongest[name] = timed(f"{name}: vote", vote, sums, codes, codebook, keep=1)
             if not painted:
                 painted = [torch.from_numpy(sums.matrix(level).sum(1)) for level in range(len(books))]
     first = next(iter(VARIANTS))
     truth = strongest[first]
+    seconds = {
+        name: median(map(sum, zip(timed.seconds[name], timed.seconds[f"{name}: vote"], strict=True)))
+        for name in VARIANTS
+    }
     found = {}
     for name, codes_found in strongest.items():
-        row = {"relative time": median(seconds[name]) / median(seconds[first])}
+        row = {"relative time": seconds[name] / seconds[first]}
         for s, level in enumerate(regions.levels):
             same = (codes_found.indices[:, s, 0] == truth.indices[:, s, 0]) & (
                 codes_found.weights[:, s, 0] > 0

@@ -14,7 +14,7 @@ import dataclasses
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from scoup.bench import (
     write_json,
 )
 from scoup.bench.environment import in_one_line
-from scoup.bench.measure import torch_threads
+from scoup.bench.measure import Stopwatch, torch_threads
 from scoup.io import check_output
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
@@ -72,6 +72,8 @@ class Arguments:
     """Of the room's views, in pixels."""
     height: int = HEIGHT
     """Of the room's views, in pixels."""
+    regions: tuple[int, ...] = REGIONS
+    """Regions in a view, at levels s, m, l."""
     threads: int = 1
     """Threads."""
     data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
@@ -120,7 +122,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
 def scenes(arguments: Arguments, folder: Path) -> Iterator[Scene]:
     """One after the other: they are large."""
     cameras = random_scene_cameras(arguments.views, arguments.width, arguments.height)
-    regions, others = (random_scene_regions(cameras, REGIONS, seed=seed) for seed in (0, 1))
+    regions, others = (random_scene_regions(cameras, arguments.regions, seed=seed) for seed in (0, 1))
     # The label maps of one seed with the embeddings of another: as a second model would give them.
     swapped = Regions(regions.levels, regions.view_names, regions.load, others.load_embeddings)
     yield Scene("room", random_scene_gaussians(arguments.n_gaussians), cameras, regions, swapped)
@@ -139,14 +141,19 @@ def measure(scene: Scene, folder: Path) -> dict[str, Any]:
     whole, smaller = folder / f"{scene.name}.sums", folder / f"{scene.name}.smaller"
     settings = BuildSettings()
     full, painted = None, torch.ones(len(scene.gaussians))
-    rows = []
+    rows, processor = [], Stopwatch(time.process_time)
     found["sums"] = {}
     for name, more in SMALLER.items():
         path = smaller if more else whole
-        seconds, sums = timed(
-            lambda more=more, path=path: scoup.region_sums(
-                scene.gaussians, scene.cameras, scene.regions, path=path, progress=report, **more
-            )
+        sums = processor(
+            name,
+            scoup.region_sums,
+            scene.gaussians,
+            scene.cameras,
+            scene.regions,
+            path=path,
+            progress=report,
+            **more,
         )
         entries = sum(len(part.places) for view in sums.views.values() for part in view.parts)
         made = build(scene.gaussians, scene.cameras, scene.regions, settings=settings, sums=sums)
@@ -156,7 +163,7 @@ def measure(scene: Scene, folder: Path) -> dict[str, Any]:
             painted = weight_painted(sums)
         difference = (made.code_weights.float() - full.code_weights.float()).abs().amax(-1)[same]
         figures = {
-            "processor_s": seconds,
+            "processor_s": processor.seconds[name][0],
             "bytes": sums.bytes,
             "entries": entries,
             "same_atoms": float(same.float().mean()),
@@ -201,17 +208,10 @@ def weight_painted(sums: RegionSums) -> torch.Tensor:
 
 def again(scene: Scene, regions: Regions, settings: BuildSettings, path: Path) -> dict[str, float]:
     """A field from kept sums: opening the file, coding, and the vote."""
-    wall = time.perf_counter()
-    seconds, _ = timed(
-        lambda: build(scene.gaussians, scene.cameras, regions, settings=settings, sums=RegionSums.open(path))
-    )
-    return {"processor_s": seconds, "wall_s": time.perf_counter() - wall}
-
-
-def timed(run: Callable[[], Any]) -> tuple[float, Any]:
-    started = time.process_time()
-    result = run()
-    return time.process_time() - started, result
+    processor, wall = Stopwatch(time.process_time), Stopwatch()
+    wall("build", processor, "build", lambda: build(scene.gaussians, scene.cameras, regions, settings=settings,
+                                          sums=RegionSums.open(path)))  # fmt: skip
+    return {"processor_s": processor.seconds["build"][0], "wall_s": wall.seconds["build"][0]}
 
 
 if __name__ == "__main__":

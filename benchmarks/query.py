@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,7 @@ from scoup.bench import (
     write_json,
 )
 from scoup.bench.environment import in_one_line
-from scoup.bench.measure import torch_threads
+from scoup.bench.measure import Stopwatch, torch_threads
 from scoup.field.language_field import FieldInfo, LanguageField
 from scoup.io import check_output
 from scoup.models.word_table import save_table
@@ -146,21 +145,14 @@ def stage_seconds(field: LanguageField, camera: Camera, arguments: Arguments) ->
         clip_like(arguments.repeats + 1, seed=1),
         clip_like(len(CANONICAL_PHRASES) + 1, seed=2),
     )
-    seconds: dict[str, list[float]] = {}
-
-    def timed(stage: str, work: Callable[..., Any], *given: Any) -> Any:
-        started = time.process_time()
-        found = work(*given)
-        seconds.setdefault(stage, []).append(time.process_time() - started)
-        return found
-
+    timed = Stopwatch(time.process_time)
     for number in range(arguments.repeats + 1):
         query, other = queries[number][None], queries[number - 1][None]
         projection = timed("project", field.project, camera, arguments.backend)
         timed("first relevancy", field.relevancy, camera, other, canonical, projection)
         maps = timed("further relevancy", field.relevancy, camera, query, canonical, projection)
         timed("place and mask", localize_and_segment, maps[:, 0])
-    kept = {stage: times[1:] for stage, times in seconds.items()}
+    kept = {stage: times[1:] for stage, times in timed.seconds.items()}
 
     def sums(*stages: str) -> list[float]:
         return [sum(parts) for parts in zip(*(kept[stage] for stage in stages), strict=True)]

@@ -25,31 +25,25 @@ import tyro
 from PIL import Image
 
 import scoup
+from benchmarks.bound import FORMULA, bound_rows, count_evaluations, print_bounds
 from scoup.bench import (
-    FORMULA,
     STAGES,
     Row,
-    Task,
     Workload,
-    arithmetic_bound,
-    clock_hz,
-    count_evaluations,
+    comparison,
     describe_environment,
-    markdown,
-    room_workload,
+    make_workload,
+    random_workload,
     stage_runs,
     stage_table,
-    time_tasks,
+    time_stages,
     usable_backends,
     write_json,
 )
 from scoup.bench.environment import in_one_line
-from scoup.bench.report import SPECIFICATION, milliseconds, ratios
-from scoup.bench.stages import make_workload
+from scoup.bench.report import SPECIFICATION
 from scoup.io import check_output
 from scoup.synthetic.random_scene import Order
-
-Setting = tuple[str, str, int]  # stage, backend, threads
 
 
 @dataclass(frozen=True)
@@ -63,7 +57,7 @@ class Arguments:
     order: Order = "random"
     """Of the room's rows; trained scenes have none."""
     prepared: bool = False
-    """Look at scenes prepared for many views, as a build does."""
+    """Project scenes that are prepared for many views, as a build does."""
     threads: tuple[int, ...] = (1, 2)
     """Numbers of threads."""
     repeats: int = 5
@@ -81,7 +75,7 @@ class Arguments:
     data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
     """Folder that holds kitchen/."""
     clock_ghz: float | None = None
-    """Clock of a core under this load; what the system tells by default, which may be the nominal one."""
+    """Clock of a core under this load; what the system reports by default, which may be the nominal one."""
     out: Path | None = None
     """Where to write the figures as JSON."""
     overwrite: bool = False
@@ -141,8 +135,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         },
         "backends": backends,
         "backends_not_working": reasons,
-        "rows": [row.record() for row in rows],
-        "ratios": [item.record() for item in ratios(rows)],
+        **comparison(rows),
         "evaluations": evaluations,
         "bound": {"formula": FORMULA, "rows": bounds},
     }
@@ -159,7 +152,7 @@ def scenes(arguments: Arguments) -> Iterator[Workload]:
     elif arguments.kitchen:
         print(f"kitchen is left out: no folder {kitchen.name}/ in DATA", file=sys.stderr)
     for count in arguments.n_gaussians:
-        yield room_workload(count, arguments.width, arguments.height, order=arguments.order)
+        yield random_workload(count, arguments.width, arguments.height, order=arguments.order)
 
 
 def kitchen_workload(folder: Path, frame: int = 12) -> Workload:
@@ -178,80 +171,12 @@ def measure_scene(work: Workload, backends: list[str], arguments: Arguments) -> 
         for backend in backends
         if backend != SPECIFICATION or len(work.gaussians) <= arguments.reference_up_to
     }
-    tasks: dict[Setting, Task] = {}
-    for stage in arguments.stages:
-        for backend, own in runs.items():
-            repeats = arguments.repeats
-            if backend == SPECIFICATION:
-                repeats = min(repeats, arguments.reference_repeats)
-            for threads in arguments.threads:
-                tasks[stage, backend, threads] = Task(own[stage], threads, repeats)
-    timings = time_tasks(tasks, progress=report)
-    return [Row(work.name, len(work.gaussians), *key, timing) for key, timing in timings.items()]
 
+    def repeats(backend: str) -> int:
+        most = arguments.reference_repeats if backend == SPECIFICATION else arguments.repeats
+        return min(most, arguments.repeats)
 
-def bound_rows(
-    rows: list[Row], evaluations: list[dict[str, Any]], clock_ghz: float | None
-) -> list[dict[str, Any]]:
-    """For every row of `alpha`: the bound and which part of the time it is."""
-    clock = clock_hz(clock_ghz)
-    if clock is None:
-        return []
-    counts = {(item["scene"], item["gaussians"]): item["evaluations"] for item in evaluations}
-    found = []
-    for row in rows:
-        if row.stage != "alpha":
-            continue
-        count = counts[row.scene, row.n_gaussians]
-        bound = arithmetic_bound(count, clock.hz, row.threads)
-        found.append(
-            {
-                "scene": row.scene,
-                "gaussians": row.n_gaussians,
-                "backend": row.backend,
-                "threads": row.threads,
-                "evaluations": count,
-                "clock_hz": clock.hz,
-                "clock_from": clock.source,
-                "bound_s": bound,
-                "measured_s": row.timing.median,
-                "fraction": bound / row.timing.median,
-            }
-        )
-    return found
-
-
-def print_bounds(bounds: list[dict[str, Any]]) -> None:
-    """The second table."""
-    if not bounds:
-        print("\nno arithmetic bound: the clock is not known; give --clock-ghz")
-        return
-    first = bounds[0]
-    print(f"\n{FORMULA}; clock {first['clock_hz'] / 1e9:.2f} GHz ({first['clock_from']})\n")
-    headers = [
-        "scene",
-        "Gaussians",
-        "backend",
-        "threads",
-        "evaluations",
-        "bound, ms",
-        "alpha, ms",
-        "fraction",
-    ]
-    body = [
-        [
-            item["scene"],
-            f"{item['gaussians']:,}",
-            item["backend"],
-            str(item["threads"]),
-            f"{item['evaluations'] / 1e6:.1f} M",
-            milliseconds(item["bound_s"]),
-            milliseconds(item["measured_s"]),
-            f"{item['fraction']:.3f}",
-        ]
-        for item in bounds
-    ]
-    print(markdown(headers, body, left=3))
+    return time_stages(work, runs, arguments.threads, repeats, progress=report)
 
 
 def report(stage: str, done: int, total: int) -> None:

@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
 
 import torch
 import tyro
 from torch import Tensor
 
 from scoup import raster
+from scoup.bench import Task, time_tasks
 from scoup.raster import reference
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
@@ -67,13 +66,8 @@ def main(arguments: Arguments) -> dict[str, float]:
         "cosines, Gram shortcut": lambda: raster.render_cosines(view, indices, weights, codebook, queries),
         "cosines, decoded to 512-d": lambda: decoded_cosines(view, indices, weights, codebook, queries),
     }
-    seconds: dict[str, list[float]] = {name: [] for name in stages}
-    for _ in range(arguments.repeats):
-        for name, stage in stages.items():
-            started = time.perf_counter()
-            stage()
-            seconds[name].append(time.perf_counter() - started)
-    medians = {name: median(values) for name, values in seconds.items()}
+    tasks = {name: Task(stage, None, arguments.repeats) for name, stage in stages.items()}
+    medians = {name: timing.median for name, timing in time_tasks(tasks).items()}
     print(
         f"{count:,} Gaussians, {camera.width} x {camera.height}, 3 levels, torch {torch.__version__}, "
         f"{torch.get_num_threads()} threads; medians of {arguments.repeats}"

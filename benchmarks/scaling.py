@@ -30,7 +30,7 @@ from scoup.bench import (
     random_scene_cameras,
     random_scene_gaussians,
     random_scene_regions,
-    room_workload,
+    random_workload,
     stage_runs,
     time_tasks,
     usable_backends,
@@ -169,7 +169,7 @@ def run_sweep(sweep: str, backend: str, arguments: Arguments) -> list[dict[str, 
 
 def grow_gaussians(arguments: Arguments, backend: str) -> Runs:
 
-    works = ((count, room_workload(count, arguments.width, arguments.height)) for count in arguments.sizes)
+    works = ((count, random_workload(count, arguments.width, arguments.height)) for count in arguments.sizes)
     return _runs(works, backend, (*VIEW, "vote"))
 
 
@@ -179,7 +179,7 @@ def grow_pixels(arguments: Arguments, backend: str) -> Runs:
     works = []
     for zoom in arguments.zooms:
         width, height = round(arguments.width * zoom), round(arguments.height * zoom)
-        work = room_workload(len(room), width, height, gaussians=room)
+        work = random_workload(len(room), width, height, gaussians=room)
         works.append((width * height, work))
     return _runs(works, backend, VIEW)
 
@@ -189,7 +189,7 @@ def grow_regions(arguments: Arguments, backend: str) -> Runs:
 
     size = (arguments.width, arguments.height)
     works = (
-        (count, room_workload(len(room), *size, [count] * len(REGIONS), gaussians=room))
+        (count, random_workload(len(room), *size, [count] * len(REGIONS), gaussians=room))
         for count in arguments.regions
     )
     return _runs(works, backend, LABELS)
@@ -199,7 +199,8 @@ def grow_levels(arguments: Arguments, backend: str) -> Runs:
     room = random_scene_gaussians(arguments.n_gaussians)
     size = (arguments.width, arguments.height)
     works = (
-        (count, room_workload(len(room), *size, [100] * count, gaussians=room)) for count in arguments.levels
+        (count, random_workload(len(room), *size, [100] * count, gaussians=room))
+        for count in arguments.levels
     )
     return _runs(works, backend, LEVELS)
 

@@ -1,20 +1,23 @@
 """Which way of coding and voting answers best, on clean and on faulty regions: the table behind our defaults.
 
     python -m benchmarks.voting [--scenes kitchen table-0 shelves-0 ...] [--cases clean wrong20 noise60 ...]
-        [--ways dense paper exact ... default] [--seeds 0 1 2 3 4] [--out docs/benchmarks/voting.json]
+        [--ways dense paper exact ... default] [--seeds 0 1 2 3 4] [--rows ROWS.json]
+        [--out docs/benchmarks/voting.json]
 
 Scenes are rasterised once, faults are put into their region sums (``scoup.synthetic.faults``), and every way
 codes, votes and answers on the same sums, views and words. Masks and embeddings are simulated everywhere, geometry
 and text vectors of kitchen (--data, as in benchmarks/kitchen.py) are real: figures compare ways with each other and
 cannot be set against published ones. Faults are drawn once a case; seeds are those of the codebook.
 
-Results are written after every way of every scene and case, and what is there is not run again: an interrupted run
-goes on, another --ways or --scenes adds to it, and a run with nothing left to do prints the table. It does not notice
-that the code has changed: each entry names its commit; delete the file to start over.
+OUT gets the means, intervals, seeds and commits that the table is made of. The scores of single pairs are kept with
+--rows only, after every way of every scene and case. What is there is not run again: an interrupted run goes on, other
+ways or scenes add to it, and a run with nothing left to do prints the table. It does not notice that the code has
+changed: each entry names its commit; delete the file to start over.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Iterator, Sequence
@@ -23,7 +26,7 @@ from pathlib import Path
 
 import tyro
 
-from benchmarks.voting_results import Entry, Results, table
+from benchmarks.voting_results import Entry, Results, summary, table
 from benchmarks.voting_scenes import SceneSize, VotingScene, make_scene
 from benchmarks.voting_scores import Scores, score_dense, score_sparse
 from benchmarks.voting_ways import (
@@ -34,6 +37,7 @@ from benchmarks.voting_ways import (
     find_way,
     vote,
 )
+from scoup.io import write_text
 from scoup.synthetic.faults import LevelSums, as_region_sums, perturbed
 
 SCENES = ("kitchen", "table-0", "shelves-0", "hall-0", "yard-0")
@@ -54,17 +58,19 @@ class Arguments:
     """Epochs of the adam solver."""
     draw: int = 0
     """Seed of the faults."""
-    out: Path = Path("docs/benchmarks/voting.json")
-    """Where results are kept, and taken up again."""
+    rows: Path | None = None
+    """File in which the scores of single pairs are kept, and taken up again."""
+    out: Path | None = None
+    """Where the summary is written; replaced."""
     data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
     """Folder that holds kitchen/ and clip/."""
     size: SceneSize = field(default_factory=SceneSize)
 
 
 def main(arguments: Arguments) -> Results:
-    """Run what is missing and print the table."""
+    """Run what is missing, print the table and write the summary."""
     settings = {"draw": arguments.draw, "size": asdict(arguments.size)}
-    results = Results.open(arguments.out, settings)
+    results = Results.open(arguments.rows, settings)
     ways = {name: find_way(name, arguments.epochs) for name in arguments.ways}
     recipes = list(dict.fromkeys(way.recipe for way in ways.values()))
     for name in arguments.scenes:
@@ -93,7 +99,10 @@ def main(arguments: Arguments) -> Results:
                     f"best {_mean(entry.best):.3f} hit {_mean(entry.hit):.3f}  {entry.seconds:.1f} s",
                     flush=True,
                 )
-    print(table(results, arguments.scenes, arguments.cases, ways))
+    found = summary(results, arguments.scenes, arguments.cases, ways)
+    print(table(found))
+    if arguments.out is not None:
+        write_text(arguments.out, json.dumps(found, separators=(",", ":")) + "\n", overwrite=True)
     return results
 
 

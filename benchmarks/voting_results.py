@@ -1,4 +1,4 @@
-"""Results of benchmarks/voting.py: the file that keeps them, the table, and paired comparisons."""
+"""Results of benchmarks/voting.py: the rows of single pairs, their summary, and the table made of it."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from scoup.evaluate.metrics import Interval, bootstrap_interval
 from scoup.io import write_text
 
 VERSION = 1
+ALL = "all cases"
 
 
 @dataclass(frozen=True)
@@ -66,31 +67,31 @@ class Entry:
 
 
 class Results:
-    """Entries by scene, case and recipe, and the file they are in.
+    """Entries by scene, case and recipe, and the file they are kept in.
 
     Attributes:
-        path: the file.
+        path: the file, if they are kept.
         content: as written there, with the environment of the last run that added to it.
     """
 
-    def __init__(self, path: Path, content: dict[str, Any]) -> None:
+    def __init__(self, path: Path | None, content: dict[str, Any]) -> None:
         self.path = path
         self.content = content
         self._environment = describe_environment()
 
     @classmethod
-    def open(cls, path: Path, settings: dict[str, Any]) -> Results:
-        """Take up a file of the same settings, or start one.
+    def open(cls, path: Path | None, settings: dict[str, Any]) -> Results:
+        """Take up a file of the same settings, or start one; None keeps nothing.
 
         Raises:
             InputError: the file holds results of other settings.
         """
-        if not path.exists():
+        if path is None or not path.exists():
             return cls(path, {"version": VERSION, "settings": settings, "scenes": {}})
         content = json.loads(path.read_text())
         if (content.get("version"), content.get("settings")) != (VERSION, settings):
             raise InputError(
-                f"{path}: holds results of {content.get('settings')}, this run has {settings}; name another --out"
+                f"{path}: holds results of {content.get('settings')}, this run has {settings}; name another --rows"
             )
         return cls(path, content)
 
@@ -116,45 +117,90 @@ class Results:
         entry = replace(entry, commit=str(self._environment["commit"]))
         of_scene["cases"].setdefault(case, {})[recipe] = asdict(entry)
         self.content["environment"] = self._environment
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(self.path, json.dumps(self.content, separators=(",", ":")), overwrite=True)
+        if self.path is not None:
+            write_text(self.path, json.dumps(self.content, separators=(",", ":")), overwrite=True)
 
     def _entries(self, scene: str, case: str) -> dict[str, Any]:
         return self.content["scenes"].get(scene, {}).get("cases", {}).get(case, {})
 
 
-def table(results: Results, scenes: Sequence[str], cases: Sequence[str], ways: Mapping[str, Way]) -> str:
-    """Markdown: mIoU and accuracy of each way and case as means over scenes, then paired comparisons."""
+def summary(
+    results: Results, scenes: Sequence[str], cases: Sequence[str], ways: Mapping[str, Way]
+) -> dict[str, Any]:
+    """Everything the table says, without the rows of single pairs: for each way and case the means over scenes, then
+    paired comparisons. A case that was not run on all scenes is left out: its mean would be another figure.
+    """
+    found: dict[str, Any] = {
+        "what": "benchmarks.voting: mIoU, localisation accuracy, and paired differences of mIoU with 95 % intervals",
+        "environment": results.content.get("environment"),
+        "settings": results.content["settings"],
+        "pairs": {scene: len(results.pairs(scene)) for scene in scenes},
+        "cases": list(cases),
+        "commits": [],
+        "ways": {},
+        "differences": {},
+    }
+    commits: set[str] = set()
+    for name, way in ways.items():
+        of_cases = {}
+        for case in cases:
+            entries = [results.get(scene, case, way.recipe.key) for scene in scenes]
+            known = [entry for entry in entries if entry is not None]
+            commits |= {entry.commit for entry in known if entry.commit}
+            if known and len(known) == len(entries):
+                of_cases[case] = _means(known, way)
+                found["ways"][name] = {
+                    "bytes_per_gaussian": known[0].bytes_per_gaussian, "seeds": known[0].seeds, "cases": of_cases,
+                }  # fmt: skip
+    found["commits"] = sorted(commits)
+    sets = {case: [case] for case in cases} | ({ALL: list(cases)} if len(cases) > 1 else {})
+    for name, (first, second) in COMPARISONS.items():
+        if first in ways and second in ways:
+            intervals = {
+                key: compare(results, scenes, each, ways[first], ways[second]) for key, each in sets.items()
+            }
+            known = {key: _rounded(interval) for key, interval in intervals.items() if interval is not None}
+            found["differences"] |= {name: known} if known else {}
+    return found
+
+
+def _means(entries: Sequence[Entry], way: Way) -> dict[str, Any]:
+    """Means over scenes; ``scenes``: the mIoU of each."""
+    ious = [mean(getattr(entry, way.level_choice)) for entry in entries]
+    accuracy = mean(mean(entry.hit) for entry in entries)
+    return {
+        "miou": round(mean(ious), 6), "accuracy": round(accuracy, 6), "scenes": [round(iou, 4) for iou in ious],
+    }  # fmt: skip
+
+
+def _rounded(interval: Interval) -> list[float]:
+    return [round(value, 6) for value in (interval.mean, interval.low, interval.high)]
+
+
+def table(found: dict[str, Any]) -> str:
+    """Markdown of a ``summary``."""
+    cases = found["cases"]
     lines = [
         "",
-        f"mIoU / localisation accuracy, means over {', '.join(scenes)}",
+        f"mIoU / localisation accuracy, means over {', '.join(found['pairs'])}",
         "",
         f"| way | bytes a Gaussian | {' | '.join(cases)} |",
         "|---" * (len(cases) + 2) + "|",
     ]
-    for name, way in ways.items():
-        sizes = [entry.bytes_per_gaussian for entry in _of_way(results, scenes, cases, way)]
-        if sizes:
-            cells = [_cell(results, scenes, case, way) for case in cases]
-            lines.append(f"| {name} | {sizes[0]:.0f} | {' | '.join(cells)} |")
-    commits = {
-        entry.commit
-        for way in ways.values()
-        for entry in _of_way(results, scenes, cases, way)
-        if entry.commit
-    }
-    lines += ["", f"Code: {', '.join(sorted(commits))}"] if commits else []
-    rows = []
-    for name, (first, second) in COMPARISONS.items():
-        if first in ways and second in ways:
-            sets = [[case] for case in cases] + ([list(cases)] if len(cases) > 1 else [])
-            cells = [compare(results, scenes, each, ways[first], ways[second]) for each in sets]
-            if any(cells):
-                rows.append(f"| {name} | {' | '.join('-' if c is None else _signed(c) for c in cells)} |")
-    if rows:
-        headings = [*cases, "all cases"] if len(cases) > 1 else list(cases)
+    for name, way in found["ways"].items():
+        known = [way["cases"].get(case) for case in cases]
+        cells = ["-" if cell is None else f"{cell['miou']:.3f} / {cell['accuracy']:.3f}" for cell in known]
+        lines.append(f"| {name} | {way['bytes_per_gaussian']:.0f} | {' | '.join(cells)} |")
+    lines += ["", f"Code: {', '.join(found['commits'])}"] if found["commits"] else []
+    if found["differences"]:
+        headings = [*cases, *([ALL] if len(cases) > 1 else [])]
         lines += ["", "mIoU, first minus second, 95 % interval over queries, each scene counting alike", ""]
-        lines += [f"| difference | {' | '.join(headings)} |", "|---" * (len(headings) + 1) + "|", *rows]
+        lines += [f"| difference | {' | '.join(headings)} |", "|---" * (len(headings) + 1) + "|"]
+        for name, known in found["differences"].items():
+            cells = [
+                "{:+.3f} [{:+.3f}, {:+.3f}]".format(*known[key]) if key in known else "-" for key in headings
+            ]
+            lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -176,20 +222,3 @@ def compare(
         groups += [label for _, label in results.pairs(scene)]
         kinds += [scene] * len(results.pairs(scene))
     return bootstrap_interval(differences, groups, scenes=kinds)
-
-
-def _of_way(results: Results, scenes: Sequence[str], cases: Sequence[str], way: Way) -> list[Entry]:
-    found = [results.get(scene, case, way.recipe.key) for scene in scenes for case in cases]
-    return [entry for entry in found if entry is not None]
-
-
-def _cell(results: Results, scenes: Sequence[str], case: str, way: Way) -> str:
-    entries = _of_way(results, scenes, [case], way)
-    if len(entries) < len(scenes):
-        return "-"  # a mean over fewer scenes would be another figure
-    iou = mean(mean(getattr(entry, way.level_choice)) for entry in entries)
-    return f"{iou:.3f} / {mean(mean(entry.hit) for entry in entries):.3f}"
-
-
-def _signed(interval: Interval) -> str:
-    return f"{interval.mean:+.3f} [{interval.low:+.3f}, {interval.high:+.3f}]"

@@ -1,32 +1,77 @@
-"""Compiling Triton kernels for a GPU that is not there, and what they take of it."""
+"""Triton kernels compiled for a GPU that is not there, and what they take of it."""
 
 from __future__ import annotations
 
-import sys
+import re
+import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+_WARP = 32
 
-from benchmarks.gpu import compiled
-from benchmarks.gpu.compiled import Usage
-from benchmarks.gpu.launches import F32, I32, I64
-from benchmarks.gpu.timing import Unavailable
 
-__all__ = ["F32", "I32", "I64", "Usage", "compile_kernel"]
+@dataclass(frozen=True)
+class Usage:
+    """What a compiled kernel takes.
+
+    Attributes:
+        registers: of a thread.
+        spilled: bytes of stack and local memory of a thread, where what does not fit into registers goes.
+        shared: bytes of shared memory of a block.
+    """
+
+    registers: int
+    spilled: int
+    shared: int
 
 
 def compile_kernel(
     kernel: Any, types: dict[str, str], constants: dict[str, Any], warps: int, capability: int, folder: Path
 ) -> Usage:
-    """``compiled.compile_kernel``, and what the kernel takes; the binary is written into ``folder``."""
-    content, shared = compiled.compile_kernel(kernel, types, constants, warps, capability)
+    """Compile for an NVIDIA GPU as a launch would; torch's tensors begin at multiples of 16 bytes.
+
+    Args:
+        kernel: the ``triton.jit`` function.
+        types: of each argument that is no constant.
+        constants: values of the others.
+        warps: of a block.
+        capability: 80 for an A100, 90 for an H100.
+        folder: where the binary is written.
+    """
+    import triton
+    from triton.backends.compiler import GPUTarget
+    from triton.compiler import ASTSource
+
+    given, expected = {*types, *constants}, set(kernel.arg_names)
+    assert given == expected, f"types and constants do not fit the kernel: {sorted(given ^ expected)}"
+    signature = {name: types.get(name, "constexpr") for name in kernel.arg_names}
+    aligned = {
+        (place,): [["tt.divisibility", 16]]
+        for place, name in enumerate(kernel.arg_names)
+        if signature[name].startswith("*")
+    }
+    compiled = triton.compile(
+        ASTSource(kernel, signature, constants, aligned),
+        target=GPUTarget("cuda", capability, _WARP),
+        options={"num_warps": warps, "enable_fp_fusion": True},
+    )
     binary = folder / "kernel.cubin"
-    binary.write_bytes(content)
-    try:
-        (needs,) = compiled.resources(binary).values()
-    except Unavailable as missing:
-        pytest.skip(f"compiled; {missing}, which tells what spills")
-    return Usage(*needs, shared)
+    binary.write_bytes(compiled.asm["cubin"])
+    return Usage(*_resources(binary), compiled.metadata.shared)
+
+
+def _resources(binary: Path) -> tuple[int, int]:
+    """Registers, and bytes of stack and local memory, of a thread."""
+    import triton
+
+    tool = Path(triton.__file__).parent / "backends" / "nvidia" / "bin" / "cuobjdump"
+    if not tool.exists():
+        pytest.skip("compiled; this triton comes without cuobjdump, which reports what spills")
+    done = subprocess.run([str(tool), "-res-usage", str(binary)], capture_output=True, text=True, check=True)
+    found = re.search(r"REG:(\d+) STACK:(\d+) .*?LOCAL:(\d+)", done.stdout, re.DOTALL)
+    assert found is not None, done.stdout
+    registers, stack, local = map(int, found.groups())
+    return registers, stack + local

@@ -46,7 +46,7 @@ def box_of(mask: np.ndarray) -> list[int]:
 
 def remove_small(mask: np.ndarray, least: int, holes: bool) -> tuple[np.ndarray, bool]:
     """Fill small holes, or remove small islands, of a mask [H, W] of the whole image; whether anything changed."""
-    labels, count = ndimage.label(mask ^ holes, np.ones((3, 3)))
+    labels, count = ndimage.label(mask ^ holes, np.ones((3, 3)))  # pyright: ignore[reportGeneralTypeIssues]
     sizes = [int((labels == number).sum()) for number in range(1, count + 1)]
     small = [number for number in range(1, count + 1) if sizes[number - 1] < least]
     if not small:

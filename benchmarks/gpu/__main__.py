@@ -1,125 +1,117 @@
-"""The GPU backend measured on this machine's GPU, in one command.
+"""The GPU backend compared and timed on this machine's GPU, in one command.
 
-    python -m benchmarks.gpu [--quick] [--budget-seconds 560] [--stages rendering sums] [--out FILE.json]
+    python -m benchmarks.gpu [--quick] [--budget-seconds 560] [--stages parity timing] [--out FILE.json]
 
-Runs the parity suite, then times everything side by side and writes docs/benchmarks/gpu-DEVICE.json and .md: our
-relevancy, coefficient maps, features and region sums beside gsplat (`pip install gsplat`, needs nvcc; where it is
-missing the rows say so), the per-pixel scatter and the paper's whole procedure; kernels beside what the device can do;
-precisions; growth. Files are written anew whenever more is known, so that stays when the run is ended. What breaks the
-device or hangs costs its own row. Runs from a checkout in which nothing is installed, with torch, triton and scipy.
-`--smoke` runs everything tiny with interpreted kernels, without a GPU: its times mean nothing.
+Stages: parity (every answer against the reference), timing (one view, beside gsplat, dense uplift and the paper's
+per-pixel scatter), precision (of matrix products) and build (whole builds, kept sums and queries, beside the paper's
+procedure). Writes docs/benchmarks/gpu-DEVICE.json and .md, anew whenever more is known. Each stage is a process: what
+breaks the device or hangs costs its own row. Runs from a checkout in which nothing is installed, with torch, triton and
+scipy; parity needs pytest and hypothesis, the comparison gsplat (pip install gsplat) and nvcc, which compiles it. On a
+machine without a GPU --quick runs everything tiny, with interpreted kernels: its times mean nothing.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import re
 import signal
 import sys
-from dataclasses import dataclass
+import time
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import torch
 
-from benchmarks.gpu.conduct import conduct
-from benchmarks.gpu.machine import slug
-from benchmarks.gpu.sizes import FULL, QUICK, SMOKE
-from benchmarks.gpu.worker import STAGES
+from benchmarks.gpu import ROOT
+from benchmarks.gpu.report import report
+from benchmarks.gpu.runner import STAGES, Launch, Runner, launch
+from benchmarks.gpu.stage import FULL, QUICK, TINY
 from scoup.base.errors import InputError, ScoupError, UnknownNameError
-from scoup.io import check_output
+from scoup.bench import describe_environment, write_json
+from scoup.io import check_output, write_text
 
-FOLDER = Path(__file__).resolve().parents[2] / "docs" / "benchmarks"
-SMOKE_PARITY = "tensors_on_a_cpu_are_refused"  # one quick test: proves that the suite is found and run
-# Without what is interpreted or only compiled, and of three draws of every scene the first.
-QUICK_PARITY = "(on_a_gpu and not seed1 and not seed2) or a_gpu_finds or encode_does_not_care"
+SHARE_OF_PARITY = 0.5  # of the time, where other stages follow
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """As ``parse`` describes them."""
-
-    quick: bool = False
-    smoke: bool = False
-    budget_seconds: float | None = None
-    stages: tuple[str, ...] = tuple(STAGES)
-    parity: bool = True
-    peer: bool = True
-    out: Path | None = None
-    overwrite: bool = False
-
-
-def parse(words: list[str] | None = None) -> Arguments:
+def parse(words: list[str] | None = None) -> argparse.Namespace:
     """The command line. By argparse: on a borrowed machine there may be nothing else."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.gpu",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "python -m benchmarks.gpu", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    add, switch = parser.add_argument, argparse.BooleanOptionalAction
-    add("--quick", action="store_true", help="fewer repetitions and epochs (those left out are extrapolated, and the "
-        "rows say so); of the parity suite only what runs on the GPU, with one draw of each scene")  # fmt: skip
-    add("--smoke", action="store_true", help="tiny, with interpreted kernels on the CPU")
+    add = parser.add_argument
+    add("--quick", action="store_true", help="fewer repetitions, epochs (the others are extrapolated, and the row says "
+        "so) and draws of the scenes of parity; without a GPU tiny, with interpreted kernels")  # fmt: skip
     add("--budget-seconds", type=float, help="time for everything; what does not fit is left out")
-    add("--stages", nargs="*", default=list(STAGES), metavar="STAGE",
-        help=f"which to run, in this order; none: parity alone. Stages: {', '.join(STAGES)}")  # fmt: skip
-    add("--parity", action=switch, default=True, help="run the parity suite first")
-    add("--peer", action=switch, default=True, help="compare with gsplat, which is compiled meanwhile")
-    add(
-        "--out",
-        type=Path,
-        help="JSON file to write; a .md beside it. Default: docs/benchmarks/gpu-DEVICE.json",
-    )
+    add("--stages", nargs="+", default=list(STAGES), help=f"which to run, among {', '.join(STAGES)}")
+    add("--out", type=Path, help="JSON file, a .md beside it; default: docs/benchmarks/gpu-DEVICE.json")
     add("--overwrite", action="store_true", help="replace files of an earlier run")
-    found = vars(parser.parse_args(words))
-    return Arguments(**{**found, "stages": tuple(found["stages"])})
+    return parser.parse_args(words)
 
 
-def main(arguments: Arguments) -> Path:
-    """Run, and give the path of the JSON file."""
+def output(arguments: argparse.Namespace, interpreted: bool) -> Path:
+    """The JSON file to write, where everything can run and be written."""
     for name in arguments.stages:
         if name not in STAGES:
             raise UnknownNameError("stage", name, STAGES)
-    if arguments.quick and arguments.smoke:
-        raise InputError("give --quick or --smoke, not both")
-    if not arguments.smoke and not torch.cuda.is_available():
-        raise InputError("torch finds no GPU here; --smoke runs everything tiny without one")
-    if arguments.out is not None:
-        out = arguments.out
-    elif arguments.smoke:
-        raise InputError("--smoke needs --out: its figures mean nothing and do not belong into docs/")
-    else:
-        out = FOLDER / f"gpu-{slug(torch.cuda.get_device_name(0))}.json"
+    if interpreted and not arguments.quick:
+        raise InputError("torch finds no GPU here; --quick runs everything tiny without one")
+    if interpreted and arguments.out is None:
+        raise InputError(
+            "without a GPU --out is needed: the figures mean nothing and do not belong into docs/"
+        )
+    device = "" if arguments.out else re.sub(r"[^a-z0-9]+", "-", torch.cuda.get_device_name(0).lower())
+    out: Path = arguments.out or ROOT / "docs" / "benchmarks" / f"gpu-{device}.json"
     if out.suffix != ".json":
         raise InputError(f"{out}: give a name that ends with .json")
-    check_output(out, arguments.overwrite)
-    check_output(out.with_suffix(".md"), arguments.overwrite)
-    sizes, mode, only = FULL, "full", ""
-    if arguments.quick:
-        sizes, mode, only = QUICK, "quick", QUICK_PARITY
-    if arguments.smoke:
-        sizes, mode, only = SMOKE, "smoke", SMOKE_PARITY
-    stages = list(arguments.stages)
-    if "roofline" in stages and "ceilings" not in stages[: stages.index("roofline")]:
-        stages.insert(stages.index("roofline"), "ceilings")  # without them there are no bounds
-    conduct(
-        out,
-        sizes,
-        list(dict.fromkeys(stages)),
-        mode,
-        interpreted=arguments.smoke,
-        parity=arguments.parity,
-        only=only,
-        budget_s=arguments.budget_seconds,
-        peer=arguments.peer,
-    )
+    for path in (out, out.with_suffix(".md")):
+        check_output(path, arguments.overwrite)
     return out
 
 
-def interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
+def main(arguments: argparse.Namespace, start: Launch = launch) -> Path:
+    """Run the stages; the path of the JSON file, beside which lies the same with .md."""
+    interpreted = not torch.cuda.is_available()
+    out = output(arguments, interpreted)
+    began, budget = time.time(), arguments.budget_seconds or float("inf")
+    sizes = TINY if interpreted else QUICK if arguments.quick else FULL
+    settings = {"quick": arguments.quick, "budget_s": budget, "interpreted": interpreted, **asdict(sizes)}
+    record: dict[str, Any] = {
+        "what": "benchmarks.gpu",
+        "started": time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(began)),
+        "machine": describe_environment(),
+        "settings": settings,
+        "stages": {},
+        "finished": False,
+    }
+
+    def write() -> None:
+        record["seconds"] = time.time() - began
+        # JSON knows no numbers that are not finite: they become text.
+        write_json(out, json.loads(json.dumps(record), parse_constant=str), overwrite=True)
+        try:
+            page = report(record)
+        except Exception as error:  # figures of hours are not to be lost for a table
+            page = f"This page could not be made ({error!r}); {out.name} holds everything.\n"
+        write_text(out.with_suffix(".md"), page, overwrite=True)
+
+    runner = Runner(record["stages"], sizes, interpreted, write, start)
+    try:
+        for name in dict.fromkeys(arguments.stages):
+            share = SHARE_OF_PARITY if name == "parity" and len(arguments.stages) > 1 else 1.0
+            runner.run(name, began + share * budget)
+        record["finished"] = True
+    except KeyboardInterrupt:
+        record["reason"] = "interrupted"
+        raise
+    finally:
+        write()
+    return out
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, interrupt)  # of whoever limits the time
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # of whoever limits the time
     try:
         written = main(parse())
     except KeyboardInterrupt:

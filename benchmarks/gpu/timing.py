@@ -1,245 +1,149 @@
-"""Times and memory of things that may fail, measured side by side."""
+"""Times of one view: queries, renders and region sums beside gsplat, dense uplift and the paper's scatter."""
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import partial
-from statistics import median
-from typing import Any
+from functools import cache, partial
 
 import torch
+from torch import Tensor
 
-LEAST_SECONDS = 0.02  # of a repetition: what is shorter is run several times in a row
-MOST_RUNS = 50
-TIMES = ("median_s", "min_s", "max_s", "repeats", "runs_a_repeat", "over")
+from benchmarks.gpu.gsplat import compile_gsplat, dense_uplift, found_gsplat, render
+from benchmarks.gpu.stage import Row, Runs, Stage, project
+from scoup import raster
+from scoup.bench import Workload
+from scoup.bench.stages import region_sums_of_a_view, vote_of_a_view
+from scoup.field.relevancy import relevancy
+from scoup.synthetic.random_scene import clip_like
 
-Row = dict[str, Any]
-
-
-class Unavailable(Exception):
-    """Something that cannot be measured here, and why."""
-
-
-class DeviceLost(Exception):
-    """The device answers nothing any more; only a new process can use it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Work:
-    """Something to measure.
-
-    Attributes:
-        name: of its row.
-        run: the work; what it returns is dropped. It may raise: that is the row's reason.
-        note: what a reader should know of it.
-    """
-
-    name: str
-    run: Callable[[], object]
-    note: str = ""
+RGB = "gsplat: RGB"
+DECODED = "coefficient maps, decoded to D channels, then cosines (LangSplatV2's way)"
+SUMS = "ours: region sums of all levels"
+DENSE = "dense uplift of all levels, D channels, by gsplat's backward"
+SCATTER = "per-pixel scatter, level after level (the paper's)"
 
 
-@dataclass(frozen=True)
-class Clock:
-    """Times on one device: by its own events on a GPU, by the system's clock on a CPU."""
-
-    device: torch.device
-
-    @property
-    def on_gpu(self) -> bool:
-        return self.device.type == "cuda"
-
-    def settle(self) -> None:
-        """Wait until nothing runs."""
-        if self.on_gpu:
-            torch.cuda.synchronize(self.device)
-
-    def seconds(self, run: Callable[[], object], runs: int = 1) -> float:
-        """Of one run, of ``runs`` in a row."""
-        self.settle()
-        if not self.on_gpu:
-            started = time.perf_counter()
-            for _ in range(runs):
-                run()
-            return (time.perf_counter() - started) / runs
-        first, last = (torch.cuda.Event(enable_timing=True) for _ in range(2))
-        first.record()
-        for _ in range(runs):
-            run()
-        last.record()
-        self.settle()
-        return first.elapsed_time(last) / 1e3 / runs
-
-    def memory(self, run: Callable[[], object]) -> dict[str, int | None]:
-        """Most memory allocated while it runs, in bytes, and how much of that was not before; None on a CPU."""
-        if not self.on_gpu:
-            run()
-            return {"peak_bytes": None, "working_bytes": None}
-        self.settle()
-        torch.cuda.reset_peak_memory_stats(self.device)
-        before = torch.cuda.memory_allocated(self.device)
-        run()
-        self.settle()
-        peak = torch.cuda.max_memory_allocated(self.device)
-        return {"peak_bytes": peak, "working_bytes": peak - before}
-
-    def recover(self) -> None:
-        """Free what a failed run left behind.
-
-        Raises:
-            DeviceLost: a kernel has broken the context.
-        """
-        if not self.on_gpu:
-            return
-        try:
-            self.settle()
-            torch.cuda.empty_cache()
-        except RuntimeError as error:
-            raise DeviceLost(reason(error)) from error
+def relevancy_name(n_atoms: int) -> str:
+    return f"ours: relevancy of a query, L = {n_atoms}"
 
 
-def measure(
-    works: Iterable[Work],
-    clock: Clock,
-    repeats: int,
-    time_is_up: Callable[[], bool] = lambda: False,
-    warm_up: bool = True,
-    into: list[Row] | None = None,
-    about_to: Callable[[str], str | None] = lambda name: None,
-    known: Callable[[], None] = lambda: None,
-) -> list[Row]:
-    """A row for each work: seconds, memory, or the reason why there are none.
+def timing(stage: Stage) -> None:
+    """Each row of ours includes projection and sort, as each of gsplat's does, unless it says "projected before"."""
+    sizes = stage.sizes
+    stage.result["about"] = (
+        f"{sizes.n_gaussians:,} Gaussians, a view of {sizes.width} x {sizes.height}, three levels of "
+        f"{'/'.join(map(str, sizes.regions))} regions, K = {sizes.k}, L = {sizes.n_atoms[0]} unless the row says it"
+    )
+    compile_gsplat(stage)
+    work = stage.work(sizes.n_atoms[0])
+    runs = {**renders(stage, work), **sums(stage, work)}
+    for n_atoms in sizes.n_atoms[1:]:
+        runs |= of_codes(stage.work(n_atoms))
+    peers = (RGB, f"gsplat: {sizes.channels[-1]} channels", DECODED, SCATTER, DENSE)
+    stage.rows(runs, {peer: [name for name in runs if name.startswith(peer)] for peer in peers})
 
-    Rounds go through the works forwards and backwards in turn, so that a change of the device's clock meets all of
-    them. Each has run three times before, untimed: the first run compiles kernels, the second tells the memory, the
-    third how often it must run in a row. Until the rounds begin, and where they never do, that third run is what the
-    row tells, with ``repeats`` 0. Nothing empties the device's caches between runs.
+    @torch.no_grad()
+    def off() -> Row:
+        view = work.gaussians, work.camera
+        theirs = render(found_gsplat(stage), *view, work.values)
+        return {
+            "value": float((raster.render_channels(project(*view), work.values)[0] - theirs).abs().mean())
+        }
 
-    Args:
-        works: what to measure; names are unique.
-        clock: of the device.
-        repeats: rounds.
-        time_is_up: nothing more is begun once it says so.
-        warm_up: false where times mean nothing.
-        into: a list that gets the rows, too, even if the device is lost on the way.
-        about_to: told the name of a work before it runs; may give a reason to leave it out.
-        known: called whenever the rows tell more than before.
-    """
-    works = list(works)
-    rows: list[Row] = [] if into is None else into
-    own: dict[str, Row] = {}
-    seconds: dict[str, list[float]] = {}
-    estimates: dict[str, float] = {}
-    runs: dict[str, int] = {}
-    for work in works:
-        own[work.name] = {"name": work.name, **({"note": work.note} if work.note else {})}
-    rows += own.values()
-
-    def attempt(work: Work, run: Callable[[], None]) -> None:
-        try:
-            run()
-        except Exception as error:
-            seconds.pop(work.name, None)
-            _give_up(own[work.name], error, clock)
-
-    def begin(work: Work) -> None:
-        runs[work.name] = 1
-        if warm_up:
-            estimates[work.name] = _warm_up(work, own[work.name], clock)
-            wanted = math.ceil(LEAST_SECONDS / max(estimates[work.name], 1e-9))
-            runs[work.name] = max(1, min(MOST_RUNS, wanted))
-        seconds[work.name] = []
-
-    def tell() -> None:
-        for name, values in seconds.items():
-            found = values or [estimates[name]] if values or name in estimates else []
-            if found:
-                own[name].update(
-                    median_s=median(found),
-                    min_s=min(found),
-                    max_s=max(found),
-                    repeats=len(values),
-                    runs_a_repeat=runs[name] if values else 1,
-                )
-        known()
-
-    try:
-        for work in works:
-            left_out = about_to(work.name)
-            if left_out is not None or time_is_up():
-                own[work.name]["reason"] = left_out or "no time was left"
-                continue
-            attempt(work, partial(begin, work))
-            tell()
-        for number in range(repeats):
-            for work in works if number % 2 else reversed(works):
-                if work.name not in seconds or (time_is_up() and (number or warm_up)):
-                    continue
-                about_to(work.name)
-                attempt(
-                    work,
-                    lambda work=work: seconds[work.name].append(clock.seconds(work.run, runs[work.name])),
-                )
-            tell()
-    finally:  # what is known stays where the device is lost
-        tell()
-        for row in own.values():
-            if "median_s" not in row:
-                row.setdefault("reason", "it was not timed before the device was lost")
-    return list(own.values())
+    stage.row("RGB, ours against gsplat: mean difference", off)
+    of_large = renders(stage, stage.work(sizes.n_atoms[0], sizes.large))
+    size = f"{sizes.large[0]} x {sizes.large[1]}"
+    runs = {f"{name}, {size}": run for name, run in of_large.items() if "channels" not in name}
+    stage.rows(runs, {RGB: [name for name in runs if name.startswith(RGB)]})
 
 
-def _warm_up(work: Work, row: Row, clock: Clock) -> float:
-    """Run it three times, note what they tell in its row, and give the seconds of the last."""
-    row["first_run_s"] = clock.seconds(work.run)
-    row.update(clock.memory(work.run))
-    return clock.seconds(work.run)
+def of_codes(work: Workload) -> Runs:
+    """What depends on the size of the codebook."""
+    n_atoms, codes = work.codebook.shape[1], (work.indices, work.weights)
+    new = partial(project, work.gaussians, work.camera)
+    projection = cache(new)  # made when it is first needed: that may fail, too
+    kept = cache(lambda: region_sums_of_a_view(work, projection()))
+    of_features = f"ours: features of all levels, L = {n_atoms}"
+    of_vote = f"ours: vote on the sums of one view, one round, L = {n_atoms}"
+    return {
+        relevancy_name(n_atoms): lambda: query(work, new()),
+        f"{relevancy_name(n_atoms)}, projected before": lambda: query(work, projection()),
+        f"ours: coefficient maps, L = {n_atoms}": lambda: raster.render_codes(new(), *codes, n_atoms),
+        of_features: lambda: raster.render_features(new(), *codes, work.codebook),
+        of_vote: lambda: vote_of_a_view(work, kept(), "triton"),
+    }
 
 
-def measure_once(work: Work, clock: Clock) -> Row:
-    """A row for something that takes long: one run, by the system's clock, with its memory."""
-    row: Row = {"name": work.name}
-    if work.note:
-        row["note"] = work.note
-    try:
-        clock.settle()
-        started = time.perf_counter()
-        row.update(clock.memory(work.run))
-        spent = time.perf_counter() - started
-    except Exception as error:
-        _give_up(row, error, clock)
-        return row
-    row.update(median_s=spent, min_s=spent, max_s=spent, repeats=1, runs_a_repeat=1)
-    return row
+def renders(stage: Stage, work: Workload) -> Runs:
+    """Ours, decoding, and gsplat's in the ways it can be called: whichever is faster counts."""
+    new = partial(project, work.gaussians, work.camera)
+
+    @cache
+    def made(channels: int) -> Tensor:  # not before they are needed: they are large
+        return torch.rand(len(work.gaussians), channels, device=stage.device)
+
+    @torch.no_grad()
+    def rendered(channels: int, packed: bool = False, at_once: int = 32) -> Tensor:
+        module, values = found_gsplat(stage), work.values if channels == 3 else made(channels)
+        return render(module, work.gaussians, work.camera, values, packed, at_once)
+
+    found: Runs = {
+        **of_codes(work),
+        "ours: project, bin and sort": new,
+        "ours: RGB": lambda: raster.render_channels(new(), work.values),
+        DECODED: partial(decoded, work),
+        RGB: partial(rendered, 3),
+        f"{RGB}, packed": partial(rendered, 3, True),
+    }
+    for channels in stage.sizes.channels:
+        for at_once in (32, 128):
+            found[f"gsplat: {channels} channels, {at_once} at a time"] = partial(
+                rendered, channels, False, at_once
+            )
+    return found
 
 
-def _give_up(row: Row, error: Exception, clock: Clock) -> None:
-    row["reason"] = reason(error)
-    for key in TIMES:
-        row.pop(key, None)
-    # Only its text is kept: the error itself would hold on to all tensors of the frames that it came through.
-    error.__traceback__ = None
-    clock.recover()
+def sums(stage: Stage, work: Workload) -> Runs:
+    """Region sums, and what they replace."""
+    from benchmarks.gpu.scatter_kernel import scatter_view
+
+    embeddings = [clip_like(len(codes), stage.sizes.dim).to(stage.device) for codes in work.codes]
+    view = work.gaussians, work.camera
+    projection = cache(partial(project, *view))
+
+    def dense(channels: int) -> None:
+        module = found_gsplat(stage)
+        out = torch.zeros(len(work.labels), len(work.gaussians), stage.sizes.dim, device=stage.device)
+        dense_uplift(module, work, embeddings, out, channels)
+
+    def by_level() -> None:
+        for level, codes in enumerate(work.codes):
+            scatter_view(project(*view), work.labels[level : level + 1], [codes])
+
+    return {
+        SUMS: lambda: raster.region_sums(project(*view), work.labels),
+        f"{SUMS}, projected before": lambda: raster.region_sums(projection(), work.labels),
+        "per-pixel scatter, all levels in one pass": lambda: scatter_view(
+            project(*view), work.labels, work.codes
+        ),
+        SCATTER: by_level,
+        DENSE: partial(dense, stage.sizes.dim),
+        f"{DENSE}, 32 channels a call": partial(dense, 32),
+    }
 
 
-def reason(error: BaseException) -> str:
-    """An error in one line; of a long one the beginning."""
-    text = " ".join(str(error).split())
-    text = text if len(text) <= 400 else text[:400] + " ..."
-    return text if isinstance(error, Unavailable) and text else f"{type(error).__name__}: {text}"
+def query(work: Workload, projection: raster.Projection) -> Tensor:
+    """[S, 1, H, W]: relevancy of one query against the four canonical phrases."""
+    cosines = raster.render_cosines(projection, work.indices, work.weights, work.codebook, work.queries)
+    return relevancy(cosines[:, :1], cosines[:, 1:])
 
 
-def add_ratios(rows: list[Row], over: dict[str, list[str]]) -> None:
-    """Into each row with a time, its time over that of other rows: ``over`` maps what the other is called to the
-    names of its rows, of which the fastest counts.
-    """
-    times = {row["name"]: row["median_s"] for row in rows if "median_s" in row}
-    for called, names in over.items():
-        found = [times[name] for name in names if name in times]
-        if found:
-            for row in rows:
-                if "median_s" in row and row["name"] not in names:
-                    row.setdefault("over", {})[called] = row["median_s"] / min(found)
+def decoded(work: Workload) -> Tensor:
+    """``query`` as LangSplatV2 does it: coefficient maps are written out, decoded to D channels, and normalised."""
+    projection, n_atoms = project(work.gaussians, work.camera), work.codebook.shape[1]
+    maps = raster.render_codes(projection, work.indices, work.weights, n_atoms)
+    features = [
+        torch.nn.functional.normalize(own @ atoms, dim=-1)
+        for own, atoms in zip(maps, work.codebook, strict=True)
+    ]
+    cosines = torch.stack([(own @ work.queries.T).permute(2, 0, 1) for own in features])
+    return relevancy(cosines[:, :1], cosines[:, 1:])

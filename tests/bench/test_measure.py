@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -11,7 +12,16 @@ from hypothesis import strategies as st
 
 from scoup.base.errors import InputError
 from scoup.bench import measure
-from scoup.bench.measure import StageClock, Task, Timing, fit_slope, time_tasks, torch_threads
+from scoup.bench.measure import (
+    DeviceClock,
+    StageClock,
+    Task,
+    Timing,
+    Watch,
+    fit_slope,
+    time_tasks,
+    torch_threads,
+)
 
 
 @given(
@@ -50,14 +60,14 @@ def test_tasks_take_turns_under_their_threads():
         "a": Task(lambda: ran.append(("a", torch.get_num_threads())), 1, 3),
         "b": Task(lambda: ran.append(("b", torch.get_num_threads())), 2, 1),
     }
-    told: list[tuple[int, int]] = []
-    timings = time_tasks(tasks, progress=lambda _, done, total: told.append((done, total)))
+    reported: list[tuple[int, int]] = []
+    timings = time_tasks(tasks, progress=lambda _, done, total: reported.append((done, total)))
     # Round 0 warms up; rounds go forwards and backwards in turn; b has had enough after one.
     assert "".join(name for name, _ in ran) == "ba" + "ab" + "a" + "a"
     assert set(ran) == {("a", 1), ("b", 2)}
     assert {key: len(timing.seconds) for key, timing in timings.items()} == {"a": 3, "b": 1}
-    assert told[0] == (0, 6)
-    assert told[-1] == (6, 6)
+    assert reported[0] == (0, 6)
+    assert reported[-1] == (6, 6)
     assert torch.get_num_threads() == before
 
 
@@ -87,8 +97,8 @@ def test_nothing_to_measure():
 def test_the_clock_of_stages(monkeypatch: pytest.MonkeyPatch):
     now = [0.0]
     monkeypatch.setattr(measure.time, "perf_counter", lambda: now[0])
-    told: list[str] = []
-    clock = StageClock(lambda stage, done, total: told.append(f"{stage} {done}/{total}"))
+    reported: list[str] = []
+    clock = StageClock(lambda stage, done, total: reported.append(f"{stage} {done}/{total}"))
     for spent, call in [
         (1.0, ("coding", 0, 2)),
         (2.0, ("coding", 1, 2)),
@@ -106,4 +116,65 @@ def test_the_clock_of_stages(monkeypatch: pytest.MonkeyPatch):
         "uplift": 16.0,
         "after uplift": 32.0,
     }
-    assert told == ["coding 0/2", "coding 1/2", "coding 2/2", "uplift 0/1", "uplift 1/1"]
+    assert reported == ["coding 0/2", "coding 1/2", "coding 2/2", "uplift 0/1", "uplift 1/1"]
+
+
+def test_what_fails_or_may_not_run_is_left_out() -> None:
+    ran: list[str] = []
+
+    class Careful(Watch[str]):
+        def __init__(self) -> None:
+            self.failures: dict[str, str] = {}
+            self.rounds: list[dict[str, int]] = []
+
+        def may_run(self, key: str) -> bool:
+            return key != "forbidden"
+
+        def failed(self, key: str, error: Exception) -> None:
+            self.failures[key] = str(error)
+
+        def round_done(self, timings: dict[str, Timing]) -> None:
+            self.rounds.append({key: len(timing.seconds) for key, timing in timings.items()})
+
+    def fail_in_the_third_run() -> None:
+        ran.append("late")
+        if ran.count("late") > 2:
+            raise ValueError("too often")
+
+    def fail() -> None:
+        raise KeyError("at once")
+
+    runs = {"good": lambda: ran.append("good"), "late": fail_in_the_third_run, "bad": fail, "forbidden": fail}
+    watch = Careful()
+    timings = time_tasks({key: Task(run, None, 3) for key, run in runs.items()}, watch=watch)
+    assert {key: len(timing.seconds) for key, timing in timings.items()} == {"good": 3}
+    assert watch.failures == {"bad": "'at once'", "late": "too often"}
+    assert watch.rounds == [{"good": 1, "late": 1}, {"good": 2}, {"good": 3}]
+    with pytest.raises(KeyError, match="at once"):
+        time_tasks({"bad": Task(fail)})
+
+
+def test_short_runs_are_repeated_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr(measure.time, "perf_counter", lambda: now[0])
+
+    def take(seconds: float) -> Callable[[], None]:
+        def run() -> None:
+            now[0] += seconds
+            ran.append(seconds)
+
+        return run
+
+    ran: list[float] = []
+    tasks = {seconds: Task(take(seconds), repeats=1) for seconds in (0.25, 2.0, 1e-6)}
+    timings = time_tasks(tasks, least_seconds=1.0)
+    assert [ran.count(seconds) for seconds in tasks] == [1 + 4, 1 + 1, 1 + measure.MOST_IN_A_ROW]
+    assert all(timings[seconds].median == pytest.approx(seconds, rel=1e-3) for seconds in tasks)
+
+
+def test_a_clock_of_a_cpu_knows_no_memory() -> None:
+    ran: list[int] = []
+    clock = DeviceClock()
+    assert clock.peak_bytes(lambda: ran.append(1)) == {"peak_bytes": None, "working_bytes": None}
+    assert clock.seconds(lambda: ran.append(1), 3) >= 0
+    assert len(ran) == 4

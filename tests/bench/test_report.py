@@ -11,7 +11,7 @@ import pytest
 from scoup.base.errors import OutputExistsError
 from scoup.bench.environment import describe_environment, in_one_line
 from scoup.bench.measure import Timing
-from scoup.bench.report import Row, markdown, milliseconds, ratios, stage_table, write_json
+from scoup.bench.report import Row, comparison, markdown, milliseconds, ratios, stage_table, write_json
 
 
 def row(stage: str, backend: str, threads: int, *milliseconds: float, count: int = 1000) -> Row:
@@ -37,7 +37,7 @@ def test_a_table_of_stages():
 
 def test_a_table_of_the_reference_alone_has_no_ratios():
     rows = [row("project", "reference", 1, 5)]
-    assert ratios(rows) == []
+    assert ratios(rows) == {}
     assert "/reference" not in stage_table(rows)
 
 
@@ -56,7 +56,10 @@ def test_ratios_are_of_the_same_scene_stage_and_threads():
         row("vote", "native", 1, 2),
         row("project", "reference", 1, 8),
     ]
-    assert [item.record() for item in ratios(rows)] == [
+    assert ratios(rows) == {rows[0]: 0.25}
+    found = comparison(rows)
+    assert found["rows"] == [item.record() for item in rows]
+    assert found["ratios"] == [
         {
             "scene": "room",
             "gaussians": 1000,

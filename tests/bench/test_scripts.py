@@ -180,7 +180,13 @@ def test_extraction_against_the_literal_rules(script, tmp_path: Path, capsys: py
 def test_kept_sums(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     kept = script("kept_sums")
     arguments = kept.Arguments(
-        n_gaussians=200, views=2, width=40, height=30, kitchen=False, out=tmp_path / "k.json"
+        n_gaussians=200,
+        views=2,
+        width=40,
+        height=30,
+        regions=(6, 4, 2),
+        kitchen=False,
+        out=tmp_path / "k.json",
     )
     record = kept.main(arguments)
     assert json.loads((tmp_path / "k.json").read_text()) == record

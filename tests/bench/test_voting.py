@@ -35,10 +35,10 @@ def voting():
         yield lambda name="": modules[name]
 
 
-def tiny(voting, out: Path, **changes: Any):
+def tiny(voting, rows: Path, **changes: Any):
     size = voting("_scenes").SceneSize(2500, 64, 48, n_building=4, n_held_out=2)
     given = {"scenes": ("table-0",), "cases": ("wrong20+rare",), "ways": WAYS, "seeds": (0,)}
-    return voting().Arguments(**{**given, "epochs": 3, "out": out, "size": size, **changes})
+    return voting().Arguments(**{**given, "epochs": 3, "rows": rows, "size": size, **changes})
 
 
 def test_from_arguments_to_the_table(voting, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,7 +114,7 @@ def test_seeds_are_averaged_pair_by_pair(voting) -> None:
 def test_what_cannot_be(voting, tmp_path: Path) -> None:
     out = tmp_path / "voting.json"
     out.write_text(json.dumps({"version": 1, "settings": {"draw": 9}, "scenes": {}}))
-    with pytest.raises(InputError, match="another --out"):
+    with pytest.raises(InputError, match="another --rows"):
         voting().main(tiny(voting, out))
     with pytest.raises(UnknownNameError, match="exact"):
         voting("_ways").find_way("exakt", 3)

@@ -5,8 +5,8 @@ import struct
 import numpy as np
 import pytest
 import torch
-from io_samples import camera_difference, some_cameras
 
+from io_samples import camera_difference, some_cameras
 from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
 from scoup.io.cameras.colmap import read_colmap, read_points, write_colmap
 

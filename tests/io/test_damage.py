@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
 from io_samples import (
     save_checkpoint,
     save_compressed_ply,
@@ -23,7 +24,6 @@ from io_samples import (
     some_gaussians,
     some_regions,
 )
-
 from scoup.base.errors import ScoupError, ScoupWarning
 from scoup.io import (
     load_cameras,

@@ -9,8 +9,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from io_samples import same_gaussians, some_gaussians
 
+from io_samples import same_gaussians, some_gaussians
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io.splats.activation import (
     logits_from_opacities,

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from io_samples import save_compressed_ply
 
+from io_samples import save_compressed_ply
 from scoup.base.errors import FileFormatError
 from scoup.io.splats.ply import gaussians_from_table, read_ply, read_ply_table
 

@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 import torch
-from io_samples import camera_difference, same_gaussians
 
+from io_samples import camera_difference, same_gaussians
 from scoup.io import (
     load_cameras,
     load_gaussians,

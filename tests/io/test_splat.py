@@ -5,8 +5,8 @@ import struct
 import numpy as np
 import pytest
 import torch
-from io_samples import same_gaussians, some_gaussians
 
+from io_samples import same_gaussians, some_gaussians
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.splats.splat import read_splat, write_splat
 

@@ -14,12 +14,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks.gpu.launches import launches
-
 from compiling import compile_kernel
 from interpreting import interpreter
+from launches import launches
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
 from scoup import raster

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from benchmarks.gpu.launches import launches
-
 from compiling import compile_kernel
 from interpreting import interpreter
+from launches import launches
 from uplift import triton_checks
 from uplift.random_votes import Sizes
 

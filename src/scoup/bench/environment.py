@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 import platform
 import re
@@ -27,6 +28,8 @@ def describe_environment() -> dict[str, Any]:
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "system": platform.system(),
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
+        "cuda": torch.version.cuda or torch.version.hip,
+        "triton": _version("triton"),
         "load": None if load is None else round(load, 2),
         "python": platform.python_version(),
         "torch": str(torch.__version__),
@@ -43,6 +46,7 @@ def in_one_line(environment: dict[str, Any]) -> str:
         f"{environment['cpu']}, {environment['cores']} cores",
         environment["gpu"],
         f"torch {environment['torch']}",
+        environment["gpu"] and f"Triton {environment['triton']}, CUDA {environment['cuda']}",
         environment["native_instruction_set"] and f"native core: {environment['native_instruction_set']}",
         environment["commit"] and f"commit {environment['commit']}",
     ]
@@ -55,6 +59,13 @@ def _cpu_model() -> str:
     except OSError:
         named = None
     return named.group(1).strip() if named else platform.processor() or platform.machine()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def _commit() -> str | None:

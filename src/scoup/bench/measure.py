@@ -8,7 +8,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from statistics import median
-from typing import TypeVar
+from typing import Any, Generic, TypeVar
 
 import torch
 
@@ -16,17 +16,71 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 
 Key = TypeVar("Key", bound=Hashable)
+Result = TypeVar("Result")
+
+
+MOST_IN_A_ROW = 50
 
 
 @contextmanager
-def torch_threads(count: int) -> Iterator[None]:
-    """torch (and every backend that follows it) uses ``count`` threads inside the block."""
+def torch_threads(count: int | None) -> Iterator[None]:
+    """torch (and every backend that follows it) uses ``count`` threads inside the block; None changes nothing."""
     before = torch.get_num_threads()
-    torch.set_num_threads(count)
+    torch.set_num_threads(before if count is None else count)
     try:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+@dataclass(frozen=True)
+class DeviceClock:
+    """Seconds on a device: by a GPU's own events, elsewhere by the system's clock."""
+
+    device: str = "cpu"
+
+    @property
+    def on_gpu(self) -> bool:
+        return self.device.startswith("cuda")
+
+    def settle(self) -> None:
+        """Wait until the device has finished."""
+        if self.on_gpu:
+            torch.cuda.synchronize(self.device)
+
+    def seconds(self, run: Callable[[], object], runs: int = 1) -> float:
+        """Of one run, where ``runs`` follow each other. Results are dropped after the clock has stopped."""
+        self.settle()
+        if not self.on_gpu:
+            started = time.perf_counter()
+            result = run()
+            for _ in range(runs - 1):
+                result = run()
+            spent = time.perf_counter() - started
+            del result
+            return spent / runs
+        first, last = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+        first.record()
+        for _ in range(runs):
+            run()
+        last.record()
+        self.settle()
+        return first.elapsed_time(last) / 1e3 / runs
+
+    def peak_bytes(self, run: Callable[[], object]) -> dict[str, int | None]:
+        """Most bytes that torch allocated on the device during a run, and how many of them were not allocated before;
+        None on a CPU.
+        """
+        if not self.on_gpu:
+            run()
+            return {"peak_bytes": None, "working_bytes": None}
+        self.settle()
+        torch.cuda.reset_peak_memory_stats(self.device)
+        before = torch.cuda.memory_allocated(self.device)
+        run()
+        self.settle()
+        peak = torch.cuda.max_memory_allocated(self.device)
+        return {"peak_bytes": peak, "working_bytes": peak - before}
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +89,12 @@ class Task:
 
     Attributes:
         run: the work; what it returns is dropped after the clock has stopped.
-        threads: torch threads it may use.
+        threads: torch threads it may use; None leaves the number alone.
         repeats: how often it is timed, after one run that is not.
     """
 
     run: Callable[[], object]
-    threads: int = 1
+    threads: int | None = 1
     repeats: int = 5
 
 
@@ -64,8 +118,27 @@ class Timing:
         }
 
 
+class Watch(Generic[Key]):
+    """What happens around the runs of ``time_tasks``. This one lets everything run and errors through."""
+
+    def may_run(self, key: Key) -> bool:
+        """Called before each run. A task that may not run is left out from then on."""
+        return True
+
+    def failed(self, key: Key, error: Exception) -> None:
+        """A task has raised. If this returns, the task is left out from then on."""
+        raise error
+
+    def round_done(self, timings: dict[Key, Timing]) -> None:
+        """Called after each round with the timings so far."""
+
+
 def time_tasks(
-    tasks: Mapping[Key, Task], device: str = "cpu", progress: Progress = no_progress
+    tasks: Mapping[Key, Task],
+    device: str = "cpu",
+    progress: Progress = no_progress,
+    least_seconds: float = 0.0,
+    watch: Watch[Key] | None = None,
 ) -> dict[Key, Timing]:
     """Time tasks interleaved: every round runs each task once, so that a change of the machine meets all of them.
 
@@ -73,29 +146,49 @@ def time_tasks(
 
     Args:
         tasks: by any key; neighbours are timed one right after the other.
-        device: what to wait for before the clock is read.
-        progress: told of each run.
+        device: whose clock is read.
+        progress: called after each run.
+        least_seconds: a repetition that would be shorter is several runs in a row, at most 50.
+        watch: see ``Watch``.
 
     Returns:
-        Timings under the same keys.
+        Timings under the same keys, without the tasks that ``watch`` left out before they were timed.
     """
-    seconds: dict[Key, list[float]] = {key: [] for key in tasks}
+    clock, watch = DeviceClock(device), watch or Watch()
+    left, seconds = dict(tasks), {key: list[float]() for key in tasks}
+    in_a_row = dict.fromkeys(tasks, 1)
     rounds = max((task.repeats for task in tasks.values()), default=0)
     total, done = sum(task.repeats + 1 for task in tasks.values()), 0
+
+    def timings() -> dict[Key, Timing]:
+        return {key: Timing(tuple(values)) for key, values in seconds.items() if values}
+
     progress("measure", 0, total)
     for number in range(rounds + 1):  # round 0 warms up
-        order = list(tasks.items())
+        order = list(left.items())
         for key, task in order if number % 2 else reversed(order):
             if number > task.repeats:
                 continue
-            with torch_threads(task.threads):
-                _wake()
-                spent = _time(task.run, device)
+            if not watch.may_run(key):
+                del left[key]
+                continue
+            try:
+                with torch_threads(task.threads):
+                    _wake()
+                    spent = clock.seconds(task.run, in_a_row[key])
+            except Exception as error:
+                watch.failed(key, error)
+                del left[key], seconds[key]
+                continue
             if number:
                 seconds[key].append(spent)
+            elif spent < least_seconds:
+                in_a_row[key] = min(MOST_IN_A_ROW, math.ceil(least_seconds / max(spent, 1e-9)))
             done += 1
             progress("measure", done, total)
-    return {key: Timing(tuple(values)) for key, values in seconds.items()}
+        if number:
+            watch.round_done(timings())
+    return timings()
 
 
 def _wake() -> None:
@@ -103,19 +196,23 @@ def _wake() -> None:
     torch.zeros(1 << 17).add_(1.0)
 
 
-def _time(run: Callable[[], object], device: str) -> float:
-    _settle(device)
-    started = time.perf_counter()
-    result = run()
-    _settle(device)
-    spent = time.perf_counter() - started
-    del result
-    return spent
+class Stopwatch:
+    """Seconds of calls by name, for steps that need each other's results and so cannot be interleaved.
 
+    Args:
+        clock: ``time.process_time`` counts what the processors spent, whatever else the machine does.
+    """
 
-def _settle(device: str) -> None:
-    if device != "cpu":
-        torch.cuda.synchronize(device)
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._clock = clock
+        self.seconds: dict[str, list[float]] = {}
+
+    def __call__(self, name: str, run: Callable[..., Result], *arguments: Any, **named: Any) -> Result:
+        """What ``run`` returns; its seconds are added to those of the name."""
+        started = self._clock()
+        result = run(*arguments, **named)
+        self.seconds.setdefault(name, []).append(self._clock() - started)
+        return result
 
 
 @dataclass(frozen=True)

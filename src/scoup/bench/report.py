@@ -35,56 +35,42 @@ class Row:
     threads: int
     timing: Timing
 
-    def record(self) -> dict[str, Any]:
-        """For JSON."""
+    def setting(self) -> dict[str, Any]:
+        """What was measured, for JSON."""
         return {
             "scene": self.scene,
             "gaussians": self.n_gaussians,
             "stage": self.stage,
             "backend": self.backend,
             "threads": self.threads,
-            **self.timing.record(),
         }
-
-
-@dataclass(frozen=True)
-class Ratio:
-    """Time of a backend over that of the reference, same scene, stage and threads."""
-
-    scene: str
-    n_gaussians: int
-    stage: str
-    backend: str
-    threads: int
-    ratio: float
 
     def record(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "scene": self.scene,
-            "gaussians": self.n_gaussians,
-            "stage": self.stage,
-            "backend": self.backend,
-            "threads": self.threads,
-            f"time_over_{SPECIFICATION}": self.ratio,
-        }
+        return {**self.setting(), **self.timing.record()}
 
 
-def ratios(rows: Iterable[Row]) -> list[Ratio]:
-    """Of every row of another backend that the reference was measured for too."""
+def ratios(rows: Iterable[Row]) -> dict[Row, float]:
+    """Time of a row over that of the reference, same scene, stage and threads, wherever both were measured."""
     rows = list(rows)
     base = {
         (row.scene, row.n_gaussians, row.stage, row.threads): row.timing.median
         for row in rows
         if row.backend == SPECIFICATION
     }
-    found = []
+    found = {}
     for row in rows:
         against = base.get((row.scene, row.n_gaussians, row.stage, row.threads))
         if row.backend != SPECIFICATION and against is not None:
-            ratio = row.timing.median / against
-            found.append(Ratio(row.scene, row.n_gaussians, row.stage, row.backend, row.threads, ratio))
+            found[row] = row.timing.median / against
     return found
+
+
+def comparison(rows: Iterable[Row]) -> dict[str, list[dict[str, Any]]]:
+    """For JSON: the rows and their ratios."""
+    rows = list(rows)
+    over = [{**row.setting(), f"time_over_{SPECIFICATION}": ratio} for row, ratio in ratios(rows).items()]
+    return {"rows": [row.record() for row in rows], "ratios": over}
 
 
 def stage_table(rows: Sequence[Row]) -> str:
@@ -95,10 +81,8 @@ def stage_table(rows: Sequence[Row]) -> str:
     columns = list(dict.fromkeys((row.backend, row.threads) for row in rows))
     lines = list(dict.fromkeys((row.scene, row.n_gaussians, row.stage) for row in rows))
     cells = {(row.scene, row.n_gaussians, row.stage, row.backend, row.threads): row for row in rows}
-    against = {
-        (item.scene, item.n_gaussians, item.stage, item.backend, item.threads): item for item in ratios(rows)
-    }
-    compared = list(dict.fromkeys((item.backend, item.threads) for item in against.values()))
+    against = ratios(rows)
+    compared = list(dict.fromkeys((row.backend, row.threads) for row in against))
     counts = {len(row.timing.seconds) for row in rows}
 
     def heading(column: tuple[str, int]) -> str:
@@ -118,8 +102,8 @@ def stage_table(rows: Sequence[Row]) -> str:
             row = cells.get((*line, *column))
             cell.append(_NONE if row is None else milliseconds(row.timing.median))
         for column in compared:
-            item = against.get((*line, *column))
-            cell.append(_NONE if item is None else f"{item.ratio:.3g}")
+            row = cells.get((*line, *column))
+            cell.append(_NONE if row not in against else f"{against[row]:.3g}")
         body.append(cell)
     return markdown(headers, body, left=3)
 

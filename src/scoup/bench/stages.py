@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -13,6 +13,9 @@ from torch import Tensor
 from scoup import raster
 from scoup.base.backends import serves
 from scoup.base.errors import InputError, ScoupError
+from scoup.base.progress import Progress, no_progress
+from scoup.bench.measure import Task, time_tasks
+from scoup.bench.report import Row
 from scoup.raster import morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
@@ -90,16 +93,15 @@ def make_workload(
     k: int = 4,
     dim: int = 512,
     n_queries: int = 1,
-    seed: int = 0,
 ) -> Workload:
-    """Made-up codes, codebook and queries for a scene and its labels [S, H, W]."""
+    """Random codes, codebook and queries for a scene and its label maps [S, H, W]."""
     levels = len(labels)
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     codes = [
         SparseCodes.from_dense(torch.rand(max(0, int(level.max())) + 1, n_atoms, generator=generator), k)
         for level in labels
     ]
-    indices, weights = random_scene_codes(gaussians.means, levels, n_atoms, k, seed)
+    indices, weights = random_scene_codes(gaussians.means, levels, n_atoms, k)
     return Workload(
         name,
         gaussians,
@@ -108,30 +110,32 @@ def make_workload(
         codes,
         indices,
         weights,
-        codebook=clip_like(levels * n_atoms, dim, seed).view(levels, n_atoms, dim),
-        queries=clip_like(n_queries, dim, seed + 1),
+        codebook=clip_like(levels * n_atoms, dim).view(levels, n_atoms, dim),
+        queries=clip_like(n_queries, dim, 1),
         values=raster.view_colors(gaussians, camera),
     )
 
 
-def room_workload(
+def random_workload(
     n_gaussians: int,
     width: int = WIDTH,
     height: int = HEIGHT,
     regions: Sequence[int] = REGIONS,
-    seed: int = 0,
     order: Order = "random",
     gaussians: Gaussians | None = None,
 ) -> Workload:
-    """The first view of the synthetic room; ``regions`` counts those of each level.
+    """The first view of the random scene of ``scoup.synthetic.random_scene``.
 
     Args:
-        gaussians: the room of that size, seed and order if it is at hand.
+        n_gaussians: N.
+        width, height: of the view, in pixels.
+        regions: how many there are at each level.
+        order: of the Gaussians.
+        gaussians: the scene of that size and order, if it is made already.
     """
-    gaussians = random_scene_gaussians(n_gaussians, seed, order) if gaussians is None else gaussians
-    camera = random_scene_cameras(1, width, height)[0]
-    labels = voronoi_labels(regions, width, height, seed)
-    return make_workload("room", gaussians, camera, labels, seed=seed)
+    gaussians = random_scene_gaussians(n_gaussians, order=order) if gaussians is None else gaussians
+    labels = voronoi_labels(regions, width, height)
+    return make_workload("room", gaussians, random_scene_cameras(1, width, height)[0], labels)
 
 
 def stage_runs(
@@ -139,13 +143,13 @@ def stage_runs(
 ) -> dict[str, Run]:
     """The stages as callables without arguments; each gives what its function gives.
 
-    The view the later stages share is made here, so that its cost is in ``look`` alone.
+    The projection that the later stages share is made here, so that its cost is in ``project`` alone.
 
     Args:
         work: what to work on.
         backend: of the rasteriser.
         names: stages, in the order wanted.
-        prepared: on the scene prepared for many views, as a build has it; what the Gaussians have moves with them.
+        prepared: on the scene prepared for many views, as in a build; codes and values are reordered with it.
 
     Raises:
         InputError: there is no such stage.
@@ -157,18 +161,18 @@ def stage_runs(
         if (order := scene.order) is not None:
             moved = {name: getattr(work, name)[order] for name in ("indices", "weights", "values")}
             work = replace(work, **moved)
-    view = raster.project(scene, work.camera, backend=backend)
+    projection = raster.project(scene, work.camera, backend=backend)
     ones = torch.ones(len(work.gaussians), 1, device=work.gaussians.device)
     moved_by = scene.order if isinstance(scene, raster.PreparedGaussians) else None
-    sums = region_sums_of_a_view(work, view, moved_by) if "vote" in names else None
+    sums = region_sums_of_a_view(work, projection, moved_by) if "vote" in names else None
     runs: dict[str, Run] = {
         "project": lambda: raster.project(scene, work.camera, backend=backend),
-        "alpha": lambda: raster.render_channels(view, ones),
-        "sums": lambda: raster.region_sums(view, work.labels),
-        "colors": lambda: raster.render_channels(view, work.values),
-        "codes": lambda: raster.render_codes(view, work.indices, work.weights, work.codebook.shape[1]),
+        "alpha": lambda: raster.render_channels(projection, ones),
+        "sums": lambda: raster.region_sums(projection, work.labels),
+        "colors": lambda: raster.render_channels(projection, work.values),
+        "codes": lambda: raster.render_codes(projection, work.indices, work.weights, work.codebook.shape[1]),
         "cosines": lambda: raster.render_cosines(
-            view, work.indices, work.weights, work.codebook, work.queries
+            projection, work.indices, work.weights, work.codebook, work.queries
         ),
         "vote": lambda: vote_of_a_view(work, sums, backend),
     }
@@ -178,12 +182,13 @@ def stage_runs(
     return {name: runs[name] for name in names}
 
 
-def region_sums_of_a_view(work: Workload, view: raster.Projection, order: Tensor | None = None) -> RegionSums:
+def region_sums_of_a_view(
+    work: Workload, projection: raster.Projection, order: Tensor | None = None
+) -> RegionSums:
     """The sums of one view, ready for the vote."""
-    sums = RegionSums(
-        "", morton_order(work.gaussians.means), [str(level) for level in range(len(work.labels))]
-    )
-    sums.append("view", raster.region_sums(view, work.labels), order=order)
+    levels = [str(level) for level in range(len(work.labels))]
+    sums = RegionSums("", morton_order(work.gaussians.means), levels)
+    sums.append("view", raster.region_sums(projection, work.labels), order=order)
     sums.rows = [{"view": slice(0, len(codes))} for codes in work.codes]
     return sums
 
@@ -194,12 +199,40 @@ def vote_of_a_view(work: Workload, sums: RegionSums | None, backend: str) -> Gau
     return vote(sums, work.codes, work.codebook, 1, work.indices.shape[2], backend=backend)
 
 
+def time_stages(
+    work: Workload,
+    runs: Mapping[str, Mapping[str, Run]],
+    threads: Iterable[int],
+    repeats: Callable[[str], int],
+    device: str = "cpu",
+    progress: Progress = no_progress,
+) -> list[Row]:
+    """Interleaved times of all stages.
+
+    Args:
+        work: what they work on, for the rows.
+        runs: by backend, its ``stage_runs``; all of the same stages.
+        threads: numbers of torch threads, each measured.
+        repeats: how often a backend runs.
+        device, progress: see ``time_tasks``.
+    """
+    stages = dict.fromkeys(stage for own in runs.values() for stage in own)
+    tasks = {
+        (stage, backend, used): Task(own[stage], used, repeats(backend))
+        for stage in stages
+        for backend, own in runs.items()
+        for used in dict.fromkeys(threads)
+    }
+    timings = time_tasks(tasks, device, progress)
+    return [Row(work.name, len(work.gaussians), *key, timing) for key, timing in timings.items()]
+
+
 def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[list[str], dict[str, str]]:
     """Backends that work on this machine, and why the others do not.
 
     Args:
         wanted: names; all that serve the device if empty.
-        device: of the tensors they are to work on.
+        device: of the tensors they work on.
 
     Returns:
         (names, {name: reason}); of the names wanted, or of all.

@@ -20,14 +20,14 @@ Counts = Annotated[tuple[int, ...], tyro.conf.arg(metavar="INT [INT ...]", help_
 @common_last
 @dataclass(frozen=True, kw_only=True)
 class Bench(WritesCommon):
-    """Time every stage on one view of a synthetic room, backend against backend.
+    """Time every stage on one view of a random scene, backend against backend.
 
     Runs are interleaved and medians are printed, so that ratios hold even where the machine is not idle. Needs no
     data and takes less than a minute; the larger measurements behind the documents are in benchmarks/.
     """
 
     n_gaussians: tuple[int, ...] = (100_000,)
-    """Gaussians in the room; one or several numbers."""
+    """Gaussians in the scene; one or several numbers."""
     width: int = 480
     """Of the view, in pixels."""
     height: int = 360
@@ -39,7 +39,7 @@ class Bench(WritesCommon):
     backends: Names = ()
     """Rasterisers. Default: all that work here."""
     stages: Names = ()
-    """Among look, alpha, sums, colors, codes, cosines, vote. Default: all."""
+    """Among project, alpha, sums, colors, codes, cosines, vote. Default: all."""
     quick: Flag = False
     """A tenth of the Gaussians and a third of the width and height: to see that everything runs."""
     out: OptionalPath = None
@@ -47,9 +47,16 @@ class Bench(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Measure and print."""
-        from scoup.bench import STAGES, describe_environment, stage_table, usable_backends, write_json
+        from scoup.bench import (
+            STAGES,
+            comparison,
+            describe_environment,
+            stage_table,
+            usable_backends,
+            write_json,
+        )
         from scoup.bench.environment import in_one_line
-        from scoup.bench.report import SPECIFICATION, ratios
+        from scoup.bench.report import SPECIFICATION
         from scoup.io import check_output
 
         self._check()
@@ -62,13 +69,13 @@ class Bench(WritesCommon):
         console.say(
             f"one view of {width} x {height}, three levels, L = 64, K = 4, one query; medians of {self.repeats}"
         )
-        rows = self._measure(console, backends, width, height)
+        rows = self._measure(console, backends)
         console.say("\n" + stage_table(rows) + "\n")
         for name in dict.fromkeys(row.stage for row in rows):
             console.say(f"{name}: {STAGES[name]}")
         for name, reason in reasons.items():
             console.say(f"backend {name} does not work here: {reason}")
-        if not any(backend != SPECIFICATION for backend in backends):
+        if backends == [SPECIFICATION]:
             console.say(f"only {SPECIFICATION} was measured, so there is nothing to compare it with")
         record = {
             "what": "scoup bench: stages on one view of the synthetic room",
@@ -78,8 +85,7 @@ class Bench(WritesCommon):
             "height": height,
             "backends": backends,
             "backends_not_working": reasons,
-            "rows": [row.record() for row in rows],
-            "ratios": [item.record() for item in ratios(rows)],
+            **comparison(rows),
         }
         if self.out is not None:
             write_json(self.out, record, self.overwrite)
@@ -111,28 +117,18 @@ class Bench(WritesCommon):
         by = 3 if self.quick else 1
         return max(1, self.width // by), max(1, self.height // by)
 
-    def _measure(self, console: Console, backends: list[str], width: int, height: int) -> list[Row]:
+    def _measure(self, console: Console, backends: list[str]) -> list[Row]:
         import torch
 
-        from scoup.bench import STAGES, Row, Task, room_workload, stage_runs, time_tasks
+        from scoup.bench import STAGES, random_workload, stage_runs, time_stages
 
-        threads = dict.fromkeys(self.threads or (torch.get_num_threads(),))
+        threads = self.threads or (torch.get_num_threads(),)
         stages = dict.fromkeys(self.stages or STAGES)
         rows: list[Row] = []
         for count in dict.fromkeys(self.n_gaussians):
-            work = room_workload(max(1, count // 10) if self.quick else count, width, height).to(self.device)
+            size = max(1, count // 10) if self.quick else count
+            work = random_workload(size, *self._size()).to(self.device)
             runs = {backend: stage_runs(work, backend, stages) for backend in backends}
-            tasks: dict[tuple[str, str, int], Task] = {
-                (stage, backend, used): Task(runs[backend][stage], used, self.repeats)
-                for stage in stages
-                for backend in backends
-                for used in threads
-            }
             with console.progress() as progress:
-                timings = time_tasks(tasks, self.device, progress)
-            size = len(work.gaussians)
-            rows += [
-                Row(work.name, size, stage, backend, used, timing)
-                for (stage, backend, used), timing in timings.items()
-            ]
+                rows += time_stages(work, runs, threads, lambda _: self.repeats, self.device, progress)
         return rows

@@ -5,9 +5,9 @@ E^T @ values, region sums are E @ one-hot(regions). The transmittance behind eac
 product down its column. A pixel stops before the Gaussian that would take its transmittance below the bound; since
 transmittance only falls, that one and all behind it are the ones masked.
 
-How these kernels are written follows from what Triton makes of them (``benchmarks/gpu/instructions.py`` counts it).
-A tensor is spread over threads by its last dimension, so in [G, P] a thread has a pixel and the whole chunk, and a
-running product needs no words between threads; in [P, G] the same takes more than twice the instructions. Whenever a
+How these kernels are written follows from what Triton makes of them. A tensor is spread over threads by its last
+dimension, so in [G, P] a thread has a pixel and the whole chunk, and threads exchange nothing for a running product;
+in [P, G] the same takes more than twice the instructions. Whenever a
 tensor's spread changes, it goes through shared memory with a barrier before and after, which costs more than the
 arithmetic here; so a thread loads what it needs of a Gaussian itself, and what is carried from chunk to chunk keeps
 its shape [1, P].

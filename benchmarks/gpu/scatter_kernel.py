@@ -1,8 +1,7 @@
 """The uplift as the paper describes it: every pixel adds its code to every Gaussian that paints it.
 
 One atomic addition for each pixel, Gaussian and entry of the pixel's code, in no fixed order: what summing over regions
-first saves. To be compared with, and for nothing else. Imports triton: import this module only where tensors are on a
-GPU.
+first saves. To be compared with, and for nothing else. Imports triton.
 """
 
 # Triton's annotations are for its own compiler: to it a tensor may be indexed with None, and is no tuple. A launch
@@ -19,8 +18,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from scoup.base.errors import InputError
-from scoup.raster.combinations import check_labels
+from scoup import raster
 from scoup.raster.triton.kernels.blending import blend, gaussians_of, is_lit, pixels_of
 from scoup.raster.triton.projection import FUSED, TILE, TritonProjection
 from scoup.scene.codes import SparseCodes
@@ -29,43 +27,39 @@ _CHUNK = 16
 _WARPS = 2  # a thread a pixel
 
 
-def scatter_view(view: TritonProjection, labels: Tensor, codes: Sequence[SparseCodes], out: Tensor) -> None:
-    """Add a view's codes to sums pixel by pixel: w_i = sum of e_i times the code of each pixel (method.md, stage 2).
+def scatter_view(
+    projection: raster.Projection, labels: Tensor, codes: Sequence[SparseCodes], out: Tensor | None = None
+) -> Tensor:
+    """A view's codes summed pixel by pixel, w_i = sum of e_i times the code of each pixel (method.md, stage 2).
 
     Args:
-        view: from ``raster.project`` on a GPU.
+        projection: from ``raster.project`` on a GPU.
         labels: [S, H, W] integer regions, -1 for none.
         codes: one SparseCodes a level, row r for region r, all with as many atoms.
-        out: [N, S, L] float32, contiguous, on the view's device; added to in place.
-
-    Raises:
-        InputError: shapes disagree.
+        out: [N, S, L] float32, contiguous, on the same device: added to and returned.
     """
-    expected = (view.n_gaussians, len(codes), codes[0].n_atoms)
-    if tuple(out.shape) != expected or not out.is_contiguous() or out.dtype != torch.float32:
-        raise InputError(
-            f"sums must be contiguous float32 {list(expected)}, not {out.dtype} {list(out.shape)}"
-        )
-    if tuple(labels.shape) != (len(codes), view.height, view.width):
-        raise InputError(
-            f"labels {list(labels.shape)} do not fit {len(codes)} levels of {view.height} x {view.width} pixels"
-        )
-    check_labels(labels)
-    labels = labels.to(view.device).long().clamp(min=-1).int().contiguous()
+    assert isinstance(projection, TritonProjection)
+    preset, shape = projection.preset, (projection.n_gaussians, len(codes), codes[0].n_atoms)
+    out = torch.zeros(shape, device=labels.device) if out is None else out
+    assert out.shape == shape
+    assert labels.shape == (len(codes), projection.height, projection.width)
+    labels = labels.to(projection.device).long().clamp(min=-1).int().contiguous()
     k = max(level.k for level in codes)
     counts = torch.tensor([len(level) for level in codes])
-    first_rows = (counts.cumsum(0) - counts).to(view.device)
+    first_rows = (counts.cumsum(0) - counts).to(projection.device)
     atoms, weights = (
-        torch.cat([torch.nn.functional.pad(part, (0, k - part.shape[1])) for part in parts]).to(view.device)
+        torch.cat([torch.nn.functional.pad(part, (0, k - part.shape[1])) for part in parts]).to(
+            projection.device
+        )
         for parts in ([level.indices.int() for level in codes], [level.weights for level in codes])
     )
     with torch.cuda.device_of(out):
-        scatter_kernel[(view.n_tiles,)](
-            view.records, view.numbers, view.starts, labels, first_rows, atoms, weights, out,
-            view.width, view.height, view.across, len(codes), codes[0].n_atoms, view.preset.alpha_max,
-            view.preset.stop, STOP_INCLUSIVE=view.preset.stop_inclusive, TILE=TILE, CHUNK=_CHUNK,
-            K=k, num_warps=_WARPS, **FUSED,
+        scatter_kernel[(projection.n_tiles,)](
+            projection.records, projection.numbers, projection.starts, labels, first_rows, atoms, weights, out,
+            projection.width, projection.height, projection.across, len(codes), codes[0].n_atoms, preset.alpha_max,
+            preset.stop, STOP_INCLUSIVE=preset.stop_inclusive, TILE=TILE, CHUNK=_CHUNK, K=k, num_warps=_WARPS, **FUSED,
         )  # fmt: skip
+    return out
 
 
 @triton.jit(do_not_specialize=["width", "height", "across", "n_levels", "n_atoms"])

@@ -1,0 +1,3 @@
+"""Tests of what lies in benchmarks/ import it from the checkout."""
+
+from __future__ import annotations
