@@ -109,15 +109,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         f" of {arguments.repeats}\n"
     )
     print(stage_table(rows))
-    for name in arguments.stages:
-        print(f"\n{name}: {STAGES[name]}", end="")
-    print()
-    for name, reason in reasons.items():
-        print(f"backend {name} does not work here: {reason}")
-    if any(len(row.timing.seconds) < arguments.repeats for row in rows):
-        print(f"the reference was run {arguments.reference_repeats} times")
-    if left_out:
-        print(f"the reference was not run on {', '.join(left_out)}")
+    print_notes(rows, reasons, left_out, arguments)
     bounds = bound_rows(rows, evaluations, arguments.clock_ghz)
     if evaluations:
         print_bounds(bounds)
@@ -142,6 +134,19 @@ def main(arguments: Arguments) -> dict[str, Any]:
     if arguments.out is not None:
         write_json(arguments.out, record, arguments.overwrite)
     return record
+
+
+def print_notes(rows: list[Row], reasons: dict[str, str], left_out: list[str], arguments: Arguments) -> None:
+    """What the stages are, and what was not measured."""
+    for name in arguments.stages:
+        print(f"\n{name}: {STAGES[name]}", end="")
+    print()
+    for name, reason in reasons.items():
+        print(f"backend {name} does not work here: {reason}")
+    if any(len(row.timing.seconds) < arguments.repeats for row in rows):
+        print(f"the reference was run {arguments.reference_repeats} times")
+    if left_out:
+        print(f"the reference was not run on {', '.join(left_out)}")
 
 
 def scenes(arguments: Arguments) -> Iterator[Workload]:

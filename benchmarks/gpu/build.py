@@ -132,7 +132,7 @@ class Scene:
 
     def scatter(self, cameras: Cameras) -> None:
         """The paper's uplift, level by level and view by view."""
-        from benchmarks.gpu.scatter_kernel import scatter_view
+        from benchmarks.scatter_kernel import scatter_view
 
         if not self.codes:  # the solver ran in an earlier process, or failed: other codes take the same time
             self.solve(1)

@@ -104,7 +104,7 @@ def renders(stage: Stage, work: Workload) -> Runs:
 
 def sums(stage: Stage, work: Workload) -> Runs:
     """Region sums, and what they replace."""
-    from benchmarks.gpu.scatter_kernel import scatter_view
+    from benchmarks.scatter_kernel import scatter_view
 
     embeddings = [clip_like(len(codes), stage.sizes.dim).to(stage.device) for codes in work.codes]
     view = work.gaussians, work.camera

@@ -20,7 +20,7 @@ on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUD
 
 
 def check_scatter(kind: str, levels: int, n_atoms: int, k: int, device: str) -> None:
-    from benchmarks.gpu.scatter_kernel import scatter_view
+    from benchmarks.scatter_kernel import scatter_view
 
     gaussians, camera = scene_of(kind, 3, device == "cpu")
     projection, reference = projections_of(gaussians, camera, "inria", device)
@@ -60,7 +60,7 @@ def test_agrees_with_the_reference_on_a_gpu(case: tuple[str, int, int, int]) -> 
 
 @pytest.mark.parametrize("capability", [80, 90])
 def test_compiles_without_spilling(needs_triton: None, tmp_path: Path, capability: int) -> None:
-    from benchmarks.gpu.scatter_kernel import scatter_kernel
+    from benchmarks.scatter_kernel import scatter_kernel
 
     types = {
         "records": F32, "numbers": I32, "starts": I64, "labels": I32, "first_rows": I64,
