@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
 import torch
+
+# Read when the hub's client is imported: models that do not exist are not searched on the network.
+os.environ["HF_HUB_OFFLINE"] = "1"
+
 import transformers
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +17,6 @@ from scoup.extract.masks import Masks
 from scoup.extract.plain_colors import PlainColors
 from scoup.extract.registry import open_embedder
 from tiny_models import saved, tiny_clip, tiny_siglip
-
-os.environ["HF_HUB_OFFLINE"] = "1"
 
 
 def all_crops(

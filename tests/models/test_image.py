@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,8 +14,6 @@ from mask_samples import smooth_image
 from scoup.base.errors import InputError, ScoupError
 from scoup.models.image import open_image_model
 from tiny_models import saved, tiny_clip, tiny_sam, tiny_siglip
-
-os.environ["HF_HUB_OFFLINE"] = "1"
 
 CLIP_MEAN, CLIP_STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
 

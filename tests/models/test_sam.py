@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
 from pathlib import Path
@@ -17,8 +16,6 @@ from scoup.base.errors import ScoupError
 from scoup.models.normalization import IMAGENET
 from scoup.models.sam import SHORT_NAMES, Sam, open_sam
 from tiny_models import TINY_SAMS, saved, tiny_clip, tiny_sam, tiny_sam2, tiny_sam2_video
-
-os.environ["HF_HUB_OFFLINE"] = "1"
 
 SIZES = [(48, 60), (90, 40), (64, 64), (33, 7)]
 POINTS = torch.tensor([[5.5, 5.0], [3.0, 20.25], [6.0, 31.0]], dtype=torch.float64)
