@@ -58,7 +58,7 @@ def test_the_vote_is_over_what_is_painted(work, backend):
 
 def test_stages_in_the_order_wanted(work):
     assert list(stage_runs(work, "reference", ["vote", "project"])) == ["vote", "project"]
-    with pytest.raises(InputError, match="no stage 'paint'; stages: look, alpha"):
+    with pytest.raises(InputError, match="no stage 'paint'; stages: project, alpha"):
         stage_runs(work, "reference", ["paint"])
 
 
