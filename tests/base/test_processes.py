@@ -82,7 +82,7 @@ def build_together(world: int, folder: Path) -> list[LanguageField]:
     return [LanguageField.load(folder / f"{rank}.scoup", gaussians) for rank in range(world)]
 
 
-@pytest.mark.parametrize("world", [2, 3])
+@pytest.mark.parametrize("world", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_several_processes_build_what_one_builds(tmp_path: Path, world: int) -> None:
     """To the byte: each votes for its share of the Gaussians, with the sums of all."""
     gaussians, cameras, regions = small_scene(count=700, views=5)
