@@ -19,12 +19,12 @@ def test_demo_writes_everything_and_finds_things(tmp_path):
     assert code == 0, err
     record = json.loads(printed)
     assert {path.name for path in out.iterdir()} == {"scene", "demo.scoup", "queries.png", "scores.json"}
-    assert json.loads((out / "scores.json").read_text())["variants"] == record["variants"]
-    method = record["variants"]["sparse, top-K vote"]
+    assert json.loads((out / "scores.json").read_text())["methods"] == record["methods"]
+    method = record["methods"]["sparse, top-K vote"]
     # Chance level is a few per cent; a broken stage brings it there.
     assert method["miou"] > 0.35
     assert method["accuracy"] > 0.6
-    assert set(record["variants"]) == {"sparse, top-K vote", "sparse, no top-K", "dense 512-d"}
+    assert set(record["methods"]) == {"sparse, top-K vote", "sparse, no top-K", "dense 512-d"}
     assert len(record["names"]) >= 15
     before = (out / "demo.scoup").read_bytes()
     code, _, err = run("demo", "--out", out, *SMALL)

@@ -84,7 +84,7 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
         "gaussians": len(result.field),
         "coded": int(result.field.coded().sum()),
         "field_bytes": result.field_path.stat().st_size,
-        "variants": summary(result),
+        "methods": summary(result),
         "names": [asdict(row) for row in rows_by_name(result)],
         "seconds": {stage: round(value, 2) for stage, value in result.seconds.items()},
         "threads": torch.get_num_threads(),
@@ -117,12 +117,12 @@ def _print(console: Console, result: DemoResult) -> None:
         )
     console.say(table)
     totals = Table(title="Means over all (view, name) pairs", title_justify="left")
-    for heading in ("variant", "mIoU", "95 % interval over names", "localisation", "bytes a Gaussian"):
-        totals.add_column(heading, justify="left" if heading == "variant" else "right")
-    for variant, row in summary(result).items():
+    for heading in ("method", "mIoU", "95 % interval over names", "localisation", "bytes a Gaussian"):
+        totals.add_column(heading, justify="left" if heading == "method" else "right")
+    for method, row in summary(result).items():
         low, high = row["interval"]  # pyright: ignore[reportGeneralTypeIssues]
         totals.add_row(
-            variant,
+            method,
             f"{row['miou']:.3f}",
             f"{low:.3f} to {high:.3f}",
             f"{row['accuracy']:.1%}",

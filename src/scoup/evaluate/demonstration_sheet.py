@@ -1,4 +1,4 @@
-"""The demo's contact sheet: what was asked, what is true, what was found."""
+"""The demo's contact sheet: query, truth, relevancy and mask."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ TRUTH_COLOR = (70, 200, 110)
 
 
 def query_sheet(result: DemoResult) -> Picture:
-    """Rows of truth, relevancy and mask: some favourites, and the worst answer of all, so that nobody is misled.
+    """Rows of truth, relevancy and mask: some favourites, and the worst answer of all.
 
     Each name is shown in the view where its score is the median of its views, not the best.
     """
     pairs = [_median_pair(result, name) for name in names_to_show(result)]
     tiles = [tile for pair in pairs for tile in _row(result, pair)]
     score = result.scores[METHOD]
-    asked = f"{len(score.pairs)} questions in held-out views"
-    heading = f"{asked}: mIoU {score.miou:.2f}, localisation {score.accuracy:.0%}"
+    count = f"{len(score.pairs)} queries in held-out views"
+    heading = f"{count}: mIoU {score.miou:.2f}, localisation {score.accuracy:.0%}"
     footer = (
         "Scene, regions and embeddings are simulated; the truth comes from the scene's geometry. "
         "Each name in its view of median score. The last row is the worst answer of the run."
@@ -52,9 +52,10 @@ def _median_pair(result: DemoResult, name: str) -> PairScore:
 def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture]:
     scene, field = result.scene, result.field
     camera = scene.held_out[pair.frame]
-    view = field.project(camera)
-    rgb = render_colors(field.gaussians, camera, view)
-    maps: Tensor = field.relevancy(camera, scene.text_vectors([pair.label]), scene.canonical, view)[:, 0]
+    projection = field.project(camera)
+    rgb = render_colors(field.gaussians, camera, projection)
+    query = scene.text_vectors([pair.label])
+    maps: Tensor = field.relevancy(camera, query, scene.canonical, projection)[:, 0]
     place, shape = localize_and_segment(maps)
     truth = mask_overlay(
         scene.mask(camera.name, pair.label),
