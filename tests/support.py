@@ -25,6 +25,9 @@ KINDS = (
 )
 
 
+SCALES = {"huge": [50.0, 80.0, 20.0], "needle": [2.0, 1e-5, 1e-5], "tiny": [1e-9] * 3}
+
+
 def random_gaussians(
     count: int, seed: int, kinds: tuple[str, ...] = ("plain",), degree: int = 0
 ) -> Gaussians:
@@ -40,22 +43,14 @@ def random_gaussians(
     for row, kind in enumerate(kinds[pick] for pick in picks):
         if kind == "behind":
             means[row, 2] *= -1
-        elif kind == "huge":
-            scales[row] = torch.tensor([50.0, 80.0, 20.0])
-        elif kind == "needle":
-            scales[row] = torch.tensor([2.0, 1e-5, 1e-5])
-        elif kind == "tiny":
-            scales[row] = 1e-9
-        elif kind == "opacity 0":
-            opacities[row] = 0.0
-        elif kind == "opacity 1":
-            opacities[row] = 1.0
-        elif kind == "opacity inf":
-            opacities[row] = math.inf
         elif kind == "nan":
             [means, quats, scales][row % 3][row, row % 3] = math.nan
         elif kind == "zero quat":
             quats[row] = 0
+        elif kind in SCALES:
+            scales[row] = torch.tensor(SCALES[kind])
+        elif kind.startswith("opacity "):
+            opacities[row] = float(kind.removeprefix("opacity "))
     return Gaussians(means, quats, scales, opacities, sh)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,31 +20,27 @@ def floors() -> dict[str, int]:
     }
 
 
-def imported(source: str) -> Iterator[tuple[int, str]]:
-    """Line and room of every import from scoup, those inside functions too; "" is the package itself."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"line {node.lineno}: a relative import"
-            if node.module == "scoup":
-                yield from ((node.lineno, alias.name) for alias in node.names)
-            elif node.module and node.module.startswith("scoup."):
-                yield node.lineno, node.module.split(".")[1]
-        elif isinstance(node, ast.Import):
-            for alias in node.names:
-                if alias.name.split(".")[0] == "scoup":
-                    yield node.lineno, ".".join(alias.name.split(".")[1:2])
-        # Modules that are loaded by name.
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            if named := re.fullmatch(r"scoup\.(\w+)((?:\.\w+)+)", node.value):
-                if (SOURCE / named[1]).is_dir():
-                    yield node.lineno, named[1]
+def rooms_of(node: ast.AST) -> list[str]:
+    """Rooms that a node of a syntax tree imports from; "" is the package itself."""
+    if isinstance(node, ast.ImportFrom):
+        assert node.level == 0, f"line {node.lineno}: a relative import"
+        if node.module == "scoup":
+            return [alias.name for alias in node.names]
+        return [node.module.split(".")[1]] if (node.module or "").startswith("scoup.") else []
+    if isinstance(node, ast.Import):
+        names = [alias.name.split(".") for alias in node.names]
+        return [".".join(name[1:2]) for name in names if name[0] == "scoup"]
+    # Modules that are loaded by name.
+    named = re.fullmatch(r"scoup\.(\w+)(?:\.\w+)+", str(getattr(node, "value", "")))
+    return [named[1]] if named and (SOURCE / named[1]).is_dir() else []
 
 
 def climbs(room: str, source: str, table: dict[str, int]) -> list[str]:
     """Imports of a file that do not go to a lower floor or to its own room."""
     return [
-        f"line {line}: {room} (floor {table[room]}) imports {other or 'scoup'}"
-        for line, other in imported(source)
+        f"line {getattr(node, 'lineno', 0)}: {room} (floor {table[room]}) imports {other or 'scoup'}"
+        for node in ast.walk(ast.parse(source))
+        for other in rooms_of(node)
         if other != room and table.get(other, 99) >= table[room]
     ]
 
