@@ -26,7 +26,8 @@ def rooms_of(node: ast.AST) -> list[str]:
         assert node.level == 0, f"line {node.lineno}: a relative import"
         if node.module == "scoup":
             return [alias.name for alias in node.names]
-        return [node.module.split(".")[1]] if (node.module or "").startswith("scoup.") else []
+        module = node.module or ""
+        return [module.split(".")[1]] if module.startswith("scoup.") else []
     if isinstance(node, ast.Import):
         names = [alias.name.split(".") for alias in node.names]
         return [".".join(name[1:2]) for name in names if name[0] == "scoup"]

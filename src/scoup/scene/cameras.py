@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import operator
 from collections.abc import Callable, Iterable, Iterator
@@ -136,6 +138,12 @@ class Camera:
         viewmat[:3, 3] = -viewmat[:3, :3] @ place
         K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
         return cls(name, torch.from_numpy(viewmat), K, width, height)
+
+    def fingerprint(self) -> str:
+        """SHA-256 of everything that decides what the camera sees; its name and photograph are left out."""
+        digest = hashlib.sha256(json.dumps([self.width, self.height, self.distortion]).encode())
+        digest.update(torch.cat([self.viewmat.flatten(), self.K.flatten()]).double().numpy().data)
+        return digest.hexdigest()
 
     @property
     def fx(self) -> float:

@@ -17,9 +17,9 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.consensus import consensus
-from scoup.uplift.provenance import build_record, inputs_digest
+from scoup.uplift.provenance import build_record
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_fits, exchanged
-from scoup.uplift.region_codes import RegionEmbeddings, learn_region_codes
+from scoup.uplift.region_codes import RegionEmbeddings, inputs_digest, learn_region_codes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import vote
 

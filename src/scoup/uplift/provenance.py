@@ -1,57 +1,25 @@
-"""What a field was made from: digests of its inputs, and the record that goes into its file."""
+"""What a field was made from: the record that goes into its file."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.version import VERSION
 from scoup.io.regions.manifest import read_manifest
 from scoup.models.word_table import is_table, load_table
-from scoup.scene.cameras import Camera
 from scoup.scene.regions import Regions
-
-if TYPE_CHECKING:
-    from scoup.uplift.build_settings import BuildSettings
-    from scoup.uplift.region_codes import RegionCodes, RegionEmbeddings
-    from scoup.uplift.region_sums import RegionSums
-
-
-def camera_digest(camera: Camera) -> str:
-    """SHA-256 of everything about a camera that decides what it sees."""
-    digest = hashlib.sha256(json.dumps([camera.width, camera.height, camera.distortion]).encode())
-    digest.update(torch.cat([camera.viewmat.flatten(), camera.K.flatten()]).double().numpy().data)
-    return digest.hexdigest()
-
-
-def inputs_digest(
-    fingerprint: str, cameras: Sequence[Camera], embeddings: RegionEmbeddings, settings: Mapping[str, Any]
-) -> str:
-    """SHA-256 of everything that a result depends on but the label maps, which have a digest for each view.
-
-    Args:
-        fingerprint: of the Gaussians.
-        cameras: the views.
-        embeddings: of their regions.
-        settings: plain JSON values.
-    """
-    digest = hashlib.sha256(json.dumps([VERSION, fingerprint, settings], sort_keys=True).encode())
-    for camera in cameras:
-        digest.update(json.dumps([camera.name, camera_digest(camera)]).encode())
-    for level, of_level, rows in zip(embeddings.levels, embeddings.of_levels, embeddings.rows, strict=True):
-        ends = {name: part.stop for name, part in rows.items()}
-        digest.update(json.dumps([level, list(of_level.shape), ends]).encode())
-        digest.update(of_level.contiguous().numpy().data)
-    return digest.hexdigest()
+from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.region_codes import RegionCodes
+from scoup.uplift.region_sums import RegionSums
 
 
 def labels_digest(sums: RegionSums, view_names: Sequence[str]) -> str:
@@ -98,7 +66,7 @@ def build_record(
 
     Args:
         settings: of the build.
-        inputs: the ``inputs_digest``.
+        inputs: the ``region_codes.inputs_digest``.
         sums: of the views that voted.
         codes: of their regions.
         sharpness: [S], of the rounds after the first; None after a single round.

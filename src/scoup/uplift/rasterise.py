@@ -21,7 +21,6 @@ from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.uplift.provenance import camera_digest
 from scoup.uplift.region_sums import RegionSums
 
 STAGE = "region sums"
@@ -141,7 +140,7 @@ def holds_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bo
     view = sums.views.get(camera.name)
     return (
         view is not None
-        and view.camera_digest == camera_digest(camera)
+        and view.camera_digest == camera.fingerprint()
         and view.labels_digest == combined.digest()
     )
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,11 +14,12 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
+from scoup.base.version import VERSION
 from scoup.coding import Codebook, fit_codes
+from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.provenance import inputs_digest
 from scoup.uplift.region_sums import RegionSums, Rows
 
 
@@ -186,3 +189,24 @@ def joined(first: SparseCodes, second: SparseCodes) -> SparseCodes:
         )  # torch joins few things of type uint16
         weights.append(torch.nn.functional.pad(codes.weights, fill))
     return SparseCodes(torch.cat(indices).to(second.indices.dtype), torch.cat(weights), second.n_atoms)
+
+
+def inputs_digest(
+    fingerprint: str, cameras: Sequence[Camera], embeddings: RegionEmbeddings, settings: Mapping[str, Any]
+) -> str:
+    """SHA-256 of everything that a result depends on but the label maps, which have a digest for each view.
+
+    Args:
+        fingerprint: of the Gaussians.
+        cameras: the views.
+        embeddings: of their regions.
+        settings: plain JSON values.
+    """
+    digest = hashlib.sha256(json.dumps([VERSION, fingerprint, settings], sort_keys=True).encode())
+    for camera in cameras:
+        digest.update(json.dumps([camera.name, camera.fingerprint()]).encode())
+    for level, of_level, rows in zip(embeddings.levels, embeddings.of_levels, embeddings.rows, strict=True):
+        ends = {name: part.stop for name, part in rows.items()}
+        digest.update(json.dumps([level, list(of_level.shape), ends]).encode())
+        digest.update(of_level.contiguous().numpy().data)
+    return digest.hexdigest()

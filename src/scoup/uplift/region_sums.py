@@ -20,7 +20,6 @@ from scoup.base.errors import FileFormatError, InputError
 from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.uplift.provenance import camera_digest
 from scoup.uplift.storage.entries import BUCKET, Entries, ViewRecord, pack
 from scoup.uplift.storage.matrices import csr_matrix, triplets_of
 from scoup.uplift.storage.record_file import Record, RecordFile
@@ -201,7 +200,7 @@ class RegionSums:
             raise InputError(
                 f"{view_name!r}: sums of {sums.table.shape[1]} levels, not of {list(self.levels)}"
             )
-        digest = "" if camera is None else camera_digest(camera)
+        digest = "" if camera is None else camera.fingerprint()
         view = ViewRecord(digest, sums.labels_digest, tuple(self._packed(sums, order)))
         header = {"name": view_name, "camera": view.camera_digest, "labels": view.labels_digest}
         self._apply(self._store.append(VIEW, header, view.arrays()))
