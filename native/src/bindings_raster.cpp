@@ -1,4 +1,4 @@
-// The rasteriser for Python; scoup/raster/cpu.py is its only user.
+// The rasteriser for Python; scoup/raster/native.py is its only user.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>

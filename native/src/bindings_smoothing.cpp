@@ -1,4 +1,4 @@
-// Box means and masks for Python; scoup/smoothing.py is the only user.
+// Box means and masks for Python; scoup/query/smoothing.py is the only user.
 #include <nanobind/nanobind.h>
 
 #include <stdexcept>

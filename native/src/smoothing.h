@@ -1,4 +1,4 @@
-// Box means of maps and the masks that relevancy makes: what scoup/smoothing.py says in torch, to the last bit. Each map
+// Box means of maps and the masks that relevancy makes: what scoup/query/smoothing.py says in torch, to the last bit. Each map
 // is one chunk of work.
 #pragma once
 

@@ -41,6 +41,7 @@ def written_by_the_command(folder: Path, *stages: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_precisions_agree_where_products_are_exact(needs_triton: None, tmp_path: Path) -> None:
     record = written_by_the_command(tmp_path, "precision")
     rows = [row for row in record["stages"]["precision"]["rows"] if precision.KEYS[0] in row]

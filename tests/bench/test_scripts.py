@@ -92,6 +92,7 @@ def test_a_whole_build(script, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "peak memory" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_every_form_of_coding(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     coding = script("coding")
     arguments = coding.Arguments(
@@ -177,6 +178,7 @@ def test_extraction_against_the_literal_rules(script, tmp_path: Path, capsys: py
     assert sampled["rows"][0]["agreement"] == "not compared"
 
 
+@pytest.mark.slow
 def test_kept_sums(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     kept = script("kept_sums")
     arguments = kept.Arguments(

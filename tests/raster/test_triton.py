@@ -24,7 +24,7 @@ from scoup.base.errors import InputError
 from support import make_camera, random_gaussians, scenes
 
 # Bytes a thread, nearly all of it behind the loop over Gaussians, where the coefficients of one level wait for those of
-# another; ``tests/bench/test_instructions.py`` bounds what is spilled in the loop.
+# another.
 MOST_SPILLED = 2560
 MOST_SHARED = 99 << 10  # bytes a block may have on the smallest of the GPUs served
 
@@ -49,6 +49,7 @@ def test_region_sums_agree_with_the_reference(interpreted, number, kind):
     interpreted(gpu_checks.check_regions, kind, 3, levels, n_regions)
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(
     scene=scenes(25),
@@ -79,8 +80,8 @@ def test_products_keep_the_digits_of_small_weights(interpreted):
 @pytest.mark.parametrize(
     ("kind", "levels", "n_atoms", "k", "halves"),
     [
-        ("mixed", 3, 64, 4, True),
-        ("equal depths", 1, 128, 2, True),
+        pytest.param("mixed", 3, 64, 4, True, marks=pytest.mark.slow),
+        pytest.param("equal depths", 1, 128, 2, True, marks=pytest.mark.slow),
         pytest.param("needles", 5, 20, 4, False, marks=pytest.mark.slow),
         ("off centre", 1, 200, 4, True),
         ("near", 1, 300, 1, False),
