@@ -3,7 +3,7 @@
     python -m benchmarks.kept_sums [--n-gaussians 1000000] [--views 200] [--threads 1] [--data DATA] [--no-kitchen]
         [--out FILE.json]
 
-On the synthetic room, and on `kitchen` where DATA has it. Seconds are the processor's, coding included. Agreement: the
+On the random scene, and on `kitchen` where DATA has it. Seconds are the processor's, coding included. Agreement: the
 share of codes with the same atoms as from float32 sums of which nothing was left out, counted alike and by how much
 each Gaussian paints, and the mean difference of weights where the atoms are the same.
 """

@@ -3,7 +3,7 @@
     python -m benchmarks.lerf_sized [--n-gaussians 1000000] [--views 200] [--solver NAME] [--threads 2]
         [--backend NAME] [--out FILE.json]
 
-The synthetic room with simulated regions and embeddings: times mean something, answers do not. From Gaussians,
+The random scene with simulated regions and embeddings: times mean something, answers do not. From Gaussians,
 cameras and regions in memory to the field in memory: coding, uplift and vote. The paper names 42 s on an RTX A6000,
 coding included.
 """

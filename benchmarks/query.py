@@ -3,7 +3,7 @@
     python -m benchmarks.query [--n-gaussians 1000000] [--n-atoms 128] [--k 4] [--threads 1] [--repeats 7]
         [--command-repeats 3] [--backend NAME] [--out FILE.json]
 
-The synthetic room with made-up codes: times mean something, answers do not. All figures are processor seconds, so
+The random scene with made-up codes: times mean something, answers do not. All figures are processor seconds, so
 that other programs on the machine disturb them less; the least of the repetitions is printed. `scoup query` reads the
 room from a PLY file and its codes from a .scoup file, asks for one text of a table in one camera, and writes no
 pictures: user and system time of the whole process, the start of Python and torch included.

@@ -1,4 +1,4 @@
-"""Every stage on one view: native against the torch reference, on the synthetic room and on kitchen.
+"""Every stage on one view: native against the torch reference, on the random scene and on kitchen.
 
     python -m benchmarks.raster [--n-gaussians 100000 300000 1000000 3000000] [--threads 1 2] [--repeats 5]
         [--reference-up-to 1000000] [--reference-repeats 5] [--data DATA] [--clock-ghz 2.6] [--out FILE.json]

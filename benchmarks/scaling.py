@@ -3,7 +3,7 @@
     python -m benchmarks.scaling [--backends native] [--sweeps gaussians pixels views regions levels] [--threads 1]
         [--repeats 5] [--out FILE.json]
 
-The synthetic room, one view; one thing grows while the others keep their default. All sizes of a sweep are timed
+The random scene, one view; one thing grows while the others keep their default. All sizes of a sweep are timed
 interleaved and the slope is fitted by least squares to the logarithms of the medians: time ~ size ** slope. Its
 spread is the standard error of that fit. `lift` (views only) is region sums and codes into the accumulators over
 all views, without coding and vote.

@@ -37,7 +37,7 @@ def build(name: str, gaussians, cameras, regions, **more) -> scoup.LanguageField
 
 
 def room():
-    """(gaussians, cameras, regions) of a small synthetic room."""
+    """(gaussians, cameras, regions) of a small random scene."""
     cameras = random_scene_cameras(6, 96, 72)
     return (
         random_scene_gaussians(800, seed=3),

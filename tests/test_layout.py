@@ -84,3 +84,14 @@ def test_a_climbing_import_is_found(source: str) -> None:
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:\w+/)+\w+\.py|(?:\w+/)+)`", DOCUMENTS))))
 def test_files_of_the_document_exist(path: str) -> None:
     assert (SOURCE / path).exists() or (ROOT / path).exists()
+
+
+def test_verbs_only_call_the_library() -> None:
+    """The body of a verb has at most 40 lines."""
+    lines = {}
+    for path in (SOURCE / "cli").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef) and node.name == "run" and "self" in ast.dump(node.args):
+                lines[path.name, node.lineno] = (node.end_lineno or 0) - node.body[0].lineno + 1
+    assert len(lines) > 12
+    assert not {place: count for place, count in lines.items() if count > 40}

@@ -48,15 +48,12 @@ class Bench(WritesCommon):
     def run(self, console: Console) -> None:
         """Measure and print."""
         from scoup.bench import (
-            STAGES,
             comparison,
             describe_environment,
-            stage_table,
             usable_backends,
             write_json,
         )
         from scoup.bench.environment import in_one_line
-        from scoup.bench.report import SPECIFICATION
         from scoup.io import check_output
 
         self._check()
@@ -70,15 +67,9 @@ class Bench(WritesCommon):
             f"one view of {width} x {height}, three levels, L = 64, K = 4, one query; medians of {self.repeats}"
         )
         rows = self._measure(console, backends)
-        console.say("\n" + stage_table(rows) + "\n")
-        for name in dict.fromkeys(row.stage for row in rows):
-            console.say(f"{name}: {STAGES[name]}")
-        for name, reason in reasons.items():
-            console.say(f"backend {name} does not work here: {reason}")
-        if backends == [SPECIFICATION]:
-            console.say(f"only {SPECIFICATION} was measured, so there is nothing to compare it with")
+        _say_table(console, rows, backends, reasons)
         record = {
-            "what": "scoup bench: stages on one view of the synthetic room",
+            "what": "scoup bench: stages on one view of the random scene",
             "machine": environment,
             "device": self.device,
             "width": width,
@@ -132,3 +123,17 @@ class Bench(WritesCommon):
             with console.progress() as progress:
                 rows += time_stages(work, runs, threads, lambda _: self.repeats, self.device, progress)
         return rows
+
+
+def _say_table(console: Console, rows: list[Row], backends: list[str], reasons: dict[str, str]) -> None:
+    """The table, what its stages are, and which backends do not work here."""
+    from scoup.bench import STAGES, stage_table
+    from scoup.bench.report import SPECIFICATION
+
+    console.say("\n" + stage_table(rows) + "\n")
+    for name in dict.fromkeys(row.stage for row in rows):
+        console.say(f"{name}: {STAGES[name]}")
+    for name, reason in reasons.items():
+        console.say(f"backend {name} does not work here: {reason}")
+    if backends == [SPECIFICATION]:
+        console.say(f"only {SPECIFICATION} was measured, so there is nothing to compare it with")
