@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
-from scoup.baselines.sparse import AdamCoder, without_half
-from scoup.query.presence import vote_entropy
+from scoup.baselines.sparse import AdamCoder, vote_entropy, without_half
 from scoup.uplift.vote import GaussianCodes
 from support import unit
+
+
+def test_entropy_of_votes() -> None:
+    weights = torch.tensor(
+        [[[1.0, 0, 0, 0]], [[0.25, 0.25, 0.25, 0.25]], [[0, 0, 0, 0.0]], [[2.0, 2.0, 0, 0]]]
+    )
+    assert vote_entropy(weights)[:, 0].tolist() == pytest.approx([0, 1, 1, 0.5])
+    assert vote_entropy(weights * 7)[:, 0].tolist() == pytest.approx([0, 1, 1, 0.5])
 
 
 def test_halves_by_entropy() -> None:

@@ -16,19 +16,10 @@ from scoup.query.presence import (
     mean_embedding,
     scene_z_scores,
     view_z_scores,
-    vote_entropy,
     z_scores,
 )
 from scoup.query.segment import segment
 from scoup.query.select import select, select_each
-
-
-def test_entropy_of_votes() -> None:
-    weights = torch.tensor(
-        [[[1.0, 0, 0, 0]], [[0.25, 0.25, 0.25, 0.25]], [[0, 0, 0, 0.0]], [[2.0, 2.0, 0, 0]]]
-    )
-    assert vote_entropy(weights)[:, 0].tolist() == pytest.approx([0, 1, 1, 0.5])
-    assert vote_entropy(weights * 7)[:, 0].tolist() == pytest.approx([0, 1, 1, 0.5])
 
 
 def test_z_scores_by_hand() -> None:

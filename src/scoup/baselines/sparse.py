@@ -16,7 +16,6 @@ from scoup.baselines.rasterised_scene import Coder, Codes, UpliftInputs
 from scoup.coding.adam import AdamSettings, solve_adam
 from scoup.coding.embeddings import normalise_embeddings
 from scoup.field.language_field import FieldInfo, LanguageField
-from scoup.query.presence import vote_entropy
 from scoup.uplift.build import BuildSettings
 from scoup.uplift.region_codes import learn_codebook
 from scoup.uplift.vote import GaussianCodes, vote
@@ -120,3 +119,16 @@ def without_half(found: GaussianCodes, whole: GaussianCodes, half: Half) -> Gaus
         middle = len(order) // 2
         kept[order[:middle] if half == "highest" else order[middle:], level] = True
     return replace(found, weights=torch.where(kept[..., None], found.weights, 0.0))
+
+
+def vote_entropy(weights: Tensor) -> Tensor:
+    """[N, S] float32 entropy of votes, 0 (all views agree) to 1; 1 for a Gaussian without a code.
+
+    Args:
+        weights: [N, S, K] not negative: those of codes as stored, or of all atoms.
+    """
+    weights = weights.float()
+    total = weights.sum(-1, keepdim=True)
+    share = torch.where(total > 0, weights / total.clamp(min=1e-30), 0.0)
+    found = torch.special.entr(share).sum(-1) / torch.tensor(float(max(2, weights.shape[-1]))).log()
+    return torch.where(total[..., 0] > 0, found, 1.0)

@@ -124,16 +124,3 @@ def mean_embedding(field: LanguageField, level: int, gaussians: Tensor, weights:
     shares = (field.code_weights[gaussians, level].float() * weights[:, None]).cpu()
     code = torch.bincount(atoms.flatten(), shares.flatten().double(), field.n_atoms)
     return code.float() @ field.codebook[level].cpu()
-
-
-def vote_entropy(weights: Tensor) -> Tensor:
-    """[N, S] float32 entropy of votes, 0 (all views agree) to 1; 1 for a Gaussian without a code.
-
-    Args:
-        weights: [N, S, K] not negative: those of codes as stored, or of all atoms.
-    """
-    weights = weights.float()
-    total = weights.sum(-1, keepdim=True)
-    share = torch.where(total > 0, weights / total.clamp(min=1e-30), 0.0)
-    found = torch.special.entr(share).sum(-1) / torch.tensor(float(max(2, weights.shape[-1]))).log()
-    return torch.where(total[..., 0] > 0, found, 1.0)

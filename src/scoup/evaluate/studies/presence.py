@@ -18,12 +18,12 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.baselines.method import MethodSettings
 from scoup.baselines.rasterised_scene import RasterisedScene
-from scoup.baselines.sparse import SparseUplift, vote_codes
+from scoup.baselines.sparse import SparseUplift, vote_codes, vote_entropy
 from scoup.evaluate.data_sets import LabelledScene
 from scoup.evaluate.studies.study_scene import StudyScene
 from scoup.field.language_field import LanguageField
 from scoup.models.words import with_everyday
-from scoup.query.presence import scene_z_scores, view_z_scores, vote_entropy
+from scoup.query.presence import scene_z_scores, view_z_scores
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.segment import choose_level, level_masks, segment
 from scoup.query.select import select_each
