@@ -36,7 +36,7 @@ from scoup.evaluate.scores import SceneScore
 from scoup.evaluate.studies.study_scene import StudyScene
 from scoup.io.labels import match_frames, read_labels
 from scoup.query.presets import QUERY_PRESETS
-from scoup.uplift.build import BuildSettings
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
 
 METHOD, ALL_ATOMS, DENSE = "top-4 vote", "no top-K", "dense 512-d"

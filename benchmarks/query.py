@@ -33,7 +33,8 @@ from scoup.bench import (
 )
 from scoup.bench.environment import in_one_line
 from scoup.bench.measure import Stopwatch, torch_threads
-from scoup.field.language_field import FieldInfo, LanguageField
+from scoup.field.artefact import FieldInfo
+from scoup.field.language_field import LanguageField
 from scoup.io import check_output
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS

@@ -14,7 +14,7 @@ import scoup
 from benchmarks.kitchen import make_features
 from benchmarks.scenes import find_layout
 from scoup import raster
-from scoup.evaluate.protocols.lerf_ovs import LabelledFrame, match_frames, read_labels
+from scoup.io.labels import LabelledFrame, match_frames, read_labels
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions

@@ -12,8 +12,8 @@ from benchmarks.voting_scenes import VotingScene
 from scoup import raster
 from scoup.baselines.fitted import embedding_cosines, image_relevancy
 from scoup.evaluate.metrics import any_inside, iou
-from scoup.evaluate.protocols.lerf_ovs import LabelledFrame
 from scoup.field.relevancy import relevancy
+from scoup.io.labels import LabelledFrame
 from scoup.query.localize import localize
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import choose_level, level_masks

@@ -12,8 +12,9 @@ import torch
 
 import scoup
 from cli_support import run
-from scoup.evaluate.protocols.lerf_ovs import match_frames, read_labels, score_scene
+from scoup.evaluate.protocols.lerf_ovs import score_scene
 from scoup.io import load_image
+from scoup.io.labels import match_frames, read_labels
 from scoup.raster import render_colors
 
 

@@ -18,7 +18,7 @@ from scoup.coding.adam import LEARNING_RATE
 from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.synthetic.random_scene import clip_like
-from scoup.uplift.build import build_settings
+from scoup.uplift.build_settings import build_settings
 
 NAMES = {
     "paper": "ours: build, the paper's settings with exact codes (L = 64, one round)",

@@ -9,7 +9,8 @@ from scoup.baselines.dense import dense_features
 from scoup.baselines.fitted import FittedChannels, FittedField
 from scoup.baselines.methods import METHODS
 from scoup.baselines.rasterised_scene import RasterisedScene
-from scoup.field.language_field import FieldInfo, LanguageField
+from scoup.field.artefact import FieldInfo
+from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.rasterise import region_sums

@@ -17,8 +17,8 @@ from scoup.baselines.methods import COMPARED, METHODS, find_method
 from scoup.baselines.rasterised_scene import RasterisedScene
 from scoup.field.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
-from scoup.uplift.build import BuildSettings, build
-from scoup.uplift.build_settings import BUILD_PRESETS
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 from support import small_scene, unit
 
 SETTINGS = MethodSettings(

@@ -11,7 +11,7 @@ from scoup.baselines.method import Method
 from scoup.baselines.pixel_rules import EveryNthPixel
 from scoup.baselines.rasterised_scene import Codes, RasterisedScene, spread_views
 from scoup.baselines.sparse import SparseUplift, learn_codes
-from scoup.uplift.build import BuildSettings
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
 from support import small_scene
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from cli_support import refused, run, run_json
 from scoup.evaluate.data_sets import find_data_set, find_scenes
-from scoup.evaluate.protocols.lerf_ovs import read_labels
+from scoup.io.labels import read_labels
 
 pytestmark = pytest.mark.slow
 

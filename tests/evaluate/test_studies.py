@@ -26,7 +26,7 @@ from scoup.evaluate.studies.study_scene import ScoringRule, StudyScene
 from scoup.io.labels import LabelledFrame
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.text_vectors import TextVectors
-from scoup.uplift.build import BuildSettings
+from scoup.uplift.build_settings import BuildSettings
 from support import small_scene, unit
 
 PRESET = QUERY_PRESETS["scoup"]

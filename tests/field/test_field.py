@@ -19,7 +19,8 @@ from scoup.base.errors import (
     OutputExistsError,
     ScoupError,
 )
-from scoup.field.language_field import FieldInfo, LanguageField
+from scoup.field.artefact import FieldInfo
+from scoup.field.language_field import LanguageField
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings

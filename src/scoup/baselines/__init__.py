@@ -1,1 +1,1 @@
-"""What a sparse field is compared with; each shares the rasteriser and the queries of the method itself."""
+"""Every system that is compared, ours included, as a method: they share the rasteriser, the regions and the queries."""

@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from scoup.baselines.fitted import FittedChannels, embedding_cosines
-from scoup.baselines.method import MethodSettings, UpliftInputs
+from scoup.baselines.method import MethodSettings
+from scoup.baselines.rasterised_scene import UpliftInputs
 from scoup.uplift.region_sums import RegionSums
 
 

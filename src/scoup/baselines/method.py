@@ -15,8 +15,7 @@ from scoup.baselines.autoencoder import LANGSPLAT, AutoencoderSettings
 from scoup.baselines.fitted import FittedMethod
 from scoup.baselines.pixel_rules import ALL_PIXELS, PixelRule
 from scoup.baselines.rasterised_scene import RasterisedScene, UpliftInputs
-from scoup.uplift.build import BuildSettings
-from scoup.uplift.build_settings import BUILD_PRESETS
+from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 
 
 @dataclass(frozen=True)

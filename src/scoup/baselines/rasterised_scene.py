@@ -15,7 +15,7 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.uplift.build import BuildSettings
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
 
 Codes = tuple[list[SparseCodes], Tensor]

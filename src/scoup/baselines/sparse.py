@@ -15,8 +15,9 @@ from scoup.baselines.method import MethodSettings
 from scoup.baselines.rasterised_scene import Coder, Codes, UpliftInputs
 from scoup.coding.adam import AdamSettings, solve_adam
 from scoup.coding.embeddings import normalise_embeddings
-from scoup.field.language_field import FieldInfo, LanguageField
-from scoup.uplift.build import BuildSettings
+from scoup.field.artefact import FieldInfo
+from scoup.field.language_field import LanguageField
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_codes import learn_codebook
 from scoup.uplift.vote import GaussianCodes, vote
 

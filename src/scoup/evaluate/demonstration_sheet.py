@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from scoup.evaluate.demonstration import METHOD, DemoResult, rows_by_name
-from scoup.evaluate.protocols.lerf_ovs import PairScore
+from scoup.evaluate.scores import PairScore
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.segment import localize_and_segment

@@ -20,7 +20,7 @@ from scoup.evaluate.report import Report, write_report
 from scoup.evaluate.scores import PairScore, SceneScore
 from scoup.evaluate.scoring import build_field, predict, score_maps, score_selection
 from scoup.io import check_output, save_png
-from scoup.uplift.build import BuildSettings
+from scoup.uplift.build_settings import BuildSettings
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from torch import Tensor
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.processes import at_work
 from scoup.base.progress import Progress, no_progress
-from scoup.field.language_field import FieldInfo, LanguageField
+from scoup.field.artefact import FieldInfo
+from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions

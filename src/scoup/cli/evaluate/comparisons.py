@@ -71,7 +71,7 @@ class Presence(StudyOptions):
         from scoup.evaluate.label_vectors import encode_words
         from scoup.evaluate.studies.presence import absent_words, query_scene
         from scoup.evaluate.studies.presence_scores import presence_report
-        from scoup.uplift.build import build_settings
+        from scoup.uplift.build_settings import build_settings
 
         scenes = self.open_study(console, "presence")
         if len(scenes) < 2:

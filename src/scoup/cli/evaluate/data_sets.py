@@ -38,7 +38,7 @@ class Scored(DataSetOptions):
         """Build what is missing, predict, score, write."""
         from scoup.evaluate.data_sets import find_data_set
         from scoup.evaluate.evaluation import EvaluationSettings, evaluate_scene, write_reports
-        from scoup.uplift.build import build_settings
+        from scoup.uplift.build_settings import build_settings
 
         settings = EvaluationSettings(
             find_data_set(self.data_set_name),

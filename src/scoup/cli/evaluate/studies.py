@@ -109,7 +109,7 @@ class Consistency(StudyOptions):
 
         from scoup.baselines.autoencoder import LANGSPLAT
         from scoup.evaluate.studies.consistency import consistency_report, run_consistency
-        from scoup.uplift.build import build_settings
+        from scoup.uplift.build_settings import build_settings
 
         settings = build_settings(self.preset_name, seed=self.seed)
         autoencoder = replace(LANGSPLAT, epochs=self.epochs)

@@ -12,23 +12,10 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.evaluate.metrics import any_inside, iou
-from scoup.evaluate.scores import PairScore, SceneScore, overall, scene_score
-from scoup.io.labels import LabelledFrame, match_frames, read_frame, read_labels
+from scoup.evaluate.scores import PairScore, SceneScore, scene_score
+from scoup.io.labels import LabelledFrame
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.segment import localize_and_segment
-
-__all__ = [
-    "LabelledFrame",
-    "PairScore",
-    "SceneScore",
-    "maps_by_label",
-    "match_frames",
-    "overall",
-    "read_frame",
-    "read_labels",
-    "score_frame",
-    "score_scene",
-]
 
 PROTOCOL = "lerf-ovs 2D"
 

@@ -13,7 +13,8 @@ from scoup.base.errors import UnknownNameError
 from scoup.baselines.method import Method
 from scoup.baselines.methods import METHODS
 from scoup.baselines.pixel_rules import EveryNthPixel
-from scoup.baselines.sparse import AdamCoder, Coder, Half, SparseUplift, learn_codes
+from scoup.baselines.rasterised_scene import Coder
+from scoup.baselines.sparse import AdamCoder, Half, SparseUplift, learn_codes
 from scoup.evaluate.studies.study_scene import ScoringRule
 from scoup.query.presets import QueryPreset
 

@@ -18,7 +18,7 @@ from scoup.evaluate.studies.study_report import StudyReport
 from scoup.evaluate.studies.study_scene import StudyScene
 from scoup.evaluate.tables import CAVEATS, Table
 from scoup.query.presets import QueryPreset
-from scoup.uplift.build import BuildSettings
+from scoup.uplift.build_settings import BuildSettings
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.segment import choose_level, level_masks, segment
 from scoup.query.select import select_each
 from scoup.query.text_vectors import TextVectors
-from scoup.uplift.build import BuildSettings
+from scoup.uplift.build_settings import BuildSettings
 
 SIGNALS = ("z-score", "peak", "inside", "contrast", "entropy", "vote entropy", "vote weight")
 """All signals measured: the z-score of the query against everyday words (``scoup.query.presence``); the largest
