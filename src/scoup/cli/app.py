@@ -40,7 +40,7 @@ Verb = (
     | Annotated[Bench, tyro.conf.subcommand("bench")]
 )
 
-DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, and ask it questions.
+DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, and query it.
 
 Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of your own:
   scoup extract SCENE
