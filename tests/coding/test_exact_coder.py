@@ -372,7 +372,7 @@ def test_a_signal_interrupts_long_work(core: ModuleType) -> None:
 
     rows, atoms = arrays(60_000, 64, 1024)
     before = signal.signal(signal.SIGALRM, raise_it)
-    started = time.perf_counter()
+    started = time.process_time()
     signal.setitimer(signal.ITIMER_REAL, 0.2)
     try:
         with pytest.raises(TimeoutError):
@@ -380,4 +380,4 @@ def test_a_signal_interrupts_long_work(core: ModuleType) -> None:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
-    assert time.perf_counter() - started < 1.0
+    assert time.process_time() - started < 1.0
