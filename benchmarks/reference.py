@@ -54,17 +54,21 @@ def main(arguments: Arguments) -> dict[str, float]:
     weights = torch.rand(count, 3, 4, generator=generator)
     codebook = torch.randn(3, 64, 512, generator=generator)
     queries = torch.nn.functional.normalize(torch.randn(5, 512, generator=generator), dim=1)
-    view = reference.project(gaussians, camera, raster.RASTER_PRESETS["inria"])
+    projection = reference.project(gaussians, camera, raster.RASTER_PRESETS["inria"])
     colors = raster.view_colors(gaussians, camera)
 
     stages: dict[str, Callable[[], object]] = {
         "project": lambda: reference.project(gaussians, camera, raster.RASTER_PRESETS["inria"]),
-        "colour render": lambda: raster.render_channels(view, colors),
-        "uplift, region sums": lambda: vote_of_a_view(view, gaussians, labels, codes, codebook),
-        "uplift, codes per pixel": lambda: per_pixel_uplift(view, labels, codes, torch.zeros(count, 192)),
-        "uplift, dense 512-d": lambda: dense_uplift(view, labels, embeddings, count),
-        "cosines, Gram shortcut": lambda: raster.render_cosines(view, indices, weights, codebook, queries),
-        "cosines, decoded to 512-d": lambda: decoded_cosines(view, indices, weights, codebook, queries),
+        "colour render": lambda: raster.render_channels(projection, colors),
+        "uplift, region sums": lambda: vote_of_a_view(projection, gaussians, labels, codes, codebook),
+        "uplift, codes per pixel": lambda: per_pixel_uplift(
+            projection, labels, codes, torch.zeros(count, 192)
+        ),
+        "uplift, dense 512-d": lambda: dense_uplift(projection, labels, embeddings, count),
+        "cosines, Gram shortcut": lambda: raster.render_cosines(
+            projection, indices, weights, codebook, queries
+        ),
+        "cosines, decoded to 512-d": lambda: decoded_cosines(projection, indices, weights, codebook, queries),
     }
     tasks = {name: Task(stage, None, arguments.repeats) for name, stage in stages.items()}
     medians = {name: timing.median for name, timing in time_tasks(tasks).items()}
@@ -87,47 +91,51 @@ def main(arguments: Arguments) -> dict[str, float]:
 
 
 def vote_of_a_view(
-    view: raster.Projection, gaussians: Gaussians, labels: Tensor, codes: list[SparseCodes], codebook: Tensor
+    projection: raster.Projection,
+    gaussians: Gaussians,
+    labels: Tensor,
+    codes: list[SparseCodes],
+    codebook: Tensor,
 ) -> None:
     """Sums over regions first, then codes."""
     sums = RegionSums("", torch.arange(len(gaussians)), ["s", "m", "l"])
-    sums.append("view", raster.region_sums(view, labels))
+    sums.append("view", raster.region_sums(projection, labels))
     sums.rows = [{"view": slice(0, len(level))} for level in codes]
     vote(sums, codes, codebook, backend="reference")
 
 
 def per_pixel_uplift(
-    view: reference.ReferenceProjection, labels: Tensor, codes: list[SparseCodes], out: Tensor
+    projection: reference.ReferenceProjection, labels: Tensor, codes: list[SparseCodes], out: Tensor
 ) -> None:
     """The plain form: the code of every pixel, times the weight of every Gaussian there."""
     dense = [
         torch.cat([item.to_dense(), torch.zeros(1, item.n_atoms)]) for item in codes
     ]  # last row: no region
     image = torch.cat([rows[level.long()] for rows, level in zip(dense, labels, strict=True)], 2)
-    _add_image(view, image, out)
+    _add_image(projection, image, out)
 
 
 def dense_uplift(
-    view: reference.ReferenceProjection, labels: Tensor, embeddings: list[Tensor], count: int
+    projection: reference.ReferenceProjection, labels: Tensor, embeddings: list[Tensor], count: int
 ) -> None:
     """The same with full embeddings instead of codes, level by level."""
     for rows, level in zip(embeddings, labels, strict=True):
         image = torch.cat([rows, torch.zeros(1, rows.shape[1])])[level.long()]
-        _add_image(view, image, torch.zeros(count, rows.shape[1]))
+        _add_image(projection, image, torch.zeros(count, rows.shape[1]))
 
 
-def _add_image(view: reference.ReferenceProjection, image: Tensor, out: Tensor) -> None:
+def _add_image(projection: reference.ReferenceProjection, image: Tensor, out: Tensor) -> None:
     """out [N, C] += sum over pixels of e_i(p) * image [H, W, C]."""
-    tiled = reference.to_tiles(image.permute(2, 0, 1), view.bins, fill=0)  # [tiles, C, P]
-    for tile, ids, weights in reference.tile_weights(view):
+    tiled = reference.to_tiles(image.permute(2, 0, 1), projection.bins, fill=0)  # [tiles, C, P]
+    for tile, ids, weights in reference.tile_weights(projection):
         out.index_add_(0, ids, weights @ tiled[tile].T)
 
 
 def decoded_cosines(
-    view: raster.Projection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
+    projection: raster.Projection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> list[Tensor]:
     """Coefficient maps written out, decoded to 512 channels, normalised, compared."""
-    maps = raster.render_codes(view, indices, weights, codebook.shape[1])
+    maps = raster.render_codes(projection, indices, weights, codebook.shape[1])
     return [
         torch.nn.functional.normalize(level @ atoms, dim=-1) @ queries.T
         for level, atoms in zip(maps, codebook, strict=True)

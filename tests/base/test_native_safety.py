@@ -42,7 +42,7 @@ def scene_arrays(count: int = N, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def project(count: int = N, seed: int = 0, **changed: Any) -> Any:
-    """The view of a scene; arguments of the binding can be replaced by name."""
+    """The projection of a scene; arguments of the binding can be replaced by name."""
     arguments: dict[str, Any] = scene_arrays(count, seed)
     arguments |= {"intrinsics": (40.0, 40.0, WIDTH / 2, HEIGHT / 2), "width": WIDTH, "height": HEIGHT}
     arguments |= {"near_alpha_max_stop": (0.2, 0.99, 1e-4), "stop_inclusive": False, "centred_clamp": True}
@@ -52,9 +52,9 @@ def project(count: int = N, seed: int = 0, **changed: Any) -> Any:
     return core.project(scene, **arguments)
 
 
-def image_of(view: Any, threads: int = 1) -> bytes:
-    values = np.random.default_rng(1).normal(size=(view.n_gaussians, 3)).astype(np.float32)
-    return b"".join(part.tobytes() for part in core.render_channels(view, values, threads))
+def image_of(projection: Any, threads: int = 1) -> bytes:
+    values = np.random.default_rng(1).normal(size=(projection.n_gaussians, 3)).astype(np.float32)
+    return b"".join(part.tobytes() for part in core.render_channels(projection, values, threads))
 
 
 def codes(atom: int = 0, rows: int = 1, dtype: type = np.uint8) -> tuple[np.ndarray, np.ndarray]:
@@ -156,11 +156,11 @@ def test_cameras_and_presets_that_cannot_be(changed, message):
 
 
 def test_nothing_is_fine():
-    view = project(0)
-    image, alpha = core.render_channels(view, np.zeros((0, 3), np.float32), 1)
+    projection = project(0)
+    image, alpha = core.render_channels(projection, np.zeros((0, 3), np.float32), 1)
     assert not image.any()
     assert not alpha.any()
-    assert [len(part) for part in core.region_sums(view, combinations(), 1)] == [0, 0, 0]
+    assert [len(part) for part in core.region_sums(projection, combinations(), 1)] == [0, 0, 0]
     assert [len(part) for part in core.region_sums(project(), combinations() - 1, 1)] == [0, 0, 0]
     map_, table = core.combine(np.zeros((0, HEIGHT, WIDTH), np.int32), 1)
     assert (map_ == -1).all()
@@ -171,21 +171,21 @@ def test_nothing_is_fine():
 
 
 def test_renders_refuse_values_and_codes_of_another_scene():
-    view = project()
+    projection = project()
     with pytest.raises(ValueError, match=r"^values must be"):
-        core.render_channels(view, np.zeros((N + 1, 3), np.float32), 1)
+        core.render_channels(projection, np.zeros((N + 1, 3), np.float32), 1)
     indices, weights = np.full((N, 1, 2), 7, np.uint8), np.ones((N, 1, 2), np.float32)
     with pytest.raises(ValueError, match="atom 7 of 7"):
-        core.render_codes(view, indices, weights, 7, 1)
+        core.render_codes(projection, indices, weights, 7, 1)
     with pytest.raises(ValueError, match="atoms"):
-        core.render_codes(view, indices, weights, 0, 1)
+        core.render_codes(projection, indices, weights, 0, 1)
     with pytest.raises(ValueError, match=r"^code weights must be"):
-        core.render_codes(view, indices, weights[:, :, :1].copy(), 8, 1)
+        core.render_codes(projection, indices, weights[:, :, :1].copy(), 8, 1)
     with pytest.raises(ValueError, match=r"^code indices must be"):
-        core.render_codes(view, indices.astype(np.int64), weights, 8, 1)
+        core.render_codes(projection, indices.astype(np.int64), weights, 8, 1)
     scores = np.zeros((1, 8, 5), np.float32)
     with pytest.raises(ValueError, match=r"^grams must be"):
-        core.render_cosines(view, indices, weights, np.zeros((1, 8, 9), np.float32), scores, 1)
+        core.render_cosines(projection, indices, weights, np.zeros((1, 8, 9), np.float32), scores, 1)
 
 
 def test_region_sums_refuse_what_does_not_fit():
@@ -264,7 +264,7 @@ LONG = textwrap.dedent(
     sys.path[:0] = [os.environ["TESTS"]]
     from test_native_safety import core, image_of, project, round_of, vote_arrays
 
-    view = project(20000, width=1600, height=1600, intrinsics=(1600.0, 1600.0, 800.0, 800.0))
+    projection = project(20000, width=1600, height=1600, intrinsics=(1600.0, 1600.0, 800.0, 800.0))
     values = np.ones((20000, 400), np.float32)
     known = image_of(project())
 
@@ -291,7 +291,7 @@ def run_script(script: str, timeout: float = 60) -> subprocess.CompletedProcess[
 def test_ctrl_c_ends_a_long_call_and_leaves_the_process_usable(threads):
     script = f"""
     def render():
-        core.render_channels(view, values, {threads})
+        core.render_channels(projection, values, {threads})
     def count():
         round_of(vote, 50_000, {threads})
     for call in (render, count):
@@ -317,7 +317,7 @@ def test_ctrl_c_ends_a_long_call_and_leaves_the_process_usable(threads):
 
 
 def test_other_python_threads_run_during_a_long_call():
-    view = project(20000, width=1600, height=1600, intrinsics=(1600.0, 1600.0, 800.0, 800.0))
+    projection = project(20000, width=1600, height=1600, intrinsics=(1600.0, 1600.0, 800.0, 800.0))
     values = np.ones((20000, 100), np.float32)
     ticks = [0]
     over = threading.Event()
@@ -328,7 +328,7 @@ def test_other_python_threads_run_during_a_long_call():
 
     def ticks_of_a_call() -> int:
         before = ticks[0]
-        core.render_channels(view, values, 1)
+        core.render_channels(projection, values, 1)
         return ticks[0] - before
 
     clock = threading.Thread(target=tick)
@@ -345,12 +345,12 @@ def test_other_python_threads_run_during_a_long_call():
 
 
 def test_threads_may_ask_at_once():
-    views = [project(seed=seed) for seed in range(3)]
-    expected = [image_of(view) for view in views]
+    projections = [project(seed=seed) for seed in range(3)]
+    expected = [image_of(projection) for projection in projections]
 
     def ask(turn: int) -> bool:
         own = image_of(project(seed=turn % 3), threads=2)
-        return own == expected[turn % 3] == image_of(views[turn % 3], threads=1 + turn % 2)
+        return own == expected[turn % 3] == image_of(projections[turn % 3], threads=1 + turn % 2)
 
     with ThreadPoolExecutor(4) as pool:
         assert all(pool.map(ask, range(60)))
@@ -405,13 +405,13 @@ def test_views_and_images_give_their_memory_back():
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
     def ask() -> None:
-        view = project(60_000, 0, width=400, height=300)
-        image_of(view, threads=2)
-        core.region_sums(view, np.zeros((300, 400), np.int32), 2)
+        projection = project(60_000, 0, width=400, height=300)
+        image_of(projection, threads=2)
+        core.region_sums(projection, np.zeros((300, 400), np.int32), 2)
 
     for _ in range(5):
         ask()
     early = resident()
     for _ in range(30):
         ask()
-    assert resident() - early < 20e6  # a view is 6 MB
+    assert resident() - early < 20e6  # a projection is 6 MB

@@ -41,8 +41,8 @@ def test_silhouettes_begin_at_their_opacity() -> None:
     assert not silhouette(faint, torch.tensor([True]), camera, "inria").any()
     scene = random_gaussians(40, 3)
     chosen = torch.arange(40) % 2 == 0
-    view = raster.project(scene.select(chosen), camera, "inria")
-    alpha = raster.render_channels(view, torch.ones(20, 1))[0][..., 0]
+    projection = raster.project(scene.select(chosen), camera, "inria")
+    alpha = raster.render_channels(projection, torch.ones(20, 1))[0][..., 0]
     expected = alpha > 10 / 255
     assert silhouette(scene, chosen, camera, "inria").equal(expected)
     assert (VALA_3D.neighbours, VALA_3D.threshold, VALA_3D.silhouette) == (10, 0.6, 10 / 255)

@@ -58,9 +58,9 @@ def silhouette(
     if not chosen.any():
         return torch.zeros(camera.height, camera.width, dtype=torch.bool, device=chosen.device)
     alone = gaussians.select(chosen)
-    view = raster.project(alone, camera, raster_preset)
+    projection = raster.project(alone, camera, raster_preset)
     nothing = torch.zeros(len(alone), 1, device=alone.device)
-    return raster.render_channels(view, nothing)[1] > least
+    return raster.render_channels(projection, nothing)[1] > least
 
 
 def score_scene(
