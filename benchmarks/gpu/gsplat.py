@@ -28,9 +28,8 @@ def compile_gsplat(stage: Stage) -> None:
     os.environ.setdefault("MAX_JOBS", str(max(1, (os.cpu_count() or 1) - 2)))
 
     def compiled() -> None:
-        values = torch.zeros(
-            100, 40, device=stage.device, requires_grad=True
-        )  # 40: more than are drawn at a time
+        # More channels than are drawn at a time.
+        values = torch.zeros(100, 40, device=stage.device, requires_grad=True)
         gaussians, camera = random_scene_gaussians(100).to(stage.device), random_scene_cameras(1, 32, 32)[0]
         image = render(found_gsplat(stage), gaussians, camera, values)
         (gradient,) = torch.autograd.grad(image, values, torch.ones_like(image))

@@ -10,12 +10,8 @@ from benchmarks.gpu import ROOT
 from benchmarks.gpu.stage import NO_TIME, Row, Stage, Unavailable
 
 SUITE = (
-    "tests/raster/test_gpu.py",
-    "tests/raster/test_triton.py",
-    "tests/coding/test_gpu_coder.py",
-    "tests/coding/test_triton_coder.py",
-    "tests/uplift/test_vote_gpu.py",
-    "tests/uplift/test_vote_triton.py",
+    *("tests/raster/test_gpu.py", "tests/coding/test_gpu_coder.py", "tests/uplift/test_vote_gpu.py"),
+    *("tests/raster/test_triton.py", "tests/coding/test_triton_coder.py", "tests/uplift/test_vote_triton.py"),
     "tests/bench/test_scatter.py",
 )
 
