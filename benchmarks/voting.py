@@ -28,17 +28,13 @@ import tyro
 
 from benchmarks.voting_results import Entry, Results, summary, table
 from benchmarks.voting_scenes import SceneSize, VotingScene, make_scene
-from benchmarks.voting_scores import Scores, score_dense, score_sparse
-from benchmarks.voting_ways import (
-    WAYS,
-    Recipe,
-    bytes_per_gaussian,
-    code,
-    find_way,
-    vote,
-)
+from benchmarks.voting_scores import score
+from benchmarks.voting_ways import WAYS, find_way
+from scoup.baselines.method import Method, MethodSettings
+from scoup.baselines.rasterised_scene import UpliftInputs
 from scoup.io import write_text
 from scoup.synthetic.faults import LevelSums, as_region_sums, perturbed
+from scoup.uplift.build_settings import BuildSettings
 
 SCENES = ("kitchen", "table-0", "shelves-0", "hall-0", "yard-0")
 CASES = ("clean", "wrong20", "noise60", "wrong20+noise60", "missing40", "rare")
@@ -69,13 +65,13 @@ class Arguments:
 
 def main(arguments: Arguments) -> Results:
     """Run what is missing, print the table and write the summary."""
-    settings = {"draw": arguments.draw, "size": asdict(arguments.size)}
+    settings = {"draw": arguments.draw, "epochs": arguments.epochs, "size": asdict(arguments.size)}
     results = Results.open(arguments.rows, settings)
-    ways = {name: find_way(name, arguments.epochs) for name in arguments.ways}
-    recipes = list(dict.fromkeys(way.recipe for way in ways.values()))
+    ways = {name: find_way(name) for name in arguments.ways}
+    methods = list(dict.fromkeys(way.method for way in ways.values()))
     for name in arguments.scenes:
         left = {
-            case: [r for r in recipes if not results.has(name, case, r.key, _seeds(r, arguments.seeds))]
+            case: [m for m in methods if not results.has(name, case, m.name, _seeds(m, arguments.seeds))]
             for case in arguments.cases
         }
         if not any(left.values()):
@@ -92,10 +88,10 @@ def main(arguments: Arguments) -> Results:
             if not missing:
                 continue
             levels = perturbed(scene.levels, case, arguments.draw, scene.shares)
-            for recipe, entry in run_case(scene, levels, missing, arguments.seeds):
-                results.put(name, case, recipe.key, scene.pairs, entry)
+            for method, entry in run_case(scene, levels, missing, arguments.seeds, arguments.epochs):
+                results.put(name, case, method.name, scene.pairs, entry)
                 print(
-                    f"{name:10} {case:16} {recipe.key:36} peak {_mean(entry.peak):.3f} mask {_mean(entry.mask):.3f} "
+                    f"{name:10} {case:16} {method.name:27} peak {_mean(entry.peak):.3f} mask {_mean(entry.mask):.3f} "
                     f"best {_mean(entry.best):.3f} hit {_mean(entry.hit):.3f}  {entry.seconds:.1f} s",
                     flush=True,
                 )
@@ -107,32 +103,27 @@ def main(arguments: Arguments) -> Results:
 
 
 def run_case(
-    scene: VotingScene, levels: Sequence[LevelSums], recipes: Sequence[Recipe], seeds: Sequence[int]
-) -> Iterator[tuple[Recipe, Entry]]:
-    """Every recipe on one scene with its faults; recipes that share their codes follow each other."""
-    dim = levels[0].embeddings.shape[1]
-    sums = as_region_sums(levels)
-    coded: dict[int, tuple[Recipe, tuple]] = {}
-    for recipe in sorted(recipes, key=lambda recipe: recipe.coded_once.key):
+    scene: VotingScene,
+    levels: Sequence[LevelSums],
+    methods: Sequence[Method],
+    seeds: Sequence[int],
+    epochs: int,
+) -> Iterator[tuple[Method, Entry]]:
+    """Every method on one scene with its faults; methods that differ in the vote only share their codes."""
+    inputs = UpliftInputs(as_region_sums(levels), [level.embeddings for level in levels])
+    for method in methods:
         started = time.perf_counter()
-        scores: list[Scores] = []
-        for seed in _seeds(recipe, seeds):
-            if recipe.coding == "dense":
-                scores.append(score_dense(scene, levels))
-                continue
-            if seed not in coded or coded[seed][0] != recipe.coded_once:
-                coded[seed] = (recipe.coded_once, code(levels, recipe, seed))
-            codes, codebook = coded[seed][1]
-            indices, weights = vote(sums, codes, codebook, recipe)
-            scores.append(score_sparse(scene, indices, weights, codebook))
-        seconds = time.perf_counter() - started
-        size = bytes_per_gaussian(recipe, len(levels), dim)
-        yield recipe, Entry.of(scores, _seeds(recipe, seeds), size, seconds)
+        scores, size = [], 0.0
+        for seed in _seeds(method, seeds):
+            fitted = method.uplift(inputs, MethodSettings(seed, BuildSettings(epochs=epochs)))
+            scores.append(score(scene, fitted))
+            size = fitted.bytes_per_gaussian
+        yield method, Entry.of(scores, _seeds(method, seeds), size, time.perf_counter() - started)
 
 
-def _seeds(recipe: Recipe, seeds: Sequence[int]) -> list[int]:
-    """Full embeddings know no codebook."""
-    return [0] if recipe.coding == "dense" else list(seeds)
+def _seeds(method: Method, seeds: Sequence[int]) -> list[int]:
+    """Methods that know no seed are run once."""
+    return list(seeds) if method.random else [0]
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -16,18 +16,18 @@ from scoup.bench.environment import describe_environment
 from scoup.evaluate.metrics import Interval, bootstrap_interval
 from scoup.io import write_text
 
-VERSION = 1
+VERSION = 2
 ALL = "all cases"
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One recipe on one scene and case.
+    """One method on one scene and case.
 
     Attributes:
         seeds: of the codebook.
         bytes_per_gaussian: what it keeps.
-        seconds: it took, all seeds; codes that an earlier recipe had learned are not counted again.
+        seconds: it took, all seeds; codes that an earlier method had learned are not counted again.
         peak_by_seed, mask_by_seed: mIoU.
         peak, mask, best, hit: per pair, means over seeds (see ``Scores``).
         commit: of the code that ran; a file may hold entries of several.
@@ -67,7 +67,7 @@ class Entry:
 
 
 class Results:
-    """Entries by scene, case and recipe, and the file they are kept in.
+    """Entries by scene, case and method, and the file they are kept in.
 
     Attributes:
         path: the file, if they are kept.
@@ -95,27 +95,27 @@ class Results:
             )
         return cls(path, content)
 
-    def has(self, scene: str, case: str, recipe: str, seeds: list[int]) -> bool:
+    def has(self, scene: str, case: str, method: str, seeds: list[int]) -> bool:
         """Whether this need not be run."""
-        found = self._entries(scene, case).get(recipe)
+        found = self._entries(scene, case).get(method)
         return found is not None and found["seeds"] == seeds
 
-    def get(self, scene: str, case: str, recipe: str) -> Entry | None:
+    def get(self, scene: str, case: str, method: str) -> Entry | None:
         """An entry, if it is there."""
-        found = self._entries(scene, case).get(recipe)
+        found = self._entries(scene, case).get(method)
         return None if found is None else Entry(**found)
 
     def pairs(self, scene: str) -> list[list[str]]:
         """[frame, label] in the order of the scores."""
         return self.content["scenes"][scene]["pairs"]
 
-    def put(self, scene: str, case: str, recipe: str, pairs: Sequence[tuple[str, str]], entry: Entry) -> None:
+    def put(self, scene: str, case: str, method: str, pairs: Sequence[tuple[str, str]], entry: Entry) -> None:
         """Keep an entry and write the file."""
         of_scene = self.content["scenes"].setdefault(
             scene, {"pairs": [list(pair) for pair in pairs], "cases": {}}
         )
         entry = replace(entry, commit=str(self._environment["commit"]))
-        of_scene["cases"].setdefault(case, {})[recipe] = asdict(entry)
+        of_scene["cases"].setdefault(case, {})[method] = asdict(entry)
         self.content["environment"] = self._environment
         if self.path is not None:
             write_text(self.path, json.dumps(self.content, separators=(",", ":")), overwrite=True)
@@ -144,7 +144,7 @@ def summary(
     for name, way in ways.items():
         of_cases = {}
         for case in cases:
-            entries = [results.get(scene, case, way.recipe.key) for scene in scenes]
+            entries = [results.get(scene, case, way.method.name) for scene in scenes]
             known = [entry for entry in entries if entry is not None]
             commits |= {entry.commit for entry in known if entry.commit}
             if known and len(known) == len(entries):
@@ -213,7 +213,7 @@ def compare(
     for scene in scenes:
         of_cases = []
         for case in cases:
-            pair = [results.get(scene, case, way.recipe.key) for way in (first, second)]
+            pair = [results.get(scene, case, way.method.name) for way in (first, second)]
             if pair[0] is None or pair[1] is None:
                 return None
             ious = getattr(pair[0], first.level_choice), getattr(pair[1], second.level_choice)

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
 from benchmarks.voting_scenes import VotingScene
-from scoup import raster
-from scoup.baselines.fitted import embedding_cosines, image_relevancy
+from scoup.baselines.fitted import FittedMethod
 from scoup.evaluate.metrics import any_inside, iou
-from scoup.field.relevancy import relevancy
-from scoup.io.labels import LabelledFrame
 from scoup.query.localize import localize
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import choose_level, level_masks
-from scoup.synthetic.faults import LevelSums
 
 PRESET = QUERY_PRESETS["scoup"]
 
@@ -38,47 +32,12 @@ class Scores:
     hit: list[float]
 
 
-def score_sparse(scene: VotingScene, indices: Tensor, weights: Tensor, codebook: Tensor) -> Scores:
-    """Ask codes [N, S, K] over a codebook [S, L, D] everything."""
-
-    def maps() -> Iterator[Tensor]:
-        for frame, view in scene.frames:
-            queries = _queries(scene, frame)
-            cosines = raster.render_cosines(
-                view, indices, weights, codebook, torch.cat([queries, scene.canonical])
-            )
-            yield relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
-
-    return _score(scene, maps())
-
-
-def score_dense(scene: VotingScene, levels: Sequence[LevelSums]) -> Scores:
-    """Ask full embeddings everything. The maps of all frames are kept, the features of one level at a time."""
-    by_level = []
-    for level in levels:
-        features = torch.nn.functional.normalize(level.product(level.embeddings), dim=1)
-        by_level.append(
-            [
-                image_relevancy(
-                    raster.render_channels(view, features)[0],
-                    embedding_cosines,
-                    _queries(scene, frame),
-                    scene.canonical,
-                )
-                for frame, view in scene.frames
-            ]
-        )
-    return _score(scene, (torch.stack(maps) for maps in zip(*by_level, strict=True)))
-
-
-def _queries(scene: VotingScene, frame: LabelledFrame) -> Tensor:
-    return torch.stack([scene.queries[label] for label in frame.labels])
-
-
-def _score(scene: VotingScene, maps: Iterator[Tensor]) -> Scores:
-    """Relevancy [S, Q, H, W] of each frame to scores; the protocol of ``score_frame``, with every level's mask."""
+def score(scene: VotingScene, fitted: FittedMethod) -> Scores:
+    """Query a fitted method for everything: the protocol of ``score_frame``, with every level's mask."""
     scores = Scores([], [], [], [])
-    for (frame, _), of_frame in zip(scene.frames, maps, strict=True):
+    for frame, view in scene.frames:
+        queries = torch.stack([scene.queries[label] for label in frame.labels])
+        of_frame = fitted.relevancy(view, queries, scene.canonical)  # [S, Q, H, W]
         for position, label in enumerate(frame.labels):
             one = of_frame[:, position]
             smoothed, masks = level_masks(one, PRESET)

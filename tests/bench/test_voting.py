@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,15 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
+from scoup.baselines.method import DEFAULTS, Method
+from scoup.baselines.rasterised_scene import UpliftInputs
+from scoup.baselines.sparse import SparseUplift
 from scoup.evaluate.metrics import bootstrap_interval
 from scoup.evaluate.protocols.lerf_ovs import score_frame
 from scoup.field.relevancy import relevancy
 from scoup.query.presets import QUERY_PRESETS
 from scoup.synthetic.faults import as_region_sums
-from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 
 PARTS = ("_scenes", "_ways", "_scores", "_results")
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,6 +43,17 @@ def tiny(voting, rows: Path, **changes: Any):
     size = voting("_scenes").SceneSize(2500, 64, 48, n_building=4, n_held_out=2)
     given = {"scenes": ("table-0",), "cases": ("wrong20+rare",), "ways": WAYS, "seeds": (0,)}
     return voting().Arguments(**{**given, "epochs": 3, "rows": rows, "size": size, **changes})
+
+
+def effective(method: Method) -> BuildSettings:
+    """The settings of the build by which a sparse method is fitted."""
+    assert isinstance(method.uplift, SparseUplift)
+    return replace(DEFAULTS.build, **method.uplift.changes)
+
+
+def inputs_of(scene) -> UpliftInputs:
+    """What methods are fitted to, without faults."""
+    return UpliftInputs(as_region_sums(scene.levels), [level.embeddings for level in scene.levels])
 
 
 def test_from_arguments_to_the_table(voting, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -69,8 +84,8 @@ def test_from_arguments_to_the_table(voting, tmp_path: Path, capsys: pytest.Capt
     assert (out.read_bytes(), again.content) == (before, results.content)
 
     find_way, compare = voting("_ways").find_way, voting("_results").compare
-    ways = [find_way(name, 3) for name in ("exact-mask", "exact")]
-    entry = results.get("table-0", "wrong20+rare", ways[0].recipe.key)
+    ways = [find_way(name) for name in ("exact-mask", "exact")]
+    entry = results.get("table-0", "wrong20+rare", ways[0].method.name)
     assert entry.bytes_per_gaussian == 36
     assert entry.mask_by_seed == pytest.approx([sum(entry.mask) / len(entry.mask)], abs=1e-4)
     differences = [a - b for a, b in zip(entry.mask, entry.peak, strict=True)]
@@ -83,9 +98,10 @@ def test_scores_are_those_of_the_protocol(voting, tmp_path: Path) -> None:
     ways, scores = voting("_ways"), voting("_scores")
     arguments = tiny(voting, tmp_path / "voting.json")
     scene = voting().make_scene("table-0", arguments.data, arguments.size)
-    codes, codebook = ways.code(scene.levels, ways.EXACT, 0)
-    indices, weights = ways.vote(as_region_sums(scene.levels), codes, codebook, ways.EXACT)
-    found = scores.score_sparse(scene, indices, weights, codebook)
+    fitted = ways.WAYS["exact"].method.uplift(inputs_of(scene), DEFAULTS)
+    indices, weights = fitted.field.code_indices, fitted.field.code_weights
+    codebook = fitted.field.codebook
+    found = scores.score(scene, fitted)
     for name, values in (("scoup", found.peak), ("default", found.mask)):
         expected = []
         for frame, view in scene.frames:
@@ -113,26 +129,53 @@ def test_seeds_are_averaged_pair_by_pair(voting) -> None:
 
 def test_what_cannot_be(voting, tmp_path: Path) -> None:
     out = tmp_path / "voting.json"
-    out.write_text(json.dumps({"version": 1, "settings": {"draw": 9}, "scenes": {}}))
+    out.write_text(json.dumps({"version": voting("_results").VERSION, "settings": {"draw": 9}, "scenes": {}}))
     with pytest.raises(InputError, match="another --rows"):
         voting().main(tiny(voting, out))
     with pytest.raises(UnknownNameError, match="exact"):
-        voting("_ways").find_way("exakt", 3)
+        voting("_ways").find_way("exakt")
 
 
 def test_every_comparison_is_of_known_ways(voting) -> None:
     ways = voting("_ways")
     assert {name for pair in ways.COMPARISONS.values() for name in pair} <= set(ways.WAYS)
-    keys = {way.recipe.key for way in ways.WAYS.values()}
-    assert len(keys) == len({way.recipe for way in ways.WAYS.values()})
+    methods = {way.method for way in ways.WAYS.values()}
+    assert len({method.name for method in methods}) == len(methods)
+    # No two methods do the same, but for the default and the one that is named after what it does today.
+    builds = [effective(m) for m in methods if isinstance(m.uplift, SparseUplift)]
+    assert len(builds) == len(methods) - len({"dense", "exact-consensus"})
+    doubled = {build for build in builds if builds.count(build) > 1}
+    assert doubled <= {BUILD_PRESETS["default"]}
+    assert len(builds) - len(set(builds)) <= 1
 
 
-def test_the_default_way_is_what_build_and_query_do(voting) -> None:
+def test_ways_are_what_their_names_say(voting) -> None:
+    builds = {
+        name: effective(way.method)
+        for name, way in voting("_ways").WAYS.items()
+        if isinstance(way.method.uplift, SparseUplift)
+    }
+    del builds["default"]
+    for name, build in builds.items():
+        assert name.endswith("-mask") == (voting("_ways").WAYS[name].level_choice == "mask")
+        assert build.solver == ("adam" if name.startswith("paper") else "exact")
+        assert build.n_atoms == next((size for size in (32, 128, 256) if f"-{size}" in name), 64)
+        assert build.rounds == (3 if "rounds-3" in name else 2 if "rounds" in name else 1)
+        assert build.k == next((k for k in (1, 2, 8) if f"-k{k}" in name), 4)
+        assert build.keep == (0 if "no-top-k" in name else 4 if "keep-4" in name else build.k)
+
+
+def test_the_default_way_is_what_build_and_query_do(voting, tmp_path: Path) -> None:
     ways = voting("_ways")
     default, paper = ways.WAYS["default"], ways.WAYS["paper"]
     assert default.level_choice == QUERY_PRESETS["default"].level_choice
-    assert paper == ways.Way(ways.Recipe("adam", 4000, 64, 4, 4, False, 1), "peak")
-    everything = BuildSettings(solver="exact", n_atoms=300, keep=0)
-    assert ways.Recipe.of(everything).keep is None
-    assert ways.bytes_per_gaussian(ways.Recipe.of(everything), 3, 512) == 1800
-    assert ways.bytes_per_gaussian(ways.Recipe.of(BuildSettings(n_atoms=300)), 3, 512) == 48
+    assert effective(default.method) == BUILD_PRESETS["default"]
+    assert effective(paper.method) == BUILD_PRESETS["paper"]
+    assert effective(paper.method) == BuildSettings(64, 4, 4, 1, False, "adam", epochs=4000)
+    assert paper.level_choice == "peak"
+    arguments = tiny(voting, tmp_path / "voting.json")
+    scene = voting().make_scene("table-0", arguments.data, arguments.size)
+    inputs = inputs_of(scene)
+    for keep, size in ((0, 1800), (4, 48)):
+        uplift = SparseUplift(n_atoms=300, keep=keep, solver="adam", epochs=3)
+        assert uplift(inputs, DEFAULTS).bytes_per_gaussian == size

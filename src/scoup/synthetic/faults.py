@@ -54,10 +54,6 @@ class LevelSums:
         """N."""
         return len(self.matrix.indptr) - 1
 
-    def product(self, rows: Tensor) -> Tensor:
-        """A @ rows: [N, C] float32 sums over the regions of values [R, C] float32."""
-        return torch.from_numpy(self.matrix @ rows.numpy())
-
     def kept(self, regions: np.ndarray) -> LevelSums:
         """The regions [R] boolean alone."""
         rows = np.flatnonzero(regions)
