@@ -6,13 +6,10 @@ import dataclasses
 import functools
 import importlib.util
 import os
-import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package ``benchmarks``
 
 from scoup.base import native
 
