@@ -15,7 +15,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import mean
@@ -24,6 +23,8 @@ import torch
 import tyro
 
 import scoup
+from benchmarks.raster import report
+from scoup.base.measuring import timed
 from scoup.baselines.dense import dense_uplift
 from scoup.baselines.fitted import FittedMethod
 from scoup.baselines.method import DEFAULTS, MethodSettings
@@ -162,25 +163,6 @@ def summarise(scores: dict[str, SceneScore], arguments: Arguments, seconds: dict
     if arguments.out is not None:
         arguments.out.write_text(json.dumps(result, indent=1))
     return result
-
-
-class timed:
-    """Add the seconds a block takes to a dictionary."""
-
-    def __init__(self, seconds: dict[str, float], name: str) -> None:
-        self.seconds, self.name = seconds, name
-
-    def __enter__(self) -> None:
-        self.started = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds[self.name] = time.perf_counter() - self.started
-
-
-def report(stage: str, done: int, total: int) -> None:
-    """Progress on a terminal only."""
-    if sys.stderr.isatty():
-        print(f"\r{stage} {done}/{total} ", end="", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

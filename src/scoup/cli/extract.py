@@ -65,7 +65,7 @@ class Extract(WritesCommon):
         from scoup.base.processes import device_of_process, of_environment
         from scoup.extract import Output, extract, find_photographs, mask_settings
         from scoup.extract.registry import open_pair
-        from scoup.io.regions.views import FOLDER_NAME
+        from scoup.io.scene_parts import usual_features
 
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
@@ -74,7 +74,7 @@ class Extract(WritesCommon):
         )
         photographs = find_photographs(self.scene, self.images)
         processes = of_environment()
-        out = self.out or (self.scene if self.scene.is_dir() else self.scene.parent) / FOLDER_NAME
+        out = self.out or usual_features(self.scene)
         started = time.perf_counter()
         segmenter, embedder = open_pair(
             self.segmenter,

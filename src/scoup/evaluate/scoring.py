@@ -27,7 +27,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.rasterise import resumed
+from scoup.uplift.checkpoint import checkpoint
 
 
 def build_field(
@@ -56,22 +56,19 @@ def build_field(
             )
         return field
     regions = load_regions(scene.features, scene.cameras)
-    checkpoint = path.with_name(path.name + ".partial")
     path.parent.mkdir(parents=True, exist_ok=True)
-    sums = resumed(checkpoint, gaussians, regions, settings.raster_preset)
-    field = build(
-        gaussians,
-        scene.cameras,
-        regions,
-        settings=settings,
-        embedding_model=model,
-        geometry_path=scene.splat,
-        sums=sums,
-        progress=progress,
-    )
-    field.save(path, overwrite=True)
-    sums.close()
-    checkpoint.unlink(missing_ok=True)
+    with checkpoint(path, gaussians, regions, settings.raster_preset) as sums:
+        field = build(
+            gaussians,
+            scene.cameras,
+            regions,
+            settings=settings,
+            embedding_model=model,
+            geometry_path=scene.splat,
+            sums=sums,
+            progress=progress,
+        )
+        field.save(path, overwrite=True)
     # What is scored is what is stored, half precision included.
     return LanguageField.load(path, gaussians).to(device)
 

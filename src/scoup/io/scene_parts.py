@@ -34,8 +34,13 @@ def find_features(scene: Path, features: Path | None = None) -> Path:
     """
     if features is not None:
         return features
-    folder = (scene if scene.is_dir() else scene.parent) / FOLDER_NAME
+    folder = usual_features(scene)
     if not folder.is_dir():
         problem = "there is no such folder (the region features were expected here)"
         raise MissingFileError(folder, problem, "say where they are with --features")
     return folder
+
+
+def usual_features(scene: Path) -> Path:
+    """The folder in which the region features of a scene are, or will be, unless another one is named."""
+    return (scene if scene.is_dir() else scene.parent) / FOLDER_NAME
