@@ -188,7 +188,7 @@ def test_everyday_words_of_a_model_are_a_fixed_list(clip_folder: Path) -> None:
     from scoup.models.words import EVERYDAY_WORDS
 
     encoder = TextEncoder.open(clip_folder)
-    assert encoder.table_names is None
+    assert encoder.names is None
     assert encoder.everyday().shape == (len(EVERYDAY_WORDS), 12)
     both = encoder.canonical(everyday=True)
     assert torch.equal(both[:4], encoder.canonical())

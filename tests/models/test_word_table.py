@@ -180,7 +180,7 @@ def test_everyday_words_of_a_table_are_its_other_names(tmp_path: Path) -> None:
     vectors = np.random.default_rng(0).normal(size=(6, 5)).astype(np.float32)
     save_table(tmp_path / "words.npz", names, vectors)
     encoder = TextEncoder.open(tmp_path / "words.npz")
-    assert encoder.table_names == tuple(names)
+    assert encoder.names == tuple(names)
     assert torch.equal(encoder.everyday(), encoder.encode(["red apple", "chair"]))
     assert torch.equal(encoder.canonical(), encoder.encode(["object", "things", "stuff", "texture"]))
     assert torch.equal(encoder.canonical(everyday=True), encoder.canonical())  # two words are too few

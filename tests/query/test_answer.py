@@ -15,7 +15,7 @@ from scoup.query.answer import Answer, SceneAnswer, answer_scene, answer_view
 from scoup.query.localize import localize
 from scoup.query.presence import scene_z_scores, view_z_scores
 from scoup.query.presets import QUERY_PRESETS
-from scoup.query.segment import segment
+from scoup.query.segment import component_of, mask_box, segment
 from scoup.query.select import select_each
 
 
@@ -28,12 +28,14 @@ def test_an_answer_is_point_and_mask(queried: Queried, name: str) -> None:
     for relevancy, answer in zip(maps.unbind(1), answers, strict=True):
         place, shape = localize(relevancy, preset), segment(relevancy, preset)
         assert answer.mask.equal(shape.mask)
-        assert (answer.box, answer.coverage, answer.score) == (shape.box, shape.coverage, shape.score)
+        assert (answer.coverage, answer.score) == (shape.coverage, shape.score)
+        assert answer.component.equal(component_of(shape.mask, place.pixel, shape.smoothed))
+        assert answer.box == mask_box(answer.component)
         assert answer.level == field.levels[shape.level]
-        assert answer.relevancy.equal(relevancy[shape.level])
+        assert answer.heat.equal(relevancy[shape.level])
         assert (answer.point, answer.point_score) == (place.pixel, place.score)
         assert answer.point_level == field.levels[place.level]
-        assert (answer.z_score, answer.is_present) == (None, True)
+        assert (answer.z_score, answer.presence) == (None, True)
         assert not {"z_score", "present"} & set(answer.record())
 
 
@@ -45,16 +47,16 @@ def test_what_is_absent_gets_neither_mask_nor_point(queried: Queried) -> None:
     scores = view_z_scores(field, projection, shapes, texts.queries, texts.everyday).tolist()
     middle = sorted(scores)[5]
     answers = answer_view(field, camera, texts, present_from=middle, projection=projection)
-    assert sum(answer.is_present for answer in answers) == 6
+    assert sum(answer.presence for answer in answers) == 6
     for answer, shape, z_score in zip(answers, shapes, scores, strict=True):
         assert answer.z_score == pytest.approx(z_score, abs=1e-4)
-        assert answer.is_present == (answer.z_score is not None and answer.z_score >= middle)
+        assert answer.presence == (answer.z_score is not None and answer.z_score >= middle)
         assert answer.score == pytest.approx(shape.score, abs=1e-5)
-        if not answer.is_present:
+        if not answer.presence:
             assert (answer.point, answer.box, answer.coverage) == (None, None, 0.0)
             assert not answer.mask.any()
         record = json.loads(json.dumps(answer.record(), allow_nan=False))
-        assert record["present"] == answer.is_present
+        assert record["present"] == answer.presence
         assert record["z_score"] == pytest.approx(z_score, abs=1e-3)
 
 
@@ -64,20 +66,20 @@ def test_answers_of_a_scene(queried: Queried) -> None:
     scores = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
     answers = answer_scene(field, texts, 0.5, 10)
     judged = answer_scene(field, texts, 0.5, 10, present_from=sorted(scores)[5])
-    assert sum(answer.is_present for answer in judged) == 6
+    assert sum(answer.presence for answer in judged) == 6
     for each, z_score, answer, other in zip(found, scores, answers, judged, strict=True):
         assert answer.mask.equal(each.mask)
         assert (answer.level, answer.score) == (field.levels[each.level], each.score)
         assert (answer.z_score, other.z_score) == (None, z_score)
-        assert other.mask.equal(each.mask & other.is_present)
+        assert other.mask.equal(each.mask & other.presence)
         record = json.loads(json.dumps(other.record(), allow_nan=False))
         assert record["gaussians"] == int(other.mask.sum())
-        assert record["present"] == other.is_present
+        assert record["present"] == other.presence
 
 
 def test_records_hold_no_infinity() -> None:
     nothing = torch.zeros(2, 3, dtype=torch.bool)
-    answer = Answer(nothing, None, 0.0, "s", 0.5, None, "m", 0.5, nothing.float(), -torch.inf, False)
+    answer = Answer(nothing, nothing.float(), nothing, None, 0.0, "s", 0.5, None, "m", 0.5, -torch.inf, False)
     assert answer.record() == {
         "level": "s",
         "score": 0.5,
@@ -89,7 +91,7 @@ def test_records_hold_no_infinity() -> None:
         "z_score": None,
         "present": False,
     }
-    record = SceneAnswer(nothing[0], "s", -torch.inf).record()
+    record = SceneAnswer(nothing[0], nothing[0].float(), "s", -torch.inf).record()
     assert record == {"gaussians": 0, "level": "s", "score": None}
 
 
@@ -101,3 +103,21 @@ def test_presence_needs_enough_words(queried: Queried) -> None:
         answer_view(queried.field, queried.camera, few, present_from=2)
     with pytest.raises(InputError, match="everyday words or more"):
         answer_scene(queried.field, few, present_from=2)
+
+
+def test_the_box_and_the_crop_follow_the_component() -> None:
+    mask = torch.zeros(20, 30, dtype=torch.bool)
+    mask[5:9, 10:16] = mask[19, 0] = True
+    component = mask.clone()
+    component[19, 0] = False
+    answer = Answer(mask, mask.float(), component, (10, 5, 16, 9), 0.04, "s", 0.9, (12, 6), "s", 0.9)
+    image = torch.arange(600).view(20, 30)
+    assert answer.crop(image) is not None
+    assert torch.equal(answer.crop(image), image[5:9, 10:16])  # pyright: ignore[reportArgumentType]
+    assert answer.crop(image, margin=12).shape == (20, 28)  # pyright: ignore[reportOptionalMemberAccess]
+    assert replace(answer, box=None).crop(image) is None
+    for wrong in (image[1:], image.T):
+        with pytest.raises(InputError, match="cannot be cropped"):
+            answer.crop(wrong)
+    with pytest.raises(InputError, match="margin of -1"):
+        answer.crop(image, -1)

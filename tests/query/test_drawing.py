@@ -22,7 +22,7 @@ def test_pictures_of_an_answer(queried: Queried) -> None:
     drawn = draw_answer(answer, rgb, "kettle")
     assert list(drawn) == ["heat", "mask", "overlay"]
     assert drawn["mask"] is answer.mask
-    absent = draw_answer(replace(answer, is_present=False), rgb, "kettle")
+    absent = draw_answer(replace(answer, presence=False), rgb, "kettle")
     assert np.array_equal(np.asarray(absent["heat"]), np.asarray(drawn["heat"]))
     assert not np.array_equal(np.asarray(absent["overlay"]), np.asarray(drawn["overlay"]))  # the remark
 
@@ -33,7 +33,7 @@ def test_drawings_of_a_view(queried: Queried) -> None:
     rgb = raster.render_colors(field.gaussians, camera, projection)
     assert np.array_equal(color_drawing(field)(camera, projection), as_picture(rgb))
     answer = answer_view(field, camera, queried.texts, projection=projection)[0]
-    expected = heat_map(answer.relevancy, rgb, "kettle", answer.level, answer.score)
+    expected = heat_map(answer.heat, rgb, "kettle", answer.level, answer.score)
     assert np.array_equal(relevancy_drawing(field, queried.texts, "kettle")(camera, projection), expected)
 
 

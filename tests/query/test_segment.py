@@ -13,7 +13,7 @@ from query.box_means import literal_box_mean
 from scoup.base.errors import InputError
 from scoup.query.localize import localize
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
-from scoup.query.segment import choose_level, level_masks, segment
+from scoup.query.segment import choose_level, component_of, level_masks, mask_box, segment
 
 
 def literal_segment(relevancy: np.ndarray, preset: QueryPreset) -> tuple[np.ndarray, int, float]:
@@ -48,7 +48,7 @@ def test_segment_equals_the_protocol_read_literally(
     assert found.coverage == pytest.approx(mask.mean())
     rows, columns = np.nonzero(mask)
     expected = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1) if mask.any() else None
-    assert found.box == expected
+    assert mask_box(found.mask) == expected
 
 
 def test_segment_finds_a_square_at_the_level_that_shows_it() -> None:
@@ -57,7 +57,7 @@ def test_segment_finds_a_square_at_the_level_that_shows_it() -> None:
     relevancy[2, 5:30, 5:30] = 0.8
     found = segment(relevancy)
     # At a straight edge the box is 4 / 7 inside: 0.786 of the range, just below the threshold's 0.8.
-    assert (found.level, found.box) == (1, (31, 21, 59, 39))
+    assert (found.level, mask_box(found.mask)) == (1, (31, 21, 59, 39))
     assert found.mask[24:36, 34:56].all()
     assert found.coverage == pytest.approx(18 * 28 / (60 * 80), rel=0.06)
 
@@ -103,7 +103,7 @@ def test_levels_with_empty_masks_answer_only_if_all_are_empty() -> None:
     nothing = torch.full((3, 20, 20), 0.5)
     nothing[1:, 10, 10] = 1.0
     found = segment(nothing, QUERY_PRESETS["default"])
-    assert (found.level, found.box) == (1, None)
+    assert (found.level, mask_box(found.mask)) == (1, None)
 
 
 @pytest.mark.parametrize("choice", ["peak", "mask"])
@@ -119,7 +119,7 @@ def test_the_first_of_equal_levels_answers(choice) -> None:
 def test_constant_maps_give_empty_masks_and_every_pixel_as_maximum() -> None:
     relevancy = torch.full((2, 9, 15), 0.5)
     found = segment(relevancy)
-    assert (found.level, found.box, found.coverage) == (0, None, 0.0)
+    assert (found.level, mask_box(found.mask), found.coverage) == (0, None, 0.0)
     assert found.score == pytest.approx(0.5)
     place = localize(relevancy)
     assert len(place.pixels) == 9 * 15
@@ -158,3 +158,43 @@ def test_the_core_is_the_more_relevant_half_of_the_mask() -> None:
 def test_an_empty_mask_gives_the_peak() -> None:
     found = segment(torch.full((3, 9, 9), 0.5))
     assert (found.level, int(found.core().sum())) == (0, 81)
+
+
+def test_the_component_holds_the_point_and_leaves_specks() -> None:
+    mask = torch.zeros(30, 40, dtype=torch.bool)
+    mask[10:20, 10:20] = True
+    mask[20, 20] = True  # touches at a corner
+    mask[2, 35] = mask[28, 1] = True  # specks
+    smoothed = torch.where(mask, 0.7, 0.5)
+    found = component_of(mask, (12, 15), smoothed)
+    assert mask_box(found) == (10, 10, 21, 21)
+    assert int(found.sum()) == 101
+    assert mask_box(component_of(mask, (35, 2), smoothed)) == (35, 2, 36, 3)
+    smoothed[28, 1] = 0.9
+    # A point of another level may lie beside the mask: then its most relevant pixel decides.
+    assert mask_box(component_of(mask, (0, 0), smoothed)) == (1, 28, 2, 29)
+    assert not component_of(torch.zeros(3, 4, dtype=torch.bool), (1, 1), torch.zeros(3, 4)).any()
+
+
+@settings(max_examples=40)
+@given(shapes, st.integers(0, 2**31))
+def test_a_component_is_what_a_flood_reaches(shape: tuple[int, int], seed: int) -> None:
+    random = torch.Generator().manual_seed(seed)
+    mask = torch.rand(shape, generator=random) < 0.4
+    smoothed = torch.rand(shape, generator=random)
+    x, y = int(seed % shape[1]), int(seed // 7 % shape[0])
+    found = component_of(mask, (x, y), smoothed)
+    if not mask.any():
+        assert not found.any()
+        return
+    if not mask[y, x]:
+        y, x = divmod(int(torch.where(mask, smoothed, -1.0).argmax()), shape[1])
+    reached, waiting = set(), [(y, x)]
+    while waiting:
+        row, column = waiting.pop()
+        inside = 0 <= row < shape[0] and 0 <= column < shape[1]
+        if (row, column) in reached or not inside or not mask[row, column]:
+            continue
+        reached.add((row, column))
+        waiting += [(row + i, column + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    assert {tuple(place) for place in found.nonzero().tolist()} == reached

@@ -13,12 +13,12 @@ import scoup
 from scoup import raster
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.native import native_core
-from scoup.coding.embeddings import normalise_embeddings
 from scoup.coding.encode import encode
 from scoup.field.language_field import LanguageField
 from scoup.pictures.colors import code_picture
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
+from scoup.scene.directions import normalise_embeddings
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import build

@@ -33,7 +33,7 @@ from torch import Tensor, nn
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
-from scoup.coding.embeddings import normalise_embeddings
+from scoup.scene.directions import normalise_embeddings
 
 COSINE_WEIGHT = 1e-3
 KEPT_OF_LAST = 4  # epochs

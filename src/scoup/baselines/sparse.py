@@ -14,9 +14,9 @@ from scoup.baselines.fitted import FittedField
 from scoup.baselines.method import MethodSettings
 from scoup.baselines.rasterised_scene import Coder, Codes, UpliftInputs
 from scoup.coding.adam import AdamSettings, solve_adam
-from scoup.coding.embeddings import normalise_embeddings
 from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
+from scoup.scene.directions import normalise_embeddings
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_codes import learn_codebook
 from scoup.uplift.vote import GaussianCodes, vote

@@ -14,7 +14,6 @@ from scoup.cli.query_options import (
     TextOptions,
     absence_message,
     check_texts,
-    presence_threshold,
 )
 from scoup.cli.staging import check_folder, check_outputs, staged
 
@@ -101,6 +100,8 @@ class Query(TextOptions, CameraOptions):
 
     def _present_from(self, texts: TextVectors) -> float | None:
         """The z-score from which a text counts as present; None where something is found always."""
+        from scoup.query.presence import presence_threshold
+
         if self.always or (self.presence is None and self.rule != "default"):
             return None
         return presence_threshold(texts, self.presence)
@@ -143,7 +144,7 @@ class Query(TextOptions, CameraOptions):
 def _sees_nothing(field: LanguageField, projection: Projection, answers: list[Answer]) -> bool:
     """Whether nothing of the field is visible."""
     # Relevancy is 0.5 wherever nothing is rendered; only then is it worth a render to find out.
-    return all((each.relevancy == 0.5).all() for each in answers) and not field.is_visible(projection)
+    return all((each.heat == 0.5).all() for each in answers) and not field.is_visible(projection)
 
 
 def _sentence(record: dict[str, Any], present_from: float | None) -> str:

@@ -137,23 +137,12 @@ class TextOptions(FieldOptions):
             InputError, UnknownNameError: as ``scoup.query.text_vectors.encode_texts``; or neither the options nor
                 the field name a model or table.
         """
-        from scoup.base.errors import InputError
         from scoup.models.text import TextEncoder
         from scoup.query.text_vectors import encode_texts
 
-        source = self.text or self._named_by(field)
-        if not source:
-            raise InputError(f"{self.field}: names no embedding model; give a table or model with --text")
+        source = self.text or field.encoder_source
         with TextEncoder.open(source, device=self.device) as encoder:
             return encode_texts(encoder, field, texts, source)
-
-    def _named_by(self, field: LanguageField) -> str:
-        """The model the field names; a table is sought beside the field, as its geometry is."""
-        from scoup.models.word_table import is_table
-
-        name = field.info.embedding_model
-        beside = self.field.parent / name
-        return str(beside) if name and is_table(name) and beside.is_file() else name
 
 
 def check_texts(texts: tuple[str, ...]) -> None:
@@ -162,30 +151,6 @@ def check_texts(texts: tuple[str, ...]) -> None:
 
     if not texts:
         raise InputError('name at least one text to look for, for example "kettle"')
-
-
-def presence_threshold(texts: TextVectors, wanted: float | None) -> float | None:
-    """The z-score from which a text counts as present; None where a table has too few words to judge it.
-
-    Args:
-        texts: with the everyday words to compare with.
-        wanted: the value of --presence, None if it was not given.
-
-    Raises:
-        InputError: there are too few words, and --presence was given.
-    """
-    from scoup.base.errors import InputError
-    from scoup.models.words import LEAST_WORDS
-    from scoup.query.presence import PRESENT_FROM
-
-    if texts.can_judge_presence:
-        return PRESENT_FROM if wanted is None else wanted
-    if wanted is not None:
-        raise InputError(
-            f"{texts.source}: has {len(texts.everyday)} words; --presence compares with {LEAST_WORDS} or more, so "
-            "add any words to the table"
-        )
-    return None
 
 
 def absence_message(place: str, z_score: float | None, threshold: float | None) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalNumber, Texts, common_last
-from scoup.cli.query_options import TextOptions, absence_message, check_texts, presence_threshold
+from scoup.cli.query_options import TextOptions, absence_message, check_texts
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -48,6 +48,7 @@ class Select(TextOptions):
         """Choose and write."""
         from scoup.io import write_ply_table
         from scoup.query.answer import answer_scene
+        from scoup.query.presence import presence_threshold
 
         self._check_options()
         field = self.open_field()
@@ -65,7 +66,7 @@ class Select(TextOptions):
         absent = [
             f"{text}: {absence_message('scene', answer.z_score, present_from)}"
             for text, answer in zip(self.texts, answers, strict=True)
-            if not answer.is_present
+            if not answer.presence
         ]
         for message in absent:
             console.say(message)

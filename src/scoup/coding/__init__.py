@@ -13,10 +13,10 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.coding.adam import AdamSettings, solve_adam
 from scoup.coding.codebook import Codebook, Encoded
-from scoup.coding.embeddings import normalise_embeddings
 from scoup.coding.exact import EFFORTS, solve_exact
 from scoup.coding.report import CodingReport, report_on
 from scoup.scene.codes import SparseCodes, index_dtype
+from scoup.scene.directions import normalise_embeddings
 
 __all__ = ["SOLVERS", "Codebook", "CodingReport", "Encoded", "fit_codes"]
 

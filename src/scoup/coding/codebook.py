@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.coding.embeddings import normalise_embeddings
 from scoup.coding.encode import encode
 from scoup.coding.kmeans import spherical_kmeans
 from scoup.coding.report import CodingReport, decoded_cosines, report_with_more
 from scoup.scene.codes import SparseCodes, index_dtype
+from scoup.scene.directions import normalise_embeddings
 
 STARTS = 4  # of k-means for appended atoms; a single start often misses one of the new things
 SAME_ATOM = 1e-6  # 1 - cosine

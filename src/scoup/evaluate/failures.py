@@ -72,7 +72,7 @@ def failure_sheet(
         tiles += [
             mask_overlay(truth.masks[pair.label], rgb, corners, None, name, remark, TRUTH_COLOR),
             heat_map(relevancy[found.level], rgb, "relevancy", level, found.score),
-            mask_overlay(found.mask, rgb, found.box, point, "found", f"IoU {pair.iou:.2f}"),
+            mask_overlay(found.mask, rgb, None, point, "found", f"IoU {pair.iou:.2f}"),
         ]
     count = len({pair.label for pair in score.pairs})
     heading = f"{score.scene}: the worst {len(worst)} of {count} queries; scene mIoU {score.miou:.2f}"

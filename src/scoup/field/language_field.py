@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup import raster
@@ -19,14 +22,16 @@ from scoup.field.artefact import (
 )
 from scoup.field.cosine_cache import CosineCache, FieldCodes
 from scoup.field.relevancy import relevancy
+from scoup.query.methods import FieldQueries
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import cosines_from_codes
-from scoup.scene.gaussians import Gaussians
+from scoup.scene.directions import query_vectors
+from scoup.scene.gaussians import Gaussians, chosen_rows
 
 GAUSSIANS_AT_A_TIME = 65536
 
 
-class LanguageField:
+class LanguageField(FieldQueries):
     """Sparse codes of every Gaussian at every level, their codebook, and the geometry they belong to.
 
     Args:
@@ -37,6 +42,9 @@ class LanguageField:
         gaussians: the geometry; None loads it from ``geometry_path`` when first needed.
         geometry_path: the file with the geometry.
         cameras: of the views it was built from, so that it can be queried without its scene folder.
+
+    Attributes:
+        path: the file it was read from or last saved to, if any.
 
     Raises:
         InputError: shapes, dtypes or values do not fit together.
@@ -61,6 +69,7 @@ class LanguageField:
         self.info = info
         self.geometry_path = geometry_path
         self.cameras = cameras
+        self.path: Path | None = None
         self._gaussians = None
         self._cosine_cache = CosineCache()
         if gaussians is not None:
@@ -71,6 +80,34 @@ class LanguageField:
     @property
     def levels(self) -> tuple[str, ...]:
         return self.info.levels
+
+    @property
+    def embedding_model(self) -> str:
+        """Id of the model, or file of the word table, that queries must come from; "" if it is not known."""
+        return self.info.embedding_model
+
+    @property
+    def encoder_source(self) -> str:
+        """The model or table to open for texts: a table is sought beside the field's file, as its geometry is.
+
+        Raises:
+            InputError: the field names none.
+        """
+        from scoup.models.word_table import is_table
+
+        name = self.embedding_model
+        if not name:
+            raise InputError(
+                f"{self.path or 'this field'}: names no embedding model; give a word table, a model id, or a dict of "
+                "name -> vector (encoder=... in Python, --text on the command line)"
+            )
+        beside = None if self.path is None else self.path.parent / name
+        return str(beside) if beside is not None and is_table(name) and beside.is_file() else name
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the geometry the field belongs to (``Gaussians.fingerprint``)."""
+        return self.info.fingerprint
 
     @property
     def n_atoms(self) -> int:
@@ -99,6 +136,7 @@ class LanguageField:
             geometry_path=self.geometry_path,
             cameras=self.cameras,
         )
+        moved.path = self.path
         moved._gaussians = None if self._gaussians is None else self._gaussians.to(device)
         return moved
 
@@ -147,28 +185,73 @@ class LanguageField:
             )
         self._gaussians = gaussians
 
+    def camera(self, camera: Camera | str | int) -> Camera:
+        """A camera by its name (with or without extension) or position among ``cameras``; a camera is itself.
+
+        Raises:
+            UnknownNameError: there is no camera of that name.
+            InputError: there are no cameras, or fewer.
+        """
+        if isinstance(camera, Camera):
+            return camera
+        if self.cameras is None or not len(self.cameras):
+            raise InputError(
+                "this field holds no cameras; give a Camera (scoup.load_cameras reads those of a scene)"
+            )
+        try:
+            return self.cameras[camera]
+        except IndexError:
+            raise InputError(f"there is no camera {camera}; this field has {len(self.cameras)}") from None
+
+    def select(self, chosen: Tensor | ArrayLike) -> LanguageField:
+        """The field of some of the Gaussians, to be queried and saved as any other; ``field[mask]`` is the same.
+
+        Args:
+            chosen: a boolean mask [N], or indices [M] in the order wanted.
+
+        Returns:
+            A field with a geometry of its own, which ``save`` embeds in the file. It has no region sums: to add or
+            remove views, build it again.
+
+        Raises:
+            InputError: there is no such Gaussian, or the geometry cannot be loaded.
+        """
+        gaussians = self.gaussians.select(chosen)
+        rows = chosen_rows(chosen, len(self)).to(self.codebook.device)
+        provenance = {**self.info.provenance, "selected_from": self.fingerprint}
+        info = replace(
+            self.info, fingerprint=gaussians.fingerprint(), n_gaussians=len(gaussians), provenance=provenance
+        )
+        codes = self.code_indices[rows], self.code_weights[rows], self.codebook
+        selected = LanguageField(*codes, info, cameras=self.cameras)
+        selected.attach(gaussians, known=True)
+        return selected
+
+    def __getitem__(self, chosen: Tensor | ArrayLike) -> LanguageField:
+        return self.select(chosen)
+
     # ---- renders and relevancy
 
-    def project(self, camera: Camera, backend: str | None = None) -> raster.Projection:
+    def project(self, camera: Camera | str | int, backend: str | None = None) -> raster.Projection:
         """The scene projected to a camera; pass it to the methods below to do several things with one camera.
 
         The first ``relevancy`` with it takes longest: for as long as the projection lives, the field keeps what further
         queries reuse (``scoup.field.cosine_cache``), 8 bytes a pixel and level.
         """
-        return raster.project(self.gaussians, camera, self.info.raster_preset, backend)
+        return raster.project(self.gaussians, self.camera(camera), self.info.raster_preset, backend)
 
     def is_visible(self, projection: raster.Projection) -> bool:
         """Whether a Gaussian with a code paints any pixel."""
         image, _ = raster.render_channels(projection, self.coded()[:, None].float())
         return bool(image.any())
 
-    def render_codes(self, camera: Camera, projection: raster.Projection | None = None) -> Tensor:
+    def render_codes(self, camera: Camera | str | int, projection: raster.Projection | None = None) -> Tensor:
         """[S, H, W, L] float32 rendered coefficients of every level."""
         projection = self.project(camera) if projection is None else projection
         return raster.render_codes(projection, self.code_indices, self.code_weights, self.n_atoms)
 
     def render_features(
-        self, camera: Camera, level: str | int, projection: raster.Projection | None = None
+        self, camera: Camera | str | int, level: str | int, projection: raster.Projection | None = None
     ) -> Tensor:
         """[H, W, D] float32 decoded features of one level, unit norm per pixel, zero where nothing is rendered."""
         index = self.level_index(level)
@@ -179,9 +262,9 @@ class LanguageField:
 
     def relevancy(
         self,
-        camera: Camera,
-        queries: Tensor,
-        canonical: Tensor,
+        camera: Camera | str | int,
+        queries: Tensor | ArrayLike,
+        canonical: Tensor | ArrayLike,
         projection: raster.Projection | None = None,
     ) -> Tensor:
         """Relevancy of every pixel to every query at every level (method.md, stage 3).
@@ -190,43 +273,64 @@ class LanguageField:
         largest cosine are known by then. Results differ from those of a fresh projection by rounding, about 1e-6.
 
         Args:
-            camera: of the view.
-            queries: [Q, D] unit-norm text embeddings.
-            canonical: [P, D] unit-norm embeddings of the canonical phrases.
+            camera: of the view, or its name or position among ``cameras``.
+            queries: [Q, D] or [D] text embeddings; scaled to unit norm.
+            canonical: [P, D] embeddings of the canonical phrases. Rows longer than 1 are scaled to unit norm; shorter
+                ones stay, as the mean of everyday words does (``scoup.models.words.with_everyday``).
             projection: what ``project`` gave for this camera, if it is known; keep it for further queries.
 
         Returns:
             [S, Q, H, W] float32 in 0..1; 0.5 where no code is rendered.
 
         Raises:
-            InputError: there is no query or no phrase, or they have another size than the field's embeddings.
+            InputError: there is no query or no phrase, one is zero or not finite, or they have another size than the
+                field's embeddings.
         """
-        both = self._checked_vectors(queries, canonical)
+        both, count = self._checked_vectors(queries, canonical)
         codes = FieldCodes(self.code_indices, self.code_weights, self.codebook)
         if projection is None:
             cosines = raster.render_cosines(
                 self.project(camera), codes.indices, codes.weights, codes.codebook, both
             )
-            return relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
-        return self._cosine_cache.relevancy(projection, codes, both[: len(queries)], both[len(queries) :])
+            return relevancy(cosines[:, :count], cosines[:, count:])
+        return self._cosine_cache.relevancy(projection, codes, both[:count], both[count:])
 
-    def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
+    def gaussian_relevancy(self, queries: Tensor | ArrayLike, canonical: Tensor | ArrayLike) -> Tensor:
         """Relevancy of every Gaussian's own code, without rendering: [S, Q, N] float32; 0.5 without a code.
+
+        Args:
+            queries, canonical: as for ``relevancy``.
 
         Raises:
             InputError: as ``relevancy``.
         """
-        both, count = self._checked_vectors(queries, canonical), len(queries)
+        both, count = self._checked_vectors(queries, canonical)
         out = torch.empty(len(self.levels), count, len(self), device=both.device)
-        for start in range(0, len(self), GAUSSIANS_AT_A_TIME):
-            rows = slice(start, start + GAUSSIANS_AT_A_TIME)
-            for level, atoms in enumerate(self.codebook):
-                indices, weights = self.code_indices[rows, level].long(), self.code_weights[rows, level]
-                dense = torch.zeros(len(indices), self.n_atoms, device=both.device)
-                dense.scatter_add_(1, indices, weights.float())
+        for level, atoms in enumerate(self.codebook):
+            for rows, dense in self._dense_codes(level):
                 cosines = cosines_from_codes(dense, atoms, both).T[None]
                 out[level, :, rows] = relevancy(cosines[:, :count], cosines[:, count:])[0]
         return out
+
+    def gaussian_features(self, level: str | int) -> Tensor:
+        """The decoded codes of all Gaussians at one level: [N, D] float32, unit norm; zero without a code.
+
+        Raises:
+            InputError: there is no such level.
+        """
+        index = self.level_index(level)
+        out = torch.empty(len(self), self.dim, device=self.codebook.device)
+        for rows, dense in self._dense_codes(index):
+            out[rows] = torch.nn.functional.normalize(dense @ self.codebook[index], dim=1)
+        return out
+
+    def _dense_codes(self, level: int) -> Iterator[tuple[slice, Tensor]]:
+        """The codes of one level as [M, L] float32, some Gaussians at a time, with their rows."""
+        for start in range(0, len(self), GAUSSIANS_AT_A_TIME):
+            rows = slice(start, start + GAUSSIANS_AT_A_TIME)
+            indices, weights = self.code_indices[rows, level].long(), self.code_weights[rows, level]
+            dense = torch.zeros(len(indices), self.n_atoms, device=self.codebook.device)
+            yield rows, dense.scatter_add_(1, indices, weights.float())
 
     def level_index(self, level: str | int) -> int:
         """Position of a level given by name or position."""
@@ -268,6 +372,7 @@ class LanguageField:
             self.cameras,
         )
         write_field(parts, Path(path), overwrite, weight_bits)
+        self.path = Path(path)
 
     @classmethod
     def load(cls, path: str | Path, gaussians: Gaussians | None = None) -> LanguageField:
@@ -286,18 +391,24 @@ class LanguageField:
         with field_damage_named(path):
             codes = parts.code_indices, parts.code_weights, parts.codebook
             loaded = cls(*codes, parts.info, geometry_path=parts.geometry_path, cameras=parts.cameras)
+        loaded.path = path
         if gaussians is not None:
             loaded.attach(gaussians, f"{path} with the Gaussians given")
         elif parts.gaussians is not None:
             loaded.attach(parts.gaussians, f"{path}, the Gaussians embedded in it")
         return loaded
 
-    def _checked_vectors(self, queries: Tensor, canonical: Tensor) -> Tensor:
-        """Queries and phrases in one [Q + P, D] float32 on the field's device."""
-        for name, vectors in (("queries", queries), ("canonical", canonical)):
-            if vectors.dim() != 2 or vectors.shape[1] != self.dim or not len(vectors):
-                raise InputError(
-                    f"{name} {list(vectors.shape)} must be [count, {self.dim}]: this field holds embeddings of "
-                    f"{self.info.embedding_model or 'an unnamed model'} with {self.dim} dimensions"
-                )
-        return torch.cat([queries, canonical]).float().to(self.codebook.device)
+    def _checked_vectors(
+        self, queries: Tensor | ArrayLike, canonical: Tensor | ArrayLike
+    ) -> tuple[Tensor, int]:
+        """Queries and phrases in one [Q + P, D] float32 on the field's device, and Q."""
+        try:
+            queries = query_vectors(queries, self.dim)
+            canonical = query_vectors(canonical, self.dim, "canonical", lengthen=False)
+        except InputError as error:
+            raise InputError(
+                f"{error}; this field holds embeddings of {self.embedding_model or 'an unnamed model'} with "
+                f"{self.dim} dimensions"
+            ) from error
+        device = self.codebook.device
+        return torch.cat([queries.to(device), canonical.to(device)]), len(queries)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameError
@@ -32,26 +33,29 @@ class TextEncoder:
         name: id of the embedding model, "" if a table does not name it. Queries of a field must come from the model
             that embedded its regions.
         dim: D, the size of a vector.
-        table_names: the names in a table; None for a model, which takes any phrase.
+        names: those in a table or dict; None for a model, which takes any phrase.
     """
 
-    def __init__(
-        self, name: str, dim: int, encode: Encode, table_names: tuple[str, ...] | None = None
-    ) -> None:
+    def __init__(self, name: str, dim: int, encode: Encode, names: tuple[str, ...] | None = None) -> None:
         self.name = name
         self.dim = dim
-        self.table_names = table_names
+        self.names = names
         self._encode: Encode | None = encode
+        self._canonical: Tensor | None = None
+        self._everyday: Tensor | None = None
 
     @classmethod
     def open(
-        cls, model_or_table: str | Path, revision: str | None = None, device: torch.device | str = "cpu"
+        cls,
+        model_or_table: str | Path | Mapping[str, Tensor | ArrayLike],
+        revision: str | None = None,
+        device: torch.device | str = "cpu",
     ) -> TextEncoder:
-        """A text encoder of a word table, or of a CLIP or SigLIP model.
+        """A text encoder of a word table, a dict, or a CLIP or SigLIP model.
 
         Args:
-            model_or_table: a word table (.npz, .json, .safetensors; see ``scoup.models.word_table.load_table``), or
-                a model: a folder or hub id that transformers knows, such as
+            model_or_table: a word table (.npz, .json, .safetensors; see ``scoup.models.word_table.load_table``), a dict
+                of name -> vector [D], or a model: a folder or hub id that transformers knows, such as
                 "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", or "open_clip:ARCHITECTURE/PRETRAINED", such as
                 "open_clip:ViT-B-16/laion2b_s34b_b88k". A name with the extension of a table is always a file.
             revision: branch, tag or commit of a hub model.
@@ -59,8 +63,11 @@ class TextEncoder:
 
         Raises:
             MissingFileError, FileFormatError: the table is missing or damaged.
+            InputError: the vectors of a dict are no vectors of one length.
             ScoupError: the package or the weights that the model needs are missing.
         """
+        if isinstance(model_or_table, Mapping):
+            return cls._of_table(WordTable.of(model_or_table))
         text = str(model_or_table)
         if is_table(text):
             return cls._of_table(load_table(text))
@@ -122,22 +129,24 @@ class TextEncoder:
         Raises:
             UnknownNameError: a table lacks a phrase.
         """
-        phrases = self.encode(CANONICAL_PHRASES)
-        return with_everyday(phrases, self.everyday()) if everyday else phrases
+        if self._canonical is None:
+            self._canonical = self.encode(CANONICAL_PHRASES)
+        return with_everyday(self._canonical, self.everyday()) if everyday else self._canonical
 
     def everyday(self) -> Tensor:
         """[B, D] float32 unit vectors of everyday words (``scoup.models.words``).
 
         For a model a fixed list of words; for a table all its names except the canonical phrases.
         """
-        if self.table_names is None:
-            return self.encode(EVERYDAY_WORDS)
-        phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
-        return self.encode([name for name in self.table_names if name.strip().casefold() not in phrases])
+        if self._everyday is None:
+            phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
+            names = EVERYDAY_WORDS if self.names is None else self.names
+            self._everyday = self.encode([name for name in names if name.strip().casefold() not in phrases])
+        return self._everyday
 
     def close(self) -> None:
         """Release the model or table."""
-        self._encode = None
+        self._encode = self._canonical = self._everyday = None
 
     def __enter__(self) -> TextEncoder:
         return self

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import re
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
@@ -38,6 +41,22 @@ class WordTable:
         self.names = tuple(names)
         self.vectors = _checked(path, self.names, vectors)
         self.model = model
+
+    @classmethod
+    def of(cls, vectors: Mapping[str, Tensor | ArrayLike]) -> WordTable:
+        """A table in memory, of name -> vector [D].
+
+        Raises:
+            InputError: there is no name, or the vectors are no vectors of one length, zero or not finite.
+        """
+        if not all(isinstance(name, str) for name in vectors):
+            raise InputError("a dict of text embeddings must have texts as its keys")
+        rows = {name: torch.as_tensor(row).detach().cpu() for name, row in vectors.items()}
+        if len({tuple(row.shape) for row in rows.values()}) != 1 or next(iter(rows.values())).dim() != 1:
+            raise InputError("a dict of text embeddings must hold vectors of one length, and at least one")
+        return cls(
+            Path("the dict of text embeddings"), list(rows), torch.stack(list(rows.values())).float().numpy()
+        )
 
 
 def is_table(model_or_table: str | Path) -> bool:

@@ -9,11 +9,12 @@ from typing import Any
 from torch import Tensor
 
 from scoup import raster
-from scoup.field.language_field import LanguageField
+from scoup.base.errors import InputError
 from scoup.query.localize import Localization
 from scoup.query.presence import scene_z_scores, view_z_scores
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
-from scoup.query.segment import Segmentation, localize_and_segment
+from scoup.query.queried_field import QueriedField
+from scoup.query.segment import Segmentation, component_of, localize_and_segment, mask_box
 from scoup.query.select import select_each
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
@@ -25,20 +26,24 @@ class Answer:
 
     Attributes:
         mask: [H, W] boolean; empty if the thing is not there.
-        box: (x0, y0, x1, y1) around the mask in pixels, x1 and y1 one past the last; None if it is empty.
+        heat: [H, W] float32 relevancy at the level of the mask, 0..1.
+        component: [H, W] boolean, the connected part of the mask that holds the point. If the point, which may be of
+            another level, is outside of the mask: the part that holds the mask's most relevant pixel.
+        box: (x0, y0, x1, y1) around the component in pixels, x1 and y1 one past the last; None if it is empty.
         coverage: share of the view in the mask, 0..1.
         level: name of the level of the mask.
         score: the largest smoothed relevancy at that level, 0..1.
         point: (x, y), the pixel that fits best; None if the thing is not there.
         point_level: name of the level of the point.
         point_score: averaged relevancy at the point, 0..1.
-        relevancy: [H, W] float32 at the level of the mask.
         z_score: of what was found (``scoup.query.presence``), minus infinity if nothing was found; None if presence
             was not judged.
-        is_present: whether the thing is there; true if presence was not judged.
+        presence: whether the thing is there; true if that was not judged.
     """
 
     mask: Tensor  # [H, W]
+    heat: Tensor  # [H, W]
+    component: Tensor  # [H, W]
     box: tuple[int, int, int, int] | None
     coverage: float
     level: str
@@ -46,9 +51,28 @@ class Answer:
     point: tuple[int, int] | None
     point_level: str
     point_score: float
-    relevancy: Tensor  # [H, W]
     z_score: float | None = None
-    is_present: bool = True
+    presence: bool = True
+
+    def crop(self, image: Tensor, margin: int = 0) -> Tensor | None:
+        """The part of an image of the view [H, W, ...] in the box; None if the thing is not there.
+
+        Args:
+            image: of the view's size.
+            margin: pixels added on every side, as far as the image reaches.
+
+        Raises:
+            InputError: the image has another size, or the margin is negative.
+        """
+        if tuple(image.shape[:2]) != tuple(self.mask.shape) or margin < 0:
+            raise InputError(
+                f"an image of {list(image.shape)} with a margin of {margin} cannot be cropped by a view of "
+                f"{list(self.mask.shape)}"
+            )
+        if self.box is None:
+            return None
+        x0, y0, x1, y1 = self.box
+        return image[max(0, y0 - margin) : y1 + margin, max(0, x0 - margin) : x1 + margin]
 
     def record(self) -> dict[str, Any]:
         """The answer as plain JSON values, rounded; ``z_score`` and ``present`` only if presence was judged."""
@@ -60,7 +84,7 @@ class Answer:
             "pixel_score": round(self.point_score, 4),
             "coverage": round(self.coverage, 6),
             "box": None if self.box is None else list(self.box),
-            **_presence_record(self.z_score, self.is_present),
+            **_presence_record(self.z_score, self.presence),
         }
 
 
@@ -70,16 +94,18 @@ class SceneAnswer:
 
     Attributes:
         mask: [N] boolean, the Gaussians that answer; empty if the thing is not there.
+        relevancy: [N] float32 at the level chosen, blended with neighbours if that was wanted.
         level: name of the level chosen.
         score: the largest relevancy of a Gaussian at that level; minus infinity if none has a code.
-        z_score, is_present: as in ``Answer``.
+        z_score, presence: as in ``Answer``.
     """
 
     mask: Tensor  # [N]
+    relevancy: Tensor  # [N]
     level: str
     score: float
     z_score: float | None = None
-    is_present: bool = True
+    presence: bool = True
 
     def record(self) -> dict[str, Any]:
         """The answer as plain JSON values, rounded; ``z_score`` and ``present`` only if presence was judged."""
@@ -87,13 +113,13 @@ class SceneAnswer:
             "gaussians": int(self.mask.sum()),
             "level": self.level,
             "score": _rounded(self.score, 4),
-            **_presence_record(self.z_score, self.is_present),
+            **_presence_record(self.z_score, self.presence),
         }
 
 
 def answer_view(
-    field: LanguageField,
-    camera: Camera,
+    field: QueriedField,
+    camera: Camera | str | int,
     texts: TextVectors,
     preset: QueryPreset = QUERY_PRESETS["default"],
     present_from: float | None = None,
@@ -103,7 +129,7 @@ def answer_view(
 
     Args:
         field: to be queried.
-        camera: of the view.
+        camera: of the view, or its name or position among the field's.
         texts: queries and what they are compared with (``scoup.query.text_vectors.encode_texts``);
             ``texts.with_everyday()`` is what `scoup query` uses.
         preset: how relevancy becomes points and masks.
@@ -131,7 +157,7 @@ def answer_view(
 
 
 def answer_scene(
-    field: LanguageField,
+    field: QueriedField,
     texts: TextVectors,
     threshold: float = 0.6,
     neighbours: int | None = None,
@@ -158,9 +184,11 @@ def answer_scene(
         judged = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
     answers = []
     for each, z_score in zip(found, judged, strict=True):
-        is_present = _is_present(z_score, present_from)
-        mask = each.mask.cpu() & is_present
-        answers.append(SceneAnswer(mask, field.levels[each.level], each.score, z_score, is_present))
+        presence = _presence(z_score, present_from)
+        mask = each.mask.cpu() & presence
+        answers.append(
+            SceneAnswer(mask, each.relevancy.cpu(), field.levels[each.level], each.score, z_score, presence)
+        )
     return answers
 
 
@@ -172,28 +200,31 @@ def _answer(
     z_score: float | None,
     present_from: float | None,
 ) -> Answer:
-    is_present = _is_present(z_score, present_from)
+    presence = _presence(z_score, present_from)
+    mask = shape.mask.cpu() & presence
+    component = component_of(mask, place.pixel, shape.smoothed.cpu())
     return Answer(
-        mask=shape.mask.cpu() & is_present,
-        box=shape.box if is_present else None,
-        coverage=shape.coverage if is_present else 0.0,
+        mask=mask,
+        heat=relevancy[shape.level].clone().cpu(),  # a copy, so that the other levels can be freed
+        component=component,
+        box=mask_box(component),
+        coverage=shape.coverage if presence else 0.0,
         level=levels[shape.level],
         score=shape.score,
-        point=place.pixel if is_present else None,
+        point=place.pixel if presence else None,
         point_level=levels[place.level],
         point_score=place.score,
-        relevancy=relevancy[shape.level].clone().cpu(),  # a copy, so that the other levels can be freed
         z_score=z_score,
-        is_present=is_present,
+        presence=presence,
     )
 
 
-def _is_present(z_score: float | None, present_from: float | None) -> bool:
+def _presence(z_score: float | None, present_from: float | None) -> bool:
     return z_score is None or present_from is None or z_score >= present_from
 
 
-def _presence_record(z_score: float | None, is_present: bool) -> dict[str, Any]:
-    return {} if z_score is None else {"z_score": _rounded(z_score, 3), "present": is_present}
+def _presence_record(z_score: float | None, presence: bool) -> dict[str, Any]:
+    return {} if z_score is None else {"z_score": _rounded(z_score, 3), "present": presence}
 
 
 def _rounded(value: float, digits: int) -> float | None:

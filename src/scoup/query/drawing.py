@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.field.language_field import LanguageField
 from scoup.pictures import as_picture, code_basis, code_picture, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.answer import Answer, answer_view
+from scoup.query.queried_field import QueriedField
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
@@ -37,21 +37,21 @@ def draw_answer(answer: Answer, rgb: Tensor, text: str) -> dict[str, np.ndarray 
         point over the render, [.., W, 3] uint8.
     """
     remark = "not in this view"
-    if answer.is_present:
+    if answer.presence:
         remark = f"level {answer.level}, {answer.coverage:.1%} of the view"
     return {
-        "heat": heat_map(answer.relevancy, rgb, text, answer.level, answer.score),
+        "heat": heat_map(answer.heat, rgb, text, answer.level, answer.score),
         "mask": answer.mask,
         "overlay": mask_overlay(answer.mask, rgb, answer.box, answer.point, text, remark),
     }
 
 
-def color_drawing(field: LanguageField) -> Draw:
+def color_drawing(field: QueriedField) -> Draw:
     """Draws the splat of a field."""
     return lambda camera, projection: as_picture(raster.render_colors(field.gaussians, camera, projection))
 
 
-def relevancy_drawing(field: LanguageField, texts: TextVectors, text: str) -> Draw:
+def relevancy_drawing(field: QueriedField, texts: TextVectors, text: str) -> Draw:
     """Draws a heat map of the relevancy to the first query of ``texts``, at the level of its mask.
 
     Args:
@@ -63,12 +63,12 @@ def relevancy_drawing(field: LanguageField, texts: TextVectors, text: str) -> Dr
     def draw(camera: Camera, projection: raster.Projection) -> Picture:
         answer = answer_view(field, camera, texts, projection=projection)[0]
         rgb = raster.render_colors(field.gaussians, camera, projection).cpu()
-        return heat_map(answer.relevancy, rgb, text, answer.level, answer.score)
+        return heat_map(answer.heat, rgb, text, answer.level, answer.score)
 
     return draw
 
 
-def code_drawing(field: LanguageField, level: str | int) -> Draw:
+def code_drawing(field: QueriedField, level: str | int) -> Draw:
     """Draws the codes of one level as colours: the same code has the same colour in every view.
 
     Raises:

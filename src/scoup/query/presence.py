@@ -19,15 +19,36 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
 from scoup.models.words import LEAST_WORDS
+from scoup.query.queried_field import QueriedField
 from scoup.query.segment import Segmentation
 from scoup.query.select import Selection
+from scoup.query.text_vectors import TextVectors
 
 PRESENT_FROM = 2.0
 """The z-score from which a query counts as present, unless another is given."""
 _SAME_WORD = 0.99  # cosine from which an everyday word is the query itself, and not compared with it
 _AT_A_TIME = 8  # masks in one pass over a view
+
+
+def presence_threshold(texts: TextVectors, wanted: float | None = None) -> float | None:
+    """The z-score from which a text counts as present; None where there are too few everyday words to judge it.
+
+    Args:
+        texts: with the everyday words to compare with.
+        wanted: instead of ``PRESENT_FROM``.
+
+    Raises:
+        InputError: there are too few words, and a z-score is wanted.
+    """
+    if texts.can_judge_presence:
+        return PRESENT_FROM if wanted is None else wanted
+    if wanted is not None:
+        raise InputError(
+            f"{texts.source}: has {len(texts.everyday)} words; presence is judged against {LEAST_WORDS} or more, so "
+            "add any words to the table"
+        )
+    return None
 
 
 def z_scores(embeddings: Tensor, queries: Tensor, words: Tensor) -> Tensor:
@@ -65,7 +86,7 @@ def z_scores(embeddings: Tensor, queries: Tensor, words: Tensor) -> Tensor:
 
 
 def view_z_scores(
-    field: LanguageField,
+    field: QueriedField,
     projection: raster.Projection,
     segmentations: Sequence[Segmentation],
     queries: Tensor,
@@ -95,7 +116,7 @@ def view_z_scores(
 
 
 def scene_z_scores(
-    field: LanguageField, selections: Iterable[Selection], queries: Tensor, words: Tensor
+    field: QueriedField, selections: Iterable[Selection], queries: Tensor, words: Tensor
 ) -> Tensor:
     """[Q] z-scores of the more relevant half of the Gaussians selected, without rendering.
 
@@ -117,7 +138,7 @@ def scene_z_scores(
     return z_scores(embeddings, queries, words)
 
 
-def mean_embedding(field: LanguageField, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
+def mean_embedding(field: QueriedField, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
     """[D] on the CPU: sum of the decoded codes of some Gaussians [M] by weights [M], at one level."""
     # On the CPU: sums by index on a GPU are not the same twice.
     atoms = field.code_indices[gaussians, level].cpu().long()

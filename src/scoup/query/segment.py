@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -22,7 +23,6 @@ class Segmentation:
         level: position of the level chosen.
         score: the largest smoothed relevancy at that level, 0..1.
         coverage: share of the image in the mask, 0..1.
-        box: (x0, y0, x1, y1) around the mask in pixels, x1 and y1 one past the last; None if it is empty.
     """
 
     mask: Tensor  # [H, W]
@@ -30,7 +30,6 @@ class Segmentation:
     level: int
     score: float
     coverage: float
-    box: tuple[int, int, int, int] | None
 
     def core(self) -> Tensor:
         """[H, W] boolean: the more relevant half of the mask; of an empty mask, the most relevant pixels.
@@ -62,7 +61,7 @@ def segment(
     # A copy, so that the other levels can be freed.
     shown = smoothed[level].clone()
     coverage = int(areas[level]) / mask.numel()
-    return Segmentation(mask, shown, level, float(peaks[level]), coverage, mask_box(mask))
+    return Segmentation(mask, shown, level, float(peaks[level]), coverage)
 
 
 def localize_and_segment(
@@ -128,3 +127,27 @@ def mask_box(mask: Tensor) -> tuple[int, int, int, int] | None:
     if not len(rows):
         return None
     return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
+def component_of(mask: Tensor, point: tuple[int, int], smoothed: Tensor) -> Tensor:
+    """The connected part of a mask that holds a point; pixels that touch at a corner are connected.
+
+    Args:
+        mask: [H, W] boolean, on the CPU.
+        point: (x, y).
+        smoothed: [H, W] relevancy, on the CPU; where the point is not in the mask, the mask's most relevant pixel takes
+            its place.
+
+    Returns:
+        [H, W] boolean; empty if the mask is.
+    """
+    from scipy.ndimage import label
+
+    if not mask.any():
+        return mask
+    x, y = point
+    if not mask[y, x]:
+        y, x = divmod(int(torch.where(mask, smoothed, -torch.inf).argmax()), mask.shape[1])
+    parts = np.empty(mask.shape, np.int32)
+    label(mask.numpy(), np.ones((3, 3)), output=parts)
+    return torch.from_numpy(parts == parts[y, x])

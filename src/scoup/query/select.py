@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
 from scoup.query.neighbours import Neighbourhood
+from scoup.query.queried_field import QueriedField
 from scoup.query.smoothing import rescale
 
 
@@ -32,7 +32,7 @@ class Selection:
 
 
 def select(
-    field: LanguageField,
+    field: QueriedField,
     queries: Tensor,  # [D] or [Q, D]
     canonical: Tensor,  # [P, D]
     threshold: float = 0.6,
@@ -68,7 +68,7 @@ def select(
 
 
 def select_each(
-    field: LanguageField,
+    field: QueriedField,
     queries: Tensor,  # [Q, D]
     canonical: Tensor,  # [P, D]
     threshold: float = 0.6,

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
 from scoup.io import PlyTable, find_gaussians, gaussians_from_table, read_ply_table
 from scoup.io.splats.ply import table_from_gaussians
+from scoup.query.queried_field import QueriedField
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class SplatTable:
     is_gaussian: Tensor  # [M]
 
     @classmethod
-    def of(cls, field: LanguageField, geometry: Path | None = None) -> SplatTable:
+    def of(cls, field: QueriedField, geometry: Path | None = None) -> SplatTable:
         """The rows of the PLY the field was built on; made from its Gaussians if it was built on something else.
 
         Args:
@@ -40,7 +40,7 @@ class SplatTable:
             if path is not None and path.suffix.lower() == ".ply":
                 table = read_ply_table(path)
                 gaussians, kept = gaussians_from_table(table)
-                if gaussians.fingerprint() == field.info.fingerprint:
+                if gaussians.fingerprint() == field.fingerprint:
                     return cls(table, torch.from_numpy(kept))
         except InputError:
             pass  # compressed, so its rows cannot be copied; or gone, and the field has its geometry embedded

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
+from scoup.query.queried_field import QueriedField
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class TextVectors:
 
 
 def encode_texts(
-    encoder: TextEncoder, field: LanguageField, texts: Sequence[str], source: str | None = None
+    encoder: TextEncoder, field: QueriedField, texts: Sequence[str], source: str | None = None
 ) -> TextVectors:
     """Vectors of texts to query a field with, of the canonical phrases, and of everyday words.
 
@@ -69,7 +69,7 @@ def encode_texts(
     if encoder.dim != field.dim:
         raise InputError(
             f"{source}: gives vectors of {encoder.dim} dimensions, but the field holds embeddings of {field.dim}; "
-            f"name the model its regions were encoded with ({field.info.embedding_model}) or a table made with it"
+            f"name the model its regions were encoded with ({field.embedding_model}) or a table made with it"
         )
     queries = encoder.encode(texts)
     try:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, fields
 
+import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base.errors import InputError
@@ -25,7 +27,8 @@ class Gaussians:
         opacities: [N] peak alpha, 0..1 (not logit). Values above 1 count as 1 when rasterised.
         sh: [N, B, 3] spherical-harmonic colour coefficients, B = (degree + 1)^2; RGB = max(0, SH + 0.5).
 
-    Rows that are not finite are allowed; the rasterisers never draw them.
+    Rows that are not finite are allowed; the rasterisers never draw them. Numpy arrays are taken too, of any
+    floating-point type.
 
     Raises:
         InputError: a shape, dtype or device differs from the above.
@@ -38,6 +41,10 @@ class Gaussians:
     sh: Tensor  # [N, B, 3]
 
     def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, field.name, torch.from_numpy(np.asarray(value, np.float32)))
         count = self.means.shape[0] if self.means.dim() else -1
         expected = {"means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,)}
         for name, shape in expected.items():
@@ -77,8 +84,13 @@ class Gaussians:
     def to(self, device: torch.device | str) -> Gaussians:
         return Gaussians(*(getattr(self, field.name).to(device) for field in fields(self)))
 
-    def select(self, chosen: Tensor) -> Gaussians:
-        """The Gaussians of a boolean mask [N], or of an index tensor [M] in its order."""
+    def select(self, chosen: Tensor | ArrayLike) -> Gaussians:
+        """The Gaussians of a boolean mask [N], or of indices [M] in their order.
+
+        Raises:
+            InputError: as ``chosen_rows``.
+        """
+        chosen = chosen_rows(chosen, len(self)).to(self.device)
         return Gaussians(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def finite(self) -> Tensor:
@@ -94,3 +106,33 @@ class Gaussians:
         for tensor in (self.means, self.quats, self.scales, self.opacities):
             digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
         return digest.hexdigest()
+
+
+def chosen_rows(chosen: Tensor | ArrayLike, count: int) -> Tensor:
+    """A boolean mask [count], or int64 indices [M], that choose among ``count`` rows.
+
+    Args:
+        chosen: the same as a tensor, an array or a list; indices of any integer type.
+        count: of rows.
+
+    Raises:
+        InputError: it is neither, a mask has another length, or there is no such row.
+    """
+    rows = torch.as_tensor(chosen)
+    if rows.dim() == 1 and rows.dtype == torch.bool:
+        if len(rows) != count:
+            raise InputError(f"a mask of {len(rows)} does not choose among {count} Gaussians")
+        return rows
+    if rows.dim() != 1 or rows.is_floating_point() or rows.is_complex() or rows.dtype == torch.bool:
+        if rows.numel():
+            raise InputError(
+                f"Gaussians are chosen by a boolean mask [{count}] or by indices [M], not by {rows.dtype} "
+                f"{list(rows.shape)}"
+            )
+        return torch.zeros(0, dtype=torch.int64)
+    rows = rows.to(torch.int64)
+    if len(rows) and not (int(rows.min()) >= 0 and int(rows.max()) < count):
+        raise InputError(
+            f"indices {int(rows.min())} to {int(rows.max())} are not all among {count} Gaussians"
+        )
+    return rows

@@ -9,7 +9,9 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
+from scoup.scene.directions import unit_rows
 
+INTEGERS = (torch.int32, torch.int64, torch.int16, torch.int8, torch.uint8)  # types of labels
 LEVELS = ("s", "m", "l")  # subparts, parts, wholes: the three masks that SAM proposes for a point
 
 
@@ -17,9 +19,12 @@ LEVELS = ("s", "m", "l")  # subparts, parts, wholes: the three masks that SAM pr
 class RegionMap:
     """The regions of one view at one level.
 
+    Tensors and numpy arrays are taken alike; labels of any integer type, embeddings of any floating-point type and any
+    norm.
+
     Attributes:
         labels: [H, W] int32, the row of each pixel's region in ``embeddings``; -1 where there is no region.
-        embeddings: [R, D] float32, one row a region, unit norm (a zero row means "unknown").
+        embeddings: [R, D] float32, one row a region, scaled to unit norm (a zero row means "unknown").
 
     Raises:
         InputError: a label has no embedding, a value is not finite, or a shape or dtype is wrong.
@@ -29,22 +34,20 @@ class RegionMap:
     embeddings: Tensor  # [R, D]
 
     def __post_init__(self) -> None:
-        if self.labels.dim() != 2 or self.labels.dtype != torch.int32:
+        labels = torch.as_tensor(self.labels)
+        if labels.dim() != 2 or labels.dtype not in INTEGERS:
             raise InputError(
-                f"region labels must be int32 [H, W], got {self.labels.dtype} {list(self.labels.shape)}"
+                f"region labels must be integers [H, W], got {labels.dtype} {list(labels.shape)}"
             )
-        if self.embeddings.dim() != 2 or self.embeddings.dtype != torch.float32:
-            raise InputError(
-                f"region embeddings must be float32 [R, D], got {self.embeddings.dtype} {list(self.embeddings.shape)}"
-            )
-        if not torch.isfinite(self.embeddings).all():
-            raise InputError("region embeddings hold values that are not finite")
-        if self.labels.numel():
-            low, high = int(self.labels.min()), int(self.labels.max())
-            if low < -1 or high >= len(self.embeddings):
+        embeddings = unit_rows(self.embeddings, "region embeddings")
+        if labels.numel():
+            low, high = int(labels.min()), int(labels.max())
+            if low < -1 or high >= len(embeddings):
                 raise InputError(
-                    f"region labels run from {low} to {high}, but there are {len(self.embeddings)} embeddings"
+                    f"region labels run from {low} to {high}, but there are {len(embeddings)} embeddings"
                 )
+        object.__setattr__(self, "labels", labels.to(torch.int32))
+        object.__setattr__(self, "embeddings", embeddings)
 
     def resized(self, width: int, height: int) -> RegionMap:
         """The same regions at another image size (``resize_labels``)."""
@@ -152,10 +155,14 @@ class Regions:
         return labels, [self.load_embeddings(view_name, level) for level in self.levels]
 
     def load_embeddings(self, view_name: str, level: str) -> Tensor:
-        """The embeddings [R, D] of one view and level."""
+        """The embeddings [R, D] float32 of one view and level, of unit norm.
+
+        Raises:
+            InputError: they are not [R, D], or not finite.
+        """
         self._check(view_name, level)
         if self._load_embeddings is not None:
-            return self._load_embeddings(view_name, level)
+            return unit_rows(self._load_embeddings(view_name, level), f"region embeddings of {view_name}")
         return self._load(view_name, level).embeddings
 
     def embeddings(self, level: str) -> tuple[Tensor, dict[str, slice]]:

@@ -32,7 +32,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
-from scoup.coding.embeddings import normalise_embeddings
+from scoup.scene.directions import normalise_embeddings
 from scoup.uplift.region_sums import RegionSums, Rows
 
 if TYPE_CHECKING:

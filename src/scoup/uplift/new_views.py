@@ -11,9 +11,9 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.coding.codebook import check_new_atoms, encode_rows, learn_atoms
-from scoup.coding.embeddings import normalise_embeddings
 from scoup.coding.encode import encode
 from scoup.scene.codes import SparseCodes
+from scoup.scene.directions import normalise_embeddings
 from scoup.scene.regions import Regions
 
 MANY = 0.3  # share of a view's regions; about a tenth are badly explained where nothing is new

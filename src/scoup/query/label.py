@@ -1,0 +1,91 @@
+"""One of several words for each Gaussian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup.query.presence import scene_z_scores
+from scoup.query.queried_field import QueriedField
+from scoup.query.select import select_each
+from scoup.query.text_vectors import TextVectors
+
+NONE = -1
+"""The class of a Gaussian that none of the words fits."""
+DRAW = 0.5
+"""Relevancy at which a word fits as well as the best canonical phrase."""
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianLabels:
+    """The class of every Gaussian. Tensors are on the CPU.
+
+    Attributes:
+        ids: [N] int32, the position of a word in ``names``; -1 for none of them.
+        names: Q words.
+        scores: [N] float32 relevancy to the word; of "none", that to the best word.
+        z_scores: per word, as in ``Answer``; None if presence was not judged.
+        presence: per word, whether the thing is in the scene; true if that was not judged.
+    """
+
+    ids: Tensor  # [N]
+    names: tuple[str, ...]
+    scores: Tensor  # [N]
+    z_scores: tuple[float, ...] | None
+    presence: tuple[bool, ...]
+
+    def mask(self, name: str) -> Tensor:
+        """[N] boolean: the Gaussians of a word, or of "none".
+
+        Raises:
+            InputError: it is none of the words.
+        """
+        from scoup.base.errors import UnknownNameError
+
+        if name in self.names:
+            return self.ids == self.names.index(name)
+        if name == "none":
+            return self.ids == NONE
+        raise UnknownNameError("class", name, (*self.names, "none"))
+
+    def counts(self) -> dict[str, int]:
+        """How many Gaussians each word has, and "none"."""
+        found = torch.bincount(self.ids.long() + 1, minlength=len(self.names) + 1).tolist()
+        return {**dict(zip(self.names, found[1:], strict=True)), "none": found[0]}
+
+
+def label(field: QueriedField, texts: TextVectors, present_from: float | None = None) -> GaussianLabels:
+    """The word that fits each Gaussian best, of several, or none.
+
+    Every word is judged at the level that ``select`` chooses for it. None of them fits where the largest relevancy is
+    not above 0.5, so that a canonical phrase fits better, where a Gaussian has no code, and where the best word is the
+    name of a thing that is not in the scene.
+
+    Args:
+        field: to be queried.
+        texts: the words, and what they are compared with.
+        present_from: the z-score from which a thing counts as present; None: presence is not judged.
+
+    Raises:
+        InputError: the vectors do not fit the field, or there are too few everyday words to judge presence.
+    """
+    best = torch.full((len(field),), -torch.inf, device=field.codebook.device)
+    ids = torch.full((len(field),), NONE, dtype=torch.int32, device=field.codebook.device)
+    judged: list[float] = []
+    presence: list[bool] = []
+    for number, found in enumerate(select_each(field, texts.queries, texts.canonical)):
+        if present_from is not None:
+            query = texts.queries[number : number + 1]
+            judged.append(float(scene_z_scores(field, [found], query, texts.everyday)))
+        presence.append(present_from is None or judged[-1] >= present_from)
+        coded = (field.code_weights[:, found.level] > 0).any(1)
+        better = coded & (found.relevancy > best)
+        best = torch.where(better, found.relevancy, best)
+        ids[better] = number
+    fits = (best > DRAW) & torch.tensor([*presence, False], device=ids.device)[ids.long()]
+    ids[~fits] = NONE
+    scores = torch.where(best.isfinite(), best, DRAW).cpu()
+    z_scores = tuple(judged) if present_from is not None else None
+    return GaussianLabels(ids.cpu(), texts.texts, scores, z_scores, tuple(presence))

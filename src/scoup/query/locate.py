@@ -1,0 +1,170 @@
+"""Where a thing is in the world: position and oriented box of the Gaussians that answer a query."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.query.answer import SceneAnswer
+from scoup.query.queried_field import QueriedField
+
+NEIGHBOURS = 8
+"""Each Gaussian of an answer is linked to so many of its nearest others in the answer."""
+LONGEST_LINK = 3.0
+"""Links longer than this many times their median length are cut, so that strays fall off."""
+INSIDE = 0.98
+"""Share of the weight that an oriented box holds along each of its axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class OrientedBox:
+    """A box in the world, turned as the thing in it. Tensors are float64 on the CPU.
+
+    Attributes:
+        centre: [3] world units.
+        axes: [3, 3] one unit direction a row, right-handed, along the longest extent first.
+        extent: [3] full lengths along the axes in world units.
+    """
+
+    centre: Tensor  # [3]
+    axes: Tensor  # [3, 3]
+    extent: Tensor  # [3]
+
+    def record(self) -> dict[str, Any]:
+        """The box as plain JSON values, rounded."""
+        axes = [[round(each, 6) for each in row] for row in self.axes.tolist()]
+        return {"centre": _rounded(self.centre), "axes": axes, "extent": _rounded(self.extent)}
+
+    def corners(self) -> Tensor:
+        """[8, 3] float64."""
+        signs = torch.cartesian_prod(*[torch.tensor([-0.5, 0.5], dtype=torch.float64)] * 3)
+        return self.centre + (signs * self.extent) @ self.axes
+
+
+@dataclass(frozen=True, eq=False)
+class Location:
+    """Where a thing is in the world. Tensors are on the CPU.
+
+    Attributes:
+        position: [3] float64 world units, the middle of the Gaussians of the thing; None if it is not there.
+        box: around them; None if the thing is not there.
+        confidence: mean relevancy of these Gaussians, 0..1, where 0.5 is a draw with the canonical phrases; 0 if the
+            thing is not there.
+        gaussians: [M] int64, the thing: of the Gaussians that answer, those connected in space that weigh most.
+        answer: all Gaussians that answer, with level, score and presence.
+    """
+
+    position: Tensor | None  # [3]
+    box: OrientedBox | None
+    confidence: float
+    gaussians: Tensor  # [M]
+    answer: SceneAnswer
+
+    @property
+    def presence(self) -> bool:
+        """Whether the thing is there; true if that was not judged and any Gaussian answers."""
+        return self.position is not None
+
+    def record(self) -> dict[str, Any]:
+        """The location as plain JSON values, rounded."""
+        return {
+            "position": None if self.position is None else _rounded(self.position),
+            "box": None if self.box is None else self.box.record(),
+            "confidence": round(self.confidence, 4),
+            "gaussians": len(self.gaussians),
+            **{name: value for name, value in self.answer.record().items() if name != "gaussians"},
+        }
+
+
+def location(field: QueriedField, answer: SceneAnswer) -> Location:
+    """Position and extent of what answers a query in a scene.
+
+    The Gaussians of the answer fall into parts that are connected in space: each is linked to its nearest others, and
+    links much longer than usual are cut. The part that weighs most is the thing. A Gaussian weighs its opacity times
+    its relevancy's excess over that of the least relevant Gaussian of the answer.
+
+    Args:
+        field: that was queried, with its geometry.
+        answer: from ``answer_scene``.
+    """
+    members = answer.mask.nonzero()[:, 0]
+    gaussians = field.gaussians.select(members.to(field.gaussians.device)).to("cpu")
+    usable = torch.isfinite(gaussians.means).all(1) & torch.isfinite(gaussians.scales).all(1)
+    members, means = members[usable], gaussians.means[usable].double()
+    relevancy = answer.relevancy[members].double()
+    weights = gaussians.opacities[usable].double().clamp(0, 1) * relevancy
+    if not len(members) or not weights.any():
+        return Location(None, None, 0.0, members[:0], answer)
+    parts = torch.from_numpy(connected_parts(means.numpy()))
+    part = int(torch.bincount(parts, weights).argmax())
+    own = parts == part
+    box = oriented_box(means[own], weights[own])
+    position = torch.stack([weighted_quantiles(axis, weights[own], [0.5])[0] for axis in means[own].T])
+    confidence = float((relevancy[own] * weights[own]).sum() / weights[own].sum())
+    return Location(position, box, confidence, members[own], answer)
+
+
+def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The number [M] of the part that each of the points [M, 3] belongs to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    count = min(NEIGHBOURS, len(points) - 1)
+    if count < 1:
+        return np.zeros(len(points), np.int64)
+    found = KDTree(points).query(points, k=count + 1, workers=-1)
+    lengths, nearest = np.asarray(found[0]), np.asarray(found[1])
+    longest = LONGEST_LINK * np.median(lengths[:, -1])
+    start, end = np.broadcast_to(np.arange(len(points))[:, None], nearest.shape), nearest
+    near = lengths <= longest
+    links = coo_array((np.ones(int(near.sum()), np.int8), (start[near], end[near])), (len(points),) * 2)
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+
+
+def oriented_box(points: Tensor, weights: Tensor) -> OrientedBox:
+    """The box along the principal axes of weighted points that holds ``INSIDE`` of the weight along each.
+
+    Args:
+        points: [M, 3] float64, M >= 1.
+        weights: [M] float64, not negative, some above 0.
+    """
+    share = weights / weights.sum()
+    middle = share @ points
+    spread = (points - middle) * share.sqrt()[:, None]
+    axes = torch.linalg.eigh(spread.T @ spread).eigenvectors.T.flip(0)
+    # A direction and its opposite serve alike: the one whose largest component is positive, so that it is always the
+    # same; the third makes the axes right-handed.
+    largest = axes.gather(1, axes.abs().argmax(1, keepdim=True))
+    axes = axes * largest.sign()
+    axes[2] = torch.linalg.cross(axes[0], axes[1])
+    along = (points - middle) @ axes.T
+    low, high = torch.tensor(
+        [
+            [float(end) for end in weighted_quantiles(axis, weights, [(1 - INSIDE) / 2, (1 + INSIDE) / 2])]
+            for axis in along.T
+        ],
+        dtype=torch.float64,
+    ).T
+    return OrientedBox(middle + (low + high) / 2 @ axes, axes, high - low)
+
+
+def weighted_quantiles(values: Tensor, weights: Tensor, shares: list[float]) -> Tensor:
+    """The values [M] below which these shares of the weight [M] lie; one of the values each."""
+    order = values.argsort(stable=True)
+    sums = weights[order].cumsum(0)
+    places = torch.searchsorted(sums, sums[-1] * torch.tensor(shares, dtype=sums.dtype))
+    return values[order][places.clamp(max=len(values) - 1)]
+
+
+def _rounded(vector: Tensor) -> list[float]:
+    """Rounded to six digits of its largest value."""
+    largest = float(vector.abs().max())
+    digits = 6 - math.ceil(math.log10(largest)) if largest > 0 and math.isfinite(largest) else 6
+    return [round(each, max(0, digits)) for each in vector.tolist()]

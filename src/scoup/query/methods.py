@@ -1,0 +1,181 @@
+"""The queries of a language field as its methods: what the verbs of the command line do, each in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.query.answer import Answer, answer_scene, answer_view
+from scoup.query.label import GaussianLabels, label
+from scoup.query.locate import Location, location
+from scoup.query.presence import presence_threshold
+from scoup.query.presets import QueryPreset, query_preset
+from scoup.query.queried_field import QueriedField
+from scoup.query.text_vectors import TextVectors, encode_texts
+from scoup.scene.cameras import Camera
+from scoup.scene.directions import query_vectors
+
+if TYPE_CHECKING:
+    from scoup.models.text import TextEncoder
+
+Texts: TypeAlias = "str | Sequence[str] | Tensor | np.ndarray"
+"""One text or several, or vectors [D] or [Q, D] in their place."""
+Encoder: TypeAlias = "TextEncoder | Mapping[str, Tensor | ArrayLike] | str | Path"
+"""What turns texts into vectors: an encoder, a dict of name -> vector, a word table's file, or a model by its id."""
+
+
+class FieldQueries(QueriedField):
+    """Methods of a field that answer texts.
+
+    All of them compare as `scoup query` does: with the canonical phrases and, by default, with everyday words, which
+    also judge whether the thing is there at all.
+    """
+
+    _encoder: TextEncoder | None = None
+    _encoder_source: Encoder | None = None
+
+    def text_encoder(self, encoder: Encoder | None = None) -> TextEncoder:
+        """The encoder of this field's texts; opened at its first use and kept.
+
+        Args:
+            encoder: to be used from now on; None for the last one, at first the model or table that the field names.
+
+        Raises:
+            InputError: the field names none.
+            MissingFileError, FileFormatError, ScoupError: it cannot be opened (``TextEncoder.open``).
+        """
+        from scoup.models.text import TextEncoder
+
+        source = encoder
+        if source is None:
+            if self._encoder is not None:
+                return self._encoder
+            source = self.encoder_source
+        if isinstance(source, TextEncoder):
+            self._encoder = source
+        elif self._encoder is None or (source is not self._encoder_source and source != self._encoder_source):
+            self._encoder = TextEncoder.open(source, device=self.codebook.device)
+        self._encoder_source = source
+        return self._encoder
+
+    def text_vectors(self, texts: Texts, encoder: Encoder | None = None) -> TextVectors:
+        """The vectors of texts, or vectors as they are, with what they are compared with.
+
+        Args:
+            texts: one or several; vectors must come from the field's embedding model and are scaled to unit norm.
+            encoder: see ``text_encoder``. For vectors, a dict of the canonical phrases ("object", "things", "stuff",
+                "texture") will do.
+
+        Raises:
+            InputError, UnknownNameError: as ``text_encoder`` and ``scoup.encode_texts``.
+        """
+        words = [texts] if isinstance(texts, str) else texts
+        if isinstance(words, (list, tuple)) and all(isinstance(word, str) for word in words):
+            if not words:
+                raise InputError('give at least one text to look for, for example "kettle"')
+            return encode_texts(self.text_encoder(encoder), self, words)
+        queries = query_vectors(words, self.dim)  # pyright: ignore[reportArgumentType]
+        names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
+        return replace(encode_texts(self.text_encoder(encoder), self, []), texts=names, queries=queries)
+
+    def query(
+        self,
+        texts: Texts,
+        camera: Camera | str | int = 0,
+        *,
+        encoder: Encoder | None = None,
+        rule: str | QueryPreset = "default",
+        presence: float | None = None,
+        always: bool = False,
+    ) -> Answer | list[Answer]:
+        """Where something is in one view.
+
+        Args:
+            texts: what to look for.
+            camera: of the view, or its name or position among ``cameras``.
+            encoder: see ``text_encoder``.
+            rule: how relevancy becomes masks and points (``scoup.query.presets.QUERY_PRESETS``); those other than
+                "default" follow the papers' systems, find something always and do without everyday words.
+            presence: a text is in the view if its z-score is at least this; by default 2, where there are enough
+                everyday words.
+            always: find something for any text.
+
+        Returns:
+            An answer, or one for each of several texts or vectors.
+
+        Raises:
+            InputError, UnknownNameError: texts, camera or rule do not fit the field.
+        """
+        preset = query_preset(rule) if isinstance(rule, str) else rule
+        vectors = self.text_vectors(texts, encoder)
+        judged = not always and (presence is not None or preset.name == "default")
+        present_from = presence_threshold(vectors, presence) if judged else None
+        vectors = vectors.with_everyday() if preset.name == "default" else vectors
+        answers = answer_view(self, camera, vectors, preset, present_from)
+        return answers[0] if _is_single(texts) else answers
+
+    def locate(
+        self,
+        texts: Texts,
+        *,
+        encoder: Encoder | None = None,
+        threshold: float = 0.6,
+        neighbours: int = 0,
+        presence: float | None = None,
+        always: bool = False,
+    ) -> Location | list[Location]:
+        """Where something is in the world: position, oriented box, confidence, and the Gaussians.
+
+        Args:
+            texts, encoder, presence, always: as for ``query``.
+            threshold: a Gaussian answers above this, once relevancy is rescaled over the scene.
+            neighbours: blend each Gaussian's relevancy with the mean of so many nearest neighbours; 0 is off.
+
+        Returns:
+            A location, or one for each of several texts or vectors. One whose ``position`` is None is not there.
+
+        Raises:
+            InputError, UnknownNameError: the texts do not fit the field.
+        """
+        vectors = self.text_vectors(texts, encoder)
+        present_from = None if always else presence_threshold(vectors, presence)
+        answers = answer_scene(
+            self, vectors.with_everyday(), threshold, neighbours or None, present_from=present_from
+        )
+        found = [location(self, answer) for answer in answers]
+        return found[0] if _is_single(texts) else found
+
+    def label(
+        self,
+        words: Texts,
+        *,
+        encoder: Encoder | None = None,
+        presence: float | None = None,
+        always: bool = False,
+    ) -> GaussianLabels:
+        """The word that fits each Gaussian best, of several, or none of them.
+
+        Args:
+            words: names of things.
+            encoder, presence, always: as for ``query``.
+
+        Raises:
+            InputError, UnknownNameError: the words do not fit the field.
+        """
+        vectors = self.text_vectors(words, encoder)
+        present_from = None if always else presence_threshold(vectors, presence)
+        return label(self, vectors.with_everyday(), present_from)
+
+
+def _is_single(texts: Texts) -> bool:
+    return isinstance(texts, str) or (
+        not isinstance(texts, (list, tuple)) and torch.as_tensor(texts).dim() == 1
+    )
