@@ -6,12 +6,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import GeometryMismatchError, InputError
+from scoup.base.html import PREVIEW, card, first_of
 from scoup.field.artefact import (
     FieldInfo,
     FieldParts,
@@ -118,6 +120,35 @@ class LanguageField(FieldQueries):
         """D, the size of an embedding."""
         return self.codebook.shape[2]
 
+    def __repr__(self) -> str:
+        sizes = f"{self.n_atoms} atoms, {self.dim} dimensions of {self.embedding_model or 'an unnamed model'}"
+        return f"LanguageField({len(self):,} Gaussians, levels {', '.join(self.levels)}, {sizes})"
+
+    def _repr_html_(self) -> str:
+        facts = {
+            "levels": ", ".join(self.levels),
+            "atoms": self.n_atoms,
+            "embeddings": f"{self.dim} dimensions, {self.embedding_model or 'an unnamed model'}",
+            "cameras": 0 if self.cameras is None else first_of(self.cameras.names),
+            "file": self.path or "not saved",
+        }
+        return card(f"Language field of {len(self):,} Gaussians", facts, self._preview())
+
+    def _preview(self) -> NDArray[np.uint8] | None:
+        """The codes of the middle level in the first camera; None if there is no camera or no geometry."""
+        from scoup.query.drawing import code_drawing
+
+        if self.cameras is None or not len(self.cameras):
+            return None
+        camera = self.cameras[0]
+        scale = min(1.0, PREVIEW[0] / camera.width)
+        camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+        try:
+            projection = self.project(camera)
+        except InputError:  # the geometry is not where it was; a notebook shows the rest all the same
+            return None
+        return code_drawing(self, len(self.levels) // 2)(camera, projection)
+
     def __len__(self) -> int:
         return self.code_indices.shape[0]
 
@@ -137,6 +168,7 @@ class LanguageField(FieldQueries):
             cameras=self.cameras,
         )
         moved.path = self.path
+        moved.keep_encoder_of(self)
         moved._gaussians = None if self._gaussians is None else self._gaussians.to(device)
         return moved
 
@@ -225,6 +257,7 @@ class LanguageField(FieldQueries):
         codes = self.code_indices[rows], self.code_weights[rows], self.codebook
         selected = LanguageField(*codes, info, cameras=self.cameras)
         selected.attach(gaussians, known=True)
+        selected.keep_encoder_of(self)
         return selected
 
     def __getitem__(self, chosen: Tensor | ArrayLike) -> LanguageField:

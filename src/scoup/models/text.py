@@ -7,11 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
+import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameError
+from scoup.base.html import card, first_of
 from scoup.models.hub import OPEN_CLIP, ModelRequest, load_open_clip, load_pretrained
 from scoup.models.towers import load_tower
 from scoup.models.word_table import WordTable, is_table, load_table
@@ -20,6 +22,7 @@ from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, with_everyday
 COLORS = "colors"
 """Name of embeddings made without a model (``extract.plain_colors``). No text can be encoded among them."""
 _BATCH = 64
+_SHOWN = 50  # names in the picture of a notebook
 
 Encode = Callable[[list[str]], Tensor]
 
@@ -43,6 +46,28 @@ class TextEncoder:
         self._encode: Encode | None = encode
         self._canonical: Tensor | None = None
         self._everyday: Tensor | None = None
+
+    def __repr__(self) -> str:
+        what = "any text" if self.names is None else f"{len(self.names)} names: {first_of(self.names)}"
+        return f"TextEncoder({self.name or 'unnamed model'}, {self.dim} dimensions, {what})"
+
+    def _repr_html_(self) -> str:
+        facts = {
+            "dimensions": self.dim,
+            "texts": "any" if self.names is None else first_of(self.names, 12),
+            "state": "closed" if self._encode is None else "open",
+        }
+        return card(f"Text encoder: {self.name or 'unnamed model'}", facts, self._similarities())
+
+    def _similarities(self) -> NDArray[np.uint8] | None:
+        """The cosines of the first names with each other, dark where alike: [H, W, 3]; None without names."""
+        if self.names is None or self._encode is None:
+            return None
+        vectors = self.encode(self.names[:_SHOWN])
+        cosines = (vectors @ vectors.T).clamp(0, 1).numpy()
+        side = max(1, 200 // len(cosines))
+        grey = np.kron(255 - 200 * cosines, np.ones((side, side))).astype(np.uint8)
+        return np.repeat(grey[..., None], 3, axis=2)
 
     @classmethod
     def open(

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
+from scoup.base.html import card
 from scoup.query.localize import Localization
 from scoup.query.presence import scene_z_scores, view_z_scores
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
@@ -20,7 +24,7 @@ from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Answer:
     """What one query gives in one view. Tensors are on the CPU.
 
@@ -39,6 +43,9 @@ class Answer:
         z_score: of what was found (``scoup.query.presence``), minus infinity if nothing was found; None if presence
             was not judged.
         presence: whether the thing is there; true if that was not judged.
+        text: the query.
+        view: name of the camera.
+        render: gives the colours of the view, [H, W, 3] 0..1, for those who draw the answer; None if that is not known.
     """
 
     mask: Tensor  # [H, W]
@@ -53,6 +60,23 @@ class Answer:
     point_score: float
     z_score: float | None = None
     presence: bool = True
+    text: str = ""
+    view: str = ""
+    render: Callable[[], Tensor] | None = None
+
+    def __repr__(self) -> str:
+        found = f"point {self.point}, box {self.box}, level {self.level}, score {self.score:.2f}"
+        return f"Answer({_said(self)} in {self.view!r}: {found if self.presence else 'not in this view'})"
+
+    def _repr_html_(self) -> str:
+        from scoup.pictures import as_picture
+        from scoup.query.drawing import draw_answer
+
+        rgb = torch.zeros(*self.heat.shape, 3) if self.render is None else self.render().cpu()
+        facts = {name: value for name, value in self.record().items() if name != "pixel_level"}
+        return card(
+            f"{_said(self)} in {self.view}", facts, as_picture(draw_answer(self, rgb, self.text)["overlay"])
+        )
 
     def crop(self, image: Tensor, margin: int = 0) -> Tensor | None:
         """The part of an image of the view [H, W, ...] in the box; None if the thing is not there.
@@ -88,7 +112,7 @@ class Answer:
         }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SceneAnswer:
     """What one query gives in a scene as a whole, by the Gaussians' own codes. Tensors are on the CPU.
 
@@ -97,7 +121,7 @@ class SceneAnswer:
         relevancy: [N] float32 at the level chosen, blended with neighbours if that was wanted.
         level: name of the level chosen.
         score: the largest relevancy of a Gaussian at that level; minus infinity if none has a code.
-        z_score, presence: as in ``Answer``.
+        z_score, presence, text: as in ``Answer``.
     """
 
     mask: Tensor  # [N]
@@ -106,6 +130,11 @@ class SceneAnswer:
     score: float
     z_score: float | None = None
     presence: bool = True
+    text: str = ""
+
+    def __repr__(self) -> str:
+        found = f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians, level {self.level}, score {self.score:.2f}"
+        return f"SceneAnswer({_said(self)}: {found if self.presence else 'not in this scene'})"
 
     def record(self) -> dict[str, Any]:
         """The answer as plain JSON values, rounded; ``z_score`` and ``present`` only if presence was judged."""
@@ -143,6 +172,7 @@ def answer_view(
     Raises:
         InputError: the vectors do not fit the field, or there are too few everyday words to judge presence.
     """
+    camera = field.camera(camera)
     projection = field.project(camera) if projection is None else projection
     maps = field.relevancy(camera, texts.queries, texts.canonical, projection).unbind(1)
     found = [localize_and_segment(each, preset) for each in maps]
@@ -150,9 +180,15 @@ def answer_view(
     if present_from is not None:
         segmentations = [segmentation for _, segmentation in found]
         judged = view_z_scores(field, projection, segmentations, texts.queries, texts.everyday).tolist()
+    render = partial(raster.render_colors, field.gaussians, camera)
     return [
-        _answer(field.levels, *places, relevancy, z_score, present_from)
-        for places, relevancy, z_score in zip(found, maps, judged, strict=True)
+        replace(
+            _answer(field.levels, *places, relevancy, z_score, present_from),
+            text=text,
+            view=camera.name,
+            render=render,
+        )
+        for text, places, relevancy, z_score in zip(texts.texts, found, maps, judged, strict=True)
     ]
 
 
@@ -183,11 +219,13 @@ def answer_scene(
     if present_from is not None:
         judged = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
     answers = []
-    for each, z_score in zip(found, judged, strict=True):
+    for text, each, z_score in zip(texts.texts, found, judged, strict=True):
         presence = _presence(z_score, present_from)
         mask = each.mask.cpu() & presence
         answers.append(
-            SceneAnswer(mask, each.relevancy.cpu(), field.levels[each.level], each.score, z_score, presence)
+            SceneAnswer(
+                mask, each.relevancy.cpu(), field.levels[each.level], each.score, z_score, presence, text
+            )
         )
     return answers
 
@@ -217,6 +255,10 @@ def _answer(
         z_score=z_score,
         presence=presence,
     )
+
+
+def _said(answer: Answer | SceneAnswer) -> str:
+    return repr(answer.text) if answer.text else "a query"
 
 
 def _presence(z_score: float | None, present_from: float | None) -> bool:

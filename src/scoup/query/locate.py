@@ -47,7 +47,7 @@ class OrientedBox:
         return self.centre + (signs * self.extent) @ self.axes
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Location:
     """Where a thing is in the world. Tensors are on the CPU.
 
@@ -65,6 +65,14 @@ class Location:
     confidence: float
     gaussians: Tensor  # [M]
     answer: SceneAnswer
+
+    def __repr__(self) -> str:
+        if self.position is None or self.box is None:
+            return f"Location({self.answer.text!r}: not in this scene)"
+        return (
+            f"Location({self.answer.text!r} at {_rounded(self.position)}, extent {_rounded(self.box.extent)}, "
+            f"confidence {self.confidence:.2f}, {len(self.gaussians):,} Gaussians)"
+        )
 
     @property
     def presence(self) -> bool:

@@ -66,6 +66,10 @@ class FieldQueries(QueriedField):
         self._encoder_source = source
         return self._encoder
 
+    def keep_encoder_of(self, other: FieldQueries) -> None:
+        """Use the encoder that another field has open."""
+        self._encoder, self._encoder_source = other._encoder, other._encoder_source
+
     def text_vectors(self, texts: Texts, encoder: Encoder | None = None) -> TextVectors:
         """The vectors of texts, or vectors as they are, with what they are compared with.
 

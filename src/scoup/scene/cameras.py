@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
+from scoup.base.html import card, first_of
 
 _PARALLEL = 1e-9  # sine of the angle between view direction and up below which the camera has no defined roll
 
@@ -187,6 +188,16 @@ class Cameras:
             if camera.name in self._by_name:
                 raise InputError(f"two cameras are named {camera.name!r}; names must be unique")
             self._by_name[camera.name] = camera
+
+    def __repr__(self) -> str:
+        return f"Cameras({len(self)}: {first_of(self.names)})"
+
+    def _repr_html_(self) -> str:
+        from scoup.scene.previews import cameras_preview
+
+        sizes = [f"{width} x {height}" for width, height in dict.fromkeys((c.width, c.height) for c in self)]
+        facts = {"names": first_of(self.names), "sizes": first_of(sizes), "picture": "from above"}
+        return card(f"{len(self)} cameras", facts, cameras_preview(self._cameras))
 
     def __len__(self) -> int:
         return len(self._cameras)

@@ -93,6 +93,19 @@ class Gaussians:
         chosen = chosen_rows(chosen, len(self)).to(self.device)
         return Gaussians(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
+    def __repr__(self) -> str:
+        return f"Gaussians({len(self):,}, SH degree {self.sh_degree}, {self.device})"
+
+    def _repr_html_(self) -> str:
+        from scoup.base.html import card
+        from scoup.scene.previews import gaussians_preview
+
+        means = self.means[self.finite()]
+        facts: dict[str, str] = {"SH degree": str(self.sh_degree), "device": str(self.device)}
+        if len(means):
+            facts["extent"] = " x ".join(f"{side:.3g}" for side in (means.amax(0) - means.amin(0)).tolist())
+        return card(f"{len(self):,} Gaussians", facts, gaussians_preview(self))
+
     def finite(self) -> Tensor:
         """Boolean [N]: rows whose means, quats, scales and opacities are all finite (opacity may be +inf)."""
         rows = torch.isfinite(self.means).all(1) & torch.isfinite(self.quats).all(1)

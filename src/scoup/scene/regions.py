@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
+from scoup.base.html import card, first_of
 from scoup.scene.directions import unit_rows
 
 INTEGERS = (torch.int32, torch.int64, torch.int16, torch.int8, torch.uint8)  # types of labels
@@ -109,6 +110,23 @@ class Regions:
                     f"view {name!r} has levels {list(by_level)}, the first view has {list(levels)}"
                 )
         return cls(levels, maps, lambda name, level: maps[name][level])
+
+    def __repr__(self) -> str:
+        return f"Regions({len(self)} views, levels {', '.join(self.levels)}: {first_of(self.view_names)})"
+
+    def _repr_html_(self) -> str:
+        from scoup.scene.previews import labels_preview
+
+        facts = {"levels": ", ".join(self.levels), "views": first_of(self.view_names)}
+        picture = None
+        if len(self):
+            name, level = self.view_names[0], self.levels[len(self.levels) // 2]
+            shown = self.load(name, level)
+            facts["picture"] = (
+                f"{name}, level {level}: {len(shown.embeddings)} regions of {shown.embeddings.shape[1]} d"
+            )
+            picture = labels_preview(shown.labels)
+        return card(f"Regions of {len(self)} views", facts, picture)
 
     def __len__(self) -> int:
         return len(self.view_names)

@@ -1,0 +1,181 @@
+"""Where things are and which they are, against the truth: ``field.locate`` and ``field.label`` on synthetic scenes.
+
+    python -m benchmarks.locate --scenes table-2 hall-2 --out docs/benchmarks/locate.json
+
+Each scene is built by the default settings and asked for every object and group of a single thing. The position is
+compared with the middle of the thing's true Gaussians, in diagonals of the box around them, with and without strays
+left off; the box by its overlap with the true one, Gaussians by their intersection over union. Labels are compared
+with the true object of each Gaussian that has a code.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import torch
+import tyro
+from torch import Tensor
+
+import scoup
+from benchmarks.scenes import find_layout
+from scoup.bench.environment import describe_environment
+from scoup.io import check_output, write_text
+from scoup.query.locate import Location, oriented_box
+from scoup.query.methods import Encoder
+from scoup.synthetic.scene import DemoScene, make_demo_scene
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """The true Gaussians of a name.
+
+    Attributes:
+        name: of the thing.
+        mask: [N] boolean.
+        middle: [3] float64.
+        diagonal: of the box around them, in world units.
+    """
+
+    name: str
+    mask: Tensor
+    middle: Tensor
+    diagonal: float
+
+
+def main(
+    scenes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LAYOUT-SEED")] = (
+        "table-2",
+        "table-3",
+        "hall-2",
+        "yard-2",
+    ),
+    n_gaussians: int = 120_000,
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Print a table; write it as JSON with ``--out``."""
+    import json
+
+    if out is not None:
+        check_output(out, overwrite)
+    rows = [row for name in scenes for row in measure(name, n_gaussians)]
+    print(
+        f"{'scene':12} {'what':28} {'things':>6} {'middle':>8} {'near':>6} {'extent':>6} {'IoU':>6} {'accuracy':>9}"
+    )
+    for row in rows:
+        numbers = (f"{row[key]:{width}.3f}" if key in row else " " * width for key, width in COLUMNS.items())
+        print(f"{row['scene']:12} {row['what']:28} {row['things']:6} {' '.join(numbers)}")
+    if out is not None:
+        record = {"environment": describe_environment(), "n_gaussians": n_gaussians, "rows": rows}
+        write_text(out, json.dumps(record, indent=1) + "\n", overwrite)
+
+
+COLUMNS = {"median_error": 8, "within_quarter": 6, "extent": 6, "iou": 6, "accuracy": 9}
+
+
+def measure(scene_name: str, n_gaussians: int) -> list[dict[str, Any]]:
+    """The rows of one scene."""
+    layout, _, seed = scene_name.rpartition("-")
+    scene = make_demo_scene(int(seed), n_gaussians, layout=find_layout(layout))
+    field = scoup.build(scene.gaussians, scene.building, scene.regions)
+    encoder: Encoder = dict(
+        zip(scene.words.texts, torch.from_numpy(scene.words.vectors).float(), strict=True)
+    )
+    things = true_things(scene)
+    located = field.locate([thing.name for thing in things], encoder=encoder, always=True)
+    assert isinstance(located, list)
+    found = list(zip(things, located, strict=True))
+    parts = {
+        "strays left off": [of_part(each) for _, each in found],
+        "all that answers": [of_all(field, each) for _, each in found],
+    }
+    rows = []
+    for what, places in parts.items():
+        errors = torch.tensor(
+            [distance(thing, position) for thing, (position, _) in zip(things, places, strict=True)]
+        )
+        extents = torch.tensor(
+            [extent(field, thing, mask) for thing, (_, mask) in zip(things, places, strict=True)]
+        )
+        overlaps = torch.tensor(
+            [overlap(thing.mask, mask) for thing, (_, mask) in zip(things, places, strict=True)]
+        )
+        rows.append({
+            "scene": scene_name, "what": what, "things": len(things), "median_error": float(errors.median()),
+            "within_quarter": float((errors <= 0.25).float().mean()), "extent": float(extents.median()), "iou": float(overlaps.mean()),
+        })  # fmt: skip
+    return [*rows, labels_row(scene_name, scene, field, encoder)]
+
+
+def true_things(scene: DemoScene) -> list[Named]:
+    """Objects and groups that are one thing each."""
+    found = []
+    for level in ("m", "l"):
+        ids = ids_at(scene, level)
+        for number, name in enumerate(scene.parts.names(level)):
+            mask = ids == number
+            if (
+                name not in scene.parts.several
+                and int(mask.sum()) >= 20
+                and name not in {each.name for each in found}
+            ):
+                means = scene.gaussians.means[mask].double()
+                box = oriented_box(means, scene.gaussians.opacities[mask].double())
+                found.append(Named(name, mask, means.median(0).values, float(box.extent.norm())))
+    return found
+
+
+def ids_at(scene: DemoScene, level: str) -> Tensor:
+    """[N] the true name's number at a level; -1 for none."""
+    return torch.from_numpy(scene.parts.at_level(scene.part_of_gaussian.numpy(), level)).long()
+
+
+def of_part(place: Location) -> tuple[Tensor | None, Tensor]:
+    """Position and [N] mask of what ``locate`` says."""
+    mask = torch.zeros_like(place.answer.mask)
+    mask[place.gaussians] = True
+    return place.position, mask
+
+
+def of_all(field: scoup.LanguageField, place: Location) -> tuple[Tensor | None, Tensor]:
+    """The same of all Gaussians that answer."""
+    mask = place.answer.mask
+    return (field.gaussians.means[mask].double().median(0).values if mask.any() else None), mask
+
+
+def distance(thing: Named, position: Tensor | None) -> float:
+    """From the true middle, in diagonals."""
+    return float("inf") if position is None else float((position - thing.middle).norm()) / thing.diagonal
+
+
+def extent(field: scoup.LanguageField, thing: Named, mask: Tensor) -> float:
+    """Diagonal of the box around the Gaussians found, in true diagonals; the inverse if it is smaller."""
+    if not mask.any():
+        return float("inf")
+    means, opacities = field.gaussians.means[mask].double(), field.gaussians.opacities[mask].double()
+    ratio = float(oriented_box(means, opacities).extent.norm()) / thing.diagonal
+    return max(ratio, 1 / max(ratio, 1e-9))
+
+
+def overlap(first: Tensor, second: Tensor) -> float:
+    """Intersection over union of two masks."""
+    return int((first & second).sum()) / max(1, int((first | second).sum()))
+
+
+def labels_row(name: str, scene: DemoScene, field: scoup.LanguageField, encoder: Encoder) -> dict[str, Any]:
+    """Labels by the names of all objects, over the Gaussians that have a code."""
+    names = scene.parts.names("m")
+    labels = field.label(list(names), encoder=encoder)
+    truth = ids_at(scene, "m")
+    judged = field.coded() & (truth >= 0)
+    overlaps = [overlap(truth[judged] == each, labels.ids[judged] == each) for each in range(len(names))]
+    return {
+        "scene": name, "what": "labels", "things": len(names), "iou": sum(overlaps) / len(overlaps),
+        "accuracy": float((labels.ids[judged] == truth[judged]).float().mean()),
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,102 @@
+"""Small pictures of scene data for notebooks, drawn without the rasteriser."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.base.html import PREVIEW
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import SH_C0, Gaussians
+
+MOST_POINTS = 200_000
+_MIDDLE = (0.02, 0.98)  # what lies beyond these quantiles of the means is not shown
+_GREY = 245
+
+
+def gaussians_preview(gaussians: Gaussians) -> NDArray[np.uint8]:
+    """The means in their colours, seen along the direction in which they spread least: [H, W, 3]."""
+    width, height = PREVIEW
+    picture = np.full((height, width, 3), _GREY, np.uint8)
+    usable = gaussians.finite() & (gaussians.opacities > 0.1)
+    rows = usable.nonzero()[:, 0]
+    rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))].cpu()
+    if not len(rows):
+        return picture
+    means = gaussians.means[rows.to(gaussians.device)].cpu().double()
+    across, down, depth = _principal(means)
+    x, y = _fitted(across, down, width, height)
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    base = gaussians.sh[rows.to(gaussians.device), 0].cpu()
+    colors = ((SH_C0 * base + 0.5).clamp(0, 1) * 255).round().to(torch.uint8)
+    order = depth.argsort(stable=True)  # far ones first
+    order = order[inside[order]]
+    picture[y[order].numpy(), x[order].numpy()] = colors[order].numpy()
+    return picture
+
+
+def cameras_preview(cameras: Sequence[Camera]) -> NDArray[np.uint8]:
+    """Where the cameras are and look, seen from above: [H, W, 3]. Upwards is what is upwards in most images."""
+    from PIL import Image, ImageDraw
+
+    width, height = PREVIEW
+    canvas = Image.new("RGB", (width, height), (_GREY,) * 3)
+    if not len(cameras):
+        return np.asarray(canvas)
+    places = torch.stack([camera.position for camera in cameras])
+    forward = torch.stack([camera.viewmat[2, :3] for camera in cameras])
+    up = -torch.stack([camera.viewmat[1, :3] for camera in cameras]).mean(0)
+    axis = int(up.abs().argmin())
+    right = torch.linalg.cross(torch.eye(3, dtype=torch.float64)[axis], up)
+    right = right / right.norm().clamp(min=1e-9)
+    ahead = torch.linalg.cross(right, up / up.norm().clamp(min=1e-9))
+    plan = torch.stack([right, ahead], 1)
+    flat, aim = places @ plan, forward @ plan
+    x, y = _fitted(flat[:, 0], flat[:, 1], width, height)
+    draw = ImageDraw.Draw(canvas)
+    for column, row, (dx, dy) in zip(x.tolist(), y.tolist(), aim.tolist(), strict=True):
+        draw.line((column, row, column + 14 * dx, row + 14 * dy), fill=(60, 110, 190))
+        draw.ellipse((column - 2, row - 2, column + 2, row + 2), fill=(30, 30, 30))
+    return np.asarray(canvas)
+
+
+def labels_preview(labels: Tensor) -> NDArray[np.uint8]:
+    """Regions [H, W] in colours of their own, black where there is none: [H, W, 3], no larger than a card's picture."""
+    from PIL import Image
+
+    numbers = labels.cpu().numpy().astype(np.int64)
+    hues = np.stack([numbers * 103 % 256, 140 + numbers * 37 % 100, 180 + numbers * 59 % 76], -1)
+    hues[numbers < 0] = 0
+    image = Image.fromarray(hues.astype(np.uint8), "HSV").convert("RGB")
+    image.thumbnail(PREVIEW, Image.Resampling.NEAREST)
+    return np.asarray(image)
+
+
+def _principal(means: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Positions [M, 3] along the axes in which they spread most, less, and least."""
+    ends = torch.quantile(
+        means[:: max(1, len(means) // 100_000)], torch.tensor(_MIDDLE, dtype=torch.float64), dim=0
+    )
+    middle = means.clamp(ends[0], ends[1])
+    centred = middle - middle.mean(0)
+    axes = torch.linalg.eigh(centred.T @ centred).eigenvectors.flip(1)
+    axes = axes * axes.gather(0, axes.abs().argmax(0, keepdim=True)).sign()
+    across, down, depth = ((means - middle.mean(0)) @ axes).unbind(1)
+    return across, down, depth
+
+
+def _fitted(across: Tensor, down: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+    """Pixels of plane positions, such that most of them fill the picture, with equal scale along both axes."""
+    ends = torch.tensor(_MIDDLE, dtype=torch.float64)
+    step = max(1, len(across) // 100_000)
+    (left, right), (top, bottom) = (
+        torch.quantile(values[::step], ends).tolist() for values in (across, down)
+    )
+    scale = 0.85 * min(width / max(right - left, 1e-12), height / max(bottom - top, 1e-12))
+    x = (across - (left + right) / 2) * scale + width / 2
+    y = (down - (top + bottom) / 2) * scale + height / 2
+    return x.clamp(-1e6, 1e6).long(), y.clamp(-1e6, 1e6).long()
