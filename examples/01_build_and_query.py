@@ -1,4 +1,4 @@
-"""Build a language field and query it for a thing.
+"""Build a language field and query it for a thing: in the views, and in the world.
 
     python examples/01_build_and_query.py demo/scene demo/scene/text.npz teapot
 
@@ -15,9 +15,10 @@ scene, words, thing = sys.argv[1:4]
 gaussians = scoup.load_gaussians(scene)
 cameras = scoup.load_cameras(scene)
 regions = scoup.load_regions(scene, cameras)
-field = scoup.build(gaussians, cameras, regions)
+field = scoup.build(gaussians, cameras, regions, embedding_model=words)
 
-texts = scoup.encode_texts(scoup.TextEncoder.open(words), field, [thing]).with_everyday()
 for camera in cameras[:3]:
-    (answer,) = scoup.answer_view(field, camera, texts)
+    answer = field.query(thing, camera)
     print(f"{camera.name}: pixel {answer.point}, box {answer.box}, level {answer.level}")
+place = field.locate(thing)
+print(f"in the world: {place}")

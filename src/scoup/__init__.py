@@ -36,6 +36,8 @@ _HOMES = {
     "Answer": "scoup.query.answer",
     "answer_view": "scoup.query.answer",
     "answer_scene": "scoup.query.answer",
+    "Location": "scoup.query.locate",
+    "GaussianLabels": "scoup.query.label",
     "encode_texts": "scoup.query.text_vectors",
     "localize": "scoup.query.localize",
     "segment": "scoup.query.segment",
@@ -58,7 +60,9 @@ if TYPE_CHECKING:
     from scoup.query.answer import Answer as Answer
     from scoup.query.answer import answer_scene as answer_scene
     from scoup.query.answer import answer_view as answer_view
+    from scoup.query.label import GaussianLabels as GaussianLabels
     from scoup.query.localize import localize as localize
+    from scoup.query.locate import Location as Location
     from scoup.query.segment import segment as segment
     from scoup.query.select import select as select
     from scoup.query.text_vectors import encode_texts as encode_texts

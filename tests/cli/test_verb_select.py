@@ -35,6 +35,21 @@ def test_chosen_and_rest_are_the_rows_of_the_splat_byte_for_byte():
     assert read_ply_table("a.ply").rows.dtype == read_ply_table("scene/point_cloud.ply").rows.dtype
 
 
+def test_a_thing_is_removed_and_the_field_stays():
+    kept = run_json("select", "f.scoup", "kettle", "--out", "without.scoup", "--write", "rest")
+    alone = run_json("select", "f.scoup", "kettle", "--out", "kettle.scoup")
+    assert kept["written"] + alone["written"] == 150
+    Path("scene/point_cloud.ply").unlink()  # the Gaussians are in the files
+    again = run_json("select", "kettle.scoup", "kettle", "--out", "again.ply", "--always", "--threshold", "0")
+    assert again["gaussians"] == alone["written"]
+    assert run_json("query", "without.scoup", "mug", "--out", "answers")["answers"]
+    assert run_json("info", "without.scoup")["gaussians"] == kept["written"]
+    message = refused("select", "f.scoup", "kettle", "--out", "ids.scoup", "--write", "ids")
+    assert "no column of ids" in message
+    message = refused("select", "kettle.scoup", "kettle", "--out", "kettle.scoup", "--overwrite")
+    assert "is the field that is queried" in message
+
+
 def test_ids_of_several_texts():
     record = run_json("select", "f.scoup", "kettle", "mug", "--out", "ids.ply", "--write", "ids")
     table = read_ply_table("ids.ply")

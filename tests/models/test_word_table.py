@@ -186,6 +186,37 @@ def test_everyday_words_of_a_table_are_its_other_names(tmp_path: Path) -> None:
     assert torch.equal(encoder.canonical(everyday=True), encoder.canonical())  # two words are too few
 
 
+def test_a_dict_is_an_encoder() -> None:
+    vectors = torch.randn(5, 6, generator=torch.Generator().manual_seed(0))
+    names = ["object", "things", "stuff", "texture", "red apple"]
+    expected = torch.nn.functional.normalize(vectors, dim=1)
+    for rows in (vectors, 7 * vectors.double().numpy(), vectors.tolist()):
+        encoder = TextEncoder.open(dict(zip(names, rows, strict=True)))
+        assert (encoder.names, encoder.dim, encoder.name) == (tuple(names), 6, "")
+        torch.testing.assert_close(encoder.encode(["Red Apple", "stuff"]), expected[[4, 2]])
+    with pytest.raises(UnknownNameError, match="red apple"):
+        encoder.encode(["red aple"])
+    encoder.close()
+    with pytest.raises(InputError, match="closed"):
+        encoder.canonical()
+
+
+@pytest.mark.parametrize(
+    ("vectors", "message"),
+    [
+        ({}, "at least one"),
+        ({"a": torch.ones(3), "b": torch.ones(4)}, "one length"),
+        ({"a": torch.ones(2, 2)}, "one length"),
+        ({"a": torch.zeros(3)}, "'a' is zero"),
+        ({"a": torch.full((3,), torch.nan)}, "not finite"),
+        ({3: torch.ones(3)}, "texts as its keys"),
+    ],
+)
+def test_dicts_that_are_no_table(vectors: dict[str, torch.Tensor], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        TextEncoder.open(vectors)
+
+
 @pytest.mark.data
 def test_real_clip_table(data_folder: Path) -> None:
     path = data_folder / "clip" / "text_vit_b16_laion2b.npz"

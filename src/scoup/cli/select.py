@@ -12,25 +12,24 @@ from scoup.cli.query_options import TextOptions, absence_message, check_texts
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
-    from scoup.io import PlyTable
     from scoup.query.answer import SceneAnswer
 
 
 @common_last
 @dataclass(frozen=True, kw_only=True)
 class Select(TextOptions):
-    """Write the Gaussians that answer a text as a 3DGS PLY: those chosen, the rest, or all with an id column.
+    """Write the Gaussians that answer a text, or all others: as a 3DGS PLY, or as a field that can be queried again.
 
     Gaussians are judged by their own codes, without rendering. Where the field's geometry is a PLY, its rows are
-    copied byte for byte.
+    copied byte for byte. A field has its Gaussians in its file: `--write rest --out without.scoup` removes a thing.
     """
 
     texts: Texts
     """What to look for, for example "kettle"; of several texts, a Gaussian that answers any is chosen."""
     out: Path
-    """The PLY to write."""
+    """The PLY or .scoup to write."""
     write: Literal["chosen", "rest", "ids"] = "chosen"
-    """chosen: those found. rest: all others. ids: all, with a property `selected`: number of text, or 0."""
+    """chosen: those found. rest: all others. ids: all, with a property `selected`: number of text, or 0 (PLY only)."""
     threshold: float = 0.6
     """A Gaussian is chosen above this, 0 to 1, once relevancy is rescaled over the scene."""
     absolute: Flag = False
@@ -46,7 +45,6 @@ class Select(TextOptions):
 
     def run(self, console: Console) -> None:
         """Choose and write."""
-        from scoup.io import write_ply_table
         from scoup.query.answer import answer_scene
         from scoup.query.presence import presence_threshold
 
@@ -70,13 +68,12 @@ class Select(TextOptions):
         ]
         for message in absent:
             console.say(message)
-        table = self._table(field, answers, absent)
-        write_ply_table(table, self.out, self.overwrite)
+        written = self._write(field, answers, absent)
         counts = {text: int(answer.mask.sum()) for text, answer in zip(self.texts, answers, strict=True)}
         for text, count in counts.items():
             console.say(f"{text}: {count:,} of {len(field):,} Gaussians")
-        console.say(f"{self.out}: {len(table):,} Gaussians written")
-        console.result({"out": self.out, "written": len(table), "chosen": counts, "gaussians": len(field)})
+        console.say(f"{self.out}: {written:,} Gaussians written")
+        console.result({"out": self.out, "written": written, "chosen": counts, "gaussians": len(field)})
 
     def _check_options(self) -> None:
         from scoup.base.errors import InputError
@@ -87,42 +84,53 @@ class Select(TextOptions):
             raise InputError(f"--threshold must be 0 to 1, got {self.threshold}")
         if self.neighbours < 0:
             raise InputError(f"--neighbours must be 0 or more, got {self.neighbours}")
-        if self.out.suffix.lower() != ".ply":
-            raise InputError(f"{self.out}: selections are written as PLY; give a name that ends in .ply")
+        suffix = self.out.suffix.lower()
+        if suffix not in (".ply", ".scoup"):
+            raise InputError(f"{self.out}: give a name that ends in .ply (a splat) or .scoup (a field)")
+        if suffix == ".scoup" and self.write == "ids":
+            raise InputError(f"{self.out}: a field has no column of ids; give a name that ends in .ply")
         check_output(self.out, self.overwrite)
 
     def _check_out(self, field: LanguageField) -> None:
-        """Refuse to replace the field's own splat."""
+        """Refuse to replace the field itself, or its own splat."""
         from scoup.base.errors import InputError
 
-        for geometry in (self.gaussians, field.geometry_path):
-            if geometry and self.out.exists() and geometry.exists() and self.out.samefile(geometry):
-                raise InputError(
-                    f"{self.out}: is the splat the field was built on; give another name with --out"
-                )
+        for what, source in (
+            ("splat the field was built on", self.gaussians),
+            ("splat the field was built on", field.geometry_path),
+            ("field that is queried", self.field),
+        ):
+            if source and self.out.exists() and source.exists() and self.out.samefile(source):
+                raise InputError(f"{self.out}: is the {what}; give another name with --out")
 
-    def _table(self, field: LanguageField, answers: list[SceneAnswer], absent: list[str]) -> PlyTable:
-        """The rows to write.
+    def _write(self, field: LanguageField, answers: list[SceneAnswer], absent: list[str]) -> int:
+        """Write the file; returns the number of Gaussians in it.
 
         Raises:
-            InputError: there are none.
+            InputError: there would be none.
         """
         import torch
 
         from scoup.base.errors import InputError
+        from scoup.io import write_ply_table
         from scoup.query.splat_table import SplatTable
 
         masks = [answer.mask for answer in answers]
-        rows = SplatTable.of(field, self.gaussians)
         if self.write == "ids":
-            return rows.with_ids(masks)
+            table = SplatTable.of(field, self.gaussians).with_ids(masks)
+            write_ply_table(table, self.out, self.overwrite)
+            return len(table)
         chosen = torch.stack(masks).any(0)
-        table = rows.select(chosen if self.write == "chosen" else ~chosen)
-        if not len(table):
+        wanted = chosen if self.write == "chosen" else ~chosen
+        if not wanted.any():
             advice = "try a lower --threshold" if self.write == "chosen" else "try a higher --threshold"
             if absent and self.write == "chosen":
                 advice = f"{'; '.join(absent)}; --always chooses something all the same"
             raise InputError(
                 f"{self.out}: nothing to write, {int(chosen.sum())} of {len(chosen)} Gaussians answer; {advice}"
             )
-        return table
+        if self.out.suffix.lower() == ".scoup":
+            field.select(wanted).save(self.out, self.overwrite)
+        else:
+            write_ply_table(SplatTable.of(field, self.gaussians).select(wanted), self.out, self.overwrite)
+        return int(wanted.sum())

@@ -381,7 +381,7 @@ class LanguageField(FieldQueries):
         self,
         path: str | Path,
         overwrite: bool = False,
-        embed_geometry: bool = False,
+        embed_geometry: bool | None = None,
         weight_bits: int = 16,
     ) -> None:
         """Write the field to one ``.scoup`` file (docs/formats.md), atomically.
@@ -389,12 +389,15 @@ class LanguageField(FieldQueries):
         Args:
             path: the file.
             overwrite: replace what is there.
-            embed_geometry: put the Gaussians into the file too.
+            embed_geometry: put the Gaussians into the file too. By default, only if they are in memory and the field
+                names no file that holds them: such a field could not be queried after loading.
             weight_bits: 16 (float16) or 8 (255 steps of each code's largest weight).
 
         Raises:
             OutputExistsError: the file is there and ``overwrite`` is false.
         """
+        if embed_geometry is None:
+            embed_geometry = self.geometry_path is None and self.has_geometry
         parts = FieldParts(
             self.code_indices,
             self.code_weights,

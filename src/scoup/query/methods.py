@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, overload
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from scoup import raster
 from scoup.base.errors import InputError
 from scoup.query.answer import Answer, answer_scene, answer_view
 from scoup.query.label import GaussianLabels, label
@@ -40,7 +41,7 @@ class FieldQueries(QueriedField):
     """
 
     _encoder: TextEncoder | None = None
-    _encoder_source: Encoder | None = None
+    _encoder_name: str = ""  # as it was opened; empty for a dict or an encoder
 
     def text_encoder(self, encoder: Encoder | None = None) -> TextEncoder:
         """The encoder of this field's texts; opened at its first use and kept.
@@ -54,21 +55,21 @@ class FieldQueries(QueriedField):
         """
         from scoup.models.text import TextEncoder
 
-        source = encoder
-        if source is None:
+        if encoder is None:
             if self._encoder is not None:
                 return self._encoder
-            source = self.encoder_source
-        if isinstance(source, TextEncoder):
-            self._encoder = source
-        elif self._encoder is None or (source is not self._encoder_source and source != self._encoder_source):
-            self._encoder = TextEncoder.open(source, device=self.codebook.device)
-        self._encoder_source = source
+            encoder = self.encoder_source
+        name = str(encoder) if isinstance(encoder, (str, Path)) else ""
+        if isinstance(encoder, TextEncoder):
+            self._encoder = encoder
+        elif self._encoder is None or not name or name != self._encoder_name:
+            self._encoder = TextEncoder.open(encoder, device=self.codebook.device)
+        self._encoder_name = name
         return self._encoder
 
     def keep_encoder_of(self, other: FieldQueries) -> None:
         """Use the encoder that another field has open."""
-        self._encoder, self._encoder_source = other._encoder, other._encoder_source
+        self._encoder, self._encoder_name = other._encoder, other._encoder_name
 
     def text_vectors(self, texts: Texts, encoder: Encoder | None = None) -> TextVectors:
         """The vectors of texts, or vectors as they are, with what they are compared with.
@@ -90,6 +91,12 @@ class FieldQueries(QueriedField):
         names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
         return replace(encode_texts(self.text_encoder(encoder), self, []), texts=names, queries=queries)
 
+    @overload
+    def query(self, texts: str, *arguments: Any, **options: Any) -> Answer: ...
+    @overload
+    def query(self, texts: list[str] | tuple[str, ...], *arguments: Any, **options: Any) -> list[Answer]: ...
+    @overload
+    def query(self, texts: Texts, *arguments: Any, **options: Any) -> Answer | list[Answer]: ...
     def query(
         self,
         texts: Texts,
@@ -99,6 +106,7 @@ class FieldQueries(QueriedField):
         rule: str | QueryPreset = "default",
         presence: float | None = None,
         always: bool = False,
+        projection: raster.Projection | None = None,
     ) -> Answer | list[Answer]:
         """Where something is in one view.
 
@@ -111,6 +119,7 @@ class FieldQueries(QueriedField):
             presence: a text is in the view if its z-score is at least this; by default 2, where there are enough
                 everyday words.
             always: find something for any text.
+            projection: what ``field.project(camera)`` gave, if it is known: further queries with it take less time.
 
         Returns:
             An answer, or one for each of several texts or vectors.
@@ -123,9 +132,17 @@ class FieldQueries(QueriedField):
         judged = not always and (presence is not None or preset.name == "default")
         present_from = presence_threshold(vectors, presence) if judged else None
         vectors = vectors.with_everyday() if preset.name == "default" else vectors
-        answers = answer_view(self, camera, vectors, preset, present_from)
+        answers = answer_view(self, camera, vectors, preset, present_from, projection)
         return answers[0] if _is_single(texts) else answers
 
+    @overload
+    def locate(self, texts: str, *arguments: Any, **options: Any) -> Location: ...
+    @overload
+    def locate(
+        self, texts: list[str] | tuple[str, ...], *arguments: Any, **options: Any
+    ) -> list[Location]: ...
+    @overload
+    def locate(self, texts: Texts, *arguments: Any, **options: Any) -> Location | list[Location]: ...
     def locate(
         self,
         texts: Texts,

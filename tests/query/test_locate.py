@@ -1,0 +1,141 @@
+"""Positions and oriented boxes of things made for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from scoup.query.answer import SceneAnswer
+from scoup.query.locate import Location, connected_parts, location, oriented_box, weighted_quantiles
+from scoup.scene.gaussians import Gaussians
+
+
+@dataclass
+class Placed:
+    """As much of a field as ``location`` looks at."""
+
+    gaussians: Gaussians
+
+
+def gaussians_at(means: Tensor, opacities: Tensor | None = None) -> Gaussians:
+    count = len(means)
+    quats = torch.zeros(count, 4)
+    quats[:, 0] = 1
+    opacities = torch.full((count,), 0.8) if opacities is None else opacities
+    return Gaussians(means.float(), quats, torch.full((count, 3), 0.01), opacities, torch.zeros(count, 1, 3))
+
+
+def located(means: Tensor, relevancy: Tensor | None = None, opacities: Tensor | None = None) -> Location:
+    relevancy = torch.full((len(means),), 0.8) if relevancy is None else relevancy
+    answer = SceneAnswer(torch.ones(len(means), dtype=torch.bool), relevancy, "m", 0.8, text="thing")
+    return location(Placed(gaussians_at(means, opacities)), answer)  # pyright: ignore[reportArgumentType]
+
+
+def block(count: int, size: list[float], seed: int = 0) -> Tensor:
+    random = torch.Generator().manual_seed(seed)
+    return (torch.rand(count, 3, generator=random, dtype=torch.float64) - 0.5) * torch.tensor(size)
+
+
+def turned(angle: float) -> Tensor:
+    c, s = math.cos(angle), math.sin(angle)
+    return torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1.0]], dtype=torch.float64)
+
+
+def test_a_turned_block_is_found_where_it_is() -> None:
+    centre = torch.tensor([3.0, -2.0, 5.0], dtype=torch.float64)
+    turn = turned(0.6)
+    found = located(block(4000, [2.0, 1.0, 0.5]) @ turn.T + centre)
+    assert found.position is not None
+    assert found.box is not None
+    assert (found.position - centre).norm() < 0.1
+    assert (found.box.centre - centre).norm() < 0.1
+    torch.testing.assert_close(
+        found.box.extent, torch.tensor([2.0, 1.0, 0.5], dtype=torch.float64), atol=0.1, rtol=0
+    )
+    assert abs(float(found.box.axes[0] @ turn[:, 0])) > 0.99
+    assert float(torch.linalg.det(found.box.axes)) == pytest.approx(1)
+    assert found.confidence == pytest.approx(0.8, abs=1e-6)
+    assert len(found.gaussians) == 4000
+    corners = found.box.corners()
+    assert corners.shape == (8, 3)
+    torch.testing.assert_close(corners.mean(0), found.box.centre)
+    assert found.record()["box"]["extent"] == pytest.approx(found.box.extent.tolist(), rel=1e-4)
+
+
+def test_strays_do_not_move_it() -> None:
+    thing, strays = block(500, [1.0, 1.0, 1.0]), block(60, [80.0, 80.0, 80.0], seed=1)
+    alone, found = located(thing), located(torch.cat([strays, thing]))
+    assert found.box is not None
+    assert alone.box is not None
+    assert alone.position is not None
+    assert found.position is not None
+    assert (found.position - alone.position).norm() < 0.1
+    assert found.box.extent.max() < 1.3 * alone.box.extent.max()
+    assert int((found.gaussians < 60).sum()) <= 1
+
+
+def test_of_two_things_the_heavier_is_meant() -> None:
+    few, many = block(200, [1.0] * 3), block(300, [1.0] * 3, seed=1) + 10
+    found = located(torch.cat([few, many]))
+    assert found.position is not None
+    assert float(found.position[0]) == pytest.approx(10, abs=0.2)
+    faint = torch.cat([torch.full((200,), 0.9), torch.full((300,), 0.1)])
+    found = located(torch.cat([few, many]), opacities=faint)
+    assert found.position is not None
+    assert float(found.position[0]) == pytest.approx(0, abs=0.2)
+
+
+def test_what_has_no_place() -> None:
+    for empty in (torch.zeros(0, 3), torch.full((4, 3), torch.nan)):
+        found = located(empty)
+        assert (found.position, found.box, found.confidence) == (None, None, 0.0)
+        assert "not in this scene" in repr(found)
+    assert located(torch.ones(5, 3), opacities=torch.zeros(5)).position is None
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 20])
+def test_a_few_gaussians_at_one_place_make_a_box_without_extent(count: int) -> None:
+    found = located(torch.full((count, 3), 2.5))
+    assert found.position is not None
+    assert found.box is not None
+    assert found.position.tolist() == [2.5, 2.5, 2.5]
+    assert float(found.box.extent.abs().max()) < 1e-6
+    assert torch.isfinite(found.box.axes).all()
+
+
+@settings(max_examples=60)
+@given(st.integers(1, 40), st.integers(0, 2**31), st.sampled_from([1e-6, 1.0, 1e6]))
+def test_boxes_hold_their_points(count: int, seed: int, scale: float) -> None:
+    random = torch.Generator().manual_seed(seed)
+    points = torch.randn(count, 3, generator=random, dtype=torch.float64) * scale
+    weights = torch.ones(count, dtype=torch.float64)
+    box = oriented_box(points, weights)
+    torch.testing.assert_close(box.axes @ box.axes.T, torch.eye(3, dtype=torch.float64), atol=1e-9, rtol=0)
+    along = ((points - box.centre) @ box.axes.T).abs()
+    assert (along <= box.extent / 2 + 1e-9 * scale).all()  # fewer than 50 points: none may be cut off
+
+
+@settings(max_examples=60)
+@given(st.integers(1, 30), st.integers(0, 2**31))
+def test_quantiles_are_those_of_repeated_values(count: int, seed: int) -> None:
+    random = torch.Generator().manual_seed(seed)
+    values = torch.randint(0, 9, (count,), generator=random).double()
+    weights = torch.randint(0, 4, (count,), generator=random)
+    weights[0] += 1
+    repeated = torch.repeat_interleave(values, weights).sort().values
+    for share in (0.01, 0.5, 0.99):
+        found = float(weighted_quantiles(values, weights.double(), [share])[0])
+        assert found == float(repeated[math.ceil(share * len(repeated) - 1e-9) - 1])
+
+
+def test_parts_are_numbered_by_place() -> None:
+    points = torch.cat([block(50, [1.0] * 3), block(50, [1.0] * 3, seed=1) + 30]).numpy()
+    parts = connected_parts(points)
+    assert set(parts[:50]) & set(parts[50:]) == set()
+    assert connected_parts(points[:1]).tolist() == [0]

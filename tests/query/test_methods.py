@@ -1,0 +1,229 @@
+"""A field asked in one call: texts, vectors, encoders, cameras by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from query.conftest import Queried, random_vectors
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.field.language_field import LanguageField
+from scoup.models.text import TextEncoder
+from scoup.models.word_table import save_table
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.query.answer import Answer, answer_scene, answer_view
+from scoup.query.label import label
+from scoup.query.locate import Location, location
+from scoup.query.text_vectors import encode_texts
+
+WORDS = (*CANONICAL_PHRASES, *(f"word {number}" for number in range(20)))
+
+
+@pytest.fixture
+def table() -> dict[str, Tensor]:
+    return dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=5), strict=True))
+
+
+def assert_same_answer(first: Answer, second: Answer) -> None:
+    assert first.mask.equal(second.mask)
+    assert first.component.equal(second.component)
+    assert first.heat.equal(second.heat)
+    assert first.record() == second.record()
+
+
+def test_a_query_is_what_the_command_line_answers(queried: Queried, table: dict[str, Tensor]) -> None:
+    field, camera = queried.field, queried.camera
+    texts = encode_texts(TextEncoder.open(table), field, ["word 3", "word 7"]).with_everyday()
+    expected = answer_view(field, camera, texts, present_from=2)
+    found = field.query(["word 3", "word 7"], camera.name, encoder=table)
+    assert isinstance(found, list)
+    for one, other in zip(found, expected, strict=True):
+        assert_same_answer(one, other)
+        assert one.z_score is not None
+    alone = field.query("word 3", 0)  # the encoder is kept
+    assert isinstance(alone, Answer)
+    torch.testing.assert_close(alone.heat, expected[0].heat, atol=1e-5, rtol=0)
+    again = field.query("word 3", camera, projection=field.project(camera))
+    assert isinstance(again, Answer)
+    torch.testing.assert_close(again.heat, alone.heat, atol=1e-5, rtol=0)
+    assert (alone.text, alone.view) == ("word 3", camera.name)
+    assert alone.render is not None
+    assert alone.render().shape == (*alone.mask.shape, 3)
+
+
+def test_vectors_and_arrays_are_queries_too(queried: Queried, table: dict[str, Tensor]) -> None:
+    field, camera = queried.field, queried.camera
+    expected = field.query("word 3", camera, encoder=table)
+    assert isinstance(expected, Answer)
+    vector = table["word 3"]
+    for same in (vector, vector.numpy(), 10 * vector, (vector * 0.01).double(), vector[None]):
+        found = field.query(same, camera)
+        found = found[0] if isinstance(found, list) else found
+        assert found.mask.equal(expected.mask)
+        torch.testing.assert_close(found.heat, expected.heat, atol=1e-5, rtol=0)
+    several = field.query(torch.stack([vector, table["word 4"]]), camera)
+    assert isinstance(several, list)
+    assert [answer.text for answer in several] == ["query 1", "query 2"]
+    phrases = {name: table[name].numpy() for name in CANONICAL_PHRASES}
+    only = field.query(vector, camera, encoder=phrases)
+    assert isinstance(only, Answer)
+    assert (only.z_score, only.presence) == (None, True)  # four phrases are no words to judge presence by
+
+
+def test_rules_and_presence(queried: Queried, table: dict[str, Tensor]) -> None:
+    field, camera = queried.field, queried.camera
+    plain = field.query("word 3", camera, encoder=table, rule="langsplat")
+    assert isinstance(plain, Answer)
+    assert plain.z_score is None
+    absent = field.query("word 3", camera, presence=100.0)
+    assert isinstance(absent, Answer)
+    assert not absent.presence
+    assert not absent.mask.any()
+    forced = field.query("word 3", camera, always=True)
+    assert isinstance(forced, Answer)
+    assert forced.presence
+    with pytest.raises(UnknownNameError, match="langsplatv2"):
+        field.query("word 3", camera, rule="langsplatv3")
+
+
+def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> None:
+    field = queried.field
+    with pytest.raises(UnknownNameError, match="word 1"):
+        field.query("wird 1", encoder=table)
+    with pytest.raises(UnknownNameError, match=r"view_00\.png"):
+        field.query("word 1", "view_09.png")
+    with pytest.raises(InputError, match="has 3"):
+        field.query("word 1", 7)
+    with pytest.raises(InputError, match="at least one text"):
+        field.query([])
+    for bad in (torch.full((16,), torch.nan), torch.zeros(16), torch.ones(15), torch.ones(2, 2, 16)):
+        with pytest.raises(InputError, match="queries"):
+            field.query(bad)
+    other = replace(field.info, embedding_model="")
+    nameless = LanguageField(field.code_indices, field.code_weights, field.codebook, other, field.gaussians)
+    with pytest.raises(InputError, match="names no embedding model"):
+        nameless.query("word 1", queried.camera)
+    with pytest.raises(InputError, match="holds no cameras"):
+        nameless.query("word 1", encoder=table)
+
+
+def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Tensor], tmp_path: Path) -> None:
+    field = queried.field
+    (tmp_path / "scene").mkdir()
+    save_table(tmp_path / "scene" / "words.npz", list(table), torch.stack(list(table.values())))
+    named = LanguageField(
+        field.code_indices, field.code_weights, field.codebook,
+        replace(field.info, embedding_model="words.npz"), field.gaussians, cameras=field.cameras,
+    )  # fmt: skip
+    named.save(tmp_path / "scene" / "f.scoup")
+    loaded = LanguageField.load(tmp_path / "scene" / "f.scoup")  # the Gaussians are in the file
+    one, other = loaded.query("word 5"), field.query("word 5", encoder=table)
+    assert isinstance(one, Answer)
+    assert isinstance(other, Answer)
+    assert_same_answer(one, other)
+    assert loaded.text_encoder() is loaded.text_encoder()
+    assert loaded.to("cpu") is loaded
+
+
+def test_locate_and_label_are_their_functions(queried: Queried, table: dict[str, Tensor]) -> None:
+    field = queried.field
+    words = ["word 1", "word 2", "word 8"]
+    texts = encode_texts(TextEncoder.open(table), field, words).with_everyday()
+    expected = [location(field, answer) for answer in answer_scene(field, texts, 0.5)]
+    located = field.locate(words, encoder=table, threshold=0.5, always=True)
+    assert isinstance(located, list)
+    assert [each.record() for each in located] == [each.record() for each in expected]
+    one = field.locate("word 1", threshold=0.5, presence=100)
+    assert isinstance(one, Location)
+    assert (one.position, one.box, one.presence, len(one.gaussians)) == (None, None, False, 0)
+    labels, same = field.label(words, always=True), label(field, texts)
+    assert labels.ids.equal(same.ids)
+    assert labels.names == tuple(words)
+
+
+def test_a_part_of_a_field_is_queried_alone(queried: Queried, table: dict[str, Tensor]) -> None:
+    field = queried.field
+    field.text_encoder(table)
+    mask = torch.zeros(len(field), dtype=torch.bool)
+    mask[::2] = True
+    part = field[mask]
+    assert len(part) == int(mask.sum())
+    assert part.fingerprint == field.gaussians.select(mask).fingerprint()
+    places = mask.nonzero()[:, 0]
+    for same in (mask.numpy(), places, places.int().numpy(), places.tolist()):
+        assert field.select(same).code_weights.equal(part.code_weights)
+    vectors = table["word 3"][None], field.text_encoder().canonical()
+    whole = field.gaussian_relevancy(*vectors)
+    assert part.gaussian_relevancy(*vectors).equal(whole[..., mask])
+    answer = part.query("word 3")
+    assert isinstance(answer, Answer)
+    for bad in (mask[1:], torch.tensor([len(field)]), torch.tensor([-1]), torch.ones(3), mask[None]):
+        with pytest.raises(InputError, match="Gaussians"):
+            field.select(bad)
+    nothing = field.select([])
+    assert len(nothing) == 0
+
+
+def test_a_part_of_a_field_is_saved_with_its_gaussians(
+    queried: Queried, table: dict[str, Tensor], tmp_path: Path
+) -> None:
+    part = queried.field[torch.arange(10, 50)]
+    part.save(tmp_path / "part.scoup")
+    loaded = LanguageField.load(tmp_path / "part.scoup")
+    assert loaded.gaussians.fingerprint() == part.fingerprint
+    one, other = loaded.query("word 3", encoder=table), part.query("word 3", encoder=table)
+    assert isinstance(one, Answer)
+    assert isinstance(other, Answer)
+    assert_same_answer(one, other)
+
+
+def test_features_are_decoded_codes(queried: Queried) -> None:
+    field = queried.field
+    for level, name in enumerate(field.levels):
+        found = field.gaussian_features(name)
+        assert found.shape == (len(field), field.dim)
+        for row in range(0, len(field), 7):
+            atoms = field.codebook[level][field.code_indices[row, level].long()]
+            mixed = (field.code_weights[row, level].float()[:, None] * atoms).sum(0)
+            unit = mixed / mixed.norm() if mixed.any() else mixed
+            torch.testing.assert_close(found[row], unit, atol=1e-5, rtol=0)
+    with pytest.raises(InputError, match="no level"):
+        field.gaussian_features("xl")
+
+
+@pytest.mark.parametrize("scale", [7.0, 1e-3, 1e20])
+def test_relevancy_is_of_directions(queried: Queried, scale: float) -> None:
+    field, texts = queried.field, queried.texts
+    expected = field.relevancy(queried.camera, texts.queries, texts.canonical)
+    found = field.relevancy(queried.camera.name, texts.queries * scale, texts.canonical * max(1.0, scale))
+    torch.testing.assert_close(found, expected, atol=2e-6, rtol=0)
+    of_gaussians = field.gaussian_relevancy(np.asarray(texts.queries * scale), texts.canonical)
+    torch.testing.assert_close(
+        of_gaussians, field.gaussian_relevancy(texts.queries, texts.canonical), atol=2e-6, rtol=0
+    )
+
+
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf, 0.0])
+def test_what_has_no_direction_is_refused(queried: Queried, bad: float) -> None:
+    field, texts = queried.field, queried.texts
+    spoiled = texts.queries.clone()
+    spoiled[1] = bad
+    with pytest.raises(InputError, match="queries"):
+        field.relevancy(queried.camera, spoiled, texts.canonical)
+    with pytest.raises(InputError, match="canonical"):
+        field.gaussian_relevancy(texts.queries, spoiled)
+
+
+def test_the_mean_of_everyday_words_stays_short(queried: Queried) -> None:
+    field, texts = queried.field, queried.texts
+    found = field.gaussian_relevancy(texts.queries, texts.with_everyday().canonical)
+    mean = texts.everyday.mean(0, keepdim=True)
+    assert float(mean.norm()) < 0.9
+    unit = torch.nn.functional.normalize(mean, dim=1)
+    other = field.gaussian_relevancy(texts.queries, torch.cat([texts.canonical, unit]))
+    assert not torch.allclose(found, other, atol=1e-4)

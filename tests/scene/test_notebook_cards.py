@@ -1,0 +1,124 @@
+"""What a notebook shows of each object."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from scoup.base.html import PREVIEW, card
+from scoup.models.text import TextEncoder
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.previews import cameras_preview, gaussians_preview, labels_preview
+from scoup.scene.regions import Regions
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
+from support import KINDS, random_gaussians, small_scene, unit
+
+
+def pictures(page: str) -> list[np.ndarray]:
+    found = re.findall(r"data:image/png;base64,([A-Za-z0-9+/=]+)", page)
+    return [np.asarray(Image.open(io.BytesIO(base64.b64decode(each)))) for each in found]
+
+
+@pytest.fixture(scope="module")
+def shown() -> dict[str, Any]:
+    gaussians, cameras, regions = small_scene(count=80, views=3)
+    field = build(gaussians, cameras, regions, BuildSettings(n_atoms=8))
+    words = unit(torch.randn(30, 16, generator=torch.Generator().manual_seed(0)))
+    names = ["object", "things", "stuff", "texture", *(f"word {number}" for number in range(26))]
+    encoder = TextEncoder.open(dict(zip(names, words, strict=True)))
+    answer = field.query("word 3", encoder=encoder, always=True)
+    return {
+        "80 Gaussians": gaussians,
+        "3 cameras": cameras,
+        "Regions of 3 views": regions,
+        "Text encoder": encoder,
+        "Language field of 80 Gaussians": field,
+        "word 3": answer,
+    }
+
+
+@pytest.mark.parametrize(
+    "title",
+    [
+        "80 Gaussians",
+        "3 cameras",
+        "Regions of 3 views",
+        "Text encoder",
+        "Language field of 80 Gaussians",
+        "word 3",
+    ],
+)
+def test_every_object_has_a_card_with_a_picture_and_one_line(shown: dict[str, Any], title: str) -> None:
+    page = shown[title]._repr_html_()
+    assert title in page
+    (picture,) = pictures(page)
+    assert picture.ndim == 3
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 2
+    line = repr(shown[title])
+    assert "\n" not in line
+    assert len(line) < 200
+
+
+def test_cards_without_anything_to_draw(shown: dict[str, Any]) -> None:
+    field = shown["Language field of 80 Gaussians"]
+    field = type(field)(field.code_indices, field.code_weights, field.codebook, field.info)
+    assert pictures(field._repr_html_()) == []
+    assert pictures(Regions.from_maps({})._repr_html_()) == []
+    assert len(pictures(Cameras([])._repr_html_())) == 1
+    assert len(pictures(random_gaussians(0, 0)._repr_html_())) == 1
+
+
+def test_texts_in_cards_are_no_markup() -> None:
+    page = card("<b>bold</b>", {"<i>": "<script>alert(1)</script>"})
+    assert "<script>" not in page
+    assert "<i>" not in page
+    assert "&lt;script&gt;" in page
+
+
+def test_previews_of_ugly_scenes() -> None:
+    for seed in range(5):
+        picture = gaussians_preview(random_gaussians(60, seed, KINDS))
+        assert picture.shape == (PREVIEW[1], PREVIEW[0], 3)
+
+
+def test_gaussians_are_drawn_in_their_colours() -> None:
+    gaussians = random_gaussians(400, 0)
+    gaussians.sh[:] = 0
+    gaussians.sh[:, 0, 0] = 10.0  # red, saturated
+    drawn = gaussians_preview(gaussians)
+    colored = drawn[(drawn != 245).any(2)]
+    assert len(colored) > 50
+    assert (colored[:, 0] == 255).all()
+    assert (colored[:, 1] == 128).all()
+
+
+def test_cameras_are_drawn_where_they_are() -> None:
+    ring = [
+        Camera.look_at((3 * np.cos(a), 3 * np.sin(a), 1.0), (0, 0, 1.0), f"{a}.png", 40, 30, 36)
+        for a in np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    ]
+    drawn = cameras_preview(ring)
+    dark = np.argwhere((drawn == 30).all(2))
+    middle = dark.mean(0)
+    assert abs(middle[0] - PREVIEW[1] / 2) < 6
+    assert abs(middle[1] - PREVIEW[0] / 2) < 6
+    distances = np.linalg.norm(dark - middle, axis=1)
+    assert distances.min() > 0.7 * distances.max()  # a ring
+
+
+def test_regions_have_colours_of_their_own() -> None:
+    labels = (
+        torch.tensor([[0, 1], [2, -1]], dtype=torch.int32).repeat_interleave(4, 0).repeat_interleave(4, 1)
+    )
+    drawn = labels_preview(labels)
+    assert drawn.shape == (8, 8, 3)
+    assert len(np.unique(drawn.reshape(-1, 3), axis=0)) == 4
+    assert not drawn[-1, -1].any()
