@@ -4,8 +4,9 @@
 
 Each scene is built by the default settings and asked for every object and group of a single thing. The position is
 compared with the middle of the thing's true Gaussians, in diagonals of the box around them, with and without strays
-left off; the box by its overlap with the true one, Gaussians by their intersection over union. Labels are compared
-with the true object of each Gaussian that has a code.
+left off; extents by the ratio of the boxes' diagonals, Gaussians by their intersection over union. Labels are compared
+with the true object of each Gaussian that has a code. In the held-out views, boxes around the component that holds the
+point, and around the whole mask, are compared with the true boxes.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from scoup.bench.environment import describe_environment
 from scoup.io import check_output, write_text
 from scoup.query.locate import Location, oriented_box
 from scoup.query.methods import Encoder
+from scoup.query.segment import mask_box
 from scoup.synthetic.scene import DemoScene, make_demo_scene
 
 
@@ -104,9 +106,14 @@ def measure(scene_name: str, n_gaussians: int) -> list[dict[str, Any]]:
         )
         rows.append({
             "scene": scene_name, "what": what, "things": len(things), "median_error": float(errors.median()),
-            "within_quarter": float((errors <= 0.25).float().mean()), "extent": float(extents.median()), "iou": float(overlaps.mean()),
+            "within_quarter": float((errors <= 0.25).float().mean()),
+            "extent": float(extents.median()), "iou": float(overlaps.mean()),
         })  # fmt: skip
-    return [*rows, labels_row(scene_name, scene, field, encoder)]
+    return [
+        *rows,
+        labels_row(scene_name, scene, field, encoder),
+        *box_rows(scene_name, scene, field, encoder),
+    ]
 
 
 def true_things(scene: DemoScene) -> list[Named]:
@@ -175,6 +182,37 @@ def labels_row(name: str, scene: DemoScene, field: scoup.LanguageField, encoder:
         "scene": name, "what": "labels", "things": len(names), "iou": sum(overlaps) / len(overlaps),
         "accuracy": float((labels.ids[judged] == truth[judged]).float().mean()),
     }  # fmt: skip
+
+
+def box_rows(
+    name: str, scene: DemoScene, field: scoup.LanguageField, encoder: Encoder
+) -> list[dict[str, Any]]:
+    """Boxes in the held-out views, of things that have one box there."""
+    overlaps: dict[str, list[float]] = {"box of the component": [], "box of the mask": []}
+    for camera in scene.held_out:
+        frame = scene.labelled_frame(camera.name, ("m", "l"))
+        names = [label for label in frame.labels if len(frame.boxes[label]) == 1]
+        for label, answer in zip(
+            names, field.query(names, camera, encoder=encoder, always=True), strict=True
+        ):
+            x0, y0, x1, y1 = frame.boxes[label][0].tolist()
+            truth = (int(x0), int(y0), int(x1) + 1, int(y1) + 1)
+            found = {"box of the component": answer.box, "box of the mask": mask_box(answer.mask)}
+            for what, box in found.items():
+                overlaps[what].append(0.0 if box is None else box_overlap(box, truth))
+    return [
+        {"scene": name, "what": what, "things": len(each), "iou": sum(each) / len(each), "ious": each}
+        for what, each in overlaps.items()
+    ]
+
+
+def box_overlap(first: tuple[int, int, int, int], second: tuple[int, int, int, int]) -> float:
+    """Intersection over union of two boxes (x0, y0, x1, y1)."""
+    width = min(first[2], second[2]) - max(first[0], second[0])
+    height = min(first[3], second[3]) - max(first[1], second[1])
+    both = max(0, width) * max(0, height)
+    areas = ((box[2] - box[0]) * (box[3] - box[1]) for box in (first, second))
+    return both / (sum(areas) - both)
 
 
 if __name__ == "__main__":
