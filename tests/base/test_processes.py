@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Callable
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -46,8 +47,8 @@ def test_the_environment_of_torchrun(monkeypatch: pytest.MonkeyPatch) -> None:
         of_environment()
 
 
-def build_in_process(rank: int, world: int, port: int, folder: Path) -> None:
-    """One of several processes."""
+def join(rank: int, world: int, port: int) -> None:
+    """Make this process one of several."""
     import os
 
     os.environ |= {
@@ -57,6 +58,11 @@ def build_in_process(rank: int, world: int, port: int, folder: Path) -> None:
         "MASTER_PORT": str(port),
     }
     torch.set_num_threads(1)
+
+
+def build_in_process(rank: int, world: int, port: int, folder: Path) -> None:
+    """One of several processes."""
+    join(rank, world, port)
     gaussians, cameras, regions = small_scene(count=700, views=5)
     with process_group("cpu") as processes:
         assert processes == Processes(rank, world)
@@ -65,19 +71,34 @@ def build_in_process(rank: int, world: int, port: int, folder: Path) -> None:
     field.save(folder / f"{rank}.scoup")
 
 
-def build_together(world: int, folder: Path) -> list[LanguageField]:
+def refused_in_process(rank: int, world: int, port: int, folder: Path) -> None:
+    """One of several processes whose cameras see nothing; writes the error, and what it had rasterised by then."""
+    join(rank, world, port)
+    gaussians, cameras, regions = small_scene(count=50, views=5)
+    gaussians.means[:, 2] -= 1000
+    with process_group("cpu"):
+        sums = resumed(folder / f"partial.{rank}", gaussians, regions)
+        try:
+            build(gaussians, cameras, regions, settings=SETTINGS, sums=sums)
+        except InputError as error:
+            (folder / f"{rank}.txt").write_text(f"{len(sums)} {error}")
+
+
+def run_together(work: Callable[[int, int, int, Path], None], world: int, folder: Path) -> None:
     with socket.socket() as probe:
         probe.bind(("localhost", 0))
         port = probe.getsockname()[1]
     spawn = get_context("spawn")
-    workers = [
-        spawn.Process(target=build_in_process, args=(rank, world, port, folder)) for rank in range(world)
-    ]
+    workers = [spawn.Process(target=work, args=(rank, world, port, folder)) for rank in range(world)]
     for worker in workers:
         worker.start()
     for worker in workers:
         worker.join(120)
         assert worker.exitcode == 0
+
+
+def build_together(world: int, folder: Path) -> list[LanguageField]:
+    run_together(build_in_process, world, folder)
     gaussians, _, _ = small_scene(count=700, views=5)
     return [LanguageField.load(folder / f"{rank}.scoup", gaussians) for rank in range(world)]
 
@@ -90,6 +111,13 @@ def test_several_processes_build_what_one_builds(tmp_path: Path, world: int) -> 
     build_together(world, tmp_path)
     for rank in range(world):
         assert (tmp_path / f"{rank}.scoup").read_bytes() == (tmp_path / "alone.scoup").read_bytes()
+
+
+def test_all_processes_refuse_what_does_not_fit(tmp_path: Path) -> None:
+    run_together(refused_in_process, 2, tmp_path)
+    said = [(tmp_path / f"{rank}.txt").read_text() for rank in range(2)]
+    assert said[0] == said[1]
+    assert said[0].startswith("0 the splat does not fit the cameras: 5 of 5 cameras tried see nothing")
 
 
 def test_what_a_process_has_added_counts_once(tmp_path: Path) -> None:

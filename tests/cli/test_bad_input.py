@@ -280,7 +280,13 @@ def test_cameras_that_see_nothing():
         camera.viewmat[2, 3] = -1000
     shutil.rmtree("scene/sparse")
     write_colmap(cameras, "scene/sparse/0")
-    assert "the cameras see nothing: no Gaussian paints a region in any view; check" in refused(*BUILD)
+    message = refused(*BUILD)
+    assert message.startswith(
+        "scene/point_cloud.ply: does not fit the cameras: 4 of 4 cameras tried see nothing"
+    )
+    assert "--no-check-fit" in message
+    message = refused(*BUILD, "--no-check-fit")
+    assert message.startswith("the cameras see nothing: no Gaussian paints a region in any view; name")
     for verb in ("query", "render"):
         message = refused(*ASK[verb], "--scene", "scene", "--camera", "all")
         assert message.startswith("scene: the cameras see nothing of the field (view_00.png, view_01.png, ")

@@ -46,12 +46,13 @@ def test_extract_then_build(here) -> None:
     assert code == 0
     assert "4 views made, in" in out
     assert "seconds a view: decode" in out
-    run_json("build", "scene", *QUICK, "--out", "a.scoup")
+    assert "look unlike their photographs" in refused("build", "scene", *QUICK, "--out", "a.scoup")
+    run_json("build", "scene", *QUICK, "--out", "a.scoup", "--no-check-fit")
     field = LanguageField.load("a.scoup")
     assert field.info.embedding_model == "colors"  # as the features say, not as the verb would guess
     assert field.dim == 72
     assert "cannot be queried in words" in refused("query", "a.scoup", "kettle", "--out", "answers")
-    run_json("build", "scene", *QUICK, "--out", "b.scoup", "--model", "my/model")
+    run_json("build", "scene", *QUICK, "--out", "b.scoup", "--model", "my/model", "--no-check-fit")
     assert LanguageField.load("b.scoup").info.embedding_model == "my/model"
 
 

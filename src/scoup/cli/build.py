@@ -117,7 +117,7 @@ class Build(ViewOptions):
             with console.progress() as progress:
                 field = build(
                     gaussians, cameras, regions, settings, embedding_model=model, geometry_path=source, sums=sums,
-                    progress=progress,
+                    check_fit=not self.no_check_fit, progress=progress,
                 )  # fmt: skip
             if processes.first:
                 field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)

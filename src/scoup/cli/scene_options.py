@@ -29,6 +29,8 @@ class ViewOptions(WritesCommon):
     """Work at 1/N of the full image size: faster and coarser. Default: the size of the photographs found."""
     undistort: Flag = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
+    no_check_fit: Flag = False
+    """Leave out the check that small renders of the splat look like the photographs."""
 
     def load_views(self, scene: Path) -> tuple[Cameras, Regions, Path]:
         """Cameras and regions of a scene, and the folder of the regions."""

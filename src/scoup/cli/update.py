@@ -69,8 +69,9 @@ class Update(FieldOptions, ViewOptions):
         with changed_copy(source, sums_path(out), self.overwrite) as sums:
             with console.progress() as progress:
                 updated = update(
-                    field, sums, cameras, regions, self.remove, self.new_atoms, progress=progress
-                )
+                    field, sums, cameras, regions, self.remove, self.new_atoms,
+                    check_fit=not self.no_check_fit, progress=progress,
+                )  # fmt: skip
             updated.save(out, self.overwrite, field.geometry_path is None, self.weight_bits)
         total = len(updated.info.provenance["views"])
         console.say(

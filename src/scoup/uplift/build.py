@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from torch import Tensor
-
-from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.processes import at_work
 from scoup.base.progress import Progress, no_progress
 from scoup.field.artefact import FieldInfo
@@ -18,13 +14,12 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.consensus import consensus
+from scoup.uplift.fit import check_coded, refuse_misfit
 from scoup.uplift.provenance import build_record
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_fits, exchanged
 from scoup.uplift.region_codes import RegionEmbeddings, inputs_digest, learn_region_codes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import vote
-
-FEW_GAUSSIANS = 0.01  # share of coded Gaussians under which the frames of splat and cameras are doubted
 
 
 def build(  # noqa: PLR0913  the public face: each keyword is one choice of the user
@@ -37,6 +32,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     geometry_path: str | Path | None = None,
     backend: str | None = None,
     sums: RegionSums | None = None,
+    check_fit: bool = True,
     progress: Progress = no_progress,
 ) -> LanguageField:
     """Build a language field (method.md, stages 1 and 2): learn codes per level, rasterise each view once, vote.
@@ -57,10 +53,15 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         backend: of rasteriser and vote, by name.
         sums: region sums of these Gaussians, to continue from and to keep: views that are in them are not rasterised,
             the others are appended, and the codes are kept beside them. By default they are made and forgotten.
+        check_fit: compare small renders of some views with their photographs first (``uplift/fit.py``), unless the
+            sums hold views already.
         progress: called as ``progress(stage, done, total)``.
 
     Raises:
         InputError: no camera has regions, the cameras see nothing, or the inputs do not fit.
+
+    Warns:
+        ScoupWarning: splat and cameras may not fit.
     """
     settings = build_settings(settings)
     views = cameras_with_regions(cameras, regions)
@@ -72,6 +73,8 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     else:
         check_fits(sums, gaussians, regions, settings.raster_preset)
     processes, device = at_work(), gaussians.device
+    if check_fit and not any(processes.gather(len(sums))):
+        refuse_misfit(gaussians, views, settings.raster_preset, backend, geometry_path, processes)
 
     if settings.consensus:  # before coding; each process needs all sums
         add_views(sums, gaussians, views, regions, backend, progress)
@@ -87,7 +90,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
 
     keep, atoms = settings.keep or None, codes.codebook.to(device)
     found = vote(sums, codes.codes, atoms, settings.rounds, keep, backend=backend, progress=progress)
-    _check_seen(found.weights)
+    check_coded(found.weights)
     record = build_record(settings, inputs, sums, codes, found.sharpness)
     info = FieldInfo(
         sums.levels, embedding_model, sums.fingerprint, len(gaussians), settings.raster_preset, record
@@ -98,15 +101,3 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     ).to(device)
     field.attach(gaussians, known=True)
     return field
-
-
-def _check_seen(weights: Tensor) -> None:
-    """Refuse codes [N, S, K] of a scene that the cameras do not see."""
-    share = float((weights[..., 0] > 0).any(1).float().mean()) if len(weights) else 0.0
-    advice = "check that splat and cameras are in the same frame (trainers often normalise the world)"
-    if share == 0:
-        raise InputError(f"the cameras see nothing: no Gaussian paints a region in any view; {advice}")
-    if share < FEW_GAUSSIANS:
-        warnings.warn(
-            f"only {share:.2%} of the Gaussians paint a region; {advice}", ScoupWarning, stacklevel=3
-        )

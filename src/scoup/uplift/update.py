@@ -14,6 +14,7 @@ from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
+from scoup.uplift.fit import refuse_misfit
 from scoup.uplift.new_views import MANY, CodedView, code_view, embeddings_of, explained_thresholds
 from scoup.uplift.rasterise import add_views
 from scoup.uplift.region_codes import RegionCodes
@@ -21,7 +22,7 @@ from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import vote
 
 
-def update(
+def update(  # noqa: PLR0913  the public face: each keyword is one choice of the user
     field: LanguageField,
     sums: RegionSums,
     add: Iterable[Camera] = (),
@@ -30,6 +31,7 @@ def update(
     new_atoms: int = 0,
     *,
     backend: str | None = None,
+    check_fit: bool = True,
     progress: Progress = no_progress,
 ) -> LanguageField:
     """A new field after views were added, changed or removed: only these are rasterised, then all views vote again.
@@ -48,14 +50,20 @@ def update(
         new_atoms: add at most so many atoms a level and view. With 0 a warning is given if more than 30 % of a view's
             regions are badly explained.
         backend: of rasteriser and vote.
+        check_fit: compare small renders of the views to add with their photographs first, as ``build`` does.
         progress: called for the stages "region sums" and "vote".
 
     Raises:
         InputError: the sums are not those of the field, a view to remove is not there, none would be left, levels or
             embeddings do not fit, ``new_atoms`` is negative or makes more than 65536 atoms, or the field does not
-            record how well its codebook explains regions.
+            record how well its codebook explains regions; or the field's Gaussians and the cameras to add do not fit.
+
+    Warns:
+        ScoupWarning: the codebook explains many regions badly, or Gaussians and cameras may not fit.
     """
     coded, add = codes_of(field, sums), list(add)
+    if check_fit and add:
+        refuse_misfit(field.gaussians, add, field.info.raster_preset, backend, field.geometry_path)
     changed: list[CodedView] = []
     for camera in add:
         if regions is None:
