@@ -29,6 +29,8 @@ class ViewOptions(WritesCommon):
     """Work at 1/N of the full image size: faster and coarser. Default: the size of the photographs found."""
     undistort: Flag = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
+    dataparser_transforms: OptionalPath = None
+    """Brings the cameras to the frame of nerfstudio's splat: the dataparser_transforms.json in the output of its training."""
     no_check_fit: Flag = False
     """Leave out the check that small renders of the splat look like the photographs."""
 
@@ -38,6 +40,12 @@ class ViewOptions(WritesCommon):
         from scoup.io.scene_parts import find_features
 
         distorted = "undistort" if self.undistort else "refuse"
-        cameras = load_cameras(scene, self.images, self.downscale, distorted)
+        cameras = load_cameras(
+            scene,
+            self.images,
+            self.downscale,
+            distorted,
+            dataparser_transforms=self.dataparser_transforms,
+        )
         features = find_features(scene, self.features)
         return cameras, load_regions(features, cameras), features

@@ -12,6 +12,7 @@ from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.cameras.colmap import is_model, read_colmap
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms
+from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.reading import Distorted
 from scoup.io.splats.gsplat_checkpoint import read_gsplat_checkpoint
 from scoup.io.splats.ply import read_ply, write_ply
@@ -132,6 +133,7 @@ def load_cameras(
     downscale: Literal[1, 2, 4, 8] | None = None,
     distorted: Distorted = "refuse",
     missing_images: MissingImages = "skip",
+    dataparser_transforms: str | Path | None = None,
 ) -> Cameras:
     """Load the cameras of a scene, sorted by name, at the size of the images found for them.
 
@@ -144,6 +146,8 @@ def load_cameras(
         distorted: "refuse" cameras with lens distortion, or "undistort": they carry their coefficients, and
             images and region maps are undistorted when they are read.
         missing_images: "skip" cameras whose image is missing where others have one, or "keep" them without.
+        dataparser_transforms: bring the cameras to the frame of a splat that nerfstudio trained, by the file of that
+            name in its output.
 
     Raises:
         MissingFileError: there are no cameras, or ``images`` is not there or has none of their images.
@@ -160,6 +164,9 @@ def load_cameras(
         raise InputError(f"missing_images is {missing_images!r}, expected 'skip' or 'keep'")
     source = find_cameras(path)
     cameras = _read(source, distorted)
+    if dataparser_transforms is not None:
+        transforms = source.path if source.format == "nerfstudio" else None
+        cameras = in_trained_frame(cameras, dataparser_transforms, transforms)
     return attach_images(cameras, source.path, source.roots, images, downscale, missing_images)
 
 

@@ -177,6 +177,24 @@ class Camera:
         scale = torch.tensor([width / self.width, height / self.height, 1.0], dtype=torch.float64)
         return replace(self, K=self.K * scale[:, None], width=width, height=height)
 
+    def moved(self, rotation: ArrayLike, translation: ArrayLike, scale: float = 1.0) -> Camera:
+        """The same camera in another world, in which the point x is at scale * (rotation x + translation).
+
+        Args:
+            rotation: [3, 3].
+            translation: [3] in the units of the old world.
+            scale: above 0.
+
+        Raises:
+            InputError: ``rotation`` is none.
+        """
+        turn = torch.as_tensor(rotation, dtype=torch.float64)
+        shift = torch.as_tensor(translation, dtype=torch.float64)
+        viewmat = self.viewmat.clone()
+        viewmat[:3, :3] = self.viewmat[:3, :3] @ turn.T
+        viewmat[:3, 3] = scale * (self.viewmat[:3, 3] - viewmat[:3, :3] @ shift)
+        return replace(self, viewmat=viewmat)
+
 
 class Cameras:
     """An ordered, immutable collection of cameras with unique names, found by index or by name."""

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,10 @@ FEW_CODED = 0.01  # share of coded Gaussians below which a build is doubted
 ENOUGH = 4  # views, compared or blind, from which a scene may be called hopeless
 
 OVERRIDE = "pass --no-check-fit (check_fit=False in Python) to go on all the same"
-_SAME_SCENE = "name splat and folder of one scene, in the same frame (trainers often normalise the world)"
+_SAME_SCENE = (
+    "name splat and folder of one scene, in the same frame (trainers often normalise the world; for nerfstudio's there "
+    "is --dataparser-transforms)"
+)
 _SAME_NAMES = "check that each photograph has the name of its own camera"
 _FOCAL = "check the focal lengths"
 
@@ -125,6 +129,16 @@ class Fit:
         gain = np.median(own) - (0.0 if np.isnan(self.others).all() else np.nanmedian(self.others))
         hopeless = len(own) >= ENOUGH and np.median(own) < UNLIKE and gain < BETTER
         return Verdict.HOPELESS if hopeless else Verdict.DOUBTFUL
+
+    def describe(self) -> dict[str, Any]:
+        """The verdict, the views tried, and the medians of what was measured, as plain values for people and JSON."""
+        compared = self.compared.any()
+        return {
+            "verdict": self.verdict.value,
+            "views_tried": len(self.names),
+            "coverage": round(float(np.median(self.coverage)), 3) if self.names else None,
+            "similarity": round(float(np.median(self.own[self.compared])), 3) if compared else None,
+        }
 
     def reason(self) -> str:
         """What was measured where the verdict is not that they fit."""

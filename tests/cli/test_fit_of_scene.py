@@ -1,0 +1,113 @@
+"""What scoup build, update and info say of splats and cameras that do not fit."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cli_support import QUICK, refused, run, run_json, write_scene
+from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png, write_colmap
+from scoup.raster import render_colors
+from scoup.scene.cameras import Camera, Cameras
+
+BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
+RANDOM = pytest.mark.filterwarnings("ignore:.*badly explained")  # the regions are random
+
+
+def photograph(scene: Path, splat: Path) -> None:
+    """Renders of a splat as the photographs of a scene."""
+    gaussians = load_gaussians(splat)
+    for camera in load_cameras(scene / "sparse" / "0", missing_images="keep"):
+        image = render_colors(gaussians, camera)
+        save_png((image * 255).byte(), scene / "images" / camera.name, overwrite=True)
+
+
+@pytest.fixture(autouse=True)
+def _scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scene with its own photographs, and another splat."""
+    monkeypatch.chdir(tmp_path)
+    write_scene(Path("scene"))
+    photograph(Path("scene"), Path("scene/point_cloud.ply"))
+    write_scene(Path("elsewhere"), seed=9)
+
+
+def test_a_scene_that_fits_is_silent():
+    code, _, err = run(*BUILD)
+    assert (code, err) == (0, "")
+    fit = run_json("info", "scene")["fit"]
+    assert (fit["verdict"], fit["views_tried"]) == ("fits", 4)
+    assert fit["similarity"] > 0.9
+
+
+def test_the_splat_of_another_scene_is_refused_before_the_work():
+    message = refused(*BUILD, "--gaussians", "elsewhere/point_cloud.ply")
+    assert message.startswith(
+        "elsewhere/point_cloud.ply: does not fit the cameras: 4 of 4 renders tried look unlike"
+    )
+    for remedy in ("of one scene", "--dataparser-transforms", "--no-check-fit", "check_fit=False"):
+        assert remedy in message
+    shutil.copy("elsewhere/point_cloud.ply", "scene/point_cloud.ply")
+    assert run_json("info", "scene")["fit"]["verdict"] == "hopeless"
+    assert run_json(*BUILD, "--no-check-fit")["views"] == 4
+
+
+def test_a_doubtful_scene_is_built_with_a_warning():
+    shutil.copytree("scene", "other")
+    photograph(Path("other"), Path("elsewhere/point_cloud.ply"))
+    for number in (1, 3):
+        shutil.copy(f"other/images/view_0{number}.png", "scene/images")
+    record = run_json(*BUILD)
+    assert len(record["warnings"]) == 1
+    assert (
+        "2 of 4 renders tried look unlike their photographs (view_01.png, view_03.png;"
+        in record["warnings"][0]
+    )
+
+
+@RANDOM
+def test_new_views_are_checked():
+    Path("later").mkdir()
+    for file in Path("scene/language_features").glob("view_03*"):
+        shutil.move(file, Path("later") / file.name)
+    run_json(*BUILD, "--keep-sums")
+    for file in Path("later").iterdir():
+        shutil.copy(file, "scene/language_features")
+    photograph(Path("elsewhere"), Path("elsewhere/point_cloud.ply"))
+    shutil.copy("elsewhere/images/view_03.png", "scene/images")
+    add = ("update", "a.scoup", "--scene", "scene", "--add", "view_03", "--out")
+    (warning,) = run_json(*add, "b.scoup")["warnings"]
+    assert (
+        "may not fit the cameras: 1 of 1 renders tried look unlike their photographs (view_03.png;" in warning
+    )
+    assert "warnings" not in run_json(*add, "c.scoup", "--no-check-fit")
+
+
+def test_cameras_follow_a_splat_into_the_frame_of_its_training():
+    shift, scale = (3.0, -1.0, 2.0), 0.7
+    gaussians = load_gaussians("scene/point_cloud.ply")
+    means = scale * (gaussians.means + gaussians.means.new_tensor(shift))
+    save_gaussians(replace(gaussians, means=means, scales=scale * gaussians.scales), "trained.ply")
+    trained = (*BUILD, "--gaussians", "trained.ply")
+    assert "does not fit the cameras" in refused(*trained)
+    rows = [[float(row == column) for column in range(3)] + [shift[row]] for row in range(3)]
+    Path("dataparser_transforms.json").write_text(json.dumps({"transform": rows, "scale": scale}))
+    code, _, err = run(*trained, "--dataparser-transforms", "dataparser_transforms.json")
+    assert (code, err) == (0, "")
+
+
+def test_cameras_without_photographs_are_judged_by_what_they_see():
+    shutil.rmtree("scene/images")
+    found = load_cameras("scene/sparse/0", missing_images="keep")
+    turned = [Camera(camera.name, camera.viewmat * camera.viewmat.new_tensor([[-1], [1], [-1], [1]]), camera.K,
+                     camera.width, camera.height) for camera in found]  # fmt: skip
+    shutil.rmtree("scene/sparse")
+    write_colmap(Cameras([*turned[:2], *list(found)[2:]]), "scene/sparse/0")
+    warnings = run_json(*BUILD)["warnings"]
+    assert any(
+        "2 of 4 cameras tried see nothing of the splat (view_00.png, view_01.png)" in said
+        for said in warnings
+    )
