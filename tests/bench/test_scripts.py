@@ -199,6 +199,25 @@ def test_kept_sums(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "other embeddings" in capsys.readouterr().out
 
 
+def test_scenes_that_fit_and_scenes_that_do_not(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    fit, cases = script("fit"), script("fit_cases")
+    arguments = fit.Arguments(
+        data=tmp_path / "none", layouts=("table", "yard"), seeds=(0,), n_gaussians=6000, width=64, views=9, cost=50,
+        cost_views=2, out=tmp_path / "fit.json",
+    )  # fmt: skip
+    record = fit.main(arguments)
+    assert json.loads((tmp_path / "fit.json").read_text()) == record
+    assert len(record["rows"]) == 2 * len({**cases.RIGHT, **cases.WRONG})
+    verdicts = {(row["scene"], row["case"]): row["verdict"] for row in record["rows"]}
+    assert {verdicts[name, "as it is"] for name in ("table-0", "yard-0")} == {"fits"}
+    assert verdicts["table-0", "splat of another scene"] == "hopeless"
+    assert verdicts["yard-0", "photographs shuffled"] == "hopeless"
+    assert record["cost"]["share"] == record["cost"]["check_s"] / record["cost"]["build_s"]
+    assert "| photographs one off" in capsys.readouterr().out
+    with pytest.raises(OutputExistsError):
+        fit.main(arguments)
+
+
 def test_two_checkouts_beside_each_other(script, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     beside = script("beside")
     run = beside.run

@@ -79,11 +79,9 @@ def test_new_views_are_checked():
     photograph(Path("elsewhere"), Path("elsewhere/point_cloud.ply"))
     shutil.copy("elsewhere/images/view_03.png", "scene/images")
     add = ("update", "a.scoup", "--scene", "scene", "--add", "view_03", "--out")
-    (warning,) = run_json(*add, "b.scoup")["warnings"]
-    assert (
-        "may not fit the cameras: 1 of 1 renders tried look unlike their photographs (view_03.png;" in warning
-    )
-    assert "warnings" not in run_json(*add, "c.scoup", "--no-check-fit")
+    misfit = "may not fit the cameras: 1 of 1 renders tried look unlike their photographs (view_03.png;"
+    assert any(misfit in said for said in run_json(*add, "b.scoup")["warnings"])
+    assert not any(misfit in said for said in run_json(*add, "c.scoup", "--no-check-fit").get("warnings", []))
 
 
 def test_cameras_follow_a_splat_into_the_frame_of_its_training():

@@ -30,7 +30,7 @@ class ViewOptions(WritesCommon):
     undistort: Flag = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
     dataparser_transforms: OptionalPath = None
-    """Brings the cameras to the frame of nerfstudio's splat: the dataparser_transforms.json in the output of its training."""
+    """The dataparser_transforms.json of a nerfstudio training: brings the cameras to the frame of its splat."""
     no_check_fit: Flag = False
     """Leave out the check that small renders of the splat look like the photographs."""
 

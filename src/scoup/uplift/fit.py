@@ -46,7 +46,7 @@ MOST = 0.75  # share of blind views from which a scene is hopeless
 FEW_CODED = 0.01  # share of coded Gaussians below which a build is doubted
 ENOUGH = 4  # views, compared or blind, from which a scene may be called hopeless
 
-OVERRIDE = "pass --no-check-fit (check_fit=False in Python) to go on all the same"
+OVERRIDE = "to go on all the same, give scoup build or update --no-check-fit (check_fit=False in Python)"
 _SAME_SCENE = (
     "name splat and folder of one scene, in the same frame (trainers often normalise the world; for nerfstudio's there "
     "is --dataparser-transforms)"
