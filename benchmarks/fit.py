@@ -90,7 +90,9 @@ def main(arguments: Arguments) -> dict[str, Any]:
         "what": "benchmarks.fit: verdicts on splats and cameras that fit, and that do not",
         "machine": environment,
         "settings": {
-            name: getattr(arguments, name) for name in ("layouts", "seeds", "n_gaussians", "width", "views")
+            "layouts": list(arguments.layouts),
+            "seeds": list(arguments.seeds),
+            **{name: getattr(arguments, name) for name in ("n_gaussians", "width", "views")},
         },
         "rows": rows,
     }
