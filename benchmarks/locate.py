@@ -5,8 +5,8 @@
 Each scene is built by the default settings and asked for every object and group of a single thing. The position is
 compared with the middle of the thing's true Gaussians, in diagonals of the box around them, with and without strays
 left off; extents by the ratio of the boxes' diagonals, Gaussians by their intersection over union. Labels are compared
-with the true object of each Gaussian that has a code. In the held-out views, boxes around the component that holds the
-point, and around the whole mask, are compared with the true boxes.
+with the true object of each Gaussian that has a code. In the held-out views, boxes around the main parts of the mask, the
+connected part that holds the point alone, and the whole mask are compared with the true boxes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from scoup.bench.environment import describe_environment
 from scoup.io import check_output, write_text
 from scoup.query.locate import Location, oriented_box
 from scoup.query.methods import Encoder
-from scoup.query.segment import mask_box
+from scoup.query.segment import main_parts, mask_box
 from scoup.synthetic.scene import DemoScene, make_demo_scene
 
 
@@ -188,7 +188,11 @@ def box_rows(
     name: str, scene: DemoScene, field: scoup.LanguageField, encoder: Encoder
 ) -> list[dict[str, Any]]:
     """Boxes in the held-out views, of things that have one box there."""
-    overlaps: dict[str, list[float]] = {"box of the component": [], "box of the mask": []}
+    overlaps: dict[str, list[float]] = {
+        "box of the main parts": [],
+        "box of one part": [],
+        "box of the mask": [],
+    }
     for camera in scene.held_out:
         frame = scene.labelled_frame(camera.name, ("m", "l"))
         names = [label for label in frame.labels if len(frame.boxes[label]) == 1]
@@ -197,8 +201,10 @@ def box_rows(
         ):
             x0, y0, x1, y1 = frame.boxes[label][0].tolist()
             truth = (int(x0), int(y0), int(x1) + 1, int(y1) + 1)
-            found = {"box of the component": answer.box, "box of the mask": mask_box(answer.mask)}
-            for what, box in found.items():
+            # As for the answer, but that the heat stands for the smoothed relevancy where the point is outside the mask.
+            one = main_parts(answer.mask, answer.point or (0, 0), answer.heat, torch.inf)
+            boxes = (answer.box, mask_box(one), mask_box(answer.mask))
+            for what, box in zip(overlaps, boxes, strict=True):
                 overlaps[what].append(0.0 if box is None else box_overlap(box, truth))
     return [
         {"scene": name, "what": what, "things": len(each), "iou": sum(each) / len(each), "ious": each}

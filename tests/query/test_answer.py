@@ -15,7 +15,7 @@ from scoup.query.answer import Answer, SceneAnswer, answer_scene, answer_view
 from scoup.query.localize import localize
 from scoup.query.presence import scene_z_scores, view_z_scores
 from scoup.query.presets import QUERY_PRESETS
-from scoup.query.segment import component_of, mask_box, segment
+from scoup.query.segment import main_parts, mask_box, segment
 from scoup.query.select import select_each
 
 
@@ -29,8 +29,8 @@ def test_an_answer_is_point_and_mask(queried: Queried, name: str) -> None:
         place, shape = localize(relevancy, preset), segment(relevancy, preset)
         assert answer.mask.equal(shape.mask)
         assert (answer.coverage, answer.score) == (shape.coverage, shape.score)
-        assert answer.component.equal(component_of(shape.mask, place.pixel, shape.smoothed))
-        assert answer.box == mask_box(answer.component)
+        assert answer.main_parts.equal(main_parts(shape.mask, place.pixel, shape.smoothed))
+        assert answer.box == mask_box(answer.main_parts)
         assert answer.level == field.levels[shape.level]
         assert answer.heat.equal(relevancy[shape.level])
         assert (answer.point, answer.point_score) == (place.pixel, place.score)
@@ -105,12 +105,12 @@ def test_presence_needs_enough_words(queried: Queried) -> None:
         answer_scene(queried.field, few, present_from=2)
 
 
-def test_the_box_and_the_crop_follow_the_component() -> None:
+def test_the_box_and_the_crop_follow_the_main_parts() -> None:
     mask = torch.zeros(20, 30, dtype=torch.bool)
     mask[5:9, 10:16] = mask[19, 0] = True
-    component = mask.clone()
-    component[19, 0] = False
-    answer = Answer(mask, mask.float(), component, (10, 5, 16, 9), 0.04, "s", 0.9, (12, 6), "s", 0.9)
+    parts = mask.clone()
+    parts[19, 0] = False
+    answer = Answer(mask, mask.float(), parts, (10, 5, 16, 9), 0.04, "s", 0.9, (12, 6), "s", 0.9)
     image = torch.arange(600).view(20, 30)
     assert answer.crop(image) is not None
     assert torch.equal(answer.crop(image), image[5:9, 10:16])  # pyright: ignore[reportArgumentType]

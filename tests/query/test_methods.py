@@ -31,7 +31,7 @@ def table() -> dict[str, Tensor]:
 
 def assert_same_answer(first: Answer, second: Answer) -> None:
     assert first.mask.equal(second.mask)
-    assert first.component.equal(second.component)
+    assert first.main_parts.equal(second.main_parts)
     assert first.heat.equal(second.heat)
     assert first.record() == second.record()
 

@@ -13,7 +13,7 @@ from query.box_means import literal_box_mean
 from scoup.base.errors import InputError
 from scoup.query.localize import localize
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
-from scoup.query.segment import choose_level, component_of, level_masks, mask_box, segment
+from scoup.query.segment import choose_level, level_masks, main_parts, mask_box, segment
 
 
 def literal_segment(relevancy: np.ndarray, preset: QueryPreset) -> tuple[np.ndarray, int, float]:
@@ -160,30 +160,33 @@ def test_an_empty_mask_gives_the_peak() -> None:
     assert (found.level, int(found.core().sum())) == (0, 81)
 
 
-def test_the_component_holds_the_point_and_leaves_specks() -> None:
+def test_the_main_parts_hold_the_point_and_no_specks() -> None:
     mask = torch.zeros(30, 40, dtype=torch.bool)
     mask[10:20, 10:20] = True
     mask[20, 20] = True  # touches at a corner
     mask[2, 35] = mask[28, 1] = True  # specks
     smoothed = torch.where(mask, 0.7, 0.5)
-    found = component_of(mask, (12, 15), smoothed)
+    found = main_parts(mask, (12, 15), smoothed)
     assert mask_box(found) == (10, 10, 21, 21)
     assert int(found.sum()) == 101
-    assert mask_box(component_of(mask, (35, 2), smoothed)) == (35, 2, 36, 3)
+    mask[25:28, 30:34] = True  # a piece of 12 pixels: more than a tenth
+    assert mask_box(main_parts(mask, (12, 15), smoothed)) == (10, 10, 34, 28)
+    assert mask_box(main_parts(mask, (12, 15), smoothed, least_share=0.5)) == (10, 10, 21, 21)
+    assert mask_box(main_parts(mask, (35, 2), smoothed, torch.inf)) == (35, 2, 36, 3)
     smoothed[28, 1] = 0.9
     # A point of another level may lie beside the mask: then its most relevant pixel decides.
-    assert mask_box(component_of(mask, (0, 0), smoothed)) == (1, 28, 2, 29)
-    assert not component_of(torch.zeros(3, 4, dtype=torch.bool), (1, 1), torch.zeros(3, 4)).any()
+    assert mask_box(main_parts(mask, (0, 0), smoothed, torch.inf)) == (1, 28, 2, 29)
+    assert not main_parts(torch.zeros(3, 4, dtype=torch.bool), (1, 1), torch.zeros(3, 4)).any()
 
 
 @settings(max_examples=40)
 @given(shapes, st.integers(0, 2**31))
-def test_a_component_is_what_a_flood_reaches(shape: tuple[int, int], seed: int) -> None:
+def test_a_part_is_what_a_flood_reaches(shape: tuple[int, int], seed: int) -> None:
     random = torch.Generator().manual_seed(seed)
     mask = torch.rand(shape, generator=random) < 0.4
     smoothed = torch.rand(shape, generator=random)
     x, y = int(seed % shape[1]), int(seed // 7 % shape[0])
-    found = component_of(mask, (x, y), smoothed)
+    found = main_parts(mask, (x, y), smoothed, torch.inf)
     if not mask.any():
         assert not found.any()
         return

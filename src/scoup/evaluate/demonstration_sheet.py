@@ -8,7 +8,7 @@ from scoup.evaluate.demonstration import METHOD, DemoResult, rows_by_name
 from scoup.evaluate.scores import PairScore
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
-from scoup.query.segment import component_of, localize_and_segment, mask_box
+from scoup.query.segment import localize_and_segment, main_parts, mask_box
 from scoup.raster import render_colors
 
 TRUTH_COLOR = (70, 200, 110)
@@ -64,6 +64,6 @@ def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture
         color=TRUTH_COLOR,
     )
     heat = heat_map(maps[shape.level], rgb, "relevancy", field.levels[shape.level], shape.score)
-    component = component_of(shape.mask.cpu(), place.pixel, shape.smoothed.cpu())
-    found = mask_overlay(shape.mask, rgb, mask_box(component), place.pixel, "found", f"IoU {pair.iou:.2f}")
+    parts = main_parts(shape.mask.cpu(), place.pixel, shape.smoothed.cpu())
+    found = mask_overlay(shape.mask, rgb, mask_box(parts), place.pixel, "found", f"IoU {pair.iou:.2f}")
     return truth, heat, found

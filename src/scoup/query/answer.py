@@ -18,7 +18,7 @@ from scoup.query.localize import Localization
 from scoup.query.presence import scene_z_scores, view_z_scores
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.queried_field import QueriedField
-from scoup.query.segment import Segmentation, component_of, localize_and_segment, mask_box
+from scoup.query.segment import Segmentation, main_parts, localize_and_segment, mask_box
 from scoup.query.select import select_each
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
@@ -31,9 +31,10 @@ class Answer:
     Attributes:
         mask: [H, W] boolean; empty if the thing is not there.
         heat: [H, W] float32 relevancy at the level of the mask, 0..1.
-        component: [H, W] boolean, the connected part of the mask that holds the point. If the point, which may be of
-            another level, is outside of the mask: the part that holds the mask's most relevant pixel.
-        box: (x0, y0, x1, y1) around the component in pixels, x1 and y1 one past the last; None if it is empty.
+        main_parts: [H, W] boolean, the mask without stray specks: the connected part that holds the point, and those at
+            least a tenth as large. If the point, which may be of another level, is outside of the mask, the mask's most
+            relevant pixel takes its place.
+        box: (x0, y0, x1, y1) around the main parts in pixels, x1 and y1 one past the last; None if it is empty.
         coverage: share of the view in the mask, 0..1.
         level: name of the level of the mask.
         score: the largest smoothed relevancy at that level, 0..1.
@@ -50,7 +51,7 @@ class Answer:
 
     mask: Tensor  # [H, W]
     heat: Tensor  # [H, W]
-    component: Tensor  # [H, W]
+    main_parts: Tensor  # [H, W]
     box: tuple[int, int, int, int] | None
     coverage: float
     level: str
@@ -240,12 +241,12 @@ def _answer(
 ) -> Answer:
     presence = _presence(z_score, present_from)
     mask = shape.mask.cpu() & presence
-    component = component_of(mask, place.pixel, shape.smoothed.cpu())
+    parts = main_parts(mask, place.pixel, shape.smoothed.cpu())
     return Answer(
         mask=mask,
         heat=relevancy[shape.level].clone().cpu(),  # a copy, so that the other levels can be freed
-        component=component,
-        box=mask_box(component),
+        main_parts=parts,
+        box=mask_box(parts),
         coverage=shape.coverage if presence else 0.0,
         level=levels[shape.level],
         score=shape.score,

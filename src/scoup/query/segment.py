@@ -13,6 +13,10 @@ from scoup.query.presets import QUERY_PRESETS, LevelChoice, QueryPreset
 from scoup.query.smoothing import mask_sums, smoothed_masks
 
 
+LEAST_SHARE = 0.1
+"""Parts of a mask smaller than this share of the part that holds the point are stray specks."""
+
+
 @dataclass(frozen=True, eq=False)
 class Segmentation:
     """Which pixels a query is.
@@ -129,14 +133,21 @@ def mask_box(mask: Tensor) -> tuple[int, int, int, int] | None:
     return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
-def component_of(mask: Tensor, point: tuple[int, int], smoothed: Tensor) -> Tensor:
-    """The connected part of a mask that holds a point; pixels that touch at a corner are connected.
+def main_parts(
+    mask: Tensor, point: tuple[int, int], smoothed: Tensor, least_share: float = LEAST_SHARE
+) -> Tensor:
+    """A mask without stray specks: the connected part that holds a point, and those not much smaller than it.
+
+    Pixels that touch at a corner are connected. Things are often seen in pieces, with something in front of them: the
+    part with the point alone would be too little.
 
     Args:
         mask: [H, W] boolean, on the CPU.
         point: (x, y).
         smoothed: [H, W] relevancy, on the CPU; where the point is not in the mask, the mask's most relevant pixel takes
             its place.
+        least_share: of the area of the part with the point, that another part must have; infinity leaves that part
+            alone.
 
     Returns:
         [H, W] boolean; empty if the mask is.
@@ -150,4 +161,7 @@ def component_of(mask: Tensor, point: tuple[int, int], smoothed: Tensor) -> Tens
         y, x = divmod(int(torch.where(mask, smoothed, -torch.inf).argmax()), mask.shape[1])
     parts = np.empty(mask.shape, np.int32)
     label(mask.numpy(), np.ones((3, 3)), output=parts)
-    return torch.from_numpy(parts == parts[y, x])
+    areas = np.bincount(parts.ravel())
+    kept = areas >= least_share * areas[parts[y, x]]
+    kept[parts[y, x]], kept[0] = True, False
+    return torch.from_numpy(kept[parts])
