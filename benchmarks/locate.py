@@ -5,8 +5,8 @@
 Each scene is built by the default settings and asked for every object and group of a single thing. The position is
 compared with the middle of the thing's true Gaussians, in diagonals of the box around them, with and without strays
 left off; extents by the ratio of the boxes' diagonals, Gaussians by their intersection over union. Labels are compared
-with the true object of each Gaussian that has a code. In the held-out views, boxes around the main parts of the mask, the
-connected part that holds the point alone, and the whole mask are compared with the true boxes.
+with the true object of each Gaussian that has a code. In the held-out views, boxes around the main parts of the mask,
+the connected part that holds the point alone, and the whole mask are compared with the true boxes.
 """
 
 from __future__ import annotations
@@ -201,7 +201,7 @@ def box_rows(
         ):
             x0, y0, x1, y1 = frame.boxes[label][0].tolist()
             truth = (int(x0), int(y0), int(x1) + 1, int(y1) + 1)
-            # As for the answer, but that the heat stands for the smoothed relevancy where the point is outside the mask.
+            # As for the answer, but with the heat for the smoothed relevancy, where the point is outside the mask.
             one = main_parts(answer.mask, answer.point or (0, 0), answer.heat, torch.inf)
             boxes = (answer.box, mask_box(one), mask_box(answer.mask))
             for what, box in zip(overlaps, boxes, strict=True):

@@ -18,7 +18,7 @@ from scoup.query.localize import Localization
 from scoup.query.presence import scene_z_scores, view_z_scores
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.queried_field import QueriedField
-from scoup.query.segment import Segmentation, main_parts, localize_and_segment, mask_box
+from scoup.query.segment import Segmentation, localize_and_segment, main_parts, mask_box
 from scoup.query.select import select_each
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
