@@ -1,48 +1,33 @@
-"""Parsing: which verb, with which options."""
+"""The program: its verbs, its description, its exit codes."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import os
+import re
 import sys
-from typing import Annotated
-
-import tyro
 
 from scoup.cli.bench import Bench
 from scoup.cli.build import Build
 from scoup.cli.console import Console, run_verb
 from scoup.cli.convert import Convert
 from scoup.cli.demo import Demo
-from scoup.cli.evaluate import Eval
+from scoup.cli.evaluate import EVAL
 from scoup.cli.extract import Extract
 from scoup.cli.info import Info
 from scoup.cli.options import Common
+from scoup.cli.parsing import Family, parse
 from scoup.cli.query import Query
 from scoup.cli.regions import ShowRegions
 from scoup.cli.render import Render
 from scoup.cli.select import Select
 from scoup.cli.update import Update
 
-Verb = (
-    Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Extract, tyro.conf.subcommand("extract")]
-    | Annotated[ShowRegions, tyro.conf.subcommand("regions")]
-    | Annotated[Convert, tyro.conf.subcommand("convert")]
-    | Annotated[Build, tyro.conf.subcommand("build")]
-    | Annotated[Update, tyro.conf.subcommand("update")]
-    | Annotated[Query, tyro.conf.subcommand("query")]
-    | Annotated[Select, tyro.conf.subcommand("select")]
-    | Annotated[Render, tyro.conf.subcommand("render")]
-    | Annotated[Info, tyro.conf.subcommand("info")]
-    | Annotated[Eval, tyro.conf.subcommand("eval")]
-    | Annotated[Bench, tyro.conf.subcommand("bench")]
-)
-
 DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, and query it.
 
 Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of your own:
+
   scoup extract SCENE
   scoup build SCENE --gaussians point_cloud.ply --out scene.scoup
   scoup update scene.scoup --scene SCENE --add all
@@ -53,6 +38,24 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup eval lerf-ovs ROOT
 
 `scoup VERB --help` explains a verb. Exit codes: 0 done, 1 a fault of the program, 2 bad input, 130 interrupted."""
+
+SCOUP = Family(
+    DESCRIPTION,
+    {
+        "demo": Demo,
+        "extract": Extract,
+        "regions": ShowRegions,
+        "convert": Convert,
+        "build": Build,
+        "update": Update,
+        "query": Query,
+        "select": Select,
+        "render": Render,
+        "info": Info,
+        "eval": EVAL,
+        "bench": Bench,
+    },
+)
 
 
 def run(arguments: list[str]) -> int:
@@ -66,20 +69,13 @@ def run(arguments: list[str]) -> int:
     refusal = io.StringIO()
     try:
         with contextlib.redirect_stderr(refusal) if for_machines else contextlib.nullcontext():
-            verb = tyro.cli(
-                Verb,  # pyright: ignore[reportArgumentType]
-                prog="scoup",
-                description=DESCRIPTION,
-                args=arguments or ["--help"],
-                config=(tyro.conf.FlagCreatePairsOff,),
-                compact_help=False,
-            )
+            verb = parse(arguments, SCOUP, "scoup")
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else 0
         if for_machines and code:
             Console(Common(as_json=True)).fail(_in_one_line(refusal.getvalue()), code)
         return code
-    return run_verb(verb, verb.what if isinstance(verb, Eval) else verb, verb.run)
+    return run_verb(verb, verb, verb.run)
 
 
 def entry() -> None:
@@ -102,8 +98,10 @@ def entry() -> None:
 def _in_one_line(box: str) -> str:
     """What the parser says in a frame of several lines, up to the frame's first rule."""
     lines = [line.strip("│ ") for line in box.splitlines() if not line.startswith(("╭", "╰"))]
-    first = next((number for number, line in enumerate(lines) if not line.strip("─")), len(lines))
-    return " ".join(" ".join(lines[:first]).split()) + "; see scoup --help, or scoup VERB --help"
+    parts = re.split(r"\n[─-]+\n", "\n".join(lines))
+    # Where the terminal has no letters for frames, the title is the first part.
+    said = parts[0 if "╭" in box else 1]
+    return " ".join(said.split()) + "; see scoup --help, or scoup VERB --help"
 
 
 __all__ = ["Console", "entry", "run"]

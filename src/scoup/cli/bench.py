@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, WritesCommon, common_last
+from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.bench import Row
@@ -17,7 +17,6 @@ Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help
 Counts = Annotated[tuple[int, ...], tyro.conf.arg(metavar="INT [INT ...]", help_behavior_hint="")]
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Bench(WritesCommon):
     """Time every stage on one view of a random scene, backend against backend.
@@ -25,6 +24,11 @@ class Bench(WritesCommon):
     Runs are interleaved and medians are printed, so that ratios hold even where the machine is not idle. Needs no
     data and takes less than a minute; the larger measurements behind the documents are in benchmarks/.
     """
+
+    option_groups: ClassVar[OptionGroups] = {
+        "view": "n_gaussians width height",
+        "measuring": "stages backends threads repeats quick",
+    }
 
     n_gaussians: tuple[int, ...] = (100_000,)
     """Gaussians in the scene; one or several numbers."""

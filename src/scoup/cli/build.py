@@ -6,19 +6,12 @@ import time
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import (
-    Flag,
-    OptionalInteger,
-    OptionalNumber,
-    OptionalPath,
-    OptionalText,
-    common_last,
-)
+from scoup.cli.options import Flag, OptionalInteger, OptionalNumber, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.scene_options import ViewOptions
 
 if TYPE_CHECKING:
@@ -32,7 +25,6 @@ if TYPE_CHECKING:
 CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Build(ViewOptions):
     """Build a language field from a trained splat, its cameras, and region features.
@@ -40,6 +32,14 @@ class Build(ViewOptions):
     SCENE is a folder as COLMAP, nerfstudio or Inria's code leave it; every guess about it can be overridden.
     Interrupted, the same command continues where it stopped.
     """
+
+    option_groups: ClassVar[OptionGroups] = {
+        "scene": "gaussians raster_preset",
+        "coding": "n_atoms k consensus solver effort epochs tolerance",
+        "vote": "keep rounds",
+        "region sum": "keep_sums sums sums_weights least_weight",
+        "output": "out weight_bits embed_geometry",
+    }
 
     scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
     """Folder with cameras (and usually the photographs), or a cameras file."""

@@ -9,10 +9,9 @@ from typing import Annotated, Literal
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalText, WritesCommon, common_last
+from scoup.cli.options import OptionalText, WritesCommon
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Convert(WritesCommon):
     """Write region features in the other layout: LangSplat's _s.npy and _f.npy, or one compact file a view.

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from scoup.cli.console import Console
-from scoup.cli.options import WritesCommon, common_last
+from scoup.cli.options import OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.evaluate.demonstration import DemoResult
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Demo(WritesCommon):
     """Make a small scene, build its language field, query every object in it, and score the answers.
@@ -22,6 +21,8 @@ class Demo(WritesCommon):
     geometry. Afterwards OUT holds the scene as files (try `scoup build OUT/scene`), the field, a contact sheet of
     queries, and the scores.
     """
+
+    option_groups: ClassVar[OptionGroups] = {"scene": "seed n_gaussians width height views"}
 
     out: Path = Path("demo")
     """Folder for everything."""

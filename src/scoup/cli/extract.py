@@ -5,20 +5,19 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
 from scoup.cli.build import CLIP_MODEL
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, WritesCommon, common_last
+from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.base.processes import Processes
     from scoup.extract import ExtractReport
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Extract(WritesCommon):
     """Cut the photographs of a scene into regions at three levels, and give each region an embedding.
@@ -27,6 +26,13 @@ class Extract(WritesCommon):
     every process takes its share of the photographs and, on a GPU machine, its own GPU. Models are fetched on first
     use into the cache of Hugging Face; --segmenter felzenszwalb --embedder colors needs none.
     """
+
+    option_groups: ClassVar[OptionGroups] = {
+        "photograph": "images max_height",
+        "model": "segmenter embedder segmenter_revision embedder_revision",
+        "mask": "preset points_per_side points_per_batch with_default",
+        "output": "out layout bits",
+    }
 
     scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
     """Folder with cameras and photographs, or of photographs alone."""

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import Common, common_last
+from scoup.cli.options import Common
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Info(Common):
     """Say what is in a file or folder: a field, a splat, cameras, a scene, region features, a table of words."""

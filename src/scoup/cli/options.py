@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, ClassVar, TypeAlias
 
 import tyro
 
@@ -22,12 +22,15 @@ Texts = Annotated[
     tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="TEXT [TEXT ...]", help_behavior_hint="")
 ]
 
-Verb = TypeVar("Verb", bound=type)
+OptionGroups: TypeAlias = dict[str, str]
+"""Title of a group in the help -> names of its fields, between spaces. Fields in no group come first."""
 
 
 @dataclass(frozen=True)
 class Common:
     """Options every verb takes."""
+
+    option_groups: ClassVar[OptionGroups] = {"common": "device quiet as_json"}
 
     device: str = "cpu"
     """Where tensors live: cpu, or cuda where torch has a GPU."""
@@ -41,14 +44,7 @@ class Common:
 class WritesCommon(Common):
     """Options of verbs that write files."""
 
+    option_groups: ClassVar[OptionGroups] = {"common": "overwrite"}
+
     overwrite: Flag = False
     """Replace outputs that are already there."""
-
-
-def common_last(verb: Verb) -> Verb:
-    """Show a verb's own options before those that every verb has."""
-    fields = verb.__dataclass_fields__
-    for name in WritesCommon.__dataclass_fields__:
-        if name in fields:
-            fields[name] = fields.pop(name)  # to the end; all are keywords, so nothing else changes
-    return verb

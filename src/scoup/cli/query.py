@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scoup.cli.console import Console
 from scoup.cli.names import unique_slugs
-from scoup.cli.options import Flag, OptionalNumber, OptionalPath, Texts, common_last
+from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionGroups, Texts
 from scoup.cli.query_options import (
     CameraOptions,
     TextOptions,
@@ -28,7 +28,6 @@ RECORD = "query.json"
 PICTURES = ("heat", "mask", "overlay")
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Query(TextOptions, CameraOptions):
     """Find things in the views of a field's cameras.
@@ -37,6 +36,11 @@ class Query(TextOptions, CameraOptions):
     and the mask drawn over the render with its box and point. One query.json holds level, score, pixel, coverage
     and box of every answer.
     """
+
+    option_groups: ClassVar[OptionGroups] = {
+        "answer": "rule threshold presence always",
+        "output": "out pictures",
+    }
 
     texts: Texts
     """What to look for, for example "kettle" "wooden table"."""

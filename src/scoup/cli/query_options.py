@@ -6,11 +6,11 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from scoup.cli.options import FieldFile, OptionalPath, OptionalText, WritesCommon
+from scoup.cli.options import FieldFile, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -25,6 +25,8 @@ _SAME_FRAME = "check that cameras and splat are in the same frame"
 @dataclass(frozen=True, kw_only=True)
 class FieldOptions(WritesCommon):
     """Options of verbs that open a language field."""
+
+    option_groups: ClassVar[OptionGroups] = {"field": "gaussians"}
 
     field: FieldFile
     """The .scoup file."""
@@ -62,6 +64,8 @@ class FieldOptions(WritesCommon):
 @dataclass(frozen=True, kw_only=True)
 class CameraOptions(FieldOptions):
     """Options of verbs that render a field in the views of cameras."""
+
+    option_groups: ClassVar[OptionGroups] = {"view": "camera scene scale"}
 
     camera: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
@@ -126,6 +130,8 @@ class CameraOptions(FieldOptions):
 @dataclass(frozen=True, kw_only=True)
 class TextOptions(FieldOptions):
     """Options of verbs that take words."""
+
+    option_groups: ClassVar[OptionGroups] = {"field": "text"}
 
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
     """Turns words into vectors: a table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""

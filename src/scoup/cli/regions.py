@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalPath, WritesCommon, common_last
+from scoup.cli.options import OptionalPath, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.scene.cameras import Camera
     from scoup.scene.regions import Regions
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class ShowRegions(WritesCommon):
     """Draw the regions of one view over its photograph: three levels side by side, with the numbers of the regions."""

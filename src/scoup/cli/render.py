@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scoup.cli.console import Console
 from scoup.cli.names import unique_slugs
-from scoup.cli.options import OptionalPath, OptionalText, common_last
+from scoup.cli.options import OptionalPath, OptionalText, OptionGroups
 from scoup.cli.query_options import CameraOptions, TextOptions
 from scoup.cli.staging import check_folder, staged
 
@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 ANIMATIONS = (".webp", ".gif")
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Render(TextOptions, CameraOptions):
     """Render views of a field: its colours, its codes as colours (same code, same colour), or relevancy to a text."""
+
+    option_groups: ClassVar[OptionGroups] = {"output": "out frames_per_second"}
 
     what: Literal["color", "codes", "relevancy"] = "color"
     """color: the splat. codes: their meaning as colours. relevancy: a heat map of the text in --query."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from scoup.cli.options import Flag, OptionalPath, WritesCommon
+from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.scene.cameras import Cameras
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions(WritesCommon):
     """Where the views of a scene are, and at which size."""
+
+    option_groups: ClassVar[OptionGroups] = {"scene": "features images downscale undistort"}
 
     features: OptionalPath = None
     """Folder of region features. Default: SCENE/language_features."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalNumber, Texts, common_last
+from scoup.cli.options import Flag, OptionalNumber, OptionGroups, Texts
 from scoup.cli.query_options import TextOptions, absence_message, check_texts
 
 if TYPE_CHECKING:
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from scoup.query.answer import SceneAnswer
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Select(TextOptions):
     """Write the Gaussians that answer a text, or all others: as a 3DGS PLY, or as a field that can be queried again.
@@ -23,6 +22,11 @@ class Select(TextOptions):
     Gaussians are judged by their own codes, without rendering. Where the field's geometry is a PLY, its rows are
     copied byte for byte. A field has its Gaussians in its file: `--write rest --out without.scoup` removes a thing.
     """
+
+    option_groups: ClassVar[OptionGroups] = {
+        "choice": "threshold absolute presence always neighbours",
+        "output": "out write",
+    }
 
     texts: Texts
     """What to look for, for example "kettle"; of several texts, a Gaussian that answers any is chosen."""

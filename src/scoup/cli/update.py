@@ -5,12 +5,12 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalPath, common_last
+from scoup.cli.options import OptionalPath, OptionGroups
 from scoup.cli.query_options import FieldOptions
 from scoup.cli.scene_options import ViewOptions
 
@@ -24,7 +24,6 @@ Names = Annotated[
 ]
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Update(FieldOptions, ViewOptions):
     """Add views to a field, remove some, or add again those whose regions have changed.
@@ -32,6 +31,12 @@ class Update(FieldOptions, ViewOptions):
     The field must have been built with --keep-sums. Only the views named are rasterised; then all vote again. The atoms
     of the field and the codes of its other regions stay.
     """
+
+    option_groups: ClassVar[OptionGroups] = {
+        "scene": "scene",
+        "field": "sums",
+        "output": "out weight_bits",
+    }
 
     scene: OptionalPath = None
     """Folder with the cameras of the views to add, as for scoup build."""

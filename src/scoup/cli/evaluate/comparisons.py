@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 from scoup.cli.console import Console
 from scoup.cli.evaluate.options import Names, StudyOptions
-from scoup.cli.options import Flag, common_last
+from scoup.cli.options import Flag
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Baselines(StudyOptions):
     """Compare the method with dense uplift, centre pixels (Occam's LGS), visible centre pixels (VALA), top contributors
@@ -51,7 +50,6 @@ class Baselines(StudyOptions):
         self.write(console, comparison_report(results, methods, described))
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Presence(StudyOptions):
     """How well absent things are recognised: precision and recall of presence in views and scenes, by the z-score of a

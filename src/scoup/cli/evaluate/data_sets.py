@@ -8,12 +8,18 @@ from typing import ClassVar, Literal
 
 from scoup.cli.console import Console
 from scoup.cli.evaluate.options import DataSetOptions, Rules
-from scoup.cli.options import Flag, OptionalInteger, common_last
+from scoup.cli.options import Flag, OptionalInteger, OptionGroups
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scored(DataSetOptions):
     """Options of the protocols."""
+
+    option_groups: ClassVar[OptionGroups] = {
+        "scoring": "rules selection",
+        "build": "preset n_atoms k seed rebuild",
+        "output": "sheets",
+    }
 
     rules: Rules = "scoup"
     """Whose constants turn relevancy into masks and points; langsplat names none but for LERF-OVS."""
@@ -65,7 +71,6 @@ class Scored(DataSetOptions):
         console.result({"out": out, "reports": records})
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class LerfOvs(Scored):
     """Score LERF-OVS (figurines, ramen, teatime, waldo_kitchen): masks and points, with the rules of its protocol.
@@ -77,7 +82,6 @@ class LerfOvs(Scored):
     data_set_name: ClassVar[str] = "lerf-ovs"
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class ThreeDOvs(Scored):
     """Score 3D-OVS (bed, bench, room, sofa, lawn): masks, with the rules of its protocol."""
@@ -85,7 +89,6 @@ class ThreeDOvs(Scored):
     data_set_name: ClassVar[str] = "3d-ovs"
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class MipNerf360(Scored):
     """Score Mip-NeRF 360 with the GAGS annotations (room, counter, garden, bonsai): masks, with the rules of its

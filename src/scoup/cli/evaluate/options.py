@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
 from scoup.cli.build import CLIP_MODEL
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, OptionalText, WritesCommon
+from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.evaluate.data_sets import LabelledScene
@@ -27,6 +27,11 @@ Rules = Literal["scoup", "langsplatv2", "langsplat"]
 @dataclass(frozen=True, kw_only=True)
 class DataSetOptions(WritesCommon):
     """Options of all commands that read a data set."""
+
+    option_groups: ClassVar[OptionGroups] = {
+        "data set": "scenes gaussians features images undistort text",
+        "output": "out",
+    }
 
     root: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROOT", help_behavior_hint="")]
     """Folder of the data set, with a folder for each scene."""
@@ -69,6 +74,8 @@ class DataSetOptions(WritesCommon):
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions(DataSetOptions):
     """Options of commands that try several methods or rules on a data set."""
+
+    option_groups: ClassVar[OptionGroups] = {"data set": "data_set"}
 
     data_set: Literal["lerf-ovs", "3d-ovs", "mipnerf360"] = "lerf-ovs"
     """Layout of ROOT, and whose protocol scores."""

@@ -9,10 +9,8 @@ import tyro
 
 from scoup.cli.console import Console
 from scoup.cli.evaluate.options import Names, StudyOptions
-from scoup.cli.options import common_last
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Ablations(StudyOptions):
     """One thing at a time changed: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver
@@ -47,7 +45,6 @@ class Ablations(StudyOptions):
         self.write(console, ablation_report(results, scenes[0].labelled.data_set.protocol, described))
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Curves(StudyOptions):
     """Accuracy against faults put in on purpose: displaced and missing masks, noisy and wrong embeddings, fewer
@@ -86,7 +83,6 @@ class Curves(StudyOptions):
         self.write(console, curve_report(points, faults, protocol, described))
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Consistency(StudyOptions):
     """Multi-view consistency: cosine between matched observations of raw embeddings, of what LangSplat's autoencoder

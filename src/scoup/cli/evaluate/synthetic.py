@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import WritesCommon, common_last
+from scoup.cli.options import OptionGroups, WritesCommon
 
 
-@common_last
 @dataclass(frozen=True, kw_only=True)
 class Synthetic(WritesCommon):
     """Write a complete synthetic data set in the layout of LERF-OVS, 3D-OVS or Mip-NeRF 360.
@@ -20,6 +19,8 @@ class Synthetic(WritesCommon):
     Images, COLMAP cameras, splat, region features, text vectors and labels are all simulated, so scores say nothing
     about the data set whose layout is used.
     """
+
+    option_groups: ClassVar[OptionGroups] = {"size": "scenes n_gaussians width height views labelled"}
 
     data_set: Annotated[
         tyro.conf.Positional[Literal["lerf-ovs", "3d-ovs", "mipnerf360"]],

@@ -1,0 +1,100 @@
+"""Options in named groups in a verb's help, while the verb stays one flat dataclass."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from itertools import pairwise
+from typing import Annotated, Any, get_type_hints
+
+import tyro
+from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
+
+from scoup.cli.options import Common
+
+REGISTRY = ConstructorRegistry()
+"""For ``tyro.cli``: shows the options of every verb in its groups."""
+
+
+def option_groups(verb: type) -> dict[str, list[str]]:
+    """Title of each group of a verb -> names of its fields: its own groups first, then those of its bases."""
+    groups: dict[str, list[str]] = {}
+    for kind in verb.__mro__:
+        for title, names in vars(kind).get("option_groups", {}).items():
+            groups.setdefault(title, []).extend(names.split())
+    return groups
+
+
+@dataclass(frozen=True)
+class _Group:
+    """A group as tyro sees it: something nested, whose title is the name of the field that holds it."""
+
+    options: tuple[StructFieldSpec, ...]
+
+    def __call__(self) -> None:
+        """Never called: tyro asks that it could be."""
+
+
+@REGISTRY.struct_rule
+def _nest(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """The fields of a verb, or those of a group."""
+    kind: Any = info.type
+    if isinstance(kind, _Group):
+        return StructConstructorSpec(dict, kind.options)
+    if not (isinstance(kind, type) and issubclass(kind, Common)):
+        return None
+    options = {option.name: option for option in _options(kind)}
+    groups = {
+        title: _Group(tuple(options.pop(name) for name in names))
+        for title, names in option_groups(kind).items()
+    }
+
+    def make(**values: Any) -> Any:
+        for title in groups:
+            values |= values.pop(_holder(title))
+        return kind(**values)
+
+    return StructConstructorSpec(make, (*options.values(), *map(_nested, groups, groups.values())))
+
+
+def _nested(title: str, group: _Group) -> StructFieldSpec:
+    kind: Any = Annotated[group, tyro.conf.OmitArgPrefixes, tyro.conf.arg(name=title)]
+    return StructFieldSpec(_holder(title), kind, tyro.MISSING_NONPROP, helptext="")
+
+
+def _holder(title: str) -> str:
+    """Name of the field that holds a group: one that no option has."""
+    return f"{title} group"
+
+
+def _options(verb: type) -> Iterator[StructFieldSpec]:
+    """The fields of a verb for tyro; what they mean comes from the texts under them."""
+    hints, texts = get_type_hints(verb, include_extras=True), attribute_texts(verb)
+    for field in fields(verb):
+        yield StructFieldSpec(field.name, hints[field.name], _default(field), helptext=texts[field.name])
+
+
+def _default(field: Field[Any]) -> Any:
+    return tyro.MISSING_NONPROP if field.default is MISSING else field.default
+
+
+def attribute_texts(kind: type) -> dict[str, str]:
+    """The text under each field of a dataclass and its bases, in one line each."""
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if not is_dataclass(base):
+            continue
+        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
+        assert isinstance(definition, ast.ClassDef)
+        texts |= dict(_texts_under(definition.body))
+    return texts
+
+
+def _texts_under(body: Sequence[ast.stmt]) -> Iterator[tuple[str, str]]:
+    for field, text in pairwise(body):
+        match field, text:
+            case (ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(said)))):
+                yield name, " ".join(said.split())
