@@ -18,8 +18,11 @@ from scoup.cli.query_options import (
 from scoup.cli.staging import check_folder, check_outputs, staged
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from scoup.field.language_field import LanguageField
     from scoup.query.answer import Answer
+    from scoup.query.answer_sheet import AnswerSheets
     from scoup.query.text_vectors import TextVectors
     from scoup.raster import Projection
     from scoup.scene.cameras import Camera
@@ -32,9 +35,8 @@ PICTURES = ("heat", "mask", "overlay")
 class Query(TextOptions, CameraOptions):
     """Find things in the views of a field's cameras.
 
-    For each view and text it writes three pictures: the relevancy as a heat map over the colour render, the mask,
-    and the mask drawn over the render with its box and point. One query.json holds level, score, pixel, coverage
-    and box of every answer.
+    Writes a contact sheet of all answers: the relevancy as a heat map over the colour render, the outline of the mask,
+    its box and the pixel that fits best. One query.json holds level, score, pixel, coverage and box of every answer.
     """
 
     option_groups: ClassVar[OptionGroups] = {
@@ -58,8 +60,11 @@ class Query(TextOptions, CameraOptions):
     where the table of --text has 16 words or more; the systems' rules find something always."""
     always: Flag = False
     """Find something in every view, for any text."""
-    pictures: Literal["all", "none"] = "all"
-    """none: write query.json only."""
+    pictures: Literal["sheet", "all", "none"] = "sheet"
+    """sheet: one contact sheet, sheet.png, with a row for each view and a column for each text (of one text, views
+    beside each other); of more than 12 views those of the best answers, the texts choosing in turn; more than 6 texts
+    take several sheets. all: also heat map, mask and overlay of each answer, as files of their own. none: query.json
+    only."""
 
     def run(self, console: Console) -> None:
         """Answer every text in every view asked for."""
@@ -67,7 +72,9 @@ class Query(TextOptions, CameraOptions):
 
         from scoup.io import write_text
         from scoup.query.answer import answer_view
+        from scoup.query.answer_sheet import AnswerSheets
         from scoup.query.presets import query_preset
+        from scoup.raster import render_colors
 
         check_texts(self.texts)
         preset = query_preset(self.rule, threshold=self.threshold)
@@ -80,8 +87,8 @@ class Query(TextOptions, CameraOptions):
         present_from = self._present_from(texts)
         texts = texts.with_everyday() if self.rule == "default" else texts
         folders = unique_slugs(camera.stem for camera in cameras)
-        names = [name for of_text in self._picture_names() for name in of_text.values()]
-        files = [RECORD, *(f"{folder}/{name}" for folder in folders for name in names)]
+        sheets = AnswerSheets(self.texts, len(cameras))
+        files = self._files(folders, len(sheets))
         records: list[dict[str, Any]] = []
         blind: list[Camera] = []
         with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
@@ -91,16 +98,36 @@ class Query(TextOptions, CameraOptions):
                 answers = answer_view(field, camera, texts, preset, present_from, projection)
                 if _sees_nothing(field, projection, answers):
                     blind.append(camera)
-                if self.pictures == "all":
-                    self._draw(field, camera, projection, answers, hidden / folder)
+                if self.pictures != "none":
+                    rgb = render_colors(field.gaussians, camera, projection).cpu()
+                    sheets.add(camera.name, answers, rgb)
+                    self._draw(answers, rgb, hidden / folder)
                 records += self._records(camera, answers, out / folder)
                 progress("query", done, len(cameras))
             self.check_seen(blind, len(cameras))
-            write_text(hidden / RECORD, json.dumps({"field": str(self.field), "answers": records}, indent=2))
+            result = {**self._write_sheets(sheets, hidden, out), "answers": records}
+            write_text(hidden / RECORD, json.dumps({"field": str(self.field), **result}, indent=2))
         for record in records:
             console.say(_sentence(record, present_from))
+        for sheet in result["sheets"]:
+            console.say(f"{sheet}: the answers as pictures")
         console.say(f"{out / RECORD}: {len(records)} answers")
-        console.result({"out": out, "answers": records})
+        console.result({"out": out, **result})
+
+    def _files(self, folders: list[str], sheets: int) -> list[str]:
+        """All that is written, within the output's folder."""
+        names = [name for of_text in self._picture_names() for name in of_text.values()]
+        singles = [f"{folder}/{name}" for folder in folders for name in names]
+        return [RECORD, *([] if self.pictures == "none" else _sheet_names(sheets)), *singles]
+
+    def _write_sheets(self, sheets: AnswerSheets, hidden: Path, out: Path) -> dict[str, Any]:
+        """Write the sheets, if they are wanted; where they will be, for the record."""
+        from scoup.io import save_png
+
+        names = [] if self.pictures == "none" else _sheet_names(len(sheets))
+        for name, sheet in zip(names, sheets.pictures() if names else [], strict=True):
+            save_png(sheet, hidden / name)
+        return {"sheets": [(out / name).as_posix() for name in names]}
 
     def _present_from(self, texts: TextVectors) -> float | None:
         """The z-score from which a text counts as present; None where something is found always."""
@@ -111,7 +138,7 @@ class Query(TextOptions, CameraOptions):
         return presence_threshold(texts, self.presence)
 
     def _picture_names(self) -> list[dict[str, str]]:
-        """File names of each text's pictures by their kind; none if no pictures are wanted."""
+        """File names of each text's pictures by their kind; none if only the sheet is wanted."""
         kinds = PICTURES if self.pictures == "all" else ()
         return [{kind: f"{name}_{kind}.png" for kind in kinds} for name in unique_slugs(self.texts)]
 
@@ -125,24 +152,19 @@ class Query(TextOptions, CameraOptions):
             records.append(record)
         return records
 
-    def _draw(
-        self,
-        field: LanguageField,
-        camera: Camera,
-        projection: Projection,
-        answers: list[Answer],
-        folder: Path,
-    ) -> None:
-        """Write the pictures of one view."""
+    def _draw(self, answers: list[Answer], rgb: Tensor, folder: Path) -> None:
+        """Write the single pictures of one view, if they are wanted."""
         from scoup.io import save_png
         from scoup.query.drawing import draw_answer
-        from scoup.raster import render_colors
 
-        rgb = render_colors(field.gaussians, camera, projection).cpu()
         for text, answer, names in zip(self.texts, answers, self._picture_names(), strict=True):
-            drawn = draw_answer(answer, rgb, text)
+            drawn = draw_answer(answer, rgb, text) if names else {}
             for kind, name in names.items():
                 save_png(drawn[kind], folder / name)
+
+
+def _sheet_names(count: int) -> list[str]:
+    return ["sheet.png"] if count == 1 else [f"sheet_{number}.png" for number in range(1, count + 1)]
 
 
 def _sees_nothing(field: LanguageField, projection: Projection, answers: list[Answer]) -> bool:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scoup.cli.console import Console
 from scoup.cli.names import unique_slugs
-from scoup.cli.options import OptionalPath, OptionalText, OptionGroups
+from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.query_options import CameraOptions, TextOptions
 from scoup.cli.staging import check_folder, staged
 
@@ -25,7 +25,7 @@ ANIMATIONS = (".webp", ".gif")
 class Render(TextOptions, CameraOptions):
     """Render views of a field: its colours, its codes as colours (same code, same colour), or relevancy to a text."""
 
-    option_groups: ClassVar[OptionGroups] = {"output": "out frames_per_second"}
+    option_groups: ClassVar[OptionGroups] = {"output": "out plain frames_per_second"}
 
     what: Literal["color", "codes", "relevancy"] = "color"
     """color: the splat. codes: their meaning as colours. relevancy: a heat map of the text in --query."""
@@ -35,6 +35,8 @@ class Render(TextOptions, CameraOptions):
     """Level of the codes: s, m or l (relevancy takes the level that answers best). Default: m."""
     out: OptionalPath = None
     """Folder, .png (one view), .webp or .gif (animation). Default: folder <name of FIELD>_<what> here."""
+    plain: Flag = False
+    """Only the pixels of the camera, at exactly its size: no title, no legend. For other programs."""
     frames_per_second: float = 12.0
     """Speed of an animation."""
 
@@ -89,10 +91,14 @@ class Render(TextOptions, CameraOptions):
         from scoup.query.drawing import code_drawing, color_drawing, relevancy_drawing
 
         if self.what == "codes":
-            return code_drawing(field, len(field.levels) // 2 if self.level is None else self.level)
+            return code_drawing(
+                field, len(field.levels) // 2 if self.level is None else self.level, self.plain
+            )
         if self.query is None:
-            return color_drawing(field)
-        return relevancy_drawing(field, self.encode(field, [self.query]).with_everyday(), self.query)
+            return color_drawing(field, self.plain)
+        return relevancy_drawing(
+            field, self.encode(field, [self.query]).with_everyday(), self.query, self.plain
+        )
 
 
 def _check_one_file(out: Path, cameras: list[Camera]) -> None:

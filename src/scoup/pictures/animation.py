@@ -5,26 +5,31 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 from scoup.base.errors import InputError
 from scoup.pictures.colors import Picture
+from scoup.pictures.lettering import PAPER
 
 
 def save_animation(frames: Sequence[Picture], path: Path, frames_per_second: float) -> None:
     """Write an endless animation, replacing what is there.
 
     Args:
-        frames: [H, W, 3] uint8 each, of one size.
+        frames: [H, W, 3] uint8 each, of one width. Those that are less high than others, since their titles are
+            shorter, get a margin above.
         path: .webp or .gif.
         frames_per_second: its speed.
 
     Raises:
-        InputError: the pictures differ in size.
+        InputError: the pictures differ in width.
     """
-    if len({frame.shape for frame in frames}) > 1:
+    if len({frame.shape[1] for frame in frames}) > 1:
         raise InputError(f"{path.name}: the pictures differ in size, and an animation needs one size")
-    pictures = [Image.fromarray(frame) for frame in frames]
+    height = max(frame.shape[0] for frame in frames)
+    margins = [np.full((height - frame.shape[0], *frame.shape[1:]), PAPER, np.uint8) for frame in frames]
+    pictures = [Image.fromarray(np.concatenate(parts)) for parts in zip(margins, frames, strict=True)]
     pictures[0].save(
         path,
         format=path.suffix[1:].upper(),

@@ -26,6 +26,8 @@ _HEAT = np.array(
 )  # fmt: skip
 _LIGHTNESS = np.array([0.299, 0.587, 0.114])
 _GOLDEN = 0.61803398875
+BACKDROP = 0.62  # brightness of the grey render under a heat map
+STRONGEST = 0.92  # opacity of the heat where relevancy is highest
 
 
 def as_array(values: ArrayOrTensor) -> np.ndarray:
@@ -55,6 +57,20 @@ def heat_colors(amounts: ArrayOrTensor) -> NDArray[np.float64]:
     low = np.minimum(place.astype(int), len(_HEAT) - 2)
     share = (place - low)[..., None]
     return _HEAT[low] * (1 - share) + _HEAT[low + 1] * share
+
+
+def heat_amounts(relevancy: np.ndarray, span: tuple[float, float]) -> NDArray[np.float64]:
+    """Place of each relevancy on the colours from one end of the span to the other, 0..1; 0 if it has no extent."""
+    low, high = span
+    if high - low <= 1e-6:
+        return np.zeros(relevancy.shape)
+    return ((relevancy - low) / (high - low)).clip(0, 1)
+
+
+def heat_opacity(amounts: np.ndarray) -> NDArray[np.float64]:
+    """How much of the heat shows, 0..1: none at the low end, so that the picture stays clear there."""
+    share = ((amounts - 0.08) / 0.5).clip(0, 1)
+    return share * share * (3 - 2 * share)
 
 
 def grey(picture: Picture) -> NDArray[np.float64]:

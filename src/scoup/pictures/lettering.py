@@ -1,6 +1,9 @@
-"""Text on pictures, always inside them."""
+"""Text on pictures, always inside them, in letters that the fonts at hand have."""
 
 from __future__ import annotations
+
+import unicodedata
+from functools import lru_cache
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -10,13 +13,25 @@ from scoup.pictures.colors import Picture, as_picture
 INK, PAPER, FAINT = (245, 245, 245), (24, 26, 30), (168, 172, 180)
 SMALLEST_FONT = 9
 LEAST_WIDTH = 120  # pixels: narrower pictures get margins, so that their text has room
+MOST_LINES = 3  # of a text; what is longer ends in dots
 
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
+# Pillow's own font needs no file, but has hardly more than ASCII. These are sought, in this order, for what it lacks.
+_FONT_FILES = (
+    "DejaVuSans.ttf", "NotoSans-Regular.ttf", "NotoSansCJK-Regular.ttc", "wqy-zenhei.ttc", "arial.ttf", "msgothic.ttc",
+    "msyh.ttc", "malgun.ttf", "Arial Unicode.ttf",
+)  # fmt: skip
 
-def font(size: float) -> Font:
-    """Pillow's own font; needs no file."""
-    return ImageFont.load_default(size=size)
+
+@lru_cache(256)
+def font(size: float, file: str = "") -> Font:
+    """A font: Pillow's own without a file.
+
+    Raises:
+        OSError: the system has no such file.
+    """
+    return ImageFont.truetype(file, size) if file else ImageFont.load_default(size=size)
 
 
 def text_width(text: str, face: Font) -> int:
@@ -24,18 +39,72 @@ def text_width(text: str, face: Font) -> int:
     return int(face.getlength(text) + 0.999)
 
 
-def fitted(text: str, width: int, size: float) -> tuple[str, Font]:
-    """The text and a font such that it is at most ``width`` pixels wide: smaller first, then shortened with
-    dots.
-    """
-    while size > SMALLEST_FONT and text_width(text, font(size)) > width:
-        size -= 1
-    face = font(size)
+def lines_of(text: str, width: int, size: float, most: int = MOST_LINES) -> tuple[list[str], Font]:
+    """The text in at most ``most`` lines of ``width`` pixels, broken between words where it can be, and its font."""
+    text, file = writable(text)
+    face = font(size, file)
+    lines: list[str] = []
+    while text and len(lines) < most - 1:
+        line = _beginning(text, width, face)
+        lines.append(line.rstrip())
+        text = text[len(line) :].lstrip()
+    return [*lines, _shortened(text, width, face)] if text else lines, face
+
+
+def _beginning(text: str, width: int, face: Font) -> str:
+    """As much of the text as fits one line, at least one letter."""
     if text_width(text, face) <= width:
-        return text, face
+        return text
+    end = 1
+    while end < len(text) and text_width(text[: end + 1], face) <= width:
+        end += 1
+    between_words = text.rfind(" ", 0, end + 1)
+    return text[: between_words + 1] if between_words > 0 else text[:end]
+
+
+def _shortened(text: str, width: int, face: Font) -> str:
+    if text_width(text, face) <= width:
+        return text
     while text and text_width(text + "...", face) > width:
         text = text[:-1]
-    return text.rstrip() + "..." if text else "", face
+    return text.rstrip() + "..." if text else ""
+
+
+@lru_cache(256)
+def writable(text: str) -> tuple[str, str]:
+    """The text as it can be written, in one line, and the file of the font that has most of its letters.
+
+    Letters that it has not are written without their accents, or by number, such as \\u8336.
+    """
+    text = " ".join(text.split())
+    # The first of the best: Pillow's own font for all that it has.
+    missing, file = min(
+        ((_missing(text, file), file) for file in ("", *_FONT_FILES)), key=lambda found: len(found[0])
+    )
+    return "".join(_spelt(char, file) if char in missing else char for char in text), file
+
+
+def _spelt(char: str, file: str) -> str:
+    plain = "".join(each for each in unicodedata.normalize("NFKD", char) if not unicodedata.combining(each))
+    return char.encode("ascii", "backslashreplace").decode() if _missing(plain, file) or not plain else plain
+
+
+def _missing(text: str, file: str) -> set[str]:
+    """The letters that a font draws as it draws what it does not have; all if there is no such font."""
+    letters = {char for char in text if not char.isspace()}
+    if not file and text.isascii():
+        return set()
+    try:
+        face = font(16, file)
+    except OSError:
+        return letters
+    nothing = _drawn("\U0010ffff", face)
+    return {char for char in letters if _drawn(char, face) == nothing}
+
+
+def _drawn(char: str, face: Font) -> tuple[tuple[int, int], bytes]:
+    mask = face.getmask(char)
+    return mask.size, bytes(mask)
 
 
 def strip_height(width: int) -> int:
@@ -43,37 +112,89 @@ def strip_height(width: int) -> int:
     return max(22, min(40, round(width * 0.06)))
 
 
+def fits_one_line(width: int, text: str, right: str = "") -> bool:
+    """Whether both texts of a ``caption`` fit beside each other."""
+    height = strip_height(width)
+    margin, size = max(3, height // 4), height * 0.6
+    texts = [_line(text, size), _line(right, size * 0.85)]
+    return sum(texts) + (4 if all(texts) else 2) * margin <= width
+
+
+def caption(width: int, text: str, right: str = "", one_line: bool | None = None) -> Picture:
+    """A dark strip with ``text`` on the left and ``right``, fainter, on the right; or below each other.
+
+    Args:
+        width: in pixels.
+        text: what is shown; of more than three lines the end is left out.
+        right: a remark such as the score; the same.
+        one_line: whether they stand beside each other; if they fit, if None.
+
+    Returns:
+        [height, width, 3] uint8.
+    """
+    height = strip_height(width)
+    margin, size = max(3, height // 4), height * 0.6
+    room = width - 2 * margin
+    if fits_one_line(width, text, right) if one_line is None else one_line:
+        canvas = Image.new("RGB", (width, height), PAPER)
+        _write(canvas, (margin, height / 2), *lines_of(text, room, size, 1), INK)
+        _write(canvas, (width - margin, height / 2), *lines_of(right, room, size * 0.85, 1), FAINT, "rm")
+        return np.asarray(canvas)
+    smaller = max(11.0, size * 0.8)
+    parts = [(*lines_of(text, room, smaller), INK), (*lines_of(right, room, smaller * 0.9), FAINT)]
+    step = round(smaller * 1.4)
+    count = sum(len(lines) for lines, _, _ in parts)
+    canvas = Image.new("RGB", (width, step * count + margin), PAPER)
+    y = margin / 2 + step / 2
+    for lines, face, ink in parts:
+        _write(canvas, (margin, y), lines, face, ink, "lm", step)
+        y += step * len(lines)
+    return np.asarray(canvas)
+
+
+def _line(text: str, size: float) -> int:
+    """Pixels that the whole text takes in one line."""
+    text, file = writable(text)
+    return text_width(text, font(size, file))
+
+
+def _write(
+    canvas: Image.Image,
+    at: tuple[float, float],
+    lines: list[str],
+    face: Font,
+    ink: tuple[int, int, int],
+    anchor: str = "lm",
+    step: int = 0,
+) -> None:
+    draw = ImageDraw.Draw(canvas)
+    for number, line in enumerate(lines):
+        draw.text((at[0], at[1] + number * step), line, ink, face, anchor=anchor)
+
+
 def captioned(image: Picture, text: str, right: str = "") -> Picture:
-    """The picture with a dark strip above it: ``text`` on the left and ``right``, fainter, on the right.
+    """The picture with a dark strip above it: what it shows, and a remark such as the score (see ``caption``).
 
     Args:
         image: [H, W, 3].
         text: what it shows.
-        right: a remark such as the score; shortened before ``text`` is.
+        right: a remark.
 
     Returns:
         [H + strip, max(W, 120), 3] uint8.
     """
     picture = as_picture(image)
     width = max(picture.shape[1], LEAST_WIDTH)
-    height = strip_height(width)
-    canvas = Image.new("RGB", (width, height + picture.shape[0]), PAPER)
-    canvas.paste(Image.fromarray(picture), ((width - picture.shape[1]) // 2, height))
-    write_line(canvas, (0, 0, width, height), text, right)
-    return np.asarray(canvas)
+    return stacked([caption(width, text, right), picture])
 
 
-def write_line(canvas: Image.Image, box: tuple[int, int, int, int], text: str, right: str = "") -> None:
-    """Write a line into a box (x0, y0, x1, y1) of the canvas, vertically centred."""
-    draw = ImageDraw.Draw(canvas)
-    x0, y0, x1, y1 = box
-    height = y1 - y0
-    margin, size = max(3, height // 4), height * 0.6
-    room = x1 - x0 - 2 * margin
-    middle = (y0 + y1) / 2
-    text, face = fitted(text, room, size)
-    draw.text((x0 + margin, middle), text, INK, face, anchor="lm")
-    left = room - text_width(text, face) - 2 * margin if text else room
-    if right and left > 3 * size:
-        right, face = fitted(right, left, size * 0.85)
-        draw.text((x1 - margin, middle), right, FAINT, face, anchor="rm")
+def stacked(parts: list[Picture]) -> Picture:
+    """Pictures below each other, narrower ones in the middle between dark margins."""
+    width = max(part.shape[1] for part in parts)
+    canvas = np.full((sum(part.shape[0] for part in parts), width, 3), PAPER, np.uint8)
+    y = 0
+    for part in parts:
+        x = (width - part.shape[1]) // 2
+        canvas[y : y + part.shape[0], x : x + part.shape[1]] = part
+        y += part.shape[0]
+    return canvas

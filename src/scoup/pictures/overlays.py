@@ -8,21 +8,24 @@ from scipy import ndimage
 
 from scoup.base.errors import InputError
 from scoup.pictures.colors import (
+    BACKDROP,
+    STRONGEST,
     ArrayOrTensor,
     Picture,
     as_array,
     as_picture,
     grey,
+    heat_amounts,
     heat_colors,
+    heat_opacity,
     label_colors,
 )
-from scoup.pictures.lettering import FAINT, INK, LEAST_WIDTH, PAPER, captioned, font, strip_height, text_width
+from scoup.pictures.legends import heat_legend
+from scoup.pictures.lettering import LEAST_WIDTH, caption, captioned, stacked
 
 MASK_COLOR = (255, 92, 40)
 BOX_COLOR = (80, 220, 255)
 POINT_COLOR = (255, 255, 255)
-BACKDROP = 0.62  # brightness of the grey render under a heat map
-STRONGEST = 0.92  # opacity of the heat where relevancy is highest
 
 
 def heat_map(
@@ -31,19 +34,17 @@ def heat_map(
     query: str = "",
     level: str = "",
     score: float | None = None,
-    span: tuple[float, float] | None = None,
+    view: str = "",
 ) -> Picture:
-    """A relevancy map over the greyed colour render. Low relevancy is see-through; a legend gives the
-    numbers.
+    """A relevancy map over the greyed colour render, with a title and a legend.
 
     Args:
-        relevancy: [H, W].
+        relevancy: [H, W], 0..1.
         rgb: [H, W, 3] float 0..1 or uint8.
-        query: its text, written above; no strip if there is neither text, level nor score.
+        query: its text, written above; no title if there is nothing to say.
         level: the level shown, for example "m".
         score: written beside the level.
-        span: relevancy at the two ends of the colours; by default from the median of the map (at least half
-            of the picture stays clear) to its maximum.
+        view: name of the view, written before the level.
 
     Returns:
         [H + two strips, max(W, 120), 3] uint8.
@@ -51,25 +52,43 @@ def heat_map(
     Raises:
         InputError: sizes disagree.
     """
+    values = as_array(relevancy).astype(np.float64)
+    span = heat_span(values)
+    parts = [heat_overlay(values, rgb, span)]
+    remark = ", ".join(part for part in (view, f"level {level}" if level else "", _scored(score)) if part)
+    width = max(parts[0].shape[1], LEAST_WIDTH)
+    if query or remark:
+        parts.insert(0, caption(width, query or "relevancy", remark))
+    return stacked([*parts, heat_legend(width, *span)])
+
+
+def heat_span(relevancy: np.ndarray) -> tuple[float, float]:
+    """Relevancy at the two ends of the colours: the median of the map, so that at least half of the picture stays
+    clear, and its maximum.
+    """
+    finite = relevancy[np.isfinite(relevancy)]
+    return (float(np.median(finite)), float(finite.max())) if len(finite) else (0.0, 1.0)
+
+
+def heat_overlay(
+    relevancy: ArrayOrTensor, rgb: ArrayOrTensor, span: tuple[float, float] | None = None
+) -> Picture:
+    """A relevancy map over the greyed colour render, [H, W, 3] uint8, without any lettering; low relevancy is
+    see-through.
+
+    Args:
+        relevancy, rgb: as for ``heat_map``.
+        span: relevancy at the two ends of the colours; ``heat_span`` of the map if None.
+
+    Raises:
+        InputError: sizes disagree.
+    """
     values, picture = as_array(relevancy).astype(np.float64), as_picture(rgb)
     _check_size(values, picture, "relevancy")
-    finite = values[np.isfinite(values)]
-    low, high = span or ((float(np.median(finite)), float(finite.max())) if len(finite) else (0.0, 1.0))
-    amounts = (
-        (np.nan_to_num(values, nan=low) - low) / (high - low) if high - low > 1e-6 else np.zeros_like(values)
-    )
-    amounts = amounts.clip(0, 1)
-    opacity = STRONGEST * _presence(amounts)[..., None]
-    shown = BACKDROP * grey(picture) * (1 - opacity) + heat_colors(amounts) * opacity
-    remark = ", ".join(part for part in (f"level {level}" if level else "", _number(score)) if part)
-    drawn = shown.astype(np.uint8)
-    titled = captioned(drawn, query or "relevancy", remark) if query or remark else drawn
-    legend = _legend(titled.shape[1], low, high)
-    if legend.shape[1] > titled.shape[1]:
-        margin = legend.shape[1] - titled.shape[1]
-        sides = ((0, 0), (margin // 2, margin - margin // 2), (0, 0))
-        titled = np.pad(titled, sides)
-    return np.concatenate([titled, legend])
+    low, high = span or heat_span(values)
+    amounts = heat_amounts(np.nan_to_num(values, nan=low), (low, high))
+    opacity = STRONGEST * heat_opacity(amounts)[..., None]
+    return (BACKDROP * grey(picture) * (1 - opacity) + heat_colors(amounts) * opacity).astype(np.uint8)
 
 
 def mask_overlay(
@@ -100,19 +119,56 @@ def mask_overlay(
     inside, picture = as_array(mask).astype(bool), as_picture(rgb)
     _check_size(inside, picture, "mask")
     shown = np.where(inside[..., None], picture * 0.55 + np.array(color) * 0.45, picture * 0.72)
+    drawn = _marked(shown.astype(np.uint8), inside, np.minimum(np.array(color) * 0.75 + 64, 255), box, point)
+    return captioned(drawn, label, remark) if label or remark else drawn
+
+
+def answer_overlay(
+    relevancy: ArrayOrTensor,
+    mask: ArrayOrTensor,
+    rgb: ArrayOrTensor,
+    span: tuple[float, float],
+    box: tuple[float, float, float, float] | None = None,
+    point: tuple[float, float] | None = None,
+) -> Picture:
+    """A relevancy map over the greyed colour render, with the outline of the mask, the box and the point; no lettering.
+
+    Args:
+        relevancy, rgb, span: as for ``heat_overlay``.
+        mask: [H, W] bool.
+        box, point: as for ``mask_overlay``.
+
+    Returns:
+        [H, W, 3] uint8.
+
+    Raises:
+        InputError: sizes disagree.
+    """
+    inside, heat = as_array(mask).astype(bool), heat_overlay(relevancy, rgb, span)
+    _check_size(inside, heat, "mask")
+    return _marked(heat, inside, np.array(POINT_COLOR), box, point)
+
+
+def _marked(
+    picture: Picture,
+    inside: np.ndarray,
+    rim_color: np.ndarray,
+    box: tuple[float, float, float, float] | None,
+    point: tuple[float, float] | None,
+) -> Picture:
+    """The picture with the outline of a mask, a box and a cross."""
     width = max(1, round(picture.shape[1] / 320))
     core = np.asarray(ndimage.binary_erosion(inside, iterations=width, border_value=1), bool)
-    rim = inside & ~core
-    shown[rim] = np.minimum(np.array(color) * 0.75 + 64, 255)
-    canvas = Image.fromarray(shown.astype(np.uint8))
+    shown = picture.copy()
+    shown[inside & ~core] = rim_color
+    canvas = Image.fromarray(shown)
     draw = ImageDraw.Draw(canvas)
     if box is not None:
         x0, y0, x1, y1 = box
         draw.rectangle((x0, y0, max(x0, x1 - 1), max(y0, y1 - 1)), outline=BOX_COLOR, width=width)
     if point is not None:
         _cross(draw, point, max(3, round(picture.shape[1] / 80)), width)
-    drawn = np.asarray(canvas)
-    return captioned(drawn, label, remark) if label or remark else drawn
+    return np.asarray(canvas)
 
 
 def region_overlay(labels: ArrayOrTensor, rgb: ArrayOrTensor, opacity: float = 0.6) -> Picture:
@@ -152,40 +208,8 @@ def _check_size(values: np.ndarray, picture: Picture, what: str) -> None:
         )
 
 
-def _presence(amounts: np.ndarray) -> np.ndarray:
-    """How much of the heat shows, 0..1: none at the low end, so that the picture stays clear there."""
-    share = ((amounts - 0.08) / 0.5).clip(0, 1)
-    return share * share * (3 - 2 * share)
-
-
-def _number(score: float | None) -> str:
-    return "" if score is None else f"{score:.3f}"
-
-
-def _legend(width: int, low: float, high: float) -> Picture:
-    """[strip, width, 3]: the colours, with the relevancy at both ends and, where there is room, in the
-    middle.
-    """
-    width = max(width, LEAST_WIDTH)
-    height = strip_height(width)
-    canvas = Image.new("RGB", (width, height), PAPER)
-    face = font(max(9, height * 0.48))
-    left, right = f"{low:.2f}", f"{high:.2f}"
-    margin = max(3, height // 4)
-    start, end = 2 * margin + text_width(left, face), width - 2 * margin - text_width(right, face)
-    draw = ImageDraw.Draw(canvas)
-    draw.text((margin, height / 2), left, INK, face, anchor="lm")
-    draw.text((width - margin, height / 2), right, INK, face, anchor="rm")
-    if end - start > 8:
-        amounts = np.linspace(0, 1, end - start)
-        opacity = _presence(amounts)[:, None]  # as in the map, over mid grey
-        bar = (heat_colors(amounts) * opacity + 255 * BACKDROP * 0.5 * (1 - opacity)).astype(np.uint8)
-        inset = height // 4
-        canvas.paste(
-            Image.fromarray(np.broadcast_to(bar, (height - 2 * inset, *bar.shape)).copy()), (start, inset)
-        )
-        draw.rectangle((start - 1, inset - 1, end, height - inset), outline=FAINT)
-    return np.asarray(canvas)
+def _scored(score: float | None) -> str:
+    return "" if score is None else f"score {score:.2f}"
 
 
 def _cross(draw: ImageDraw.ImageDraw, point: tuple[float, float], size: int, width: int) -> None:

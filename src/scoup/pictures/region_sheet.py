@@ -10,9 +10,11 @@ from PIL import Image, ImageDraw
 from scoup.pictures.colors import ArrayOrTensor, Picture, as_array, as_picture
 from scoup.pictures.lettering import font, text_width
 from scoup.pictures.overlays import region_overlay
-from scoup.pictures.sheet import contact_sheet
+from scoup.pictures.sheet import contact_sheet, sheet_tile_width
 
-_NAMES = {"s": "small (s)", "m": "medium (m)", "l": "large (l)"}
+COLUMNS = 2
+RIM = 1  # dark pixels around a number
+_NAMES = {"s": "level s (fine)", "m": "level m (medium)", "l": "level l (coarse)"}
 
 
 def regions_sheet(
@@ -34,25 +36,52 @@ def regions_sheet(
         width: of the picture in pixels.
     """
     photograph = as_picture(image)
-    tiles, captions = [photograph], ["photograph"]
-    scale = max(1.0, width / 2 / photograph.shape[1])
-    size = (round(photograph.shape[1] * scale), round(photograph.shape[0] * scale))
-    base = np.asarray(Image.fromarray(photograph).resize(size, Image.Resampling.BICUBIC))
+    # At the size of the tiles, so that the numbers are not reduced with them.
+    tile_width = sheet_tile_width(width, COLUMNS)
+    size = (tile_width, max(1, round(photograph.shape[0] * tile_width / photograph.shape[1])))
+    base = np.asarray(Image.fromarray(photograph).resize(size, Image.Resampling.LANCZOS))
+    tiles, captions = [base], ["photograph"]
     for plane, level in zip(as_array(labels), levels, strict=True):
-        large = np.asarray(Image.fromarray(plane.astype(np.int32)).resize(size, Image.Resampling.NEAREST))
-        tiles.append(numbered(region_overlay(large, base), large))
+        shown = np.asarray(Image.fromarray(plane.astype(np.int32)).resize(size, Image.Resampling.NEAREST))
+        tile, written = numbered(region_overlay(shown, base), shown)
+        tiles.append(tile)
         count = len(np.unique(plane[plane >= 0]))
-        captions.append(f"{_NAMES.get(level, level)}: {count} regions")
-    return contact_sheet(tiles, captions, columns=2, width=width, heading=name, footer=remark)
+        some = (
+            ""
+            if written == count
+            else f", numbers on the {written} with room"
+            if written
+            else ", no room for numbers"
+        )
+        captions.append(f"{_NAMES.get(level, level)}: {count} regions{some}")
+    return contact_sheet(tiles, captions, COLUMNS, width, heading=name, footer=remark)
 
 
-def numbered(picture: Picture, labels: np.ndarray, size: int = 12) -> Picture:
-    """The picture with the number of each region written where the region is thickest, if it fits there."""
+def _which(written: int, count: int) -> str:
+    """Which of the regions have their number on them, if not all."""
+    if written == count:
+        return ""
+    return f", numbers on the {written} with room" if written else ", no room for numbers"
+
+
+def numbered(picture: Picture, labels: np.ndarray, size: int = 13) -> tuple[Picture, int]:
+    """The picture with the number of each region that has room for it, where the region is thickest.
+
+    A number is written only where it lies inside its own region as a whole, so that no two can touch.
+
+    Args:
+        picture: [H, W, 3].
+        labels: [H, W] region numbers, -1 for none.
+        size: of the font in pixels.
+
+    Returns:
+        The picture, and how many numbers were written.
+    """
     from scipy import ndimage
 
     canvas = Image.fromarray(picture)
     draw = ImageDraw.Draw(canvas)
-    face = font(size)
+    face, written = font(size), 0
     for number, place in enumerate(ndimage.find_objects(labels + 1)):
         if place is None:
             continue
@@ -60,8 +89,9 @@ def numbered(picture: Picture, labels: np.ndarray, size: int = 12) -> Picture:
         depth = np.asarray(ndimage.distance_transform_cdt(inside))
         row, column = np.unravel_index(int(depth.argmax()), depth.shape)
         text = str(number)
-        if depth[row, column] < max(text_width(text, face), size) / 2:
+        if depth[row, column] < max(text_width(text, face), size) / 2 + RIM:
             continue
         x, y = place[1].start + int(column) - 0.5, place[0].start + int(row) - 0.5
-        draw.text((x, y), text, (255, 255, 255), face, anchor="mm", stroke_width=1, stroke_fill=(0, 0, 0))
-    return np.asarray(canvas)
+        draw.text((x, y), text, (255, 255, 255), face, anchor="mm", stroke_width=RIM, stroke_fill=(0, 0, 0))
+        written += 1
+    return np.asarray(canvas), written

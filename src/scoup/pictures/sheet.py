@@ -9,9 +9,10 @@ from PIL import Image, ImageDraw
 
 from scoup.base.errors import InputError
 from scoup.pictures.colors import ArrayOrTensor, Picture, as_picture
-from scoup.pictures.lettering import FAINT, PAPER, captioned, fitted, font, write_line
+from scoup.pictures.lettering import FAINT, LEAST_WIDTH, PAPER, caption, fits_one_line, lines_of
 
 GAP = 8  # pixels between tiles
+FOOTER_FONT = 14
 
 
 def contact_sheet(
@@ -46,32 +47,62 @@ def contact_sheet(
         if texts and len(texts) != len(tiles):
             raise InputError(f"{len(texts)} {what} do not fit {len(tiles)} tiles")
     columns = min(columns, len(tiles))
-    tile_width = (width - GAP * (columns + 1)) // columns
+    tile_width = sheet_tile_width(width, columns)
     if tile_width < 16:
         raise InputError(f"{columns} columns do not fit a sheet {width} pixels wide")
     shown = [_scaled(as_picture(tile), tile_width) for tile in tiles]
     if titles or remarks:
-        names, notes = titles or [""] * len(tiles), remarks or [""] * len(tiles)
-        shown = [
-            _scaled(captioned(tile, name, note), tile_width)
-            for tile, name, note in zip(shown, names, notes, strict=True)
-        ]
-    rows = [shown[start : start + columns] for start in range(0, len(shown), columns)]
-    heights = [max(tile.shape[0] for tile in row) for row in rows]
-    top = GAP + (44 if heading else 0)
-    lines = _broken(footer, width - 2 * GAP) if footer else []
-    total = top + sum(heights) + GAP * len(rows) + 20 * len(lines) + (GAP if lines else 0)
-    canvas = Image.new("RGB", (width, total), PAPER)
-    if heading:
-        write_line(canvas, (0, GAP // 2, width, 44), heading)
-    y = top
-    for row, height in zip(rows, heights, strict=True):
-        for column, tile in enumerate(row):
-            canvas.paste(Image.fromarray(tile), (GAP + column * (tile_width + GAP), y))
-        y += height + GAP
-    draw = ImageDraw.Draw(canvas)
+        shown = _titled(shown, titles or [""] * len(tiles), remarks or [""] * len(tiles), columns)
+    parts = [caption(width, heading)] if heading else []
+    parts += [_row(shown[start : start + columns], width) for start in range(0, len(shown), columns)]
+    return np.concatenate([*parts, _footer(footer, width)])
+
+
+def sheet_tile_width(width: int, columns: int) -> int:
+    """Pixels of a tile on a sheet of this width."""
+    return (width - GAP * (columns + 1)) // columns
+
+
+def _titled(
+    tiles: list[Picture], titles: Sequence[str], remarks: Sequence[str], columns: int
+) -> list[Picture]:
+    """Tiles under their titles, all of which are laid out alike; those of a row take the same height, so that the
+    pictures stand in line.
+    """
+    width = tiles[0].shape[1]
+    texts = list(zip(titles, remarks, strict=True))
+    one_line = all(fits_one_line(max(width, LEAST_WIDTH), *both) for both in texts)
+    strips = [_scaled(caption(max(width, LEAST_WIDTH), *both, one_line), width) for both in texts]
+    heights = [
+        max(strip.shape[0] for strip in strips[start : start + columns])
+        for start in range(0, len(strips), columns)
+    ]
+    return [
+        np.concatenate([_on_paper(strip, heights[number // columns]), tile])
+        for number, (strip, tile) in enumerate(zip(strips, tiles, strict=True))
+    ]
+
+
+def _on_paper(picture: Picture, height: int) -> Picture:
+    below = ((0, height - picture.shape[0]), (0, 0))
+    return np.stack([np.pad(picture[..., c], below, constant_values=PAPER[c]) for c in range(3)], axis=-1)
+
+
+def _row(tiles: list[Picture], width: int) -> Picture:
+    height = max(tile.shape[0] for tile in tiles)
+    row = np.full((GAP + height, width, 3), PAPER, np.uint8)
+    for column, tile in enumerate(tiles):
+        x = GAP + column * (tile.shape[1] + GAP)
+        row[GAP : GAP + tile.shape[0], x : x + tile.shape[1]] = tile
+    return row
+
+
+def _footer(text: str, width: int) -> Picture:
+    """The text in lines, or only a margin."""
+    lines, face = lines_of(text, width - 2 * GAP, FOOTER_FONT, 12)
+    canvas = Image.new("RGB", (width, GAP + 20 * len(lines) + (GAP if lines else 0)), PAPER)
     for number, line in enumerate(lines):
-        draw.text((GAP, y + 20 * number), line, FAINT, font(14))
+        ImageDraw.Draw(canvas).text((GAP, GAP + 20 * number), line, FAINT, face)
     return np.asarray(canvas)
 
 
@@ -82,18 +113,3 @@ def _scaled(picture: Picture, width: int) -> Picture:
     smaller = width < picture.shape[1]
     how = Image.Resampling.LANCZOS if smaller else Image.Resampling.BICUBIC
     return np.asarray(Image.fromarray(picture).resize((width, height), how))
-
-
-def _broken(text: str, width: int) -> list[str]:
-    """The text in lines of at most ``width`` pixels, broken between words."""
-    lines: list[str] = []
-    for paragraph in text.splitlines():
-        line = ""
-        for word in paragraph.split():
-            longer = f"{line} {word}".strip()
-            if line and font(14).getlength(longer) > width:
-                lines.append(fitted(line, width, 14)[0])
-                longer = word
-            line = longer
-        lines.append(fitted(line, width, 14)[0])
-    return lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -10,7 +11,17 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.pictures import as_picture, code_basis, code_picture, heat_map, mask_overlay
+from scoup.pictures import (
+    as_picture,
+    captioned,
+    code_basis,
+    code_picture,
+    heat_map,
+    heat_overlay,
+    mask_overlay,
+    stacked,
+    swatch_legend,
+)
 from scoup.pictures.colors import Picture
 from scoup.query.answer import Answer, answer_view
 from scoup.query.queried_field import QueriedField
@@ -19,6 +30,11 @@ from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
 
 AXES = 8  # directions of embedding space among which the three colours are chosen
+
+CODE_LEGEND = "Like meaning, like colour; the same in every view."
+LEGEND_ATOMS = 20  # whose colours a code picture lists, if there is room
+
+LEVEL_NAMES = {"s": "s (fine)", "m": "m (medium)", "l": "l (coarse)"}
 
 Draw: TypeAlias = Callable[[Camera, raster.Projection], Picture]
 """Draws one view, given its camera and the field's projection to it."""
@@ -34,42 +50,73 @@ def draw_answer(answer: Answer, rgb: Tensor, text: str) -> dict[str, np.ndarray 
 
     Returns:
         "heat": the relevancy over the render, [.., .., 3] uint8; "mask": [H, W] boolean; "overlay": mask, box and
-        point over the render, [.., W, 3] uint8.
+        point over the render, [.., .., 3] uint8.
     """
-    remark = "not in this view"
-    if answer.presence:
-        remark = f"level {answer.level}, {answer.coverage:.1%} of the view"
     return {
         "heat": heat_map(answer.heat, rgb, text, answer.level, answer.score),
         "mask": answer.mask,
-        "overlay": mask_overlay(answer.mask, rgb, answer.box, answer.point, text, remark),
+        "overlay": mask_overlay(answer.mask, rgb, answer.box, answer.point, text, answer_remark(answer)),
     }
 
 
-def color_drawing(field: QueriedField) -> Draw:
-    """Draws the splat of a field."""
-    return lambda camera, projection: as_picture(raster.render_colors(field.gaussians, camera, projection))
+def answer_remark(answer: Answer) -> str:
+    """Level, score, coverage and, if presence was judged, z-score in a few words; or that the thing is not there."""
+    judged = answer.z_score is not None and math.isfinite(answer.z_score)
+    z_score = f"z-score {answer.z_score:.1f}" if judged else ""
+    if not answer.presence:
+        return f"not in this view ({z_score or 'nothing found'})"
+    parts = (
+        f"level {answer.level}",
+        f"score {answer.score:.2f}",
+        f"{answer.coverage:.1%} of the view",
+        z_score,
+    )
+    return ", ".join(part for part in parts if part)
 
 
-def relevancy_drawing(field: QueriedField, texts: TextVectors, text: str) -> Draw:
+def color_drawing(field: QueriedField, plain: bool = False) -> Draw:
+    """Draws the splat of a field.
+
+    Args:
+        field: to be drawn.
+        plain: only the pixels of the camera, without a title; as for the other drawings.
+    """
+
+    def draw(camera: Camera, projection: raster.Projection) -> Picture:
+        picture = as_picture(raster.render_colors(field.gaussians, camera, projection))
+        return picture if plain else captioned(picture, "colour", camera.name)
+
+    return draw
+
+
+def relevancy_drawing(field: QueriedField, texts: TextVectors, text: str, plain: bool = False) -> Draw:
     """Draws a heat map of the relevancy to the first query of ``texts``, at the level of its mask.
 
     Args:
         field: to be queried.
         texts: as for ``answer_view``.
         text: of the query, written above.
+        plain: without title and legend.
     """
 
     def draw(camera: Camera, projection: raster.Projection) -> Picture:
         answer = answer_view(field, camera, texts, projection=projection)[0]
         rgb = raster.render_colors(field.gaussians, camera, projection).cpu()
-        return heat_map(answer.heat, rgb, text, answer.level, answer.score)
+        if plain:
+            return heat_overlay(answer.heat, rgb)
+        return heat_map(answer.heat, rgb, text, answer.level, answer.score, camera.name)
 
     return draw
 
 
-def code_drawing(field: QueriedField, level: str | int) -> Draw:
+def code_drawing(field: QueriedField, level: str | int, plain: bool = False) -> Draw:
     """Draws the codes of one level as colours: the same code has the same colour in every view.
+
+    Args:
+        field: to be drawn.
+        level: its name or number.
+        plain: without title and legend. The legend lists the atoms that lead the codes of most Gaussians, each with the
+            mean colour of these.
 
     Raises:
         InputError: there is no such level.
@@ -81,7 +128,33 @@ def code_drawing(field: QueriedField, level: str | int) -> Draw:
     directions = torch.linalg.svd(atoms, full_matrices=False).Vh[:AXES].T  # [D, axes]
     placed = atoms @ directions  # [L, axes]
     indices, weights = field.code_indices[:, row].cpu(), field.code_weights[:, row].float().cpu()
-    basis = code_basis(SparseCodes(indices, weights, field.n_atoms).to_dense() @ placed)
-    return lambda camera, projection: code_picture(
-        field.render_codes(camera, projection)[row].cpu() @ placed, basis
-    )
+    gaussians = SparseCodes(indices, weights, field.n_atoms).to_dense() @ placed  # [N, axes]
+    basis = code_basis(gaussians)
+    name = field.levels[row]
+    title = f"codes, level {LEVEL_NAMES.get(name, name)}"
+    legend = _code_legend(indices, weights, code_picture(gaussians[None], basis)[0])
+
+    def draw(camera: Camera, projection: raster.Projection) -> Picture:
+        picture = code_picture(field.render_codes(camera, projection)[row].cpu() @ placed, basis)
+        if plain:
+            return picture
+        titled = captioned(picture, title, camera.name)
+        return stacked([titled, legend(titled.shape[1])])
+
+    return draw
+
+
+def _code_legend(indices: Tensor, weights: Tensor, colors: Picture) -> Callable[[int], Picture]:
+    """Makes the legend of a code picture, given its width.
+
+    Args:
+        indices, weights: [N, K], the codes of the Gaussians.
+        colors: [N, 3] uint8 of the Gaussians.
+    """
+    coded = weights.sum(1) > 0
+    leading = indices.long().gather(1, weights.argmax(1, keepdim=True))[:, 0][coded].numpy()
+    counts = np.bincount(leading)
+    most = [int(atom) for atom in np.argsort(-counts, kind="stable")[:LEGEND_ATOMS] if counts[atom]]
+    shades = [colors[coded.numpy()][leading == atom].mean(0).round().astype(int).tolist() for atom in most]
+    swatches, names = [tuple(shade) for shade in shades], [str(atom) for atom in most]
+    return lambda width: swatch_legend(width, CODE_LEGEND, "most frequent atoms", swatches, names)

@@ -1,0 +1,158 @@
+"""All answers of a query on contact sheets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+from torch import Tensor
+
+from scoup.pictures import answer_overlay, as_picture, contact_sheet, heat_legend, stacked
+from scoup.pictures.colors import Picture
+from scoup.pictures.sheet import GAP
+from scoup.query.answer import Answer
+from scoup.query.drawing import answer_remark
+
+MOST_VIEWS = 12  # on a sheet
+MOST_TEXTS = 6  # on a sheet; more get sheets of their own
+VIEWS_BESIDE = 4  # of one text
+WIDTH = 1600  # of a sheet, in pixels, more or less
+HEIGHT = 3600
+NARROWEST, WIDEST = 320, 960  # of a cell, in pixels
+LEAST_SPAN = 0.05  # of the relevancy that the colours stand for
+
+HOW_TO_READ = (
+    "Heat: relevancy, the same colours in all cells. White line: the mask. Blue: its box. Cross: the pixel that fits "
+    "best. Grey all over: not in this view."
+)
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """An answer at the size of a cell; ``largest`` relevancy is that before it was resized."""
+
+    heat: np.ndarray
+    mask: np.ndarray
+    box: tuple[float, float, float, float] | None
+    point: tuple[float, float] | None
+    remark: str
+    is_present: bool
+    score: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A view with its answers, one a text."""
+
+    number: int
+    view: str
+    picture: Picture
+    cells: tuple[_Cell, ...]
+
+
+class AnswerSheets:
+    """Takes the answers view by view and draws them: rows are views and columns texts; of one text, views beside each
+    other.
+
+    Of more views than ``MOST_VIEWS`` those are kept that answer best: the texts choose in turn, each the view in which
+    it is present with the largest score among those not yet chosen. No more than these are held in memory.
+
+    Args:
+        texts: of the query.
+        views: how many will be added.
+    """
+
+    def __init__(self, texts: Sequence[str], views: int) -> None:
+        self.texts, self.views = tuple(texts), views
+        columns = min(len(texts), MOST_TEXTS) if len(texts) > 1 else min(views, VIEWS_BESIDE)
+        self._columns = columns
+        rows = min(views, MOST_VIEWS) if len(texts) > 1 else -(-min(views, MOST_VIEWS) // columns)
+        self._cell_width = min(WIDEST, max(NARROWEST, min(WIDTH // columns, HEIGHT // rows)))
+        self._rows: list[_Row] = []
+        self._added = 0
+
+    def __len__(self) -> int:
+        """How many sheets there are."""
+        return -(-len(self.texts) // MOST_TEXTS)
+
+    def add(self, view: str, answers: Sequence[Answer], rgb: Tensor) -> None:
+        """Add a view.
+
+        Args:
+            view: its name.
+            answers: one a text.
+            rgb: [H, W, 3] float 0..1, the colour render.
+        """
+        picture = as_picture(rgb)
+        width = self._cell_width
+        size = (width, max(1, round(picture.shape[0] * width / picture.shape[1])))
+        small = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
+        cells = tuple(_cell(answer, size) for answer in answers)
+        self._rows.append(_Row(self._added, view, small, cells))
+        self._added += 1
+        if len(self._rows) > MOST_VIEWS:
+            # Whoever is not chosen among fewer views is not chosen among more.
+            self._rows = best_rows(self._rows, MOST_VIEWS)
+
+    def pictures(self) -> list[Picture]:
+        """The sheets, at least one view having been added."""
+        high = max(cell.largest for row in self._rows for cell in row.cells)
+        span = (min(0.5, high - LEAST_SPAN), high)
+        starts = range(0, len(self.texts), MOST_TEXTS)
+        return [self._sheet(range(len(self.texts))[start : start + MOST_TEXTS], span) for start in starts]
+
+    def _sheet(self, columns: range, span: tuple[float, float]) -> Picture:
+        tiles, titles, remarks = [], [], []
+        for row in self._rows:
+            for column in columns:
+                cell = row.cells[column]
+                heat = cell.heat if cell.is_present else np.zeros_like(cell.heat)
+                tiles.append(answer_overlay(heat, cell.mask, row.picture, span, cell.box, cell.point))
+                alone = len(self.texts) == 1
+                titles.append(row.view if alone else self.texts[column])
+                remarks.append(cell.remark if alone else f"{row.view}: {cell.remark}")
+        width = self._columns * (self._cell_width + GAP) + GAP
+        heading = self._heading(columns)
+        sheet = contact_sheet(tiles, titles, self._columns, width, heading, HOW_TO_READ, remarks)
+        return stacked([sheet, heat_legend(width, *span)])
+
+    def _heading(self, columns: range) -> str:
+        shown = len(self._rows)
+        texts = f'"{self.texts[0]}"' if len(self.texts) == 1 else f"{len(self.texts)} texts"
+        if len(self) > 1:
+            texts = f"texts {columns[0] + 1} to {columns[-1] + 1} of {len(self.texts)}"
+        if shown == self.views:
+            return f"{texts} in {shown} {'view' if shown == 1 else 'views'}"
+        turns = ", the texts choosing in turn" if len(self.texts) > 1 else ""
+        return f"{texts} in {shown} of {self.views} views: those of the best answers{turns}"
+
+
+def best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
+    """The rows of the best answers, the texts choosing in turn; in the order in which they came."""
+    left, chosen = list(rows), []
+    for turn in range(min(count, len(rows))):
+        column = turn % len(rows[0].cells)
+        best = max(left, key=lambda row: (row.cells[column].is_present, row.cells[column].score, -row.number))
+        left.remove(best)
+        chosen.append(best)
+    return sorted(chosen, key=lambda row: row.number)
+
+
+def _cell(answer: Answer, size: tuple[int, int]) -> _Cell:
+    height, width = answer.mask.shape
+    x, y = size[0] / width, size[1] / height
+    relevancy, how = answer.heat.numpy(), Image.Resampling.BILINEAR
+    mask = np.asarray(Image.fromarray(answer.mask.numpy().astype(np.uint8) * 255).resize(size, how)) > 127
+    return _Cell(
+        heat=np.asarray(Image.fromarray(relevancy).resize(size, how)),
+        mask=mask,
+        box=answer.box and (answer.box[0] * x, answer.box[1] * y, answer.box[2] * x, answer.box[3] * y),
+        point=answer.point and ((answer.point[0] + 0.5) * x, (answer.point[1] + 0.5) * y),
+        remark=answer_remark(answer),
+        is_present=answer.presence,
+        score=answer.score,
+        largest=float(relevancy.max()),
+    )
