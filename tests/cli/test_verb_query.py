@@ -32,20 +32,52 @@ def test_the_main_path_says_what_it_found():
     lines = out.splitlines()
     assert re.match(r"view_00\.png  kettle: score [01]\.\d\d at level", lines[0])
     assert lines[1].startswith("view_00.png  wooden table: score 0.")
-    assert lines[2] == "f_queries/query.json: 2 answers"
-    found = sorted(str(path) for path in Path("f_queries").rglob("*.png"))
-    assert found == [
-        f"f_queries/view_00/{name}_{kind}.png"
+    assert lines[2:] == [
+        "f_queries/sheet.png: the answers as pictures",
+        "f_queries/query.json: 2 answers",
+    ]
+    assert files("f_queries") == ["query.json", "sheet.png"]
+
+
+def files(folder: str) -> list[str]:
+    return sorted(path.relative_to(folder).as_posix() for path in Path(folder).rglob("*.*"))
+
+
+def test_the_sheet_and_single_pictures():
+    record = run_json("query", "f.scoup", "kettle", "wooden table", "--pictures", "all", "--camera", "all")
+    singles = [
+        f"view_0{number}/{name}_{kind}.png"
+        for number in range(4)
         for name in ("kettle", "wooden-table")
         for kind in ("heat", "mask", "overlay")
     ]
+    assert files("f_queries") == ["query.json", "sheet.png", *singles]
+    named = [file for answer in record["answers"] for file in answer["files"].values()]
+    assert named == [f"f_queries/{name}" for name in singles]
+    assert record["sheets"] == ["f_queries/sheet.png"]
+    again = run_json("query", "f.scoup", "kettle", "wooden table", "--camera", "all", "--out", "again")
+    assert "files" not in again["answers"][0]
+    assert Path("again/sheet.png").read_bytes() == Path("f_queries/sheet.png").read_bytes()
+
+
+def test_many_texts_take_several_sheets():
+    table = load_table("scene/words.npz")
+    names = [f"thing {number}" for number in range(7)]
+    save_table("many.npz", [*table.names, *names], np.concatenate([table.vectors, table.vectors]))
+    record = run_json("query", "f.scoup", *names, "--text", "many.npz")
+    assert record["sheets"] == ["f_queries/sheet_1.png", "f_queries/sheet_2.png"]
+    assert files("f_queries") == ["query.json", "sheet_1.png", "sheet_2.png"]
 
 
 def test_the_record_of_an_answer():
-    record = run_json("query", "f.scoup", "kettle", "--out", "answers")
+    record = run_json("query", "f.scoup", "kettle", "--out", "answers", "--pictures", "all")
     assert record["out"] == "answers"
     (answer,) = record["answers"]
-    assert json.loads(Path("answers/query.json").read_text()) == {"field": "f.scoup", "answers": [answer]}
+    assert json.loads(Path("answers/query.json").read_text()) == {
+        "field": "f.scoup",
+        "sheets": ["answers/sheet.png"],
+        "answers": [answer],
+    }
     assert (answer["camera"], answer["text"]) == ("view_00.png", "kettle")
     assert answer["level"] in "sml"
     assert answer["pixel_level"] in "sml"
@@ -82,11 +114,12 @@ def test_cameras_by_name_several_and_all():
 def test_no_pictures_on_request():
     record = run_json("query", "f.scoup", "kettle", "--pictures", "none")
     assert "files" not in record["answers"][0]
-    assert [path.name for path in Path("f_queries").rglob("*")] == ["query.json"]
+    assert record["sheets"] == []
+    assert files("f_queries") == ["query.json"]
 
 
 def test_pictures_of_another_size():
-    answer = run_json("query", "f.scoup", "kettle", "--scale", "2")["answers"][0]
+    answer = run_json("query", "f.scoup", "kettle", "--scale", "2", "--pictures", "all")["answers"][0]
     with Image.open(answer["files"]["mask"]) as picture:
         assert picture.size == (80, 60)
 
@@ -141,27 +174,29 @@ def test_geometry_that_moved_is_named():
 
 def test_words_that_look_alike_or_strange_get_files_of_their_own():
     texts = ("Kettle", "kettle", "KETTLE ")
-    answers = run_json("query", "f.scoup", *texts)["answers"]
+    answers = run_json("query", "f.scoup", *texts, "--pictures", "all")["answers"]
     files = [file for answer in answers for file in answer["files"].values()]
     assert len(set(files)) == 9
     assert all(Path(file).is_file() for file in files)
 
 
 def test_nothing_is_replaced_without_overwrite():
-    run_json("query", "f.scoup", "kettle")
+    run_json("query", "f.scoup", "kettle", "--pictures", "all")
     Path("f_queries/query.json").unlink()  # as if only pictures were left
-    before = snapshot(Path())
-    code, _, err = run("query", "f.scoup", "mug", "kettle")
-    assert (code, snapshot(Path())) == (2, before)
-    assert "kettle_heat.png: already exists" in err
-    assert run("query", "f.scoup", "mug", "kettle", "--overwrite")[0] == 0
+    for pictures, there in (("sheet", "sheet.png"), ("all", "kettle_heat.png")):
+        before = snapshot(Path())
+        code, _, err = run("query", "f.scoup", "mug", "kettle", "--pictures", pictures)
+        assert (code, snapshot(Path())) == (2, before)
+        assert f"{there}: already exists" in err
+        Path("f_queries/sheet.png").unlink(missing_ok=True)
+    assert run("query", "f.scoup", "mug", "kettle", "--pictures", "all", "--overwrite")[0] == 0
 
 
 @pytest.mark.parametrize(
     "error", [KeyboardInterrupt(), InputError("no"), OSError(28, "No space left on device")]
 )
 def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
-    run_json("query", "f.scoup", "kettle", "--camera", "all")
+    run_json("query", "f.scoup", "kettle", "--camera", "all", "--pictures", "all")
     before = snapshot(Path())
     overlay, drawn = drawing.mask_overlay, []
 
@@ -173,7 +208,7 @@ def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
 
     monkeypatch.setattr(drawing, "mask_overlay", failing)
     code, out, err = run(
-        "query", "f.scoup", "mug", "kettle", "--camera", "all", "--overwrite", "--threshold", "0.1"
+        "query", "f.scoup", "mug", "kettle", "--camera", "all", "--overwrite", "--pictures", "all"
     )
     assert code == (130 if isinstance(error, KeyboardInterrupt) else 2)
     assert out == ""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from scoup.base.errors import InputError
 from scoup.pictures.animation import save_animation
@@ -16,3 +17,14 @@ def test_pictures_of_different_sizes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a\.gif: the pictures differ in size"):
         save_animation(frames, tmp_path / "a.gif", 12)
     assert not (tmp_path / "a.gif").exists()
+
+
+def test_shorter_pictures_get_a_margin_above(tmp_path: Path) -> None:
+    frames = [np.full((height, 9, 3), 200, np.uint8) for height in (8, 6)]
+    save_animation(frames, tmp_path / "a.webp", 12)
+    with Image.open(tmp_path / "a.webp") as picture:
+        assert picture.size == (9, 8)
+        picture.seek(1)
+        shown = np.asarray(picture.convert("RGB"))
+    assert (shown[0] < 60).all()
+    assert (shown[-1] > 150).all()

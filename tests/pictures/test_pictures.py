@@ -5,21 +5,27 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from PIL import ImageDraw, ImageFont
 
 from scoup.base.errors import InputError
 from scoup.pictures import (
+    answer_overlay,
     captioned,
     code_basis,
     code_picture,
     contact_sheet,
     heat_colors,
+    heat_legend,
     heat_map,
+    heat_overlay,
     label_colors,
     mask_overlay,
     region_overlay,
     regions_sheet,
+    swatch_legend,
 )
-from scoup.pictures.lettering import PAPER, fitted, text_width
+from scoup.pictures.legends import scale_ends
+from scoup.pictures.lettering import INK, PAPER, lines_of, text_width, writable
 from scoup.pictures.region_sheet import numbered
 
 SIZES = [(1, 1), (1, 300), (300, 1), (36, 48), (180, 240)]
@@ -67,10 +73,27 @@ def test_regions_are_numbered_where_there_is_room():
     check(sheet)
     assert sheet.shape[1] == 500
     plain = region_overlay(labels[0], photo(60, 80))
-    drawn = (numbered(plain, labels[0]) != plain).any(-1)
+    shown, written = numbered(plain, labels[0])
+    drawn = (shown != plain).any(-1)
+    assert written == 1
     assert drawn[:, 40:].any()
     assert not drawn[:, :38].any()
-    assert (numbered(plain, np.full((60, 80), -1)) == plain).all()
+    shown, written = numbered(plain, np.full((60, 80), -1))
+    assert written == 0
+    assert (shown == plain).all()
+
+
+def test_numbers_stay_inside_their_regions():
+    rows, columns = np.mgrid[:600, :900]
+    labels = rows // 20 * 30 + columns // 30  # 900 regions of 20 x 30
+    labels[:, :450] = 900 + (rows // 5 * 45 + columns // 10)[:, :450]  # and many that are too small
+    plain = np.full((600, 900, 3), 90, np.uint8)
+    shown, written = numbered(plain, labels)
+    assert written == len(np.unique(labels[:, 450:]))
+    drawn = (shown != plain).any(-1)
+    assert not drawn[:, :450].any()
+    border = (np.diff(labels, axis=1, prepend=-1) != 0) | (np.diff(labels, axis=0, prepend=-1) != 0)
+    assert not (drawn & border).any()
 
 
 def test_low_relevancy_leaves_the_render_visible():
@@ -94,9 +117,63 @@ def test_maps_without_contrast_show_the_render(values: np.ndarray):
 
 def test_a_given_span_makes_pictures_comparable():
     rgb, values = photo(30, 200), np.full((30, 200), 0.6)
-    low = heat_map(values, rgb, span=(0.6, 0.9))
-    high = heat_map(values, rgb, span=(0.3, 0.6))
-    assert high[5:25].mean() > low[5:25].mean() + 50
+    low = heat_overlay(values, rgb, (0.6, 0.9))
+    high = heat_overlay(values, rgb, (0.3, 0.6))
+    assert high.mean() > low.mean() + 50
+
+
+@pytest.mark.parametrize("width", [120, 288, 960, 1640])
+@pytest.mark.parametrize(("low", "high"), [(0.48, 0.59), (0.1, 0.95), (0.5, 0.5)])
+def test_ticks_and_colours_of_the_legend_stand_at_their_relevancy(width: int, low: float, high: float):
+    legend = heat_legend(width, low, high).astype(int)
+    first, last = scale_ends(width)
+    bar = next(y for y in range(len(legend)) if (legend[y, first:last] != PAPER).any(1).all()) + 1
+    bottom = max(y for y in range(len(legend)) if (legend[y, first:last] != PAPER).any(1).all())
+    ticks = np.flatnonzero((legend[bottom + 1] == INK).all(1))
+    assert ticks.tolist() == [first, first + round(0.5 * (last - first)), last]
+    # A pixel of a map of this relevancy has the colour that the bar has there.
+    for relevancy in np.linspace(low, high, 7)[1:-1] if high > low else ():
+        column = first + round(relevancy * (last - first))
+        exact = (column - first) / (last - first)
+        shown = heat_overlay(np.full((1, 1), exact), np.full((1, 1, 3), 0.5), (low, high))[0, 0]
+        assert np.abs(legend[bar, column] - shown).max() <= 4
+    beyond = first + round((high + 1) / 2 * (last - first))
+    assert (legend[bar, beyond] == PAPER).all() or width >= 288  # or a text stands there
+
+
+def test_the_legend_says_what_a_draw_is():
+    texts = []
+    original = ImageDraw.ImageDraw.text
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ImageDraw.ImageDraw, "text", lambda self, at, text, *a, **k: texts.append(text))
+        heat_legend(960, 0.48, 0.59)
+        heat_legend(120, 0.48, 0.59)
+    assert original is ImageDraw.ImageDraw.text
+    wide = ["0", "1", "0.5: draw with the canonical phrases", "clear below 0.48", "largest 0.59"]
+    assert texts == [*wide, "0", "1", "0.5: draw"]
+
+
+def test_swatches_are_as_many_as_fit():
+    colors = [(200, 30, 30), (30, 200, 30), (30, 30, 200)]
+    wide = swatch_legend(600, "what colours mean", "some of them", colors, ["7", "12", "130"])
+    assert all((wide == color).all(2).sum() > 20 for color in colors)
+    narrow = swatch_legend(120, "what colours mean", "some of them", colors * 9, ["100"] * 27)
+    assert narrow.shape[1] == 120
+    assert (narrow[:, -3:] == PAPER).all()
+
+
+def test_an_answer_over_the_heat():
+    rgb = np.full((60, 80, 3), 0.5, np.float32)
+    mask = np.zeros((60, 80), bool)
+    mask[20:40, 30:50] = True
+    heat = heat_overlay(mask * 0.7, rgb, (0.5, 0.7))
+    shown = answer_overlay(mask * 0.7, mask, rgb, (0.5, 0.7), (30, 20, 50, 40), (40, 30))
+    assert (shown[25, 35] == heat[25, 35]).all()
+    assert (shown[30, 40] == 255).all()  # the cross
+    assert (answer_overlay(mask * 0.7, mask, rgb, (0.5, 0.7))[20, 35] == 255).all()  # the outline
+    assert (shown[5, 5] == heat[5, 5]).all()
+    with pytest.raises(InputError, match="does not fit"):
+        answer_overlay(mask * 0.7, mask.T, rgb, (0.5, 0.7))
 
 
 def test_mask_is_tinted_outlined_and_the_rest_darker():
@@ -126,9 +203,42 @@ def test_sizes_that_disagree_are_refused():
     "text", ["teapot", "a very long question that goes on and on " * 4, "", "überlange Größe", "W" * 200]
 )
 @pytest.mark.parametrize("width", [20, 60, 120, 480])
-def test_text_fits(text: str, width: int):
-    shortened, face = fitted(text, width, 18)
-    assert text_width(shortened, face) <= width
+@pytest.mark.parametrize("most", [1, 3])
+def test_text_fits(text: str, width: int, most: int):
+    lines, face = lines_of(text, width, 18, most)
+    assert len(lines) <= most
+    assert all(text_width(line, face) <= width for line in lines)
+
+
+def test_text_is_broken_between_words():
+    lines, _ = lines_of("the person who stands behind the wooden table", 120, 12)
+    assert " ".join(lines) == "the person who stands behind the wooden table"
+    assert len(lines) > 1
+    assert lines_of("a b  c\nd", 500, 12)[0] == ["a b c d"]
+    assert lines_of("", 500, 12)[0] == []
+    assert lines_of("word " * 99, 120, 12)[0][-1].endswith("...")
+
+
+def test_letters_without_a_font_are_spelt(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("scoup.pictures.lettering.font", lambda size, file="": _own_font(size, file))
+    writable.cache_clear()
+    assert writable("Größe 茶") == ("Gro\\xdfe \\u8336", "")
+    assert writable("plain") == ("plain", "")
+    writable.cache_clear()
+
+
+def _own_font(size: float, file: str) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    if file:
+        raise OSError
+    return ImageFont.load_default(size)
+
+
+def test_a_font_of_the_system_has_other_letters():
+    try:
+        ImageFont.truetype("DejaVuSans.ttf", 12)
+    except OSError:
+        pytest.skip("the font is not installed")
+    assert writable("Töpfe, чайник") == ("Töpfe, чайник", "DejaVuSans.ttf")
 
 
 @pytest.mark.parametrize("width", [120, 240, 960])
@@ -146,6 +256,21 @@ def test_both_texts_of_a_caption_are_shown():
     both = captioned(np.zeros((10, 300, 3), np.uint8), "teapot", "IoU 0.83")
     assert (alone[:, :150] == both[:, :150]).all()
     assert (alone[:, 150:] != both[:, 150:]).any()
+
+
+def test_what_does_not_fit_beside_stands_below():
+    ground = np.zeros((10, 200, 3), np.uint8)
+    short, long = captioned(ground, "mug", "score 0.7"), captioned(ground, "a mug " * 9, "level m, score 0.7")
+    assert long.shape[0] > short.shape[0]
+    assert (long[-10:] == 0).all()
+
+
+def test_tiles_of_a_row_stand_in_line():
+    tiles = [np.full((60, 80, 3), 200, np.uint8)] * 2
+    sheet = contact_sheet(tiles, ["mug", "a rather long question about a teapot " * 3], 2, 400)
+    rows = [(sheet[:, x] == 200).all(1) for x in (60, 260)]
+    assert (rows[0] == rows[1]).all()
+    assert rows[0].any()
 
 
 def test_label_colours_differ_and_last():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,15 @@ import torch
 from query.conftest import Queried
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.pictures import as_picture, heat_map
+from scoup.pictures import as_picture, heat_map, heat_overlay
 from scoup.query.answer import answer_view
-from scoup.query.drawing import code_drawing, color_drawing, draw_answer, relevancy_drawing
+from scoup.query.drawing import (
+    answer_remark,
+    code_drawing,
+    color_drawing,
+    draw_answer,
+    relevancy_drawing,
+)
 
 
 def test_pictures_of_an_answer(queried: Queried) -> None:
@@ -27,19 +34,33 @@ def test_pictures_of_an_answer(queried: Queried) -> None:
     assert not np.array_equal(np.asarray(absent["overlay"]), np.asarray(drawn["overlay"]))  # the remark
 
 
+def test_what_is_said_of_an_answer(queried: Queried) -> None:
+    answer = answer_view(queried.field, queried.camera, queried.texts)[0]
+    answer = replace(answer, level="m", score=0.731, coverage=0.0213, z_score=None)
+    assert answer_remark(answer) == "level m, score 0.73, 2.1% of the view"
+    assert (
+        answer_remark(replace(answer, z_score=3.21)) == "level m, score 0.73, 2.1% of the view, z-score 3.2"
+    )
+    absent = replace(answer, presence=False, z_score=0.61)
+    assert answer_remark(absent) == "not in this view (z-score 0.6)"
+    assert answer_remark(replace(absent, z_score=-math.inf)) == "not in this view (nothing found)"
+
+
 def test_drawings_of_a_view(queried: Queried) -> None:
     field, camera = queried.field, queried.camera
     projection = field.project(camera)
     rgb = raster.render_colors(field.gaussians, camera, projection)
-    assert np.array_equal(color_drawing(field)(camera, projection), as_picture(rgb))
+    assert np.array_equal(color_drawing(field, plain=True)(camera, projection), as_picture(rgb))
     answer = answer_view(field, camera, queried.texts, projection=projection)[0]
-    expected = heat_map(answer.heat, rgb, "kettle", answer.level, answer.score)
+    expected = heat_map(answer.heat, rgb, "kettle", answer.level, answer.score, camera.name)
     assert np.array_equal(relevancy_drawing(field, queried.texts, "kettle")(camera, projection), expected)
+    plain = relevancy_drawing(field, queried.texts, "kettle", plain=True)(camera, projection)
+    assert np.array_equal(plain, heat_overlay(answer.heat, rgb))
 
 
 def test_the_same_code_has_the_same_colour_in_every_view(queried: Queried) -> None:
     field, camera = queried.field, queried.camera
-    draw = code_drawing(field, "m")
+    draw = code_drawing(field, "m", plain=True)
     whole = draw(camera, field.project(camera))
     assert whole.shape == (camera.height, camera.width, 3)
     painted = field.render_codes(camera)[1].any(-1)
@@ -50,6 +71,22 @@ def test_the_same_code_has_the_same_colour_in_every_view(queried: Queried) -> No
     assert same.mean() > 0.95
     with pytest.raises(InputError, match="no level"):
         code_drawing(field, "x")
+
+
+def test_swatches_have_the_colours_of_the_picture(queried: Queried) -> None:
+    field, camera = queried.field, replace(queried.camera, width=200)
+    projection = field.project(camera)
+    plain = code_drawing(field, "m", plain=True)(camera, projection)
+    titled = code_drawing(field, "m")(camera, projection)
+    assert titled.shape[1] == 200
+    top = next(y for y in range(len(titled)) if (titled[y : y + len(plain)] == plain).all())
+    legend = titled[top + len(plain) :].reshape(-1, 3)
+    colors, counts = np.unique(legend, axis=0, return_counts=True)
+    vivid = colors[(np.ptp(colors.astype(int), axis=1) > 20) & (counts > 50)].astype(int)
+    assert len(vivid) >= 2
+    shown = plain[plain.any(2)].astype(int)
+    near = [np.abs(shown - color).max(1).min() for color in vivid]
+    assert min(near) < 40
 
 
 def test_a_field_knows_whether_it_is_visible(queried: Queried) -> None:

@@ -104,7 +104,7 @@ def _missing(text: str, file: str) -> set[str]:
 
 def _drawn(char: str, face: Font) -> tuple[tuple[int, int], bytes]:
     mask = face.getmask(char)
-    return mask.size, bytes(mask)
+    return mask.size, np.asarray(mask).tobytes()
 
 
 def strip_height(width: int) -> int:

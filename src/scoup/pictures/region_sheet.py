@@ -86,11 +86,13 @@ def numbered(picture: Picture, labels: np.ndarray, size: int = 13) -> tuple[Pict
         if place is None:
             continue
         inside = np.pad(labels[place] == number, 1)
-        depth = np.asarray(ndimage.distance_transform_cdt(inside))
-        row, column = np.unravel_index(int(depth.argmax()), depth.shape)
         text = str(number)
-        if depth[row, column] < max(text_width(text, face), size) / 2 + RIM:
+        needed = (size + 2 * RIM, text_width(text, face) + 2 * RIM)  # pixels down and across
+        room = ndimage.minimum_filter(inside.astype(np.uint8), needed, mode="constant")
+        if not room.any():
             continue
+        depth = np.asarray(ndimage.distance_transform_cdt(inside)) * room
+        row, column = np.unravel_index(int(depth.argmax()), depth.shape)
         x, y = place[1].start + int(column) - 0.5, place[0].start + int(row) - 0.5
         draw.text((x, y), text, (255, 255, 255), face, anchor="mm", stroke_width=RIM, stroke_fill=(0, 0, 0))
         written += 1

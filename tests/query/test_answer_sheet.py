@@ -1,0 +1,121 @@
+"""Contact sheets of the answers of a query."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from PIL import ImageDraw
+
+from scoup.query.answer import Answer
+from scoup.query.answer_sheet import MOST_VIEWS, AnswerSheets
+
+RGB = torch.full((30, 40, 3), 0.5)
+
+
+def answer(score: float, is_present: bool = True) -> Answer:
+    mask = torch.zeros(30, 40, dtype=torch.bool)
+    mask[10:20, 10:25] = is_present
+    found = (10, 10, 25, 20) if is_present else None
+    heat = torch.where(mask, score, 0.4)
+    return Answer(
+        mask, found, 0.125, "m", score, (15, 15) if found else None, "m", score, heat, 3.0, is_present
+    )
+
+
+def drawn_texts(sheets: AnswerSheets, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    texts: list[str] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(ImageDraw.ImageDraw, "text", lambda self, at, text, *rest, **more: texts.append(text))
+        sheets.pictures()
+    return texts
+
+
+def test_every_cell_says_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    sheets = AnswerSheets(["mug", "teapot"], 2)
+    sheets.add("a.png", [answer(0.7), answer(0.6, is_present=False)], RGB)
+    sheets.add("b.png", [answer(0.8), answer(0.9)], RGB)
+    texts = drawn_texts(sheets, monkeypatch)
+    assert "2 texts in 2 views" in texts
+    assert texts.count("mug") == texts.count("teapot") == 2
+    assert "a.png: level m, score 0.70, 12.5% of the view, z-score 3.0" in " ".join(texts)
+    assert "a.png: not in this view (z-score 3.0)" in " ".join(texts)
+    assert "largest 0.90" in texts
+
+
+def test_an_absent_thing_has_no_heat() -> None:
+    sheets = AnswerSheets(["mug"], 2)
+    sheets.add("a.png", [answer(0.7)], RGB)
+    sheets.add("b.png", [answer(0.7, is_present=False)], RGB)
+    (sheet,) = sheets.pictures()
+    cells = sheet[: sheet.shape[0] * 2 // 3].astype(int)
+    colored = np.ptp(cells, axis=2) > 60
+    half = sheet.shape[1] // 2
+    assert colored[:, :half].sum() > 1000
+    assert not colored[:, half:].any()
+
+
+def test_the_colours_are_those_of_one_scale() -> None:
+    def heat(*scores: float) -> np.ndarray:
+        sheets = AnswerSheets(["mug"], len(scores))
+        for number, score in enumerate(scores):
+            sheets.add(f"{number}.png", [answer(score)], RGB)
+        (sheet,) = sheets.pictures()
+        return sheet
+
+    assert heat(0.9, 0.7).shape == heat(0.7, 0.7).shape
+    left = slice(0, 600)
+    assert heat(0.7, 0.7)[:600, left].mean() > heat(0.7, 0.95)[:600, left].mean()
+
+
+def test_of_many_views_the_best_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    scores = rng.permutation(np.linspace(0.5, 0.9, 60)).reshape(30, 2)
+    sheets = AnswerSheets(["mug", "teapot"], 30)
+    for number, (mug, teapot) in enumerate(scores):
+        sheets.add(f"view {number}", [answer(mug), answer(teapot)], RGB)
+    chosen: list[int] = []
+    for turn in range(MOST_VIEWS):  # the rule, written out over all views
+        order = np.argsort(-scores[:, turn % 2])
+        chosen.append(next(int(view) for view in order if view not in chosen))
+    texts = drawn_texts(sheets, monkeypatch)
+    heading = "2 texts in 12 of 30 views: those of the best answers, the texts choosing in turn"
+    assert heading in " ".join(texts)
+    shown = [text.split(":")[0] for text in texts if text.startswith("view ")]
+    assert shown[::2] == [f"view {number}" for number in sorted(chosen)]
+
+
+def test_what_is_there_goes_before_what_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    sheets = AnswerSheets(["mug"], MOST_VIEWS + 1)
+    for number in range(MOST_VIEWS):
+        sheets.add(f"view {number}", [answer(0.9, is_present=number != 3)], RGB)
+    sheets.add("last", [replace(answer(0.6))], RGB)
+    texts = drawn_texts(sheets, monkeypatch)
+    assert '"mug" in 12 of 13 views: those of the best answers' in texts
+    assert "last" in texts
+    assert "view 3" not in texts
+
+
+def test_more_texts_take_more_sheets(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = [f"thing {number}" for number in range(8)]
+    sheets = AnswerSheets(names, 1)
+    sheets.add("a.png", [answer(0.7) for _ in names], RGB)
+    assert len(sheets) == len(sheets.pictures()) == 2
+    texts = drawn_texts(sheets, monkeypatch)
+    assert [text for text in texts if text.startswith("texts")] == [
+        "texts 1 to 6 of 8 in 1 view",
+        "texts 7 to 8 of 8 in 1 view",
+    ]
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (400, 30), (30, 400)])
+def test_views_of_any_shape(height: int, width: int) -> None:
+    mask = torch.ones(height, width, dtype=torch.bool)
+    odd = replace(answer(0.7), mask=mask, box=(0, 0, width, height), point=(0, 0), heat=mask * 0.7)
+    sheets = AnswerSheets(["überlange Größe " * 20], 2)
+    sheets.add("a.png", [odd], torch.zeros(height, width, 3))
+    sheets.add("b.png", [answer(0.7)], RGB)
+    (sheet,) = sheets.pictures()
+    assert sheet.dtype == np.uint8
