@@ -8,7 +8,13 @@ import torch
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup.baselines.autoencoder import AutoencoderSettings
-from scoup.evaluate.studies.consistency import consistency, consistency_table
+from scoup.evaluate.studies.consistency import (
+    ConsistencyResult,
+    consistency,
+    consistency_plot,
+    consistency_table,
+    gap_differences,
+)
 from scoup.evaluate.studies.matches import Matches, dominant_gaussians
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
@@ -63,6 +69,35 @@ def test_regions_that_share_a_code_are_alike() -> None:
     results = consistency("s", Matches("by hand", points), cameras, regions, SETTINGS, QUICK)
     by_kind = {result.features: result.cosines for result in results if result.level == "s"}
     assert by_kind["sparse codes"] == pytest.approx(by_kind["raw"], abs=0.02)
+
+
+def test_the_plot_shows_the_difference_that_counts() -> None:
+    """Features that are all alike have the highest cosine of all, and the smallest gap."""
+    cosines = {"raw": (0.8, 0.6), "autoencoder": (0.99, 0.99), "sparse codes": (0.9, 0.8)}
+    unmatched = {"raw": (0.5, 0.5), "autoencoder": (0.97, 0.97), "sparse codes": (0.5, 0.6)}
+    results = [
+        ConsistencyResult("hall", "m", name, cosines[name], 2, 0.5, unmatched[name]) for name in cosines
+    ]
+    rows = gap_differences(results)
+    assert [row[:3] for row in rows] == [("hall", "m", "autoencoder"), ("hall", "m", "sparse codes")]
+    means = [row[3].mean for row in rows]
+    assert means == pytest.approx([0.02 - 0.2, 0.3 - 0.2])
+    assert rows[1][3].low == pytest.approx(0.1)  # of both points alike, so the interval has no extent
+    plot = consistency_plot(results)
+    assert plot.reference == 0
+    assert [row[:2] for row in plot.rows] == [
+        ("hall, level m", "autoencoder"),
+        ("hall, level m", "sparse codes"),
+    ]
+
+
+def test_unmatched_observations_are_of_the_same_points() -> None:
+    rows = unit(torch.randn(4, 16, generator=torch.Generator().manual_seed(2)))
+    cameras, regions = two_views(rows[:2], rows[2:])
+    points = [[("a.png", 5), ("b.png", 7)], [("a.png", 30), ("b.png", 35)], [("a.png", 2), ("b.png", 30)]]
+    for result in consistency("s", Matches("by hand", points), cameras, regions, SETTINGS, QUICK):
+        assert len(result.unmatched_cosines) == len(result.cosines) == 3
+        assert sum(result.unmatched_cosines) / 3 == pytest.approx(result.unmatched)  # a pair a point
 
 
 def test_no_overlap() -> None:

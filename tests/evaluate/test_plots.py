@@ -62,6 +62,16 @@ def test_intervals_stand_in_groups_from_top_to_bottom() -> None:
 
 
 @needs_matplotlib
+def test_differences_stand_beside_a_line() -> None:
+    rows = [("first", "a", Interval(0.02, 0.01, 0.03)), ("first", "b", Interval(-0.02, -0.03, -0.01))]
+    (axes,) = IntervalPlot(rows, "title", "x", 3, 0.0).figure().axes
+    assert list(np.asarray(axes.lines[0].get_xdata())) == [0, 0]
+    assert {"+0.020", "-0.020"} <= {text.get_text() for text in axes.texts}
+    low, high = axes.get_xlim()
+    assert low < -0.02 < 0 < 0.02 < high
+
+
+@needs_matplotlib
 @pytest.mark.parametrize("plot", [CURVES, INTERVALS])
 def test_pictures_are_deterministic_and_pyplot_stays_out(plot: Plot) -> None:
     first = png(plot)

@@ -86,12 +86,14 @@ class IntervalPlot:
         rows: (group, name, interval); rows of a group follow each other.
         title, x_label: written around.
         digits: of the means, after the point.
+        reference: where a line is drawn, such as 0 for differences; none if None. Its meaning belongs into ``x_label``.
     """
 
     rows: Sequence[tuple[str, str, Interval]]
     title: str
     x_label: str
     digits: int = 1
+    reference: float | None = None
 
     def figure(self) -> Figure:
         """See ``Plot``.
@@ -110,10 +112,13 @@ class IntervalPlot:
             names.append(name)
             y += 1
         figure, axes = _axes(9.0, 1.1 + _ROW * y, self.title, self.x_label)
+        if self.reference is not None:
+            axes.axvline(self.reference, color=_GREY, linewidth=1.2)
         for place, (_, _, interval) in zip(places, self.rows, strict=True):
             axes.plot([interval.low, interval.high], [place, place], color="C0", alpha=0.6, linewidth=2)
             axes.plot([interval.mean], [place], color="C0", marker="o")
-            text = f"{interval.mean:.{self.digits}f}"
+            sign = "" if self.reference is None else "+"
+            text = f"{interval.mean:{sign}.{self.digits}f}"
             axes.text(1.02, place, text, transform=axes.get_yaxis_transform(), va="center")
         for place, group in headings:
             axes.text(0.01, place, group, transform=axes.get_yaxis_transform(), va="center", weight="bold")

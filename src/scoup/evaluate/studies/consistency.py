@@ -29,6 +29,7 @@ from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_codes import learn_codebook
 
+RAW = "raw"  # the features that others are compared with
 MOST_PAIRS = 40_000  # of matched observations, drawn at random beyond
 
 
@@ -42,6 +43,7 @@ class ConsistencyResult:
         pairs: how many pairs in all.
         unmatched: mean cosine when the second of each pair is that of another pair drawn at random: features that are
             all alike have a high cosine between matched observations too, and say nothing.
+        unmatched_cosines: [P] the same, as a mean over the pairs of each point.
     """
 
     scene: str
@@ -50,6 +52,11 @@ class ConsistencyResult:
     cosines: tuple[float, ...]
     pairs: int
     unmatched: float
+    unmatched_cosines: tuple[float, ...]
+
+    def gaps(self) -> np.ndarray:
+        """[P] what matters: by how much each point's observations are more alike than those of different points."""
+        return np.subtract(self.cosines, self.unmatched_cosines)
 
     def interval(self) -> Interval:
         """Of the cosine, over points."""
@@ -97,18 +104,21 @@ def consistency(
         book = learn_codebook(rows, replace(settings, seed=seed))
         unit = torch.nn.functional.normalize(rows, dim=1)
         sparse = torch.nn.functional.normalize(book.codes.to_dense() @ book.atoms, dim=1)
-        features = {"raw": unit, "autoencoder": network.decode(network.encode(rows)), "sparse codes": sparse}
+        features = {RAW: unit, "autoencoder": network.decode(network.encode(rows)), "sparse codes": sparse}
         for name, values in features.items():
             a, b = values[torch.from_numpy(one[both])], values[torch.from_numpy(other[both])]
             cosines = (a * b).sum(1).double().numpy()
-            members = np.unique(point_of_pair[both], return_inverse=True)[1]
-            means = np.bincount(members, cosines) / np.bincount(members)
             shuffled = torch.from_numpy(np.random.default_rng(seed).permutation(len(b)))
-            unmatched = float((a * b[shuffled]).sum(1).double().mean())
-            results.append(
-                ConsistencyResult(scene, level, name, tuple(means.tolist()), int(both.sum()), unmatched)
-            )
+            unmatched = (a * b[shuffled]).sum(1).double().numpy()
+            means, others = (_means_by_point(values, point_of_pair[both]) for values in (cosines, unmatched))
+            pairs, mean_unmatched = int(both.sum()), float(unmatched.mean())
+            results.append(ConsistencyResult(scene, level, name, means, pairs, mean_unmatched, others))
     return results
+
+
+def _means_by_point(values: np.ndarray, points: np.ndarray) -> tuple[float, ...]:
+    members = np.unique(points, return_inverse=True)[1]
+    return tuple((np.bincount(members, values) / np.bincount(members)).tolist())
 
 
 def run_consistency(
@@ -206,13 +216,33 @@ def consistency_table(results: Sequence[ConsistencyResult], sources: dict[str, s
     )
 
 
+def gap_differences(results: Sequence[ConsistencyResult]) -> list[tuple[str, str, str, Interval]]:
+    """How much compression widens or narrows the gap between matched and unmatched observations.
+
+    Returns:
+        Scene, level, features, and the mean over points of their gap less that of the raw embeddings, with an interval
+        over points: paired, since all features are of the same pairs.
+    """
+    raw = {(each.scene, each.level): each.gaps() for each in results if each.features == RAW}
+    rows = []
+    for each in results:
+        if each.features != RAW:
+            differences = (each.gaps() - raw[each.scene, each.level]).tolist()
+            numbers = [str(number) for number in range(len(differences))]
+            rows.append((each.scene, each.level, each.features, bootstrap_interval(differences, numbers)))
+    return rows
+
+
 def consistency_plot(results: Sequence[ConsistencyResult]) -> IntervalPlot:
-    """Points with intervals, by scene and level."""
+    """The ``gap_differences`` with their intervals against 0, by scene and level."""
     rows = [
-        (f"{result.scene}, level {result.level}", result.features, result.interval().scaled(1, 3))
-        for result in sorted(results, key=lambda each: (each.scene, each.level))
+        (f"{scene}, level {level}", features, interval)
+        for scene, level, features, interval in sorted(gap_differences(results), key=lambda row: row[0])
     ]
-    return IntervalPlot(rows, "Multi-view consistency", "cosine between matched observations", 3)
+    title = "Multi-view consistency: cosine of matched minus of unmatched observations"
+    return IntervalPlot(
+        rows, title, "difference from raw embeddings; above 0: points are kept apart better", 3, 0.0
+    )
 
 
 def consistency_record(results: Sequence[ConsistencyResult], sources: dict[str, str]) -> dict[str, Any]:
