@@ -33,17 +33,17 @@ class Bench(WritesCommon):
     n_gaussians: tuple[int, ...] = (100_000,)
     """Gaussians in the scene; one or several numbers."""
     width: int = 480
-    """Of the view, in pixels."""
+    """Width of the view, in pixels."""
     height: int = 360
-    """Of the view, in pixels."""
+    """Height of the view, in pixels."""
     threads: Counts = ()
-    """Numbers of threads, each measured. Default: as many as torch uses."""
+    """Numbers of threads, each of which is measured. Default: as many as torch uses."""
     repeats: int = 5
-    """Interleaved repetitions, after one that is not timed."""
+    """How often each stage is timed, after once that does not count."""
     backends: Names = ()
-    """Rasterisers. Default: all that work here."""
+    """Backends of the rasteriser. Default: all that work here."""
     stages: Names = ()
-    """Among project, alpha, sums, colors, codes, cosines, vote. Default: all."""
+    """Stages to time, among project, alpha, sums, colors, codes, cosines, vote. Default: all."""
     quick: Flag = False
     """A tenth of the Gaussians and a third of the width and height: to see that everything runs."""
     out: OptionalPath = None

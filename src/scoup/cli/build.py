@@ -52,27 +52,29 @@ class Build(ViewOptions):
     the features say (those of scoup extract do), else laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
     preset: Literal["default", "paper"] = "default"
     """default answers best (128 atoms, exact coding, two rounds of the vote); paper is the method as published (64
-    atoms, Adam, one round). The settings below, where given, override it."""
+    atoms, Adam, one round). Options of coding and vote, where given, override it."""
     n_atoms: OptionalInteger = None
-    """Atoms in the codebook of each level (L)."""
+    """Atoms in the codebook of each level (L). Default: the preset's."""
     k: OptionalInteger = None
-    """Atoms in the code of a region (K)."""
+    """Atoms in the code of a region (K). Default: the preset's."""
     keep: OptionalInteger = None
     """Atoms each Gaussian keeps after the vote; 0 keeps all. Default: as many as K."""
     rounds: OptionalInteger = None
-    """Rounds of the vote; after the first, regions count by their cosine with the outcome of the round before."""
+    """Rounds of the vote; after the first, regions count by their cosine with the outcome of the round before.
+    Default: the preset's."""
     consensus: Flag = False
-    """Bring regions that the same Gaussians see closer together before coding."""
+    """Bring the embeddings of regions that share Gaussians closer together before coding."""
     solver: OptionalText = None
-    """How codes are learned: adam is the paper's; exact takes a second where that takes minutes."""
+    """How codes are learned: exact, or adam as in the paper, which takes minutes where exact takes a second. Default:
+    the preset's."""
     effort: OptionalText = None
-    """Of the exact solver: fast takes half the time of best."""
+    """How long the exact solver searches: best, or fast in half the time. Default: best."""
     epochs: OptionalInteger = None
-    """Epochs of the adam solver; fewer are faster and a little worse."""
+    """Epochs of the adam solver; fewer are faster and a little worse. Default: the preset's."""
     tolerance: OptionalNumber = None
     """Stop adam early once its loss falls by less than this in 100 epochs. Default: never."""
     seed: int = 0
-    """Seed of the codebook's start; the same seed gives the same file (with adam: and number of threads)."""
+    """Seed of the codebook's start; the same seed gives the same file (adam needs the same number of threads, too)."""
     raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
     """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
     weight_bits: Literal[8, 16] = 16

@@ -27,13 +27,13 @@ class Demo(WritesCommon):
     out: Path = Path("demo")
     """Folder for everything."""
     seed: int = 0
-    """Of the scene and the codebook."""
+    """Seed of the scene and of the codebook."""
     n_gaussians: int = 160_000
     """Gaussians in the scene."""
     width: int = 480
-    """Of the views, in pixels."""
+    """Width of the views, in pixels."""
     height: int = 360
-    """Of the views, in pixels."""
+    """Height of the views, in pixels."""
     views: int = 24
     """Views the field is built from; a quarter as many are held out for scoring."""
 

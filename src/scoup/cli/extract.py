@@ -49,7 +49,7 @@ class Extract(WritesCommon):
     segmenter_revision: OptionalText = None
     """Branch, tag or commit of the segmenter. The commit found is recorded, and kept when work is resumed."""
     embedder_revision: OptionalText = None
-    """Branch, tag or commit of the embedder; as above."""
+    """Branch, tag or commit of the embedder; the same holds."""
     preset: Literal["langsplat", "fast"] = "langsplat"
     """langsplat: its rules to the letter. fast: one grid of points instead of five, early filters, 16 bits on a GPU."""
     points_per_side: OptionalInteger = None

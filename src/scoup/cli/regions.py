@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ShowRegions(WritesCommon):
-    """Draw the regions of one view over its photograph: three levels side by side, with the numbers of the regions."""
+    """Draw the regions of one view at three levels beside the photograph, with their numbers where there is room."""
 
     scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
     """Folder with cameras, photographs and region features."""
@@ -31,7 +31,7 @@ class ShowRegions(WritesCommon):
     out: OptionalPath = None
     """The picture to write, a .png file. Default: <name of the image>_regions.png here."""
     width: int = 1800
-    """Of the picture, in pixels."""
+    """Width of the picture, in pixels."""
 
     def run(self, console: Console) -> None:
         """Load, draw, write."""

@@ -23,16 +23,19 @@ ANIMATIONS = (".webp", ".gif")
 
 @dataclass(frozen=True, kw_only=True)
 class Render(TextOptions, CameraOptions):
-    """Render views of a field: its colours, its codes as colours (same code, same colour), or relevancy to a text."""
+    """Render views of a field: its colours, its codes as colours (like meaning, like colour), or relevancy to a text.
+
+    Pictures have a title, and a legend where they need one; --plain leaves both out.
+    """
 
     option_groups: ClassVar[OptionGroups] = {"output": "out plain frames_per_second"}
 
     what: Literal["color", "codes", "relevancy"] = "color"
     """color: the splat. codes: their meaning as colours. relevancy: a heat map of the text in --query."""
     query: OptionalText = None
-    """The text whose relevancy is drawn."""
+    """The text whose relevancy is drawn, with --what relevancy."""
     level: OptionalText = None
-    """Level of the codes: s, m or l (relevancy takes the level that answers best). Default: m."""
+    """Level of the codes: s (fine), m or l (coarse); relevancy takes the level that answers best. Default: m."""
     out: OptionalPath = None
     """Folder, .png (one view), .webp or .gif (animation). Default: folder <name of FIELD>_<what> here."""
     plain: Flag = False

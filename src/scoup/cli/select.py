@@ -45,7 +45,8 @@ class Select(TextOptions):
     always: Flag = False
     """Choose something for any text, unless the threshold is absolute."""
     neighbours: int = 0
-    """Blend each half and half with the mean of so many nearest neighbours: 10 is usual, 0 is off."""
+    """Blend the relevancy of each Gaussian half and half with the mean of so many nearest neighbours: 10 is usual, 0 is
+    off."""
 
     def run(self, console: Console) -> None:
         """Choose and write."""

@@ -20,9 +20,9 @@ class Baselines(StudyOptions):
     methods: Names = ()
     """Methods to run; repeat it for several. Default: all but paper (Adam, slow) and sparse-all."""
     seed: int = 0
-    """Of all that is random."""
+    """Seed of all that is random."""
     epochs: int = 100
-    """Of the autoencoder; LangSplat's own is 100."""
+    """Epochs of the autoencoder; LangSplat's own is 100."""
     selection: Flag = False
     """Also score by the 3D-selection protocol, in a table of its own."""
 
@@ -61,7 +61,7 @@ class Presence(StudyOptions):
     """
 
     seed: int = 0
-    """Of the codebook's start."""
+    """Seed of the codebook's start."""
 
     def run(self, console: Console) -> None:
         """Query, judge, write."""

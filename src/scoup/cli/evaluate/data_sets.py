@@ -30,9 +30,9 @@ class Scored(DataSetOptions):
     k: OptionalInteger = None
     """Atoms in the code of a region (K). Default: the preset's."""
     seed: int = 0
-    """Of the codebook's start."""
+    """Seed of the codebook's start."""
     rebuild: Flag = False
-    """Build fields again that are there already."""
+    """Build anew the fields that are there already."""
     selection: Flag = False
     """Also score by the 3D-selection protocol, in tables of its own."""
     sheets: Literal["worst", "none"] = "worst"

@@ -22,9 +22,9 @@ class Ablations(StudyOptions):
     """Groups of rows: vote, atoms, non-zeros, entropy, "solver and start", levels, phrases, views, pixels;
     repeat it for several. Default: all. The base is always run."""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Of the codebook; scores are means over them."""
+    """Seeds of the codebook; scores are means over them."""
     epochs: int = 4000
-    """Of Adam."""
+    """Epochs of Adam."""
 
     def run(self, console: Console) -> None:
         """Run all, write table and plot."""
@@ -51,15 +51,15 @@ class Curves(StudyOptions):
     views. A table and a plot for each."""
 
     faults: Names = ()
-    """masks, missing, noise, wrong, views; repeat it for several. Default: all."""
+    """What to put in: masks, missing, noise, wrong, views; repeat it for several. Default: all."""
     methods: Names = ()
     """Methods as in `scoup eval baselines`; repeat it for several. Default: as there, without the slow autoencoder."""
     seed: int = 0
-    """Of the methods."""
+    """Seed of the methods."""
     draw: int = 0
-    """Of the faults."""
+    """Seed of the faults."""
     epochs: int = 100
-    """Of the autoencoder, if it is among the methods."""
+    """Epochs of the autoencoder, if it is among the methods."""
 
     def run(self, console: Console) -> None:
         """Run all, write tables and plots."""
@@ -93,11 +93,11 @@ class Consistency(StudyOptions):
     """
 
     preset_name: Annotated[Literal["default", "paper"], tyro.conf.arg(name="preset")] = "default"
-    """Of the sparse codes."""
+    """How the sparse codes are learned: see scoup build."""
     seed: int = 0
-    """Of codebook, network, and the pairs drawn."""
+    """Seed of codebook, network, and the pairs drawn."""
     epochs: int = 100
-    """Of the autoencoder."""
+    """Epochs of the autoencoder."""
 
     def run(self, console: Console) -> None:
         """Match, compare, write."""

@@ -26,19 +26,19 @@ class Synthetic(WritesCommon):
         tyro.conf.Positional[Literal["lerf-ovs", "3d-ovs", "mipnerf360"]],
         tyro.conf.arg(help_behavior_hint=""),
     ]
-    """Whose layout."""
+    """Data set whose layout is used."""
     root: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROOT", help_behavior_hint="")]
     """Folder to write into."""
     scenes: int = 2
     """How many scenes, of one seed each."""
     seed: int = 0
-    """Of the first scene; the others follow."""
+    """Seed of the first scene; the others count on from it."""
     n_gaussians: int = 60_000
     """Gaussians in each scene."""
     width: int = 320
-    """Of the views, in pixels."""
+    """Width of the views, in pixels."""
     height: int = 240
-    """Of the views, in pixels."""
+    """Height of the views, in pixels."""
     views: int = 16
     """Views of each scene."""
     labelled: int = 4
