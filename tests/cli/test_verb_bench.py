@@ -36,7 +36,7 @@ def test_help_names_every_option_and_stage():
         assert f"--{name} " in out, name
     assert "None" not in out
     words = " ".join(out.replace("│", " ").split())
-    assert f"Among {', '.join(STAGES)}. Default: all." in words
+    assert f"among {', '.join(STAGES)}. Default: all." in words
 
 
 def test_the_table():

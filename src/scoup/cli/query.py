@@ -100,19 +100,13 @@ class Query(TextOptions, CameraOptions):
                     blind.append(camera)
                 if self.pictures != "none":
                     rgb = render_colors(field.gaussians, camera, projection).cpu()
-                    sheets.add(camera.name, answers, rgb)
-                    self._draw(answers, rgb, hidden / folder)
+                    self._draw(camera, answers, rgb, sheets, hidden / folder)
                 records += self._records(camera, answers, out / folder)
                 progress("query", done, len(cameras))
             self.check_seen(blind, len(cameras))
             result = {**self._write_sheets(sheets, hidden, out), "answers": records}
             write_text(hidden / RECORD, json.dumps({"field": str(self.field), **result}, indent=2))
-        for record in records:
-            console.say(_sentence(record, present_from))
-        for sheet in result["sheets"]:
-            console.say(f"{sheet}: the answers as pictures")
-        console.say(f"{out / RECORD}: {len(records)} answers")
-        console.result({"out": out, **result})
+        _report(console, out, result, present_from)
 
     def _files(self, folders: list[str], sheets: int) -> list[str]:
         """All that is written, within the output's folder."""
@@ -152,15 +146,28 @@ class Query(TextOptions, CameraOptions):
             records.append(record)
         return records
 
-    def _draw(self, answers: list[Answer], rgb: Tensor, folder: Path) -> None:
-        """Write the single pictures of one view, if they are wanted."""
+    def _draw(
+        self, camera: Camera, answers: list[Answer], rgb: Tensor, sheets: AnswerSheets, folder: Path
+    ) -> None:
+        """Add a view to the sheets, and write its single pictures if they are wanted."""
         from scoup.io import save_png
         from scoup.query.drawing import draw_answer
 
+        sheets.add(camera.name, answers, rgb)
         for text, answer, names in zip(self.texts, answers, self._picture_names(), strict=True):
             drawn = draw_answer(answer, rgb, text) if names else {}
             for kind, name in names.items():
                 save_png(drawn[kind], folder / name)
+
+
+def _report(console: Console, out: Path, result: dict[str, Any], present_from: float | None) -> None:
+    """Say what was found, and where it is written."""
+    for record in result["answers"]:
+        console.say(_sentence(record, present_from))
+    for sheet in result["sheets"]:
+        console.say(f"{sheet}: the answers as pictures")
+    console.say(f"{out / RECORD}: {len(result['answers'])} answers")
+    console.result({"out": out, **result})
 
 
 def _sheet_names(count: int) -> list[str]:
