@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import subprocess
 import sys
 import warnings
@@ -62,6 +63,27 @@ def test_what_cannot_be_parsed_is_bad_input(arguments):
     assert code == 2
     assert list(json.loads(out)) == ["error"]
     assert err == f"error: {json.loads(out)['error']}\n"
+    assert "--help" in err
+    assert "---" not in err  # nothing of the frame around it
+
+
+def test_frames_of_the_parser_stay_out_of_json():
+    command = [
+        sys.executable,
+        "-c",
+        "from scoup.cli.app import entry; entry()",
+        "info",
+        "x",
+        "--odd",
+        "--json",
+    ]
+    said = set()
+    for encoding in ("utf-8", "ascii"):
+        environment = {**os.environ, "PYTHONIOENCODING": encoding}
+        done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+        assert done.returncode == 2
+        said.add(json.loads(done.stdout)["error"])
+    assert said == {"Unrecognized options: --odd; see scoup --help, or scoup VERB --help"}
 
 
 @pytest.mark.usefixtures("here")

@@ -18,8 +18,7 @@ from scoup.query.drawing import answer_remark
 MOST_VIEWS = 12  # on a sheet
 MOST_TEXTS = 6  # on a sheet; more get sheets of their own
 VIEWS_BESIDE = 4  # of one text
-WIDTH = 1600  # of a sheet, in pixels, more or less
-HEIGHT = 3600
+WIDTH, HEIGHT = 1600, 3600  # of a sheet, in pixels, more or less
 NARROWEST, WIDEST = 320, 960  # of a cell, in pixels
 LEAST_SPAN = 0.05  # of the relevancy that the colours stand for
 
@@ -95,7 +94,7 @@ class AnswerSheets:
         self._added += 1
         if len(self._rows) > MOST_VIEWS:
             # Whoever is not chosen among fewer views is not chosen among more.
-            self._rows = best_rows(self._rows, MOST_VIEWS)
+            self._rows = _best_rows(self._rows, MOST_VIEWS)
 
     def pictures(self) -> list[Picture]:
         """The sheets, at least one view having been added."""
@@ -130,7 +129,7 @@ class AnswerSheets:
         return f"{texts} in {shown} of {self.views} views: those of the best answers{turns}"
 
 
-def best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
+def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
     """The rows of the best answers, the texts choosing in turn; in the order in which they came."""
     left, chosen = list(rows), []
     for turn in range(min(count, len(rows))):
