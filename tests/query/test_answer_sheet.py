@@ -21,7 +21,18 @@ def answer(score: float, is_present: bool = True) -> Answer:
     found = (10, 10, 25, 20) if is_present else None
     heat = torch.where(mask, score, 0.4)
     return Answer(
-        mask, found, 0.125, "m", score, (15, 15) if found else None, "m", score, heat, 3.0, is_present
+        mask=mask,
+        heat=heat,
+        component=mask,
+        box=found,
+        coverage=0.125,
+        level="m",
+        score=score,
+        point=(15, 15) if found else None,
+        point_level="m",
+        point_score=score,
+        z_score=3.0,
+        presence=is_present,
     )
 
 

@@ -23,8 +23,8 @@ NARROWEST, WIDEST = 320, 960  # of a cell, in pixels
 LEAST_SPAN = 0.05  # of the relevancy that the colours stand for
 
 HOW_TO_READ = (
-    "Heat: relevancy, the same colours in all cells. White line: the mask. Blue: its box. Cross: the pixel that fits "
-    "best. Grey all over: not in this view."
+    "Heat: relevancy, the same colours in all cells. White line: the mask. Cross: the pixel that fits best. Blue: the "
+    "box around the part of the mask that has the cross. Grey all over: not in this view."
 )
 
 
@@ -37,7 +37,7 @@ class _Cell:
     box: tuple[float, float, float, float] | None
     point: tuple[float, float] | None
     remark: str
-    is_present: bool
+    presence: bool
     score: float
     largest: float
 
@@ -108,7 +108,7 @@ class AnswerSheets:
         for row in self._rows:
             for column in columns:
                 cell = row.cells[column]
-                heat = cell.heat if cell.is_present else np.zeros_like(cell.heat)
+                heat = cell.heat if cell.presence else np.zeros_like(cell.heat)
                 tiles.append(answer_overlay(heat, cell.mask, row.picture, span, cell.box, cell.point))
                 alone = len(self.texts) == 1
                 titles.append(row.view if alone else self.texts[column])
@@ -134,7 +134,7 @@ def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
     left, chosen = list(rows), []
     for turn in range(min(count, len(rows))):
         column = turn % len(rows[0].cells)
-        best = max(left, key=lambda row: (row.cells[column].is_present, row.cells[column].score, -row.number))
+        best = max(left, key=lambda row: (row.cells[column].presence, row.cells[column].score, -row.number))
         left.remove(best)
         chosen.append(best)
     return sorted(chosen, key=lambda row: row.number)
@@ -151,7 +151,7 @@ def _cell(answer: Answer, size: tuple[int, int]) -> _Cell:
         box=answer.box and (answer.box[0] * x, answer.box[1] * y, answer.box[2] * x, answer.box[3] * y),
         point=answer.point and ((answer.point[0] + 0.5) * x, (answer.point[1] + 0.5) * y),
         remark=answer_remark(answer),
-        is_present=answer.presence,
+        presence=answer.presence,
         score=answer.score,
         largest=float(relevancy.max()),
     )
