@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 class ViewOptions(WritesCommon):
     """Where the views of a scene are, and at which size."""
 
-    option_groups: ClassVar[OptionGroups] = {"scene": "features images downscale undistort"}
+    option_groups: ClassVar[OptionGroups] = {
+        "scene": "features images downscale undistort dataparser_transforms no_check_fit"
+    }
 
     features: OptionalPath = None
     """Folder of region features. Default: SCENE/language_features."""
