@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -427,3 +428,113 @@ def test_folders_that_may_not_be_written_to(monkeypatch):
         ("render", "f.scoup", "--out", "locked"),
     ):
         assert "is read-only for you; choose another folder" in refused(*arguments)
+
+
+# ---- files of other kinds
+
+
+def test_words_for_a_field_of_another_model(here):
+    names = [*WORDS, *CANONICAL_PHRASES]
+    save_table("wide.npz", names, np.random.default_rng(0).normal(size=(len(names), 512)))
+    wide = ("--text", "wide.npz")
+    assert (
+        "the field was built for the table scene/words.npz: give that, or a table of words of 16"
+        in refused(*ASK["query"], *wide)
+    )
+    # Features that do not name their model, and that the usual one cannot have made: none is guessed.
+    assert run(*BUILD)[0] == 0
+    ask = ("query", "a.scoup", "kettle", "--out", "answers")
+    assert "a.scoup: names no embedding model; give a table or model with --text" in refused(*ask)
+    assert "the field does not name its model: give a table of words of 16 dimensions" in refused(*ask, *wide)
+    assert run("build", "scene", *QUICK, "--out", "b.scoup", "--model", "colors")[0] == 0
+    for text in ((), wide):
+        message = refused("query", "b.scoup", "kettle", "--out", "answers", *text)
+        assert "cannot be queried in words; extract them with a CLIP model" in message
+
+
+@pytest.mark.parametrize("name", ["scene/language_features/view_00_f.npy", "gone.pt", "words.csv", "README"])
+def test_a_file_that_is_no_table_of_words(name):
+    Path("README").write_text("no words")
+    message = refused(*ASK["query"], "--text", name)
+    assert message.startswith(f"{name}: is no")
+    assert "give a table (.npz with names and vectors, .json with name: numbers, or .safetensors" in message
+
+
+def test_a_file_where_a_model_belongs():
+    pytest.importorskip("skimage")
+    extract = ("extract", "scene", "--segmenter", "felzenszwalb", "--out", "regions")
+    assert "it is a file; give a folder with config.json" in refused(*extract, "--embedder", PLY)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (
+            "a.spz",
+            "splats in .spz files are not read; convert it with splat-transform (splat-transform a.spz a.ply), or open it in the SuperSplat editor",
+        ),
+        ("a.sog", "splats in .sog files are not read; convert it with splat-transform"),
+        ("a.ksplat", "splats in .ksplat files are not read; convert it with splat-transform"),
+        (
+            "a.glb",
+            ".glb files are not read, whether they hold a splat or a mesh; export the trained splat as PLY",
+        ),
+        (
+            "a.las",
+            "a .las file holds a mesh or a point cloud, not a trained splat; give the splat that training",
+        ),
+        ("a.ply.gz", "is an archive; unpack it"),
+    ],
+)
+def test_formats_that_are_not_read(name, said):
+    Path(name).write_bytes(b"x")
+    for arguments in (("info", name), (*BUILD, "--gaussians", name)):
+        assert f"{name}: {said}" in refused(*arguments)
+
+
+class Bomb:
+    """Makes a file when it is unpickled."""
+
+    def __reduce__(self):
+        return os.mkdir, ("exploded",)
+
+
+def test_a_checkpoint_with_code_in_it():
+    torch.save({"step": 1, "splats": {"means": torch.zeros(2, 3)}, "extra": Bomb()}, "a.pt")
+    for arguments in (("info", "a.pt"), (*BUILD, "--gaussians", "a.pt")):
+        message = refused(*arguments)
+        assert (
+            "a.pt: holds Python objects other than tensors; it was not opened, because that could run code"
+            in message
+        )
+        assert "torch.save({'splats': {name: tensor}}, path)" in message
+    Path("b.pt").write_bytes(pickle.dumps(Bomb()))
+    assert "b.pt: is a bare Python pickle, which is not opened" in refused("info", "b.pt")
+    assert not Path("exploded").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        (
+            "transforms.json",
+            '[{"file_path": "a.png"}]',
+            "camera 0 has no img_name; a JSON list is read as cameras of",
+        ),
+        (
+            "transforms.json",
+            "[1,",
+            "is not valid JSON (line 1); it should hold cameras of nerfstudio (an object",
+        ),
+        ("cameras.json", '{"a": 1}', "has no list of frames; a JSON object is read as nerfstudio's"),
+        ("other.json", '{"frames": [{}]}', "frame 0 has no file_path; a JSON object is read as nerfstudio's"),
+    ],
+)
+def test_json_of_another_kind_than_its_name_says(name, content, said):
+    Path(name).write_text(content)
+    for arguments in (
+        ("info", name),
+        ("extract", name),
+        ("build", name, "--gaussians", PLY, "--out", "a.scoup"),
+    ):
+        assert f"{name}: {said}" in refused(*arguments)

@@ -203,7 +203,9 @@ def test_no_gaussians(tmp_path):
     with pytest.raises(MissingFileError, match="holds no trained splat"):
         load_gaussians(tmp_path)
     (tmp_path / "a.spz").write_bytes(b"x")
-    with pytest.raises(FileFormatError, match=r"spz files are not supported; convert it.*splat-transform"):
+    with pytest.raises(
+        FileFormatError, match=r"spz files are not read; convert it with splat-transform .* a.spz a.ply"
+    ):
         load_gaussians(tmp_path / "a.spz")
     (tmp_path / "a.txt").write_bytes(b"x")
     with pytest.raises(FileFormatError, match="not a kind of splat"):

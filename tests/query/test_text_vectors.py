@@ -10,6 +10,7 @@ import torch
 
 from query.conftest import Queried, random_vectors
 from scoup.base.errors import InputError, UnknownNameError
+from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
@@ -55,3 +56,38 @@ def test_everyday_words_are_one_more_phrase() -> None:
     few = replace(texts, everyday=texts.everyday[1:])
     assert not few.can_judge_presence
     assert few.with_everyday().canonical is texts.canonical
+
+
+@pytest.mark.parametrize(
+    ("named", "other", "said"),
+    [
+        (
+            "words.npz",
+            "",
+            "the field was built for the table words.npz: give that, or a table of words of 16",
+        ),
+        (
+            "colors",
+            "",
+            "embedded by their colours, without a model, and cannot be queried in words; extract them with",
+        ),
+        ("", "", "the field does not name its model: give a table of words of 16 dimensions"),
+        (
+            "some/clip",
+            "some/clip",
+            "so some/clip, which the field names, did not embed its regions: give a table",
+        ),
+        ("some/clip", "", "the field names the model some/clip: give that, or a table made with it"),
+    ],
+)
+def test_vectors_of_another_size_are_told_from_what_the_field_names(
+    queried: Queried, tmp_path: Path, named: str, other: str, said: str
+) -> None:
+    field = queried.field
+    info = replace(field.info, embedding_model=named)
+    built = LanguageField(field.code_indices, field.code_weights, field.codebook, info)
+    names = (*WORDS, *CANONICAL_PHRASES)
+    save_table(tmp_path / "wide.npz", names, random_vectors(len(names), 24).numpy(), model=other)
+    with pytest.raises(InputError) as refusal:
+        encode_texts(TextEncoder.open(tmp_path / "wide.npz"), built, ["mug"])
+    assert said in str(refusal.value)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from scoup.uplift.region_sums import RegionSums
 
 CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+CLIP_DIM = 512
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +50,8 @@ class Build(ViewOptions):
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
     model: OptionalText = None
     """What made the region embeddings: a CLIP model by id, or a table of words. Queries will use it too. Default: what
-    the features say (those of scoup extract do), else laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
+    the features say (those of scoup extract do), else, for embeddings of 512
+    dimensions, laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
     preset: Literal["default", "paper"] = "default"
     """default answers best (128 atoms, exact coding, two rounds of the vote); paper is the method as published (64
     atoms, Adam, one round). Options of coding and vote, where given, override it."""
@@ -105,7 +107,7 @@ class Build(ViewOptions):
         settings = self._settings(source)
         gaussians = load_gaussians(source).to(device)
         cameras, regions, features = self.load_views(self.scene)
-        model = embedding_model_of(features, regions, out, self.model) or CLIP_MODEL
+        model = embedding_model_of(features, regions, out, self.model) or _usual_model(regions)
         console.say(
             f"{len(gaussians):,} Gaussians, {len(regions)} views with regions of {len(cameras)} cameras"
         )
@@ -172,6 +174,12 @@ class Build(ViewOptions):
             return closing(RegionSums.open(self.sums))
         how = {"weights": self.sums_weights, "least_weight": self.least_weight}
         return checkpoint(out, gaussians, regions, settings.raster_preset, self.keep_sums, processes, **how)
+
+
+def _usual_model(regions: Regions) -> str:
+    """LangSplat's CLIP model for features that do not name theirs; "" where it cannot have made them."""
+    rows = regions.load_embeddings(regions.view_names[0], regions.levels[0])
+    return CLIP_MODEL if rows.shape[1] == CLIP_DIM else ""
 
 
 def _say_what_is_continued(console: Console, sums: RegionSums, views: int) -> None:

@@ -26,16 +26,24 @@ class Info(Common):
     def run(self, console: Console) -> None:
         """Find out the kind, check the contents, and print what they are."""
         from scoup.base.errors import FileFormatError, MissingFileError
+        from scoup.io.splats.other_formats import other_format
 
         if not self.path.exists():
             raise MissingFileError(self.path, "there is no such file or folder", "check the path")
         suffix = self.path.suffix.lower()
         if not self.path.is_dir() and suffix not in _KINDS:
-            raise FileFormatError(self.path, "is not a kind of file known here", "see scoup info --help")
+            problem, remedy = other_format(self.path) or ("is not a kind of file known here", _READ)
+            raise FileFormatError(self.path, problem, remedy)
         record = (_folder if self.path.is_dir() else _KINDS[suffix])(self.path)
         for line in _lines(record):
             console.say(line)
         console.result(record)
+
+
+_READ = (
+    "read are fields (.scoup), splats (.ply, .splat, .pt), cameras (transforms.json, cameras.json, COLMAP's .bin and "
+    ".txt), tables of words (.npz, .json, .safetensors), and folders of scenes and region features"
+)
 
 
 def _folder(path: Path) -> dict[str, Any]:
@@ -80,12 +88,13 @@ def _word_table(path: Path) -> dict[str, Any]:
 
 
 def _json(path: Path) -> dict[str, Any]:
-    from scoup.base.errors import FileFormatError
+    from scoup.io.reading import read_json
 
-    try:
+    if path.name in ("transforms.json", "cameras.json"):
         return _cameras(path)
-    except FileFormatError:
-        return _word_table(path)
+    content = read_json(path, "cameras or a table of words")
+    has_frames = isinstance(content, dict) and "frames" in content
+    return (_cameras if isinstance(content, list) or has_frames else _word_table)(path)
 
 
 def _field(path: Path) -> dict[str, Any]:
@@ -125,7 +134,7 @@ def _geometry(field: LanguageField) -> str | None:
 
 _KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
     ".scoup": _field,
-    **dict.fromkeys((".ply", ".splat", ".pt", ".pth"), _splat),
+    **dict.fromkeys((".ply", ".splat", ".pt", ".pth", ".ckpt"), _splat),
     **dict.fromkeys((".npz", ".safetensors"), _word_table),
     **dict.fromkeys((".bin", ".txt"), _cameras),
     ".json": _json,

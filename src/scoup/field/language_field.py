@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from scoup import raster
+from scoup.base.arguments import PATH, check_arguments
 from scoup.base.errors import GeometryMismatchError, InputError
 from scoup.base.html import PREVIEW, card, first_of
 from scoup.field.artefact import (
@@ -206,6 +207,7 @@ class LanguageField(FieldQueries):
         Raises:
             GeometryMismatchError: it is not.
         """
+        check_arguments("LanguageField.attach", gaussians=(gaussians, Gaussians))
         as_many = len(gaussians) == self.info.n_gaussians
         if not as_many or (not known and gaussians.fingerprint() != self.info.fingerprint):
             difference = "as many Gaussians, but others"
@@ -422,6 +424,8 @@ class LanguageField(FieldQueries):
             FileFormatError: the file is not a language field, or damaged.
             GeometryMismatchError: ``gaussians`` are not those it was built on.
         """
+        optional = (Gaussians, type(None))
+        check_arguments("LanguageField.load", path=(path, PATH), gaussians=(gaussians, optional))
         path = Path(path)
         parts = read_field(path)
         with field_damage_named(path):

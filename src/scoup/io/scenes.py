@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from scoup.base.arguments import PATH, check_arguments
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.cameras.colmap import is_model, read_colmap
@@ -15,6 +16,7 @@ from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.reading import Distorted
 from scoup.io.splats.gsplat_checkpoint import read_gsplat_checkpoint
+from scoup.io.splats.other_formats import READ, other_format
 from scoup.io.splats.ply import read_ply, write_ply
 from scoup.io.splats.splat import read_splat, write_splat
 from scoup.scene.cameras import Cameras
@@ -24,7 +26,6 @@ CameraFormat = Literal["colmap", "nerfstudio", "inria"]
 
 _COLMAP_FOLDERS = ("sparse/0", "sparse")
 _NERFSTUDIO_COLMAP_FOLDERS = ("colmap/sparse/0", "colmap/sparse")
-_OTHER_SPLATS = (".spz", ".sog", ".ksplat", ".lcc", ".usdz")
 _CHECKPOINTS = (".pt", ".pth", ".ckpt")
 
 
@@ -52,6 +53,7 @@ def load_gaussians(path: str | Path) -> Gaussians:
     Warns:
         ScoupWarning: rows were dropped because they are not finite, or the file is longer than it says.
     """
+    check_arguments("load_gaussians", path=(path, PATH))
     path = find_gaussians(path)
     if path.is_dir() or path.suffix.lower() in _CHECKPOINTS:
         gaussians = read_gsplat_checkpoint(path)
@@ -71,6 +73,7 @@ def save_gaussians(gaussians: Gaussians, path: str | Path, overwrite: bool = Fal
         InputError: another extension.
         OutputExistsError: the file exists and ``overwrite`` is false.
     """
+    check_arguments("save_gaussians", gaussians=(gaussians, Gaussians), path=(path, PATH))
     suffix = Path(path).suffix.lower()
     if suffix == ".ply":
         write_ply(gaussians, path, overwrite)
@@ -97,13 +100,9 @@ def find_gaussians(path: str | Path) -> Path:
     """
     path = Path(path)
     if os.path.isfile(path):
-        if path.suffix.lower() in _OTHER_SPLATS:
-            raise FileFormatError(
-                path, f"{path.suffix} files are not supported", "convert it to .ply with splat-transform"
-            )
         if path.suffix.lower() not in (".ply", ".splat", *_CHECKPOINTS):
             raise FileFormatError(
-                path, "is not a kind of splat known here", "give a .ply, .splat or .pt file"
+                path, *(other_format(path) or ("is not a kind of splat known here", f"give {READ}"))
             )
         return path
     if not os.path.isdir(path):
@@ -156,6 +155,7 @@ def load_cameras(
     Warns:
         ScoupWarning: cameras were skipped, or no image was found at all and the cameras stand alone.
     """
+    check_arguments("load_cameras", path=(path, PATH))
     if downscale not in (None, 1, 2, 4, 8):
         raise InputError(f"downscale is {downscale}, expected 1, 2, 4 or 8")
     if distorted not in ("refuse", "undistort"):

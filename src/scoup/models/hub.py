@@ -152,6 +152,10 @@ def load_pretrained(request: ModelRequest, load: Callable[[Pretrained], Loaded])
     Raises:
         ScoupError: transformers, the weights (safetensors) or a part of them are missing, or ``load`` refused.
     """
+    if os.path.isfile(request.source):
+        raise request.failed(
+            "it is a file; give a folder with config.json and weights (safetensors), or a hub id"
+        )
     transformers = request.package("transformers", "models")
     options: dict[str, Any] = {"revision": request.revision} if request.revision else {}
     local = Pretrained(transformers, request.source, {**options, "local_files_only": True})

@@ -16,11 +16,15 @@ from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameE
 from scoup.base.html import card, first_of
 from scoup.models.hub import OPEN_CLIP, ModelRequest, load_open_clip, load_pretrained
 from scoup.models.towers import load_tower
-from scoup.models.word_table import WordTable, is_table, load_table
+from scoup.models.word_table import WordTable, is_table, load_table, refuse_other_file
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, with_everyday
 
 COLORS = "colors"
 """Name of embeddings made without a model (``extract.plain_colors``). No text can be encoded among them."""
+NO_WORDS_FOR_COLORS = (
+    "these regions were embedded by their colours, without a model, and cannot be queried in words; "
+    "extract them with a CLIP model (scoup extract --embedder MODEL) and build the field again"
+)
 _BATCH = 64
 _SHOWN = 50  # names in the picture of a notebook
 
@@ -87,7 +91,7 @@ class TextEncoder:
             device: where the model runs. Vectors are always returned on the CPU.
 
         Raises:
-            MissingFileError, FileFormatError: the table is missing or damaged.
+            MissingFileError, FileFormatError: the table is missing or damaged, or the file is no table.
             InputError: the vectors of a dict are no vectors of one length.
             ScoupError: the package or the weights that the model needs are missing.
         """
@@ -97,10 +101,8 @@ class TextEncoder:
         if is_table(text):
             return cls._of_table(load_table(text))
         if text == COLORS:
-            raise ScoupError(
-                "these regions were embedded by their colours, without a model, and cannot be queried in words; "
-                "extract them with a CLIP model (scoup extract --embedder MODEL) and build the field again"
-            )
+            raise ScoupError(NO_WORDS_FOR_COLORS)
+        refuse_other_file(text)
         encode = _open_model(text, revision, device)
         return cls(text, int(encode(["object"]).shape[1]), encode)
 

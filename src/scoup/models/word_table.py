@@ -22,6 +22,24 @@ TABLE_SUFFIXES = (".npz", ".json", ".safetensors")
 MODEL_KEY = "model"
 """Array, JSON entry or metadata entry that may name the embedding model; never a word of the table."""
 
+_OTHER_SUFFIXES = (
+    ".npy",
+    ".pt",
+    ".pth",
+    ".ckpt",
+    ".bin",
+    ".pkl",
+    ".txt",
+    ".csv",
+    ".tsv",
+    ".yaml",
+    ".h5",
+    ".parquet",
+)
+_FORMS = (
+    "give a table (.npz with names and vectors, .json with name: numbers, or .safetensors; "
+    "scoup.models.word_table.save_table writes one), or a model by folder or hub id"
+)
 _MAX_BYTES = 1 << 31  # a table of words is small; a damaged size must not fill the memory
 _REMEDY = "the file is damaged or of another kind; write it again (scoup.models.word_table.save_table)"
 
@@ -64,6 +82,22 @@ def is_table(model_or_table: str | Path) -> bool:
     return Path(model_or_table).suffix.lower() in TABLE_SUFFIXES
 
 
+def refuse_other_file(model_or_table: str) -> None:
+    """Refuse what means a file, by being one or by its extension, and is no table.
+
+    Raises:
+        FileFormatError: it does.
+    """
+    path = Path(model_or_table)
+    if path.is_file() or path.suffix.lower() in _OTHER_SUFFIXES:
+        problem = (
+            "is not a table of text embeddings"
+            if path.is_file()
+            else "is no file that can be a table of words"
+        )
+        raise FileFormatError(path, problem, _FORMS)
+
+
 def load_table(path: str | Path) -> WordTable:
     """Read a table; see ``save_table`` for one of its forms.
 
@@ -83,7 +117,7 @@ def load_table(path: str | Path) -> WordTable:
         path.suffix.lower()
     )
     if read is None:
-        raise FileFormatError(path, "is not a table of text embeddings", f"use {', '.join(TABLE_SUFFIXES)}")
+        raise FileFormatError(path, "is not a table of text embeddings", _FORMS)
     with _damage_named(path):
         return read(path)
 

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError
 from scoup.base.html import card
 from scoup.query.localize import Localization
@@ -173,6 +174,7 @@ def answer_view(
     Raises:
         InputError: the vectors do not fit the field, or there are too few everyday words to judge presence.
     """
+    check_arguments("answer_view", field=(field, QueriedField), texts=(texts, TextVectors))
     camera = field.camera(camera)
     projection = field.project(camera) if projection is None else projection
     maps = field.relevancy(camera, texts.queries, texts.canonical, projection).unbind(1)
@@ -215,6 +217,7 @@ def answer_scene(
     Raises:
         InputError: as ``answer_view``, or ``neighbours`` is below 1.
     """
+    check_arguments("answer_scene", field=(field, QueriedField), texts=(texts, TextVectors))
     found = list(select_each(field, texts.queries, texts.canonical, threshold, neighbours, rescaled))
     judged: list[float | None] = [None] * len(found)
     if present_from is not None:

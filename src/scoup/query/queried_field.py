@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Protocol
 
 from torch import Tensor
 
@@ -12,8 +12,8 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 
 
-class QueriedField(Protocol):
-    """A field as its queries see it; ``scoup.field.language_field.LanguageField`` is one.
+class QueriedField(ABC):
+    """A field as its queries see it; ``scoup.field.language_field.LanguageField`` is the one, and says what each gives.
 
     Attributes:
         code_indices, code_weights: [N, S, K] the codes of N Gaussians at S levels.
@@ -28,27 +28,52 @@ class QueriedField(Protocol):
     geometry_path: Path | None
     cameras: Cameras | None
 
+    @abstractmethod
     def __len__(self) -> int: ...
+
     @property
+    @abstractmethod
     def levels(self) -> tuple[str, ...]: ...
+
     @property
+    @abstractmethod
     def n_atoms(self) -> int: ...
+
     @property
+    @abstractmethod
     def dim(self) -> int: ...
+
     @property
+    @abstractmethod
     def embedding_model(self) -> str: ...
+
     @property
+    @abstractmethod
     def encoder_source(self) -> str: ...
+
     @property
+    @abstractmethod
     def fingerprint(self) -> str: ...
+
     @property
+    @abstractmethod
     def gaussians(self) -> Gaussians: ...
+
+    @abstractmethod
     def level_index(self, level: str | int) -> int: ...
+
+    @abstractmethod
     def camera(self, camera: Camera | str | int) -> Camera: ...
+
+    @abstractmethod
     def project(self, camera: Camera | str | int, backend: str | None = None) -> raster.Projection: ...
+
+    @abstractmethod
     def render_codes(
         self, camera: Camera | str | int, projection: raster.Projection | None = None
     ) -> Tensor: ...
+
+    @abstractmethod
     def relevancy(
         self,
         camera: Camera | str | int,
@@ -56,4 +81,6 @@ class QueriedField(Protocol):
         canonical: Tensor,
         projection: raster.Projection | None = None,
     ) -> Tensor: ...
+
+    @abstractmethod
     def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor: ...

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.models.text import TextEncoder
+from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder
+from scoup.models.word_table import is_table
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.queried_field import QueriedField
 
@@ -65,11 +67,12 @@ def encode_texts(
         InputError: the vectors have another size than the field's embeddings, or the table lacks the
             canonical phrases.
     """
+    check_arguments("encode_texts", encoder=(encoder, TextEncoder), field=(field, QueriedField))
     source = source or encoder.name or "the word table"
     if encoder.dim != field.dim:
         raise InputError(
             f"{source}: gives vectors of {encoder.dim} dimensions, but the field holds embeddings of {field.dim}; "
-            f"name the model its regions were encoded with ({field.embedding_model}) or a table made with it"
+            + _where_words_are(field, encoder)
         )
     queries = encoder.encode(texts)
     try:
@@ -80,3 +83,18 @@ def encode_texts(
             f"{', '.join(CANONICAL_PHRASES)}, so encode them into the table too"
         ) from error
     return TextVectors(tuple(texts), queries, canonical, encoder.everyday(), source)
+
+
+def _where_words_are(field: QueriedField, other: TextEncoder) -> str:
+    """The remedy for vectors of another size than the field's embeddings; ``other`` is what gave them."""
+    named = field.embedding_model
+    if named == COLORS:
+        return NO_WORDS_FOR_COLORS
+    table = f"a table of words of {field.dim} dimensions, made with the model that embedded its regions"
+    if not named:
+        return f"the field does not name its model: give {table}"
+    if is_table(named):
+        return f"the field was built for the table {named}: give that, or {table}"
+    if named == other.name:
+        return f"so {named}, which the field names, did not embed its regions: give {table}"
+    return f"the field names the model {named}: give that, or a table made with it"

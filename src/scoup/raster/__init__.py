@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Union
 
 from torch import Tensor
 
+from scoup.base.arguments import check_arguments
 from scoup.base.backends import load_backend
 from scoup.base.errors import InputError
 from scoup.raster.combinations import CombinedLabels as CombinedLabels
@@ -107,6 +108,8 @@ def project(
         UnknownNameError: no preset or backend has that name.
         InputError: the backend does not serve the tensors' device, or is not built.
     """
+    either = (Gaussians, PreparedGaussians)
+    check_arguments("project", gaussians=(gaussians, either), camera=(camera, Camera))
     constants = raster_preset(preset)
     if isinstance(gaussians, PreparedGaussians):
         if backend not in (None, gaussians.backend):

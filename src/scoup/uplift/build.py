@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from scoup.base.arguments import check_arguments
 from scoup.base.processes import at_work
 from scoup.base.progress import Progress, no_progress
 from scoup.field.artefact import FieldInfo
@@ -58,11 +59,14 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         progress: called as ``progress(stage, done, total)``.
 
     Raises:
-        InputError: no camera has regions, the cameras see nothing, or the inputs do not fit.
+        InputError: no camera has regions, the cameras see nothing, or the inputs do not fit or are of wrong types.
 
     Warns:
         ScoupWarning: splat and cameras may not fit.
     """
+    check_arguments(
+        "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)
+    )
     settings = build_settings(settings)
     views = cameras_with_regions(cameras, regions)
     names = [camera.name for camera in views]

@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
+from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError, looked_up
 
 _OF_CODES = ("n_atoms", "k", "solver", "effort", "epochs", "tolerance", "seed")
@@ -82,6 +83,7 @@ def build_settings(settings: BuildSettings | str = "default", **changes: Any) ->
     """
     if isinstance(settings, str):
         settings = looked_up("build preset", settings, BUILD_PRESETS)
+    check_arguments("build_settings", settings=(settings, BuildSettings))
     changes = {name: value for name, value in changes.items() if value is not None}
     # By default as many atoms stay as a code has.
     if "k" in changes and "keep" not in changes and settings.keep == settings.k:

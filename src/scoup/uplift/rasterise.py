@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.base.arguments import check_arguments
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
@@ -50,8 +51,14 @@ def region_sums(
         more: further arguments of ``RegionSums``.
 
     Raises:
-        InputError: no camera has regions, or the file holds sums of another scene.
+        InputError: no camera has regions, the file holds sums of another scene, or an argument is of a wrong type.
     """
+    check_arguments(
+        "region_sums",
+        gaussians=(gaussians, Gaussians),
+        cameras=(cameras, Cameras),
+        regions=(regions, Regions),
+    )
     chosen = cameras_with_regions(cameras, regions)
     if path is not None and Path(path).exists():
         sums = RegionSums.open(path, writable=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
@@ -61,6 +62,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
     Warns:
         ScoupWarning: the codebook explains many regions badly, or Gaussians and cameras may not fit.
     """
+    check_arguments("update", field=(field, LanguageField), sums=(sums, RegionSums))
     coded, add = codes_of(field, sums), list(add)
     if check_fit and add:
         refuse_misfit(field.gaussians, add, field.info.raster_preset, backend, field.geometry_path)

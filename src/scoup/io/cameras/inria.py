@@ -25,7 +25,14 @@ from scoup.io.reading import (
 )
 from scoup.scene.cameras import Cameras
 
-_WHAT = "Inria cameras.json"
+CAMERAS_JSON = (
+    "cameras of nerfstudio (an object with a list of frames) or of Inria's code (a list of cameras)"
+)
+"""What a JSON file of cameras holds, for messages; which of both it is shows only when it is read."""
+_REMEDY = (
+    "a JSON list is read as cameras of Inria's code, each with img_name, width, height, position, rotation, fx and fy; "
+    "nerfstudio's transforms.json is an object with a list of frames"
+)
 
 
 def read_inria_cameras(path: str | Path) -> Cameras:
@@ -36,14 +43,14 @@ def read_inria_cameras(path: str | Path) -> Cameras:
         FileFormatError: it is not what Inria's code writes.
     """
     path = Path(path)
-    entries = read_json(path, _WHAT)
+    entries = read_json(path, CAMERAS_JSON)
     if not isinstance(entries, list):
-        raise FileFormatError(path, "is not a list of cameras", f"it should be an {_WHAT}")
+        raise FileFormatError(path, "is not a list of cameras", _REMEDY)
     cameras = []
     for position, entry in enumerate(entries):
         what = f"camera {position}"
         if not isinstance(entry, dict) or not isinstance(entry.get("img_name"), str) or not entry["img_name"]:
-            raise FileFormatError(path, f"{what} has no img_name", f"it should be an {_WHAT}")
+            raise FileFormatError(path, f"{what} has no img_name", _REMEDY)
         width = pixels(path, entry.get("width"), f"width of {what}")
         height = pixels(path, entry.get("height"), f"height of {what}")
         camera_to_world = matrix(path, entry.get("rotation"), (3, 3), f"rotation of {what}")

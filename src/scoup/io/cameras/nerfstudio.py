@@ -14,13 +14,16 @@ import numpy as np
 
 from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError, ScoupWarning
-from scoup.io.cameras.inria import portable_name
+from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
 from scoup.io.image_folder import find_beside
 from scoup.io.images import image_size
 from scoup.io.reading import Distorted, make_camera, matrix, number, pixels, read_json, sorted_cameras
 from scoup.scene.cameras import Camera, Cameras
 
-_WHAT = "a nerfstudio transforms.json"
+_REMEDY = (
+    "a JSON object is read as nerfstudio's transforms.json, with a list of frames that each have a file_path; Inria's "
+    "cameras.json is a list"
+)
 _PINHOLE_LIKE = {"PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE"}
 _FLIP = np.diag([1.0, -1.0, -1.0])  # OpenGL's camera looks along -z with y up
 
@@ -39,9 +42,9 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
         ScoupWarning: frames were skipped because neither the file nor their (missing) image gives their size.
     """
     path = Path(path)
-    content = read_json(path, _WHAT)
+    content = read_json(path, CAMERAS_JSON)
     if not isinstance(content, dict) or not isinstance(content.get("frames"), list):
-        raise FileFormatError(path, "has no list of frames", f"it should be {_WHAT}")
+        raise FileFormatError(path, "has no list of frames", _REMEDY)
     frames = content["frames"]
     for position, frame in enumerate(frames):
         if (
@@ -49,7 +52,7 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
             or not isinstance(frame.get("file_path"), str)
             or not frame["file_path"]
         ):
-            raise FileFormatError(path, f"frame {position} has no file_path", f"it should be {_WHAT}")
+            raise FileFormatError(path, f"frame {position} has no file_path", _REMEDY)
     paths = [portable_name(frame["file_path"]) for frame in frames]
     short = [name.rsplit("/", 1)[-1] for name in paths]
     names = short if len(set(short)) == len(short) else paths

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from scoup.base.arguments import PATH, check_arguments
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.store import RegionStore
@@ -40,8 +41,10 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
     Warns:
         ScoupWarning: some cameras have no features; says how many.
     """
-    store = RegionStore.open(folder)
-    cameras = list(cameras)
+    listed = list(cameras) if isinstance(cameras, Iterable) else [cameras]
+    expected = object if all(isinstance(camera, Camera) for camera in listed) else Cameras
+    check_arguments("load_regions", folder=(folder, PATH), cameras=(cameras, expected))
+    store, cameras = RegionStore.open(folder), listed
     if not cameras:
         raise InputError(f"{store.folder}: cannot load regions for no cameras; give at least one camera")
     check_stems(store.folder, (camera.name for camera in cameras))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import re
 import zipfile
 from collections import defaultdict
@@ -14,13 +15,19 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.io.reading import existing_file
+from scoup.io.reading import existing_file, read_bytes
 from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
 from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
 _NAME = re.compile(r"ckpt_(\d{1,12})_rank(\d{1,6})\.pt")
 _SHAPES = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh0": (1, 3), "shN": (-1, 3)}
 _WHAT = "a checkpoint of gsplat's trainer"
+_PICKLE = b"\x80"
+_OBJECTS = "holds Python objects other than tensors; it was not opened, because that could run code"
+_WITHOUT_OBJECTS = (
+    "give the ckpt_*_rank*.pt that gsplat's trainer wrote, or a PLY; if you trust the file, save its tensors alone where "
+    "it was made: torch.save({'splats': {name: tensor}}, path)"
+)
 
 
 def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
@@ -131,6 +138,10 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
 
 
 def _load(path: Path) -> Any:
+    if not zipfile.is_zipfile(path) and read_bytes(path)[:1] == _PICKLE:
+        raise FileFormatError(
+            path, "is a bare Python pickle, which is not opened: that could run code", _WITHOUT_OBJECTS
+        )
     try:
         with zipfile.ZipFile(path) as archive:
             unpacked = sum(entry.file_size for entry in archive.infolist())
@@ -138,6 +149,10 @@ def _load(path: Path) -> Any:
         if unpacked > os.path.getsize(path):
             raise ValueError("unpacks to more than its size")
         return torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        if "GLOBAL" not in str(error):  # so torch calls what is no tensor
+            raise FileFormatError(path, "is damaged", "copy it again") from error
+        raise FileFormatError(path, _OBJECTS, _WITHOUT_OBJECTS) from error
     except Exception as error:  # damaged or foreign archives raise nearly everything inside torch
         reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
         raise FileFormatError(path, f"cannot be loaded ({reason})", f"it should be {_WHAT}") from error

@@ -1,0 +1,13 @@
+"""Numbers of things in messages, in the singular where there is one."""
+
+from __future__ import annotations
+
+
+def counted(count: int, thing: str, things: str = "") -> str:
+    """A number and what it counts: "1 view", "2 views", "90,854 Gaussians".
+
+    Args:
+        thing: in the singular.
+        things: in the plural, where that is not the singular with an s.
+    """
+    return f"{count:,} {thing if count == 1 else things or thing + 's'}"

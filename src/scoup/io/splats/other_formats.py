@@ -1,0 +1,37 @@
+"""Files that are not read but are often given where a splat is expected: what to do with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+READ = ".ply, .splat, or a gsplat checkpoint (.pt)"
+"""Splats that are read, for messages."""
+
+_SPLATS = (".spz", ".sog", ".ksplat", ".lcc")  # those that splat-transform reads
+_OTHER_SPLATS = (".usdz", ".glb", ".gltf")
+_NOT_SPLATS = (".obj", ".fbx", ".stl", ".off", ".las", ".laz", ".e57", ".pcd", ".pts")
+_ARCHIVES = (".gz", ".zip", ".7z", ".tar", ".tgz", ".rar", ".zst", ".xz", ".bz2")
+
+
+def other_format(path: Path) -> tuple[str, str] | None:
+    """What is wrong with a file of a well-known format that is not read, and the remedy; None for other files."""
+    suffix = path.suffix.lower()
+    if suffix in _SPLATS:
+        return (
+            f"splats in {suffix} files are not read",
+            f"convert it with splat-transform (splat-transform {path.name} {path.stem}.ply), or open it in the "
+            "SuperSplat editor and export a PLY",
+        )
+    if suffix in _OTHER_SPLATS:
+        return (
+            f"{suffix} files are not read, whether they hold a splat or a mesh",
+            f"export the trained splat as PLY; read are {READ}",
+        )
+    if suffix in _NOT_SPLATS:
+        return (
+            f"a {suffix} file holds a mesh or a point cloud, not a trained splat",
+            f"give the splat that training wrote: {READ}",
+        )
+    if suffix in _ARCHIVES:
+        return "is an archive", "unpack it, and give the file or folder inside"
+    return None

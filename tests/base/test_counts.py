@@ -1,0 +1,12 @@
+"""Numbers of things."""
+
+from __future__ import annotations
+
+from scoup.base.counts import counted
+
+
+def test_one_is_singular():
+    assert [counted(number, "view") for number in (0, 1, 2)] == ["0 views", "1 view", "2 views"]
+    assert counted(90854, "Gaussian") == "90,854 Gaussians"
+    assert counted(1, "view with regions", "views with regions") == "1 view with regions"
+    assert counted(3, "view with regions", "views with regions") == "3 views with regions"
