@@ -133,9 +133,10 @@ class Build(ViewOptions):
         """The file to write, after checking that it and what goes beside it may be written."""
         from scoup.base.errors import InputError
         from scoup.io import check_output
+        from scoup.io.scenes import scene_folder
         from scoup.uplift.region_sums import sums_path
 
-        out = self.out or Path(f"{self.scene.resolve().name}.scoup")
+        out = self.out or Path(f"{scene_folder(self.scene).resolve().name}.scoup")
         if out.suffix.lower() != ".scoup":
             raise InputError(f"{out}: give a name that ends in .scoup")
         check_output(out, self.overwrite)

@@ -73,10 +73,10 @@ def _splat(path: Path) -> dict[str, Any]:
 
 def _cameras(path: Path) -> dict[str, Any]:
     from scoup.io import load_cameras
-    from scoup.io.describe import describe_cameras
+    from scoup.io.describe import describe_cameras, describe_unreadable
 
     cameras = load_cameras(path, distorted="undistort", missing_images="keep")
-    return {"kind": "cameras", **describe_cameras(cameras)}
+    return {"kind": "cameras", **describe_cameras(cameras), **describe_unreadable(path)}
 
 
 def _word_table(path: Path) -> dict[str, Any]:

@@ -38,6 +38,7 @@ class ShowRegions(WritesCommon):
         from scoup.base.errors import InputError
         from scoup.io import check_output, load_cameras, load_image, load_regions, save_png
         from scoup.io.regions.store import RegionStore
+        from scoup.io.scenes import scene_folder
         from scoup.pictures import regions_sheet
 
         if not 200 <= self.width <= 20_000:
@@ -48,7 +49,7 @@ class ShowRegions(WritesCommon):
         if out.suffix.lower() != ".png":
             raise InputError(f"{out}: give a name that ends in .png")
         check_output(out, self.overwrite)
-        folder = self.features or (self.scene if self.scene.is_dir() else self.scene.parent)
+        folder = self.features or scene_folder(self.scene)
         regions: Regions = load_regions(folder, [camera])
         manifest = RegionStore.open(folder).manifest
         made = _made_by(manifest.settings if manifest else {})

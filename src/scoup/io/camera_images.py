@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
+from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.image_folder import ImageFolder
 from scoup.io.images import image_size
@@ -35,44 +36,41 @@ def attach_images(
 
     Raises:
         MissingFileError: ``images`` is not there, or has none of the images.
-        FileFormatError: an image is damaged or has another shape than its camera.
+        FileFormatError: an image has another shape than its camera.
 
     Warns:
-        ScoupWarning: cameras were skipped, or no image was found at all.
+        ScoupWarning: cameras were skipped, an image cannot be read, or none was found at all.
     """
     folder, factor = _choose_folder(roots, images, downscale)
     wanted = downscale or factor
+    hint_first = images is None and (folder is None or factor == 1)
     attached: list[Camera] = []
-    missing: list[Camera] = []
+    others: list[Camera] = []
+    unreadable: list[str] = []
     for camera in cameras:
-        path, scale = _find(
-            camera, folder, factor, hint_first=images is None and (folder is None or factor == 1)
-        )
-        if path is None:
-            missing.append(_scaled(replace(camera, image_path=None), wanted))
+        path, scale = _find(camera, folder, factor, hint_first)
+        size = _size_of(path, unreadable)
+        if path is None or size is None:
+            others.append(_scaled(replace(camera, image_path=None), wanted))
         else:
-            attached.append(_resized_to_image(camera, path, scale / (downscale or scale)))
-    if not attached and images is not None:
-        named = ", ".join(camera.name for camera in missing[:3])
+            attached.append(_resized_to_image(camera, path, size, scale / (downscale or scale)))
+    if not attached and not unreadable and images is not None:
+        named = ", ".join(camera.name for camera in others[:3]) + (", ..." if len(others) > 3 else "")
         raise MissingFileError(
-            Path(images),
-            f"has none of the {len(cameras)} images ({named}, ...)",
+            Path(images), f"has none of the {counted(len(cameras), 'image')} ({named})",
             "give the folder of their photographs",
-        )
+        )  # fmt: skip
+    kept = missing_images == "keep" or not attached
+    _warn_of_unreadable(source, unreadable, len(cameras), kept)
+    missing = len(others) - len(unreadable)
     if missing and missing_images == "skip":
         searched = str(folder.folder) if folder is not None else "no images folder"
-        if not attached:
-            message = (
-                f"{source}: none of the {len(cameras)} images was found ({searched}); using the cameras alone"
-            )
-        else:
-            message = (
-                f"{source}: skipped {len(missing)} of {len(cameras)} cameras without an image ({searched})"
-            )
-        warnings.warn(message, ScoupWarning, stacklevel=3)
-    kept = missing if missing_images == "keep" or not attached else []
+        said = f"skipped {missing} of {counted(len(cameras), 'camera')} without an image ({searched})"
+        if kept:
+            said = f"{missing} of {counted(len(cameras), 'image')} not found ({searched}); using the cameras alone"
+        warnings.warn(f"{source}: {said}", ScoupWarning, stacklevel=3)
     try:
-        return Cameras(sorted([*attached, *kept], key=lambda camera: camera.name))
+        return Cameras(sorted([*attached, *(others if kept else [])], key=lambda camera: camera.name))
     except InputError as error:
         raise FileFormatError(source, str(error), "rename one of the images") from error
 
@@ -118,8 +116,30 @@ def _find(
     return (found, factor) if found is not None else (hint, 1)
 
 
-def _resized_to_image(camera: Camera, path: Path, enlarge: float) -> Camera:
-    width, height = image_size(path)
+def _size_of(path: Path | None, unreadable: list[str]) -> tuple[int, int] | None:
+    """Width and height of an image file; None where there is none, or it cannot be read, which is put down."""
+    if path is None:
+        return None
+    try:
+        return image_size(path)
+    except FileFormatError as error:
+        unreadable.append(str(error))
+        return None
+
+
+def _warn_of_unreadable(source: Path, unreadable: list[str], total: int, kept: bool) -> None:
+    if unreadable:
+        what = "their cameras are used without" if kept else "their cameras are skipped"
+        first = "; ".join(unreadable[:3])
+        warnings.warn(
+            f"{source}: {len(unreadable)} of {counted(total, 'photograph')} cannot be read, {what}: {first}",
+            ScoupWarning,
+            stacklevel=4,
+        )
+
+
+def _resized_to_image(camera: Camera, path: Path, size: tuple[int, int], enlarge: float) -> Camera:
+    width, height = size
     expected = camera.height * width / camera.width
     if abs(height - expected) > max(ASPECT_TOLERANCE * expected, _ROUNDING * max(1.0, width / camera.width)):
         raise FileFormatError(

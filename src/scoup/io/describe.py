@@ -10,7 +10,15 @@ from typing import Any
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io.regions.load import load_regions
 from scoup.io.regions.store import RegionStore
-from scoup.io.scenes import find_cameras, find_gaussians, load_cameras, load_gaussians
+from scoup.io.images import image_fault
+from scoup.io.scenes import (
+    camera_photographs,
+    find_cameras,
+    find_gaussians,
+    load_cameras,
+    load_gaussians,
+    where_cameras_are,
+)
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 
@@ -40,6 +48,18 @@ def describe_cameras(cameras: Cameras) -> dict[str, Any]:
         "last": cameras.names[-1] if len(cameras) else None,
         **({"distorted": f"{distorted} (scoup build needs --undistort)"} if distorted else {}),
     }
+
+
+def describe_unreadable(path: Path) -> dict[str, Any]:
+    """The photographs of a scene's cameras that cannot be decoded, and why; nothing where all can be.
+
+    Raises:
+        MissingFileError: there are no cameras.
+        FileFormatError: the cameras are damaged.
+    """
+    faults = {name: image_fault(image) for name, image in camera_photographs(path)}
+    found = [f"{name} {fault}" for name, fault in faults.items() if fault]
+    return {"unreadable_photographs": len(found), "unreadable": found} if found else {}
 
 
 def describe_regions(store: RegionStore) -> dict[str, Any]:
@@ -81,7 +101,7 @@ def describe_folder(path: Path) -> dict[str, Any]:
     with suppress(MissingFileError):
         record["cameras_from"] = str(find_cameras(path).path)
         cameras = load_cameras(path, distorted="undistort", missing_images="keep")
-        record |= describe_cameras(cameras)
+        record |= describe_cameras(cameras) | describe_unreadable(path)
         with suppress(MissingFileError):
             regions = load_regions(path, cameras)
             record["views_with_regions"] = len(regions)
@@ -93,6 +113,6 @@ def describe_folder(path: Path) -> dict[str, Any]:
         record |= describe_regions(store)
     if not record:
         raise FileFormatError(
-            path, "holds nothing known here: no cameras, no splat, no region features", "check the path"
+            path, "holds nothing known here: no cameras, no splat, no region features", where_cameras_are(path)
         )
     return {"kind": "scene", **record}

@@ -19,6 +19,8 @@ from scoup.io.reading import MAX_IMAGE_SIDE, existing_file
 from scoup.scene.cameras import Camera
 
 MAX_PIXELS = 1 << 29  # decoded at three bytes each
+_END_OF_PNG = b"\0\0\0\0IEND\xaeB`\x82"
+_END_OF_JPEG = b"\xff\xd9"
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
@@ -50,6 +52,28 @@ def size_in_header(path: str | Path) -> tuple[int, int]:
     if not (1 <= width <= MAX_IMAGE_SIDE and 1 <= height <= MAX_IMAGE_SIDE):
         raise FileFormatError(path, f"claims {width} x {height} pixels", "the file is damaged; copy it again")
     return width, height
+
+
+def image_fault(path: Path) -> str:
+    """Why an image file cannot be decoded; "" where it can. Files that end as they should are not decoded."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            size_in_header(path)
+            if not _is_whole(path):
+                with open_image(path) as image:
+                    image.load()
+    except FileFormatError as error:
+        return error.problem
+    return ""
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a file ends as a JPEG or PNG does; one that does not may be whole, too."""
+    with open(path, "rb") as stream:
+        stream.seek(max(0, path.stat().st_size - len(_END_OF_PNG)))
+        end = stream.read()
+    return end == _END_OF_PNG or end.endswith(_END_OF_JPEG)
 
 
 def load_image(camera: Camera) -> Tensor:

@@ -6,22 +6,24 @@ from pathlib import Path
 
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io.regions.views import FOLDER_NAME
-from scoup.io.scenes import find_gaussians
+from scoup.io.scenes import find_cameras, find_gaussians, scene_folder
 
 
 def find_splat(scene: Path, gaussians: Path | None = None) -> Path:
     """The trained splat: the one named, else the one in the scene's folder; see ``find_gaussians``.
 
     Raises:
-        MissingFileError, FileFormatError: there is none, or several.
+        MissingFileError, FileFormatError: there is none, or several, or the folder is no scene.
     """
     if gaussians is not None:
         return find_gaussians(gaussians)
     try:
-        return find_gaussians(scene)
+        return find_gaussians(scene_folder(scene) if scene.is_dir() else scene)
     except FileFormatError as error:
         if not scene.exists():
             raise FileFormatError(scene, "there is no such scene", "check the path") from error
+        if scene.is_dir():
+            find_cameras(scene)  # a folder without cameras either is no scene; this says which may be meant
         problem = error.problem if scene.is_dir() else "is no splat, and none is named"
         raise FileFormatError(error.path, problem, "name the trained splat with --gaussians") from error
 
@@ -43,4 +45,4 @@ def find_features(scene: Path, features: Path | None = None) -> Path:
 
 def usual_features(scene: Path) -> Path:
     """The folder in which the region features of a scene are, or will be, unless another one is named."""
-    return (scene if scene.is_dir() else scene.parent) / FOLDER_NAME
+    return scene_folder(scene) / FOLDER_NAME

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from scoup.base.arguments import PATH, check_arguments
-from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.counts import counted
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.cameras.colmap import is_model, read_colmap
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
@@ -24,18 +26,21 @@ from scoup.scene.gaussians import Gaussians
 
 CameraFormat = Literal["colmap", "nerfstudio", "inria"]
 
-_COLMAP_FOLDERS = ("sparse/0", "sparse")
-_NERFSTUDIO_COLMAP_FOLDERS = ("colmap/sparse/0", "colmap/sparse")
+_SPARSE = ("sparse", "sparse_pc")  # COLMAP's folder of models, and what nerfstudio makes of it
 _CHECKPOINTS = (".pt", ".pth", ".ckpt")
+_MOST_FOLDERS = 100  # looked into for scenes
 
 
 @dataclass(frozen=True)
 class CameraSource:
-    """Where the cameras of a scene are: format, file or model folder, and folders that may hold images."""
+    """Where the cameras of a scene are: format, file or model folder, folders that may hold images, and other models
+    of COLMAP beside the one taken.
+    """
 
     format: CameraFormat
     path: Path
     roots: tuple[Path, ...]
+    others: tuple[Path, ...] = ()
 
 
 def load_gaussians(path: str | Path) -> Gaussians:
@@ -150,10 +155,12 @@ def load_cameras(
 
     Raises:
         MissingFileError: there are no cameras, or ``images`` is not there or has none of their images.
-        FileFormatError: a file is damaged, an image has another shape than its camera, or see ``distorted``.
+        FileFormatError: a file of cameras is damaged, an image has another shape than its camera, or see
+            ``distorted``.
 
     Warns:
-        ScoupWarning: cameras were skipped, or no image was found at all and the cameras stand alone.
+        ScoupWarning: cameras were skipped because their image is missing or cannot be read, no image was found at all
+            and the cameras stand alone, or there are other models of COLMAP.
     """
     check_arguments("load_cameras", path=(path, PATH))
     if downscale not in (None, 1, 2, 4, 8):
@@ -163,6 +170,14 @@ def load_cameras(
     if missing_images not in ("skip", "keep"):
         raise InputError(f"missing_images is {missing_images!r}, expected 'skip' or 'keep'")
     source = find_cameras(path)
+    if source.others:
+        others = ", ".join(str(other) for other in source.others)
+        warnings.warn(
+            f"{source.path}: used, and {counted(len(source.others), 'other COLMAP model')} not; to use another, give "
+            f"its folder ({others})",
+            ScoupWarning,
+            stacklevel=2,
+        )
     cameras = _read(source, distorted)
     if dataparser_transforms is not None:
         transforms = source.path if source.format == "nerfstudio" else None
@@ -204,28 +219,71 @@ def find_cameras(path: str | Path) -> CameraSource:
     inria = [path / "cameras.json"]
     candidates = [
         *(inria if (path / "point_cloud").is_dir() else []),
-        *(path / folder for folder in _COLMAP_FOLDERS),
+        path / "sparse",
         path / "transforms.json",
-        *(path / folder for folder in _NERFSTUDIO_COLMAP_FOLDERS),
+        path / "colmap" / "sparse",
         path,
         *inria,
     ]
     for candidate in candidates:
         if candidate.is_file():
             return _source_of_file(candidate)
-        if candidate.is_dir() and is_model(candidate):
-            return CameraSource("colmap", candidate, (_scene_of_model(candidate),))
+        models = _models(candidate)
+        if models:
+            return CameraSource("colmap", models[0], (scene_folder(models[0]),), tuple(models[1:]))
     raise MissingFileError(
-        path,
-        "holds no cameras (sparse/0, transforms.json or cameras.json)",
-        "give a scene folder of COLMAP, nerfstudio or Inria's code",
+        path, "holds no cameras (sparse/0, transforms.json or cameras.json)", where_cameras_are(path)
     )
+
+
+def scene_folder(path: str | Path) -> Path:
+    """The scene that a path means: the folder of a cameras file, the one above COLMAP's ``sparse`` or ``sparse/0``, or
+    the folder itself.
+    """
+    path = Path(path)
+    folder = path.parent if path.is_file() else path
+    if not _models(folder):
+        return folder
+    scene = folder.absolute()
+    if scene.name == "0" or (scene.name.isdigit() and scene.parent.name in _SPARSE):
+        scene = scene.parent
+    for names in (_SPARSE, ("colmap",)):
+        if scene.name in names:
+            scene = scene.parent
+    # Keep a relative path relative: it is shorter in messages.
+    return scene if folder.is_absolute() else Path(os.path.relpath(scene))
+
+
+def _models(folder: Path) -> list[Path]:
+    """COLMAP's models in a folder: its numbered ones in order, and the folder itself."""
+    if not folder.is_dir():
+        return []
+    numbered = sorted((item for item in folder.iterdir() if item.name.isdigit()), key=lambda item: int(item.name))
+    return [item for item in (*numbered, folder) if is_model(item)]
+
+
+def where_cameras_are(path: Path) -> str:
+    """The remedy for a folder without cameras: the scene it is in, or the scenes in it, if there are any."""
+    above = list(path.absolute().parents)[:3]
+    if not path.is_absolute():
+        above = [Path(os.path.relpath(place)) for place in above]
+    below = [item for item in sorted(path.iterdir()) if item.is_dir()][:_MOST_FOLDERS]
+    for places, what in ((above, "give the scene it is in"), (below, "give one of the scenes in it")):
+        scenes = [str(place) for place in places if _has_cameras(place)][: 1 if places is above else 3]
+        if scenes:
+            return f"{what}: {', '.join(scenes)}"
+    return "give a scene folder of COLMAP, nerfstudio or Inria's code"
+
+
+def _has_cameras(folder: Path) -> bool:
+    files = ("transforms.json", "cameras.json")
+    return any((folder / name).is_file() for name in files) or bool(_models(folder / "sparse"))
 
 
 def _source_of_file(path: Path) -> CameraSource:
     folder = path.parent
     if path.suffix.lower() in (".bin", ".txt") and is_model(folder):
-        return CameraSource("colmap", folder, (_scene_of_model(folder),))
+        return CameraSource("colmap", folder, (scene_folder(folder),))
     if path.suffix.lower() != ".json":
         raise FileFormatError(
             path, "is no kind of camera file known here", "give transforms.json or cameras.json"
@@ -236,16 +294,6 @@ def _source_of_file(path: Path) -> CameraSource:
     if start.startswith(b"["):
         return CameraSource("inria", path, _inria_roots(folder))
     return CameraSource("nerfstudio", path, (folder,))
-
-
-def _scene_of_model(folder: Path) -> Path:
-    """The scene a model folder belongs to: above sparse/0, or above colmap/sparse/0."""
-    scene = folder.absolute()
-    for names in (("0",), ("sparse", "sparse_pc"), ("colmap",)):
-        if scene.name in names:
-            scene = scene.parent
-    # Keep a relative path relative: it is shorter in messages.
-    return scene if folder.is_absolute() else Path(os.path.relpath(scene))
 
 
 def _inria_roots(folder: Path) -> tuple[Path, ...]:

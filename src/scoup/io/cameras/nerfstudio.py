@@ -64,11 +64,11 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
     skipped = len(frames) - len(cameras)
     if skipped and not cameras:
         raise FileFormatError(
-            path, "gives no image size (w, h), and no image is there to tell it", "add w and h"
+            path, "gives no image size (w, h), and no image is there to tell it", "add w and h to it"
         )
     if skipped:
         warnings.warn(
-            f"{path}: skipped {skipped} of {len(frames)} frames without an image size and without an image",
+            f"{path}: skipped {skipped} of {len(frames)} frames without an image size and without an image that can be read",
             ScoupWarning,
             stacklevel=2,
         )
@@ -129,7 +129,10 @@ def _camera(
     if entry.get("w") is None or entry.get("h") is None:
         if image_path is None:
             return None
-        width, height = image_size(image_path)
+        try:
+            width, height = image_size(image_path)
+        except FileFormatError:
+            return None
     else:
         width = pixels(path, entry["w"], f"w of frame {name!r}")
         height = pixels(path, entry["h"], f"h of frame {name!r}")

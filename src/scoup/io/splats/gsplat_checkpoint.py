@@ -25,8 +25,8 @@ _WHAT = "a checkpoint of gsplat's trainer"
 _PICKLE = b"\x80"
 _OBJECTS = "holds Python objects other than tensors; it was not opened, because that could run code"
 _WITHOUT_OBJECTS = (
-    "give the ckpt_*_rank*.pt that gsplat's trainer wrote, or a PLY; if you trust the file, save its tensors alone where "
-    "it was made: torch.save({'splats': {name: tensor}}, path)"
+    "give the ckpt_*_rank*.pt that gsplat's trainer wrote, or a PLY; if you trust the file, save its tensors alone "
+    "where it was made: torch.save({'splats': {name: tensor}}, path)"
 )
 
 
