@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from cli_support import QUICK, WORDS, refused, run, write_scene
-from scoup.io import save_gaussians, save_png, write_colmap
+from cli_support import QUICK, WORDS, refused, run, run_json, write_scene
+from scoup.io import (
+    load_cameras,
+    save_gaussians,
+    save_png,
+    write_colmap,
+    write_inria_cameras,
+    write_transforms,
+)
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Cameras
@@ -60,8 +69,11 @@ DAMAGES = (cut, emptied, text)
 @pytest.mark.parametrize("file", [PLY, CAMERAS, IMAGES, LABELS, ROWS, PHOTO])
 def test_damaged_inputs_of_build(file, damage):
     damage(file)
-    if (file, damage) == (PHOTO, cut):  # build looks only at the size, which stands at the start
-        assert run(*BUILD)[0] == 0
+    if file == PHOTO:  # build looks only at the size, which stands at the start
+        code, out, err = run(*BUILD)
+        assert code == 0
+        assert ("1 of 4 photographs cannot be read, their cameras are skipped" in err) == (damage is not cut)
+        assert f"{4 if damage is cut else 3} views with regions" in out
         return
     message = refused(*BUILD)
     assert Path(file).name in message
@@ -471,7 +483,8 @@ def test_a_file_where_a_model_belongs():
     [
         (
             "a.spz",
-            "splats in .spz files are not read; convert it with splat-transform (splat-transform a.spz a.ply), or open it in the SuperSplat editor",
+            "splats in .spz files are not read; convert it with splat-transform (splat-transform a.spz a.ply), or open "
+            "it in the SuperSplat editor",
         ),
         ("a.sog", "splats in .sog files are not read; convert it with splat-transform"),
         ("a.ksplat", "splats in .ksplat files are not read; convert it with splat-transform"),
@@ -538,3 +551,150 @@ def test_json_of_another_kind_than_its_name_says(name, content, said):
         ("build", name, "--gaussians", PLY, "--out", "a.scoup"),
     ):
         assert f"{name}: {said}" in refused(*arguments)
+
+
+# ---- folders of other kinds
+
+
+@pytest.mark.parametrize("folder", ["scene/sparse", "scene/sparse/0"])
+def test_a_folder_of_colmap_means_its_scene(folder):
+    assert (
+        run("build", folder, *QUICK)[0] == 0
+    )  # finds splat and regions, and calls the field after the scene
+    assert run_json("info", "scene.scoup")["geometry"] == str(Path(PLY).absolute())
+    assert run_json("info", folder)["cameras"] == 4
+
+
+def test_several_models_of_colmap():
+    shutil.copytree("scene/sparse/0", "scene/sparse/10")
+    shutil.copytree("scene/sparse/0", "scene/sparse/2")
+    said = (
+        "scene/sparse/0: used, and 2 other COLMAP models not; to use another, give its folder "
+        "(scene/sparse/2, scene/sparse/10)"
+    )
+    assert run_json("info", "scene")["warnings"] == [said]
+    assert run_json(*BUILD)["warnings"] == [said]
+    assert "warnings" not in run_json("build", "scene/sparse/10", *QUICK, "--out", "b.scoup")
+    shutil.rmtree("scene/sparse/0")
+    shutil.rmtree("scene/sparse/10")
+    assert run_json("info", "scene/sparse")["cameras_from"] == "scene/sparse/2"
+
+
+def test_a_folder_in_a_scene_or_above_scenes():
+    assert "scene/images: holds nothing known here" in (message := refused("info", "scene/images"))
+    assert "give the scene it is in: scene" in message
+    assert "give the scene it is in: scene" in refused("build", "scene/images", "--out", "a.scoup")
+    iteration = Path("trained/point_cloud/iteration_30000")
+    iteration.mkdir(parents=True)
+    shutil.copy(PLY, iteration)
+    write_inria_cameras(load_cameras("scene"), "trained/cameras.json")
+    assert "give the scene it is in: trained" in refused("build", iteration, "--out", "a.scoup")
+    Path("all").mkdir()
+    shutil.move("scene", "all/kitchen")
+    assert "give one of the scenes in it: all/kitchen" in refused("build", "all", "--out", "a.scoup")
+    assert "give one of the scenes in it: all/kitchen" in refused("info", "all")
+
+
+def test_unreadable_photographs_are_counted_by_info():
+    cut(PHOTO)
+    text("scene/images/view_02.png")
+    record = run_json("info", "scene")
+    assert (record["cameras"], record["with_image"], record["unreadable_photographs"]) == (4, 3, 2)
+    first, second = record["unreadable"]
+    assert first.startswith("view_01.png cannot be decoded")
+    assert second == "view_02.png is not an image that can be read"
+    assert run_json("info", "scene/sparse/0/images.bin")["unreadable_photographs"] == 2
+
+
+def test_whole_photographs_are_not_counted(tmp_path):
+    from PIL import Image
+
+    for number, ending in enumerate(("jpg", "webp", "tif")):
+        Path(f"scene/images/view_0{number}.png").unlink()
+        Image.new("RGB", (40, 30), (9, 99, 199)).save(f"scene/images/view_0{number}.{ending}")
+    jpeg = Path("scene/images/view_00.jpg")
+    jpeg.write_bytes(jpeg.read_bytes() + b"behind the end, as phones write it")
+    record = run_json("info", "scene")
+    assert record["with_image"] == 4
+    assert "unreadable" not in record
+    cut("scene/images/view_01.webp")
+    assert run_json("info", "scene")["unreadable_photographs"] == 1
+
+
+def test_an_extraction_that_fails_at_once_leaves_nothing():
+    pytest.importorskip("skimage")
+    for number in range(4):
+        text(f"scene/images/view_0{number}.png")
+    free = ("--segmenter", "felzenszwalb", "--embedder", "colors", "--out", "regions/of/it")
+    assert "none of the 4 photographs could be read" in refused("extract", "scene", *free)
+    assert not Path("regions").exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "said"),
+    [
+        (
+            "scene",
+            "scene",
+            "source and target are one folder; give a new folder, such as scene/language_features_",
+        ),
+        (
+            "scene/language_features",
+            "scene",
+            "scene: holds other things than region features (images, language_fea",
+        ),
+        (
+            "scene",
+            "scene/images",
+            "scene/images: holds other things than region features (view_00.png, view_01.png",
+        ),
+    ],
+)
+def test_regions_converted_into_a_folder_of_other_things(source, target, said):
+    for options in ((), ("--to", "compact"), ("--overwrite",)):
+        assert said in refused("convert", source, target, *options)
+
+
+def outside_transforms(path: str) -> None:
+    write_transforms(load_cameras("scene"), "scene/transforms.json")
+    content = json.loads(Path("scene/transforms.json").read_text())
+    for frame, name in zip(content["frames"], (path, *(["images/view_01.png"] * 3)), strict=False):
+        frame["file_path"] = name
+    content["frames"] = content["frames"][:2]
+    Path("scene/transforms.json").write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    "path", ["../secret.png", "/home/me/secret.png", "images/../../secret.png", "C:\\secret.png"]
+)
+def test_images_outside_of_the_scene_are_not_opened(path):
+    shutil.copy(PHOTO, "secret.png")
+    outside_transforms(path)
+    (said,) = [each for each in run_json("info", "scene/transforms.json")["warnings"] if "outside" in each]
+    assert (
+        f"names 1 image outside of the scene's folder ({path.replace(chr(92), '/')}); only those in it are"
+        in said
+    )
+    assert run_json("info", "scene/transforms.json")["with_image"] == 1
+    shutil.copy(PHOTO, "scene/images/secret.png")  # found by its name
+    assert run_json("info", "scene/transforms.json")["with_image"] == 2
+
+
+def test_images_linked_into_the_scene_are_opened():
+    shutil.move("scene/images", "elsewhere")
+    Path("scene/images").symlink_to(Path("elsewhere").absolute())
+    outside_transforms(str(Path("scene/images/view_00.png").absolute()))
+    record = run_json("info", "scene/transforms.json")
+    assert record["with_image"] == 2
+    assert "warnings" not in record
+
+
+def test_names_of_colmap_and_inria_that_leave_the_scene():
+    cameras = Cameras(replace(camera, name=f"../{camera.name}") for camera in load_cameras("scene"))
+    write_colmap(cameras, "other/sparse/0")
+    write_inria_cameras(cameras, "third/cameras.json")
+    for file in ("other/sparse/0/images.bin", "third/cameras.json"):
+        said = run_json("info", Path(file).parts[0])["warnings"]
+        assert (
+            f"{file}: names 4 images outside of the scene's folder (../view_00.png, ../view_01.png" in said[0]
+        )

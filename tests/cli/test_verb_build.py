@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -24,11 +25,18 @@ def test_the_main_path_says_what_it_did():
     assert "of 150 Gaussians have a code" in out
     field = LanguageField.load("scene.scoup")  # the default name
     assert field.geometry_path == Path("scene/point_cloud.ply").absolute()
-    assert field.info.embedding_model == "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+    assert field.info.embedding_model == ""  # that of LangSplat has 512 dimensions
     assert field.info.provenance["settings"]["k"] == 4
     assert field.cameras is not None
     assert field.cameras.names[0] == "view_00.png"
     assert len(field.gaussians) == 150
+
+
+def test_the_usual_model_is_taken_for_embeddings_of_its_size():
+    for path in Path("scene/language_features").glob("*_f.npy"):
+        np.save(path, np.pad(np.load(path), ((0, 0), (0, 512 - 16))))
+    assert run("build", "scene", *QUICK)[0] == 0
+    assert LanguageField.load("scene.scoup").info.embedding_model == "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 
 
 def test_the_record_for_machines():

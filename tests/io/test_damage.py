@@ -9,7 +9,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -75,9 +75,8 @@ def read_all_regions(folder: Path) -> None:
 
 
 def read_image(folder: Path) -> None:
-    for camera in load_cameras(folder / "scene"):
-        if camera.image_path is not None:
-            load_image(camera)
+    for camera in load_cameras(folder / "scene", missing_images="keep"):
+        load_image(replace(camera, image_path=folder / "scene" / "images" / camera.name))
 
 
 TARGETS = {

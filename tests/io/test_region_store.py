@@ -35,6 +35,8 @@ def manifest_of(layout: Layout, **settings: object) -> RegionManifest:
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_views_come_back_as_they_were_written(tmp_path: Path, layout: Layout) -> None:
     store = RegionStore.create(tmp_path / "a", manifest_of(layout))
+    assert not (tmp_path / "a").exists()
+    store.begin()
     written = {"b": view("left/b.png", 1), "a": view("a.0001.png", 2)}
     for stem, item in written.items():
         size = store.write(item)
@@ -57,6 +59,7 @@ def test_views_come_back_as_they_were_written(tmp_path: Path, layout: Layout) ->
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_a_view_counts_for_its_manifest_and_photograph(tmp_path: Path, layout: Layout) -> None:
     store = RegionStore.create(tmp_path, manifest_of(layout))
+    store.begin()
     store.write(view("a.png"))
     assert store.has("a.png", "digest")
     assert not store.has("a.png", "another")
@@ -68,6 +71,8 @@ def test_a_view_counts_for_its_manifest_and_photograph(tmp_path: Path, layout: L
         RegionStore.create(tmp_path, manifest_of(layout, side=3))
     assert snapshot(tmp_path) == before
     renewed = RegionStore.create(tmp_path, manifest_of(layout, side=3), overwrite=True)
+    assert snapshot(tmp_path) == before
+    renewed.begin(overwrite=True)
     assert not renewed.has("a.png", "digest")
     renewed.write(view("a.png", photograph=""), overwrite=True)  # of an unknown photograph
     assert not renewed.has("a.png", "digest")
@@ -81,6 +86,7 @@ def test_folders_without_a_manifest(tmp_path: Path, layout: Layout) -> None:
         save_regions(some_regions(cameras), tmp_path)
     else:
         store = RegionStore.create(tmp_path, manifest_of(layout))
+        store.begin()
         for camera in cameras:
             maps = {level: some_regions(cameras).load(camera.name, level) for level in LEVELS}
             labels = {level: item.labels.numpy() for level, item in maps.items()}

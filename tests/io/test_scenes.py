@@ -161,8 +161,17 @@ def test_images_of_another_shape_or_damaged(tmp_path):
     ):
         load_cameras(scene)
     (scene / "images" / "view_00.png").write_bytes(b"no image")
-    with pytest.raises(FileFormatError, match="not an image"):
-        load_cameras(scene)
+    said = "1 of 3 photographs cannot be read, their cameras are {}: .*view_00.png: is not an image"
+    with pytest.warns(ScoupWarning, match=said.format("skipped")):
+        assert load_cameras(scene).names == ("view_01.png", "view_02.png")
+    with pytest.warns(ScoupWarning, match=said.format("used without")):
+        assert load_cameras(scene, missing_images="keep")[0].image_path is None
+    for number in (1, 2):
+        (scene / "images" / f"view_0{number}.png").write_bytes(b"no image")
+    with pytest.warns(
+        ScoupWarning, match="3 of 3 photographs cannot be read, their cameras are used without"
+    ):
+        assert len(load_cameras(scene)) == 3
 
 
 def test_no_cameras(tmp_path):

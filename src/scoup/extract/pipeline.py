@@ -114,6 +114,8 @@ def extract(
             moment = report.add_time("segment", moment)
             regions = describe_masks(item.name, pixels, masks, segmenter, embedder)
             moment = report.add_time("embed", moment)
+            if not report.made:  # not before there is something to keep
+                store.begin(overwrite)
             report.bytes += store.write(regions, overwrite=True)
             moment = report.add_time("write", moment)
             report.made.append(item.name)

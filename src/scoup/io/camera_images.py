@@ -67,7 +67,7 @@ def attach_images(
         searched = str(folder.folder) if folder is not None else "no images folder"
         said = f"skipped {missing} of {counted(len(cameras), 'camera')} without an image ({searched})"
         if kept:
-            said = f"{missing} of {counted(len(cameras), 'image')} not found ({searched}); using the cameras alone"
+            said = f"none of the {counted(missing, 'image')} was found ({searched}); using the cameras alone"
         warnings.warn(f"{source}: {said}", ScoupWarning, stacklevel=3)
     try:
         return Cameras(sorted([*attached, *(others if kept else [])], key=lambda camera: camera.name))

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.images import image_fault
 from scoup.io.regions.load import load_regions
 from scoup.io.regions.store import RegionStore
-from scoup.io.images import image_fault
 from scoup.io.scenes import (
     camera_photographs,
     find_cameras,
@@ -113,6 +113,8 @@ def describe_folder(path: Path) -> dict[str, Any]:
         record |= describe_regions(store)
     if not record:
         raise FileFormatError(
-            path, "holds nothing known here: no cameras, no splat, no region features", where_cameras_are(path)
+            path,
+            "holds nothing known here: no cameras, no splat, no region features",
+            where_cameras_are(path),
         )
     return {"kind": "scene", **record}

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections import defaultdict
-from pathlib import Path, PurePosixPath
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from scoup.base.counts import counted
+from scoup.base.errors import ScoupWarning
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 
@@ -46,8 +51,40 @@ class ImageFolder:
         return None
 
 
+def is_outside(folder: Path, name: str) -> bool:
+    """Whether a path in a file of a scene, relative to ``folder`` or absolute, leaves that folder.
+
+    Links are not followed: a scene may link to its photographs, which is its owner's choice.
+    """
+    if PureWindowsPath(name).drive:
+        return True
+    home = os.path.abspath(folder)
+    return os.path.commonpath([home, os.path.abspath(os.path.join(home, name))]) != home
+
+
+def warn_of_outside(source: Path, folder: Path, names: Iterable[str]) -> None:
+    """Warn of names of images that leave the scene's folder.
+
+    Args:
+        source: the file that has them.
+        folder: of the scene.
+    """
+    outside = [name for name in names if is_outside(folder, name)]
+    if outside:
+        listed = ", ".join(outside[:3]) + (", ..." if len(outside) > 3 else "")
+        warnings.warn(
+            f"{source}: names {counted(len(outside), 'image')} outside of the scene's folder ({listed}); only those in "
+            "it are opened, found by their names: put the images into its folder images, or name their folder "
+            "(--images; images=FOLDER in Python)",
+            ScoupWarning,
+            stacklevel=4,
+        )
+
+
 def find_beside(folder: Path, relative: str) -> Path | None:
-    """The file ``relative`` to ``folder``, as it is or with an image extension added, if there is one."""
+    """The file ``relative`` to ``folder``, as it is or with an image extension added, if there is one inside."""
+    if is_outside(folder, relative):
+        return None
     candidate = folder / relative
     for end in ("", *EXTENSIONS, *(item.upper() for item in EXTENSIONS)):
         path = f"{candidate}{end}"

@@ -258,7 +258,9 @@ def _models(folder: Path) -> list[Path]:
     """COLMAP's models in a folder: its numbered ones in order, and the folder itself."""
     if not folder.is_dir():
         return []
-    numbered = sorted((item for item in folder.iterdir() if item.name.isdigit()), key=lambda item: int(item.name))
+    numbered = sorted(
+        (item for item in folder.iterdir() if item.name.isdigit()), key=lambda item: int(item.name)
+    )
     return [item for item in (*numbered, folder) if is_model(item)]
 
 

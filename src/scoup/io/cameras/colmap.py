@@ -9,6 +9,7 @@ import numpy as np
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io.cameras import colmap_binary, colmap_text
 from scoup.io.cameras.colmap_model import Lens, Shot
+from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import Distorted, existing_folder, make_camera, number, pixels, sorted_cameras
 from scoup.scene.cameras import Cameras
 
@@ -30,6 +31,9 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
     Raises:
         MissingFileError: the folder or its files are not there.
         FileFormatError: a file is damaged, or a camera is distorted or of a model not supported.
+
+    Warns:
+        ScoupWarning: names of images leave the folder of images.
     """
     folder = existing_folder(folder, "a COLMAP model folder")
     if not is_model(folder):
@@ -54,6 +58,7 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
         size = (pixels(lens_path, size[0], "image width"), pixels(lens_path, size[1], "image height"))
         pose = _pose(path, shot)
         cameras.append(make_camera(lens_path, shot.name, pose, intrinsics, size, distortion, distorted))
+    warn_of_outside(path, folder, (camera.name for camera in cameras))
     return sorted_cameras(path, cameras)
 
 

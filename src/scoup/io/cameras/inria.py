@@ -12,6 +12,7 @@ import numpy as np
 
 from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import (
     existing_file,
     existing_folder,
@@ -41,6 +42,9 @@ def read_inria_cameras(path: str | Path) -> Cameras:
     Raises:
         MissingFileError: there is no such file.
         FileFormatError: it is not what Inria's code writes.
+
+    Warns:
+        ScoupWarning: names of images leave the file's folder.
     """
     path = Path(path)
     entries = read_json(path, CAMERAS_JSON)
@@ -61,6 +65,7 @@ def read_inria_cameras(path: str | Path) -> Cameras:
         name = portable_name(entry["img_name"])
         intrinsics = (fx, fy, width / 2, height / 2)
         cameras.append(make_camera(path, name, viewmat, intrinsics, (width, height)))
+    warn_of_outside(path, path.parent, (camera.name for camera in cameras))
     return sorted_cameras(path, cameras)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
-from scoup.io.image_folder import find_beside
+from scoup.io.image_folder import find_beside, warn_of_outside
 from scoup.io.images import image_size
 from scoup.io.reading import Distorted, make_camera, matrix, number, pixels, read_json, sorted_cameras
 from scoup.scene.cameras import Camera, Cameras
@@ -39,7 +39,8 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
         FileFormatError: it is damaged, lacks intrinsics, or a frame is distorted while that is refused.
 
     Warns:
-        ScoupWarning: frames were skipped because neither the file nor their (missing) image gives their size.
+        ScoupWarning: frames were skipped because neither the file nor their (missing) image gives their size, or name
+            images outside of the file's folder, which are not opened.
     """
     path = Path(path)
     content = read_json(path, CAMERAS_JSON)
@@ -54,6 +55,7 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
         ):
             raise FileFormatError(path, f"frame {position} has no file_path", _REMEDY)
     paths = [portable_name(frame["file_path"]) for frame in frames]
+    warn_of_outside(path, path.parent, paths)
     short = [name.rsplit("/", 1)[-1] for name in paths]
     names = short if len(set(short)) == len(short) else paths
     cameras = []
@@ -68,7 +70,7 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
         )
     if skipped:
         warnings.warn(
-            f"{path}: skipped {skipped} of {len(frames)} frames without an image size and without an image that can be read",
+            f"{path}: skipped {skipped} of {len(frames)} frames without an image size and a readable image",
             ScoupWarning,
             stacklevel=2,
         )

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from scoup.base.errors import InputError, MissingFileError
 from scoup.base.progress import Progress, no_progress
-from scoup.io.regions.manifest import Layout, RegionManifest
+from scoup.io.regions import compact, langsplat
+from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest
 from scoup.io.regions.store import RegionStore
-from scoup.io.regions.views import view_files
+from scoup.io.regions.views import FOLDER_NAME, view_files
 
 
 @dataclass(frozen=True)
@@ -58,14 +59,17 @@ def convert_regions(
     Raises:
         MissingFileError: there is no such folder, or it has no region features.
         FileFormatError: a file is damaged.
-        InputError: the target is the source, or holds features of another layout.
+        InputError: the target is the source, or holds other things, or features of another layout.
         OutputExistsError: a view is there already and ``overwrite`` is false; nothing is written then.
     """
     store = RegionStore.open(source)
     target = Path(target)
-    if target.exists() and target.resolve() == store.folder.resolve():
-        raise InputError(f"{target}: source and target are one folder; give another target")
-    to_layout: Layout = layout or ("langsplat" if store.layout == "compact" else "compact")
+    if target.exists() and target.resolve() in (store.folder.resolve(), Path(source).resolve()):
+        raise InputError(
+            f"{target}: source and target are one folder; give a new folder, such as "
+            f"{store.folder.with_name(f'{store.folder.name}_{layout or _other(store.layout)}')}"
+        )
+    to_layout = layout or _other(store.layout)
     model, settings = "", {}
     if store.manifest is not None:
         model, settings = store.manifest.embedding_model, dict(store.manifest.settings)
@@ -77,6 +81,7 @@ def convert_regions(
         raise MissingFileError(store.folder, problem, "give a folder with *_s.npy or *.regions files")
     _check_target(target, manifest, stems, overwrite)
     out = RegionStore.create(target, manifest, overwrite)
+    out.begin(overwrite)
     before = after = 0
     progress("convert", 0, len(stems))
     for done, stem in enumerate(stems):
@@ -90,10 +95,26 @@ def convert_regions(
     return ConvertReport(store.folder, target, to_layout, len(stems), before, after)
 
 
+def _other(layout: Layout) -> Layout:
+    return "langsplat" if layout == "compact" else "compact"
+
+
 def _check_target(target: Path, manifest: RegionManifest, stems: Iterable[str], overwrite: bool) -> None:
     """Refuse what would be mixed up or replaced, before anything is written."""
     if not target.is_dir():
         return
+    endings = (MANIFEST, *compact.ENDINGS, *langsplat.ENDINGS)
+    foreign = sorted(
+        path.name
+        for path in target.iterdir()
+        if not path.name.startswith(".") and not (path.is_file() and path.name.endswith(endings))
+    )
+    if foreign:
+        listed = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
+        raise InputError(
+            f"{target}: holds other things than region features ({listed}); give a folder for them alone, such as "
+            f"{target / f'{FOLDER_NAME}_{manifest.layout}'}"
+        )
     there = RegionStore.open(target)
     present = view_files(target, there.endings[0])
     if present and there.layout != manifest.layout:

@@ -61,11 +61,11 @@ class RegionStore:
 
     @classmethod
     def create(cls, folder: Path, manifest: RegionManifest, overwrite: bool = False) -> RegionStore:
-        """The store of a manifest, to write to; a folder with the same manifest is continued.
+        """The store of a manifest, to ``begin`` and write to; a folder with the same manifest is continued.
 
         Args:
-            folder: made if it is missing.
-            overwrite: put the manifest in place of another one; views made under that one no longer count.
+            folder: made by ``begin`` if it is missing.
+            overwrite: allow another manifest to be there, which ``begin`` replaces.
 
         Raises:
             InputError: the folder holds something else, or was made with other settings; nothing has changed then.
@@ -88,9 +88,19 @@ class RegionStore:
                 "another folder, or pass --overwrite (overwrite=True in Python) to make everything anew"
             )
         check_output(folder / MANIFEST, overwrite=True)
-        if there != manifest:
-            write_manifest(folder, manifest, overwrite)
         return cls(folder, manifest, manifest.layout)
+
+    def begin(self, overwrite: bool = False) -> None:
+        """Put the manifest into the folder, before the first view is written.
+
+        Args:
+            overwrite: in place of another one; views made under that one no longer count.
+
+        Raises:
+            InputError: there is another one, and ``overwrite`` is false.
+        """
+        if self.manifest is not None and read_manifest(self.folder) != self.manifest:
+            write_manifest(self.folder, self.manifest, overwrite)
 
     @property
     def endings(self) -> tuple[str, ...]:
