@@ -47,34 +47,36 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> Things:
     return Things(gaussians, cameras, regions, field, encoder, texts, str(folder))
 
 
+api: Any = scoup  # the calls below are wrong on purpose
+
 SWAPPED: list[tuple[Callable[[Any], Any], str]] = [
-    (lambda t: scoup.build(t.cameras, t.gaussians, t.regions), "build: the argument gaussians is of type Cameras, "
+    (lambda t: api.build(t.cameras, t.gaussians, t.regions), "build: the argument gaussians is of type Cameras, "
      "expected Gaussians (the order is gaussians, cameras, regions); get one from scoup.load_gaussians(path)"),
-    (lambda t: scoup.build(t.gaussians, t.regions, t.cameras), "build: the argument cameras is of type Regions"),
-    (lambda t: scoup.build(t.gaussians, t.cameras, t.path), "build: the argument regions is of type str"),
-    (lambda t: scoup.build(t.gaussians, t.cameras, t.regions, 3), "the argument settings is of type int"),
-    (lambda t: scoup.region_sums(t.cameras, t.gaussians, t.regions), "region_sums: the argument gaussians is of"),
-    (lambda t: scoup.region_sums(t.gaussians, t.path, t.regions), "region_sums: the argument cameras is of type str"),
-    (lambda t: scoup.update(t.field, t.field), "update: the argument sums is of type LanguageField"),
-    (lambda t: scoup.LanguageField.load(t.path + "/f.scoup", t.path), "LanguageField.load: the argument gaussians is "
+    (lambda t: api.build(t.gaussians, t.regions, t.cameras), "build: the argument cameras is of type Regions"),
+    (lambda t: api.build(t.gaussians, t.cameras, t.path), "build: the argument regions is of type str"),
+    (lambda t: api.build(t.gaussians, t.cameras, t.regions, 3), "the argument settings is of type int"),
+    (lambda t: api.region_sums(t.cameras, t.gaussians, t.regions), "region_sums: the argument gaussians is of"),
+    (lambda t: api.region_sums(t.gaussians, t.path, t.regions), "region_sums: the argument cameras is of type str"),
+    (lambda t: api.update(t.field, t.field), "update: the argument sums is of type LanguageField"),
+    (lambda t: api.LanguageField.load(t.path + "/f.scoup", t.path), "LanguageField.load: the argument gaussians is "
      "of type str, expected Gaussians (the order is path, gaussians); get one from scoup.load_gaussians(path)"),
-    (lambda t: scoup.LanguageField.load(t.gaussians), "LanguageField.load: the argument path is of type Gaussians"),
+    (lambda t: api.LanguageField.load(t.gaussians), "LanguageField.load: the argument path is of type Gaussians"),
     (lambda t: t.field.attach(t.path), "LanguageField.attach: the argument gaussians is of type str"),
-    (lambda t: scoup.load_gaussians(t.gaussians), "load_gaussians: the argument path is of type Gaussians, expected a"),
-    (lambda t: scoup.load_cameras(None), "load_cameras: the argument path is of type NoneType, expected a path"),
-    (lambda t: scoup.load_regions(t.cameras, t.path), "load_regions: the argument folder is of type Cameras"),
-    (lambda t: scoup.load_regions(t.path, t.path), "load_regions: the argument cameras is of type str"),
-    (lambda t: scoup.load_regions(t.path, t.gaussians), "load_regions: the argument cameras is of type Gaussians"),
-    (lambda t: scoup.load_regions(t.path, ["view_00.png"]), "load_regions: the argument cameras is of type list"),
-    (lambda t: scoup.save_gaussians("a.ply", t.gaussians), "save_gaussians: the argument gaussians is of type str"),
-    (lambda t: scoup.answer_view(t.field, "view_00.png", t.texts), "answer_view: the argument camera is of type str"),
-    (lambda t: scoup.answer_view(t.field, t.cameras, t.texts), "answer_view: the argument camera is of type Cameras"),
-    (lambda t: scoup.answer_view(t.field, t.cameras[0], ["kettle"]), "texts is of type list, expected TextVectors "
+    (lambda t: api.load_gaussians(t.gaussians), "load_gaussians: the argument path is of type Gaussians, expected a"),
+    (lambda t: api.load_cameras(None), "load_cameras: the argument path is of type NoneType, expected a path"),
+    (lambda t: api.load_regions(t.cameras, t.path), "load_regions: the argument folder is of type Cameras"),
+    (lambda t: api.load_regions(t.path, t.path), "load_regions: the argument cameras is of type str"),
+    (lambda t: api.load_regions(t.path, t.gaussians), "load_regions: the argument cameras is of type Gaussians"),
+    (lambda t: api.load_regions(t.path, ["view_00.png"]), "load_regions: the argument cameras is of type list"),
+    (lambda t: api.save_gaussians("a.ply", t.gaussians), "save_gaussians: the argument gaussians is of type str"),
+    (lambda t: api.answer_view(t.field, "view_00.png", t.texts), "answer_view: the argument camera is of type str"),
+    (lambda t: api.answer_view(t.field, t.cameras, t.texts), "answer_view: the argument camera is of type Cameras"),
+    (lambda t: api.answer_view(t.field, t.cameras[0], ["kettle"]), "texts is of type list, expected TextVectors "
      "(the order is field, camera, texts); get one from scoup.encode_texts(encoder, field, texts)"),
-    (lambda t: scoup.answer_scene(t.field, "kettle"), "answer_scene: the argument texts is of type str"),
-    (lambda t: scoup.encode_texts(t.field, t.encoder, ["kettle"]), "encode_texts: the argument encoder is of type"),
-    (lambda t: scoup.project(t.cameras[0], t.gaussians), "project: the argument gaussians is of type Camera"),
-    (lambda t: scoup.project(t.gaussians, t.cameras), "project: the argument camera is of type Cameras"),
+    (lambda t: api.answer_scene(t.field, "kettle"), "answer_scene: the argument texts is of type str"),
+    (lambda t: api.encode_texts(t.field, t.encoder, ["kettle"]), "encode_texts: the argument encoder is of type"),
+    (lambda t: api.project(t.cameras[0], t.gaussians), "project: the argument gaussians is of type Camera"),
+    (lambda t: api.project(t.gaussians, t.cameras), "project: the argument camera is of type Cameras"),
 ]  # fmt: skip
 
 

@@ -170,7 +170,7 @@ def rewrite(file: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
 def test_features_of_other_photographs():
     rewrite(LABELS, lambda labels: labels[:, :, :20])
     assert (
-        "view_01_s.npy: is 20 x 30, of another shape than its image; these are features of other"
+        "view_01_s.npy: is 20 x 30, of another shape than its image (40 x 30); these are features of"
         in refused(*BUILD)
     )
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +12,11 @@ import pytest
 import torch
 
 import scoup
-from cli_support import QUICK, run, run_json, snapshot
+from cli_support import QUICK, refused, run, run_json, snapshot
 from scoup.field.language_field import LanguageField
-from scoup.io import save_png
+from scoup.io import load_cameras, save_png, write_colmap
+from scoup.io.splats.ply import read_ply_table, write_ply_table
+from scoup.scene.cameras import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -22,7 +26,9 @@ def test_the_main_path_says_what_it_did():
     assert (code, err) == (0, "")
     assert "150 Gaussians, 4 views with regions of 4 cameras" in out
     assert "level m: 24 regions, mean cosine" in out
-    assert "of 150 Gaussians have a code" in out
+    assert "of 150 Gaussians coded" in out
+    # 3 levels of 4 atoms, each with an index of 1 byte and a weight of 2; 3 codebooks of 8 atoms of 16 numbers.
+    assert "MB (36 bytes of codes a Gaussian, a codebook of 2 kB)" in out
     field = LanguageField.load("scene.scoup")  # the default name
     assert field.geometry_path == Path("scene/point_cloud.ply").absolute()
     assert field.info.embedding_model == ""  # that of LangSplat has 512 dimensions
@@ -238,3 +244,120 @@ def test_same_permissions_as_any_other_file():
     run_json("build", "scene", *QUICK, "--out", "a.scoup")
     Path("plain").write_text("x")
     assert Path("a.scoup").stat().st_mode == Path("plain").stat().st_mode
+
+
+def test_one_is_said_in_the_singular():
+    for name in ("view_01", "view_02", "view_03"):
+        for end in ("s", "f"):
+            Path(f"scene/language_features/{name}_{end}.npy").unlink()
+    code, out, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums")
+    assert code == 0
+    assert "skipped 3 of 4 cameras that have no features" in err
+    assert "1 view with regions of 4 cameras" in out
+    assert "MB of region sums, 1 view\n" in out
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_bytes_of_codes_and_codebook(bits):
+    assert (
+        run("build", "scene", *QUICK, "--out", "a.scoup", "--weight-bits", bits, "--embed-geometry")[0] == 0
+    )
+    record = run_json("info", "a.scoup")
+    assert record["bytes_of_codes_a_gaussian"] == 3 * 4 * (1 + bits // 8)
+    assert record["bytes_of_codebook"] == 3 * 8 * 16 * 4
+
+
+# ---- one-pixel views
+
+
+def test_cameras_of_one_pixel():
+    pytest.importorskip("skimage")
+    write_colmap(
+        Cameras(camera.resized(1, 1) for camera in load_cameras("scene")), "scene/sparse/0", overwrite=True
+    )
+    for number in range(4):
+        pixels = torch.full((1, 1, 3), 40 + 50 * number, dtype=torch.uint8)
+        save_png(pixels, Path(f"scene/images/view_0{number}.png"), overwrite=True)
+    # Regions of 40 x 30 and of one pixel both belong to such views.
+    assert run("build", "scene", *QUICK, "--out", "a.scoup", "--model", "scene/words.npz")[0] == 0
+    answers = run_json("query", "a.scoup", "kettle", "--camera", "all", "--out", "q")["answers"]
+    assert [answer["pixel"] for answer in answers] == [[0, 0]] * 4
+    extract = ("extract", "scene", "--segmenter", "felzenszwalb", "--embedder", "colors", "--out", "r")
+    assert run_json(*extract)["regions"] == 12
+    assert run("build", "scene", *QUICK, "--features", "r", "--out", "b.scoup")[0] == 0
+
+
+def test_photographs_of_one_pixel_are_no_photographs():
+    save_png(torch.zeros(1, 1, 3, dtype=torch.uint8), Path("scene/images/view_02.png"), overwrite=True)
+    message = refused("build", "scene", *QUICK, "--out", "a.scoup")
+    assert (
+        "view_02.png: is a single pixel, but its camera has 40 x 30: a stand-in, not the photograph"
+        in message
+    )
+    assert "remove the folder to use the cameras alone" in message
+    shutil.rmtree("scene/images")
+    assert run("build", "scene", *QUICK, "--out", "a.scoup")[0] == 0
+
+
+def test_small_regions_may_have_lost_a_pixel():
+    """40 x 30 pixels at an eighth are 5 x 4: the regions are of the same view all the same."""
+    assert run("build", "scene", *QUICK, "--out", "a.scoup", "--downscale", "8")[0] == 0
+
+
+def test_black_photographs():
+    pytest.importorskip("skimage")  # those of the scene are black
+    extract = ("extract", "scene", "--segmenter", "felzenszwalb", "--embedder", "colors", "--out", "r")
+    assert run(*extract)[0] == 0
+    message = refused("build", "scene", *QUICK, "--features", "r", "--out", "a.scoup")
+    assert (
+        "only zero embeddings, as black photographs get from --embedder colors; check the photographs"
+        in message
+    )
+
+
+# ---- absurd Gaussians
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "rows", "said"),
+    [
+        (
+            "scales",
+            math.exp(80),
+            3,
+            "3 of 150 Gaussians are over 100 times larger than the scene; export or train",
+        ),
+        (
+            "means",
+            1e30,
+            2,
+            "2 of 150 Gaussians are over 10,000 times the scene's size away from it; export or train",
+        ),
+        (
+            "opacities",
+            0.0,
+            150,
+            "all 150 Gaussians are transparent (no opacity reaches 1/255), so nothing is visible",
+        ),
+    ],
+)
+def test_absurd_gaussians_are_counted(name, value, rows, said):
+    gaussians = scoup.load_gaussians("scene/point_cloud.ply")
+    getattr(gaussians, name)[:rows] = value
+    scoup.save_gaussians(gaussians, "odd.ply")
+    assert said in run_json("info", "odd.ply")["warnings"][0]
+    assert said in run("build", "scene", *QUICK, "--gaussians", "odd.ply", "--out", "a.scoup")[2]
+
+
+def test_gaussians_without_a_rotation():
+    table = read_ply_table("scene/point_cloud.ply")
+    rows = table.rows.copy()
+    for axis in range(4):
+        rows[f"rot_{axis}"][:9] = 0
+    write_ply_table(replace(table, rows=rows), "odd.ply")
+    record = run_json("info", "odd.ply")
+    assert record["gaussians"] == 141
+    assert (
+        "odd.ply: dropped 9 of 150 Gaussians with values that are not finite, or without"
+        in record["warnings"][0]
+    )

@@ -203,7 +203,12 @@ def test_presence_to_query_and_select(here: Path) -> None:
     code, out, _ = run("select", field, "elephant", "--presence", 100, "--always", "--out", "e.ply")
     assert code == 0
     assert "not in this scene" not in out
-    assert "two scenes or more" in refused("eval", "presence", "lerf-ovs", "--scenes", "table", "--overwrite")
+    next(Path("lerf-ovs/table").rglob("*.ply")).unlink()  # refused before anything is opened
+    message = refused("eval", "presence", "lerf-ovs", "--scenes", "table", "--overwrite")
+    assert (
+        "1 labelled scene to work on (table), but each is judged by what was chosen on the others" in message
+    )
+    assert "give 2 scenes or more" in message
 
 
 def test_synthetic_data_sets(tmp_path: Path) -> None:

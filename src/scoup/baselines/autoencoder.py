@@ -31,6 +31,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.scene.directions import normalise_embeddings
@@ -82,7 +83,7 @@ class AutoencoderReport:
 
     def __str__(self) -> str:
         return (
-            f"autoencoder: {self.regions} regions, mean cosine {self.mean_cosine:.4f}, "
+            f"autoencoder: {counted(self.regions, 'region')}, mean cosine {self.mean_cosine:.4f}, "
             f"5th percentile {self.low_cosine:.4f}, {self.epochs} epochs in {self.seconds:.1f} s"
         )
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
+from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalInteger, OptionalNumber, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.scene_options import ViewOptions
@@ -109,7 +110,8 @@ class Build(ViewOptions):
         cameras, regions, features = self.load_views(self.scene)
         model = embedding_model_of(features, regions, out, self.model) or _usual_model(regions)
         console.say(
-            f"{len(gaussians):,} Gaussians, {len(regions)} views with regions of {len(cameras)} cameras"
+            f"{counted(len(gaussians), 'Gaussian')}, {counted(len(regions), 'view')} with regions of "
+            f"{counted(len(cameras), 'camera')}"
         )
         started = time.perf_counter()
         with (
@@ -201,22 +203,25 @@ def _report(
     seconds: float,
 ) -> None:
     """Say what was built; ``bytes_of_sums`` where they are kept."""
+    from scoup.field.part_sizes import part_sizes
     from scoup.uplift.region_sums import sums_path
 
     coding = field.info.provenance["coding"]
     for level, report in coding.items():
         console.say(
-            f"level {level}: {report['regions']} regions, mean cosine {report['mean_cosine']:.3f}, "
+            f"level {level}: {counted(report['regions'], 'region')}, mean cosine {report['mean_cosine']:.3f}, "
             f"5th percentile {report['low_cosine']:.3f}, dead atoms {report['dead_atoms']:.0%}"
         )
-    size, coded = out.stat().st_size, int(field.coded().sum())
+    size, sizes, coded = out.stat().st_size, part_sizes(out), int(field.coded().sum())
     console.say(
-        f"{out}: {size / 1e6:.1f} MB ({size / max(1, len(field)):.0f} bytes a Gaussian), "
-        f"{coded:,} of {len(field):,} Gaussians have a code, built in {seconds:.0f} s"
+        f"{out}: {size / 1e6:.1f} MB ({sizes}), "
+        f"{coded:,} of {counted(len(field), 'Gaussian')} coded, built in {seconds:.0f} s"
     )
     record: dict[str, Any] = {"field": out}
     if bytes_of_sums is not None:
-        console.say(f"{sums_path(out)}: {bytes_of_sums / 1e6:.1f} MB of region sums, {views} views")
+        console.say(
+            f"{sums_path(out)}: {bytes_of_sums / 1e6:.1f} MB of region sums, {counted(views, 'view')}"
+        )
         record |= {"sums": sums_path(out), "sums_bytes": bytes_of_sums}
     peak = _peak_gpu_memory(device)
     if peak is not None:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.options import OptionalText, WritesCommon
 
@@ -43,7 +44,7 @@ class Convert(WritesCommon):
             )
         before, after = (size / report.views / 1e3 for size in (report.bytes_before, report.bytes_after))
         console.say(
-            f"{report.target}: {report.views} views in the layout {report.layout}, {after:,.0f} kB a view "
+            f"{report.target}: {counted(report.views, 'view')} in the layout {report.layout}, {after:,.0f} kB a view "
             f"(they took {before:,.0f})"
         )
         console.result(

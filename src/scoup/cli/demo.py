@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.options import OptionGroups, WritesCommon
 
@@ -49,7 +50,8 @@ class Demo(WritesCommon):
         for path in (sheet, scores):
             check_output(path, self.overwrite)
         console.say(
-            f"a scene of {self.n_gaussians:,} Gaussians, {self.views} views of {self.width} x {self.height}"
+            f"a scene of {counted(self.n_gaussians, 'Gaussian')}, {counted(self.views, 'view')} of "
+            f"{self.width} x {self.height}"
         )
         settings = DemoSettings(self.seed, self.n_gaussians, self.width, self.height, self.views)
         with console.progress() as progress:
@@ -116,6 +118,7 @@ def _say_totals(console: Console, result: DemoResult) -> None:
     from rich.table import Table
 
     from scoup.evaluate.demonstration import summary
+    from scoup.field.part_sizes import part_sizes
 
     totals = Table(title="Means over all (view, name) pairs", title_justify="left")
     for heading in ("method", "mIoU", "95 % interval over names", "localisation", "bytes a Gaussian"):
@@ -131,6 +134,6 @@ def _say_totals(console: Console, result: DemoResult) -> None:
         )
     console.say(totals)
     size = result.field_path.stat().st_size
-    console.say(f"the field: {size / 1e6:.2f} MB, {size / len(result.field):.0f} bytes a Gaussian")
+    console.say(f"the field: {size / 1e6:.2f} MB ({part_sizes(result.field_path)})")
     for stage, value in result.seconds.items():
         console.say(f"  {value:6.1f} s  {stage}")

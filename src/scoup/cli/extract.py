@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
+from scoup.base.counts import counted
 from scoup.cli.build import CLIP_MODEL
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, OptionGroups, WritesCommon
@@ -121,9 +122,9 @@ def _record(report: ExtractReport) -> dict[str, Any]:
 
 def _say(console: Console, report: ExtractReport, out: Path, seconds: float, processes: Processes) -> None:
     made = len(report.made)
-    there = f", {report.kept} were there already" if report.kept else ""
+    there = f", {report.kept:,} already there" if report.kept else ""
     share = f" (process {processes.rank} of {processes.world})" if processes.world > 1 else ""
-    console.say(f"{out}: {made} views made{there}{share}, in {seconds:.0f} s")
+    console.say(f"{out}: {counted(made, 'view')} made{there}{share}, in {seconds:.0f} s")
     if made:
         stages = ", ".join(f"{stage} {value / made:.2f}" for stage, value in report.seconds.items())
         console.say(

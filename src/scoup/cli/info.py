@@ -99,10 +99,11 @@ def _json(path: Path) -> dict[str, Any]:
 
 def _field(path: Path) -> dict[str, Any]:
     from scoup.field.language_field import LanguageField
+    from scoup.field.part_sizes import part_sizes
     from scoup.uplift.region_sums import sums_path
 
     field = LanguageField.load(path)
-    size = path.stat().st_size
+    sizes = part_sizes(path)
     return {
         "kind": "language field",
         "gaussians": len(field),
@@ -113,8 +114,9 @@ def _field(path: Path) -> dict[str, Any]:
         "dim": field.dim,
         "embedding_model": field.info.embedding_model,
         "raster_preset": field.info.raster_preset,
-        "bytes": size,
-        "bytes_a_gaussian": round(size / max(1, len(field)), 1),
+        "bytes": path.stat().st_size,
+        "bytes_of_codes_a_gaussian": round(sizes.codes_a_gaussian, 1),
+        "bytes_of_codebook": sizes.codebook,
         "cameras": 0 if field.cameras is None else len(field.cameras),
         "geometry": _geometry(field),
         "fingerprint": field.info.fingerprint,

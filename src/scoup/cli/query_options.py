@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
+from scoup.base.counts import counted
 from scoup.cli.options import FieldFile, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ class CameraOptions(FieldOptions):
                 f"{self.scene or self.field}: the cameras see nothing of the field ({names}); {_SAME_FRAME}"
             )
         if blind:
-            message = f"{len(blind)} of {count} cameras see nothing of the field ({names}); {_SAME_FRAME}"
+            message = f"{len(blind)} of {counted(count, 'camera')} see nothing of the field ({names}); {_SAME_FRAME}"
             warnings.warn(message, ScoupWarning, stacklevel=2)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.options import OptionalPath, WritesCommon
 
@@ -62,7 +63,7 @@ class ShowRegions(WritesCommon):
             for level, plane in zip(regions.levels, labels, strict=True)
         }
         listed = ", ".join(
-            f"{level}: {counts[level]} regions, {covered[level]:.0%} covered" for level in counts
+            f"{level}: {counted(counts[level], 'region')}, {covered[level]:.0%} covered" for level in counts
         )
         console.say(f"{out}: {camera.name} ({listed})")
         console.result({"out": out, "view": camera.name, "regions": counts, "covered": covered})

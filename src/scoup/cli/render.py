@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.names import unique_slugs
 from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
@@ -78,7 +79,7 @@ class Render(TextOptions, CameraOptions):
             self.check_seen(blind, len(cameras))
             if animation:
                 save_animation(frames, hidden / out.name, self.frames_per_second)
-        console.say(f"{len(cameras)} {'view' if len(cameras) == 1 else 'views'} rendered to {out}")
+        console.say(f"{counted(len(cameras), 'view')} rendered to {out}")
         console.result({"out": out, "files": [(folder / file).as_posix() for file in files]})
 
     def _check_options(self) -> None:

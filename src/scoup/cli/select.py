@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalNumber, OptionGroups, Texts
 from scoup.cli.query_options import TextOptions, absence_message, check_texts
@@ -76,8 +77,8 @@ class Select(TextOptions):
         written = self._write(field, answers, absent)
         counts = {text: int(answer.mask.sum()) for text, answer in zip(self.texts, answers, strict=True)}
         for text, count in counts.items():
-            console.say(f"{text}: {count:,} of {len(field):,} Gaussians")
-        console.say(f"{self.out}: {written:,} Gaussians written")
+            console.say(f"{text}: {count:,} of {counted(len(field), 'Gaussian')}")
+        console.say(f"{self.out}: {counted(written, 'Gaussian')} written")
         console.result({"out": self.out, "written": written, "chosen": counts, "gaussians": len(field)})
 
     def _check_options(self) -> None:
@@ -132,7 +133,8 @@ class Select(TextOptions):
             if absent and self.write == "chosen":
                 advice = f"{'; '.join(absent)}; --always chooses something all the same"
             raise InputError(
-                f"{self.out}: nothing to write, {int(chosen.sum())} of {len(chosen)} Gaussians answer; {advice}"
+                f"{self.out}: nothing to write, {int(chosen.sum()):,} of {counted(len(chosen), 'Gaussian')} answer; "
+                f"{advice}"
             )
         if self.out.suffix.lower() == ".scoup":
             field.select(wanted).save(self.out, self.overwrite)

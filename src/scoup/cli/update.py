@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
+from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.options import OptionalPath, OptionGroups
 from scoup.cli.query_options import FieldOptions
@@ -80,8 +81,8 @@ class Update(FieldOptions, ViewOptions):
             updated.save(out, self.overwrite, field.geometry_path is None, self.weight_bits)
         total = len(updated.info.provenance["views"])
         console.say(
-            f"{out}: {len(cameras)} views added, {len(self.remove)} removed, {total} vote; "
-            f"{updated.n_atoms} atoms a level"
+            f"{out}: {counted(len(cameras), 'view')} added, {len(self.remove)} removed, {total:,} in all; "
+            f"{counted(updated.n_atoms, 'atom')} a level"
         )
         console.result(
             {

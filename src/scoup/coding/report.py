@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from scoup.base.counts import counted
 from scoup.scene.codes import SparseCodes
 
 LEAST_EXPLAINED = 0.01  # cosine; rows without a code are badly explained whatever was learned
@@ -45,7 +46,7 @@ class CodingReport:
 
     def __str__(self) -> str:
         return (
-            f"{self.solver}: {self.regions} regions, mean cosine {self.mean_cosine:.4f}, "
+            f"{self.solver}: {counted(self.regions, 'region')}, mean cosine {self.mean_cosine:.4f}, "
             f"5th percentile {self.low_cosine:.4f}, dead atoms {100 * self.dead_atoms:.1f} %, "
             f"{self.epochs} epochs in {self.seconds:.1f} s"
         )

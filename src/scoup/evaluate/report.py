@@ -9,6 +9,7 @@ from pathlib import Path
 from statistics import mean
 from typing import Any
 
+from scoup.base.counts import counted
 from scoup.evaluate.published import PUBLISHED, Published
 from scoup.evaluate.scores import SceneScore, accuracy_interval, miou_interval, overall
 from scoup.evaluate.tables import CAVEATS, Table, write_tables
@@ -67,7 +68,9 @@ def overall_table(report: Report) -> Table:
     elif PUBLISHED.get(report.protocol):
         notes.append("The scenes are not those of the published data set: published figures are left out.")
     count = sum(len(scene.pairs) for scene in report.scenes)
-    title = f"{report.protocol}: {len(report.scenes)} scenes, {count} (frame, label) pairs"
+    title = (
+        f"{report.protocol}: {counted(len(report.scenes), 'scene')}, {counted(count, '(frame, label) pair')}"
+    )
     return Table(title, tuple(headers), tuple(rows), tuple(notes))
 
 

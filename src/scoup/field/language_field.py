@@ -13,6 +13,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.arguments import PATH, check_arguments
+from scoup.base.counts import counted
 from scoup.base.errors import GeometryMismatchError, InputError
 from scoup.base.html import PREVIEW, card, first_of
 from scoup.field.artefact import (
@@ -212,7 +213,7 @@ class LanguageField(FieldQueries):
         if not as_many or (not known and gaussians.fingerprint() != self.info.fingerprint):
             difference = "as many Gaussians, but others"
             if not as_many:
-                difference = f"{len(gaussians)} Gaussians, the field has {self.info.n_gaussians}"
+                difference = f"{counted(len(gaussians), 'Gaussian')}, the field has {self.info.n_gaussians:,}"
             raise GeometryMismatchError(
                 f"{source}: not the geometry this field was built on ({difference}); "
                 "give the original splat, or build the field again"

@@ -140,6 +140,13 @@ def _warn_of_unreadable(source: Path, unreadable: list[str], total: int, kept: b
 
 def _resized_to_image(camera: Camera, path: Path, size: tuple[int, int], enlarge: float) -> Camera:
     width, height = size
+    if size == (1, 1) and max(camera.width, camera.height) > max(FACTORS):
+        raise FileFormatError(
+            path,
+            f"is a single pixel, but its camera has {camera.width} x {camera.height}: a stand-in, not the photograph",
+            "put the photographs in its place, name their folder (--images; images=FOLDER in Python), or remove the "
+            "folder to use the cameras alone",
+        )
     expected = camera.height * width / camera.width
     if abs(height - expected) > max(ASPECT_TOLERANCE * expected, _ROUNDING * max(1.0, width / camera.width)):
         raise FileFormatError(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.images import image_fault
 from scoup.io.regions.load import load_regions
 from scoup.io.regions.store import RegionStore
@@ -21,10 +22,17 @@ from scoup.io.scenes import (
 )
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.oddities import oddities
 
 
 def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:
-    """Number, extent, medians and fingerprint of Gaussians."""
+    """Number, extent, medians and fingerprint of Gaussians.
+
+    Warns:
+        ScoupWarning: some are absurd (``scoup.scene.oddities``).
+    """
+    for oddity in oddities(gaussians):
+        warnings.warn(oddity, ScoupWarning, stacklevel=2)
     record: dict[str, Any] = {"gaussians": len(gaussians), "sh_degree": gaussians.sh_degree}
     if len(gaussians):
         record |= {
@@ -106,15 +114,18 @@ def describe_folder(path: Path) -> dict[str, Any]:
             regions = load_regions(path, cameras)
             record["views_with_regions"] = len(regions)
             record["regions"] = {level: len(regions.embeddings(level)[0]) for level in regions.levels}
-    with suppress(MissingFileError):
+    try:
         splat = find_gaussians(path)
         record |= {"splat": str(splat), **describe_gaussians(load_gaussians(splat))}
+        no_splat = ""
+    except MissingFileError as error:
+        no_splat = error.problem
     if "cameras" not in record and (store := RegionStore.open(path)).stems():
         record |= describe_regions(store)
     if not record:
         raise FileFormatError(
             path,
-            "holds nothing known here: no cameras, no splat, no region features",
+            f"holds nothing known here: it has no cameras and no region features, and {no_splat}",
             where_cameras_are(path),
         )
     return {"kind": "scene", **record}

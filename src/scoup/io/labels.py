@@ -13,6 +13,7 @@ import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
+from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning, UnknownNameError
 from scoup.io.reading import number, pixels, read_json
 from scoup.scene.cameras import Camera, Cameras
@@ -133,12 +134,12 @@ def match_frames(frames: Iterable[LabelledFrame], cameras: Cameras) -> list[tupl
     if not matched:
         raise InputError(
             f"none of the labelled frames ({', '.join(lost[:3]) or 'there are none'}) is among the "
-            f"{len(cameras)} cameras ({', '.join(cameras.names[:3])}, ...); labels and cameras are of "
+            f"{counted(len(cameras), 'camera')} ({', '.join(cameras.names[:3])}, ...); labels and cameras are of "
             "different scenes"
         )
     if lost:
         warnings.warn(
-            f"{len(lost)} labelled frames have no camera and are not scored: {', '.join(lost[:5])}",
+            f"{counted(len(lost), 'labelled frame')} without a camera, not scored: {', '.join(lost[:5])}",
             ScoupWarning,
             stacklevel=2,
         )

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from scoup.base.counts import counted
 from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameError
 from scoup.base.html import card, first_of
 from scoup.models.hub import OPEN_CLIP, ModelRequest, load_open_clip, load_pretrained
@@ -215,7 +216,7 @@ def _warn_of_long(phrases: list[str], lengths: list[int], limit: int) -> None:
     for phrase, length in zip(phrases, lengths, strict=True):
         if length > limit:
             warnings.warn(
-                f"the phrase {phrase[:40]!r} has {length} tokens, the text model reads only {limit}: "
+                f"the phrase {phrase[:40]!r} has {counted(length, 'token')}, the text model reads only {limit}: "
                 "the rest is ignored",
                 ScoupWarning,
                 stacklevel=4,

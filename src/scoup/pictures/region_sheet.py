@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
+from scoup.base.counts import counted
 from scoup.pictures.colors import ArrayOrTensor, Picture, as_array, as_picture
 from scoup.pictures.lettering import font, text_width
 from scoup.pictures.overlays import region_overlay
@@ -46,14 +47,7 @@ def regions_sheet(
         tile, written = numbered(region_overlay(shown, base), shown)
         tiles.append(tile)
         count = len(np.unique(plane[plane >= 0]))
-        some = (
-            ""
-            if written == count
-            else f", numbers on the {written} with room"
-            if written
-            else ", no room for numbers"
-        )
-        captions.append(f"{_NAMES.get(level, level)}: {count} regions{some}")
+        captions.append(f"{_NAMES.get(level, level)}: {counted(count, 'region')}{_which(written, count)}")
     return contact_sheet(tiles, captions, COLUMNS, width, heading=name, footer=remark)
 
 

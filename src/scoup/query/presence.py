@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.models.words import LEAST_WORDS
 from scoup.query.queried_field import QueriedField
@@ -45,7 +46,7 @@ def presence_threshold(texts: TextVectors, wanted: float | None = None) -> float
         return PRESENT_FROM if wanted is None else wanted
     if wanted is not None:
         raise InputError(
-            f"{texts.source}: has {len(texts.everyday)} words; presence is judged against {LEAST_WORDS} or more, so "
+            f"{texts.source}: has {counted(len(texts.everyday), 'word')}; presence is judged against {LEAST_WORDS} or more, so "
             "add any words to the table"
         )
     return None

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.arguments import check_arguments
+from scoup.base.counts import counted
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder
 from scoup.models.word_table import is_table
@@ -71,8 +72,8 @@ def encode_texts(
     source = source or encoder.name or "the word table"
     if encoder.dim != field.dim:
         raise InputError(
-            f"{source}: gives vectors of {encoder.dim} dimensions, but the field holds embeddings of {field.dim}; "
-            + _where_words_are(field, encoder)
+            f"{source}: gives vectors of {counted(encoder.dim, 'dimension')}, but the field holds embeddings of "
+            f"{field.dim}; " + _where_words_are(field, encoder)
         )
     queries = encoder.encode(texts)
     try:

@@ -12,6 +12,7 @@ from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.consensus import consensus
@@ -62,12 +63,14 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         InputError: no camera has regions, the cameras see nothing, or the inputs do not fit or are of wrong types.
 
     Warns:
-        ScoupWarning: splat and cameras may not fit.
+        ScoupWarning: Gaussians are absurd (``scoup.scene.oddities``), or splat and cameras may not fit.
     """
     check_arguments(
         "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)
     )
     settings = build_settings(settings)
+    for oddity in oddities(gaussians):
+        warnings.warn(oddity, ScoupWarning, stacklevel=2)
     views = cameras_with_regions(cameras, regions)
     names = [camera.name for camera in views]
     regions = regions.select(names)

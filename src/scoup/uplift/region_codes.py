@@ -52,7 +52,10 @@ class RegionEmbeddings:
             if not len(part):
                 raise InputError(f"level {level!r} has no regions in any view; every level needs some")
             if not part.any():
-                raise InputError(f"level {level!r} has only zero embeddings; make the region features again")
+                raise InputError(
+                    f"level {level!r} has only zero embeddings, as black photographs get from --embedder colors; check "
+                    "the photographs, or extract the regions with a CLIP model"
+                )
         return cls(tuple(regions.levels), of_levels, rows)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from scoup.cli.console import Console
 from scoup.cli.evaluate.options import Names, StudyOptions
@@ -63,17 +64,16 @@ class Presence(StudyOptions):
     seed: int = 0
     """Seed of the codebook's start."""
 
+    least_scenes: ClassVar[int] = 2
+
     def run(self, console: Console) -> None:
         """Query, judge, write."""
-        from scoup.base.errors import InputError
         from scoup.evaluate.label_vectors import encode_words
         from scoup.evaluate.studies.presence import absent_words, query_scene
         from scoup.evaluate.studies.presence_scores import presence_report
         from scoup.uplift.build_settings import build_settings
 
         scenes = self.open_study(console, "presence")
-        if len(scenes) < 2:
-            raise InputError("each scene is judged by a bound chosen on others; give two scenes or more")
         labelled = [scene.labelled for scene in scenes]
         absent = []
         for scene in labelled:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from torch import Tensor
 
+from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.evaluate.metrics import any_inside, iou
 from scoup.evaluate.scores import PairScore, SceneScore, scene_score
@@ -50,8 +51,8 @@ def maps_by_label(
     """
     if isinstance(relevancy, Tensor) and (relevancy.dim() != 4 or relevancy.shape[1] != len(frame.labels)):
         raise InputError(
-            f"frame {frame.name!r} has {len(frame.labels)} labels, its relevancy is {list(relevancy.shape)}; "
-            "expected [S, labels, H, W]"
+            f"frame {frame.name!r} has {counted(len(frame.labels), 'label')}, its relevancy is "
+            f"{list(relevancy.shape)}; expected [S, labels, H, W]"
         )
     for position, label in enumerate(frame.labels):
         if isinstance(relevancy, Tensor):

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from scoup.base.atomic import write_text
+from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
 from scoup.io.image_folder import find_beside, warn_of_outside
@@ -70,7 +71,7 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
         )
     if skipped:
         warnings.warn(
-            f"{path}: skipped {skipped} of {len(frames)} frames without an image size and a readable image",
+            f"{path}: skipped {skipped} of {counted(len(frames), 'frame')} without an image size and a readable image",
             ScoupWarning,
             stacklevel=2,
         )

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError
 from scoup.io.regions.views import REMEDY
 from scoup.scene.regions import LEVELS
@@ -71,7 +72,7 @@ def _used_range(path: Path, plane: np.ndarray, name: str, rows: int) -> tuple[in
         embeddings = path.name.replace("_s.npy", "_f.npy")
         raise FileFormatError(
             path,
-            f"level {name!r} has labels from {low} to {high}, but {embeddings} has {rows} embeddings",
+            f"level {name!r} has labels from {low} to {high}, but {embeddings} has {counted(rows, 'embedding')}",
             "the two files do not belong together; " + REMEDY,
         )
     return None if high < 0 else (lowest, high)

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.arguments import PATH, check_arguments
+from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.store import RegionStore
@@ -111,7 +112,7 @@ def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingF
     listed = f"it has {', '.join(there[:3])}" if there else f"it has no *{store.endings[0]} files"
     return MissingFileError(
         store.folder,
-        f"has features of none of the {len(cameras)} cameras: expected {expected}; {listed}",
+        f"has features of none of the {counted(len(cameras), 'camera')}: expected {expected}; {listed}",
         "give the features of these images",
     )
 
@@ -120,11 +121,10 @@ def _check_view(view: StoredView, camera: Camera, first: StoredView) -> None:
     """Refuse a view of other levels, of another image, or of another model than the first view."""
     if not set(LEVELS) <= set(view.levels):
         raise FileFormatError(view.labels_path, f"has levels {list(view.levels)}, not s, m and l", REMEDY)
-    ratio = (view.width / view.height) / (camera.width / camera.height)
-    if abs(ratio - 1.0) > ASPECT_TOLERANCE:
+    if not _same_shape((view.width, view.height), (camera.width, camera.height)):
         raise FileFormatError(
             view.labels_path,
-            f"is {view.width} x {view.height}, of another shape than its image",
+            f"is {view.width} x {view.height}, of another shape than its image ({camera.width} x {camera.height})",
             "these are features of other images; give those of this scene",
         )
     if view.dim != first.dim:
@@ -133,6 +133,14 @@ def _check_view(view: StoredView, camera: Camera, first: StoredView) -> None:
             f"has {view.dim} dimensions, but {first.embeddings_path.name} has {first.dim}",
             "the features come from different models; " + REMEDY,
         )
+
+
+def _same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether two sizes are of one image: alike in shape, but for a pixel lost by rounding or truncation."""
+    small, large = sorted((one, other))
+    ratio = (small[0] / small[1]) / (large[0] / large[1])
+    most = 1.0 / min(small)  # what a pixel of the smaller one is of its shorter side
+    return abs(ratio - 1.0) <= max(ASPECT_TOLERANCE, most) or small == (1, 1)
 
 
 def _at_camera(labels: Tensor, camera: Camera) -> Tensor:

@@ -78,8 +78,8 @@ class RegionStore:
             foreign = [path.name for ending in endings for path in view_files(folder, ending)]
             if foreign:
                 raise InputError(
-                    f"{folder}: holds region features that were not made by scoup ({foreign[0]} and "
-                    f"{len(foreign) - 1} more); choose another folder, or move them away"
+                    f"{folder}: holds region features that were not made by scoup ({foreign[0]}"
+                    f"{', ...' if len(foreign) > 1 else ''}); choose another folder, or move them away"
                 )
         elif there != manifest and not overwrite:
             listed = "; ".join(manifest.differences(there))

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from scoup.base.counts import counted
 from scoup.base.errors import ScoupWarning
 from scoup.scene.gaussians import Gaussians
 
@@ -74,7 +75,8 @@ def keep_finite(
     dropped = len(kept) - int(kept.sum())
     if dropped:
         warnings.warn(
-            f"{source}: dropped {dropped} of {len(kept)} Gaussians with values that are not finite",
+            f"{source}: dropped {dropped:,} of {counted(len(kept), 'Gaussian')} with values that are not finite, or "
+            "without a rotation (a quaternion of zeros)",
             ScoupWarning,
             stacklevel=4,
         )

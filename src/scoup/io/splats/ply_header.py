@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.io.reading import existing_file
 
@@ -191,7 +192,7 @@ def _check_size(
         )
     if needed < available and encoding != "ascii" and last:
         warnings.warn(
-            f"{path}: has {available - needed} bytes more than its header says; they were not read",
+            f"{path}: has {counted(available - needed, 'byte')} more than its header says, which were not read",
             ScoupWarning,
             stacklevel=4,
         )

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base.atomic import atomic_file
+from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError
 from scoup.io.reading import existing_file
 from scoup.io.splats.activation import keep_finite, unit_quats
@@ -31,7 +32,9 @@ def read_splat(path: str | Path) -> Gaussians:
         size = os.path.getsize(path)
         if size % _ROW.itemsize or not size:
             problem = (
-                "is empty" if not size else f"has {size} bytes, which is not a multiple of {_ROW.itemsize}"
+                "is empty"
+                if not size
+                else f"has {counted(size, 'byte')}, which is not a multiple of {_ROW.itemsize}"
             )
             raise FileFormatError(
                 path, problem, "it is cut short or not a .splat file; copy or export it again"

@@ -1,0 +1,45 @@
+"""Gaussians that no training makes: damaged numbers that are finite and so pass every other check."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scoup.base.counts import counted
+from scoup.scene.gaussians import Gaussians
+
+LARGE = 100.0  # times the extent of the scene: more than the sky of any outdoor scene
+FAR = 10_000.0
+FAINT = 1 / 255  # the least alpha that a rasteriser draws
+_SAMPLE = 100_000  # Gaussians that tell the extent
+_REMEDY = "export or train the splat again, or remove them (in the SuperSplat editor)"
+
+
+def oddities(gaussians: Gaussians) -> list[str]:
+    """What is absurd about Gaussians, one sentence each, with counts and what to do; empty for a sound scene.
+
+    The extent is that of the middle 90 % along each axis, so that some stray Gaussians do not hide themselves.
+    """
+    if not len(gaussians):
+        return []
+    means = gaussians.means.detach().cpu().double().numpy()
+    scales = gaussians.scales.detach().amax(1).cpu().double().numpy()
+    step = max(1, len(means) // _SAMPLE)
+    lowest, middle, highest = np.nanquantile(means[::step], (0.05, 0.5, 0.95), axis=0)
+    extent = float(np.linalg.norm(highest - lowest))
+    total = counted(len(gaussians), "Gaussian")
+    found = []
+    if extent > 0:
+        large = int((scales > LARGE * extent).sum())
+        far = int((np.abs(means - middle).max(1) > FAR * extent).sum())
+        if large:
+            found.append(f"{large:,} of {total} are over {LARGE:.0f} times larger than the scene; {_REMEDY}")
+        if far:
+            found.append(
+                f"{far:,} of {total} are over {FAR:,.0f} times the scene's size away from it; {_REMEDY}"
+            )
+    if float(gaussians.opacities.nan_to_num(0).max()) < FAINT:
+        found.append(
+            f"all {total} are transparent (no opacity reaches 1/255), so nothing is visible; export the splat again, "
+            "with opacities as training left them (in a PLY as logits)"
+        )
+    return found
