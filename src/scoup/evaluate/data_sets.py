@@ -143,7 +143,9 @@ def find_scenes(data_set: DataSet, root: Path, wanted: Sequence[str] = ()) -> li
         UnknownNameError: a scene wanted is not there.
     """
     if not root.is_dir():
-        raise MissingFileError(root, f"there is no such folder (a {data_set.name} data set was expected)")
+        raise MissingFileError(
+            root, f"there is no such folder (a {data_set.name} data set was expected)", "check the path"
+        )
     names = sorted(
         path.name for path in root.iterdir() if path.is_dir() and _labels(data_set, root, path.name).is_dir()
     )

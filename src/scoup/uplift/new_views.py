@@ -46,12 +46,16 @@ def embeddings_of(view_name: str, regions: Regions, levels: Sequence[str], dim: 
         InputError: the regions have other levels, or embeddings of another size.
     """
     if tuple(regions.levels) != tuple(levels):
-        raise InputError(f"the regions have levels {list(regions.levels)}, the field {list(levels)}")
+        raise InputError(
+            f"the regions have levels {list(regions.levels)}, the field {list(levels)}; "
+            "give regions made as the field's were"
+        )
     embeddings = [regions.load_embeddings(view_name, level) for level in levels]
     for rows in embeddings:
         if rows.shape[1] != dim:
             raise InputError(
-                f"the regions of {view_name!r} have embeddings of {rows.shape[1]} dimensions, the field {dim}"
+                f"the regions of {view_name!r} have embeddings of {rows.shape[1]} dimensions, the field {dim}; "
+                "extract them with the model that the field was built with"
             )
     return embeddings
 

@@ -69,13 +69,15 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
     changed: list[CodedView] = []
     for camera in add:
         if regions is None:
-            raise InputError("say what the regions of the new views are")
+            raise InputError(
+                "update: views to add are given without their regions; give regions=load_regions(folder, cameras)"
+            )
         changed.append(_code_new_view(field, coded, camera.name, regions, new_atoms))
         coded = coded.with_view(camera.name, changed[-1].codes, changed[-1].codebook)
     for name in remove:
         coded = coded.without(name)
     if not coded.rows[0]:
-        raise InputError("no view would be left to vote")
+        raise InputError("no view would be left to vote; keep at least one")
     if add and regions is not None:
         add_views(sums, field.gaussians, add, regions, backend, progress)
     for name in remove:

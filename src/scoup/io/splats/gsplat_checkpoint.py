@@ -129,11 +129,17 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
             )
             expected = ["N", *("?" if side < 0 else side for side in shape)]
             raise FileFormatError(
-                path, f"{key} is {found}, expected floats [{', '.join(map(str, expected))}]", ""
+                path,
+                f"{key} is {found}, expected floats [{', '.join(map(str, expected))}]",
+                f"it should be {_WHAT}",
             )
         result[key] = tensor.detach().float().numpy()
     if result["shN"].shape[1] + 1 not in {(degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1)}:
-        raise FileFormatError(path, f"shN has {result['shN'].shape[1]} coefficients, no whole SH degree", "")
+        raise FileFormatError(
+            path,
+            f"shN has {result['shN'].shape[1]} coefficients, no whole SH degree",
+            f"it should be {_WHAT}",
+        )
     return result
 
 
