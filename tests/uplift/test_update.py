@@ -350,7 +350,7 @@ def test_refusals(wall: Wall, kept: Kept) -> None:
     broken = Regions(LEVELS, ["late_0.png"], wall.regions.load, lambda *_: torch.full((3, DIM), float("nan")))
     with pytest.raises(InputError, match="not finite"):
         update(field, sums, late, broken, new_atoms=2)
-    with pytest.raises(InputError, match="say what the regions"):
+    with pytest.raises(InputError, match="given without their regions; give regions="):
         update(field, sums, late)
     with pytest.raises(InputError, match=r"'late_0\.png' is not in the field"):
         update(field, sums, remove=["late_0.png"])
