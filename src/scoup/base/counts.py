@@ -11,3 +11,8 @@ def counted(count: int, thing: str, things: str = "") -> str:
         things: in the plural, where that is not the singular with an s.
     """
     return f"{count:,} {thing if count == 1 else things or thing + 's'}"
+
+
+def none_of(count: int, thing: str) -> str:
+    """The subject of a sentence that denies something of all: "none of the 4 views", "no view" where there is one."""
+    return f"no {thing}" if count == 1 else f"none of the {count:,} {thing}s"

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.base.counts import counted
+from scoup.base.counts import counted, none_of
 from scoup.base.errors import ScoupError, ScoupWarning
 from scoup.base.processes import Processes
 from scoup.base.progress import Progress, no_progress
@@ -167,7 +167,7 @@ def _warn_of_skipped(report: ExtractReport, total: int) -> None:
         return
     first = "; ".join(list(report.skipped.values())[:3])
     if len(report.skipped) == total:
-        raise ScoupError(f"none of the {counted(total, 'photograph')} could be read: {first}")
+        raise ScoupError(f"{none_of(total, 'photograph')} could be read: {first}")
     warnings.warn(
         f"skipped {len(report.skipped)} of {counted(total, 'photograph')} that could not be read: {first}",
         ScoupWarning,

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from scoup.base.counts import counted
+from scoup.base.counts import counted, none_of
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.image_folder import ImageFolder
 from scoup.io.images import image_size
@@ -57,7 +57,7 @@ def attach_images(
     if not attached and not unreadable and images is not None:
         named = ", ".join(camera.name for camera in others[:3]) + (", ..." if len(others) > 3 else "")
         raise MissingFileError(
-            Path(images), f"has none of the {counted(len(cameras), 'image')} ({named})",
+            Path(images), f"has {none_of(len(cameras), 'image')} ({named})",
             "give the folder of their photographs",
         )  # fmt: skip
     kept = missing_images == "keep" or not attached
@@ -67,7 +67,7 @@ def attach_images(
         searched = str(folder.folder) if folder is not None else "no images folder"
         said = f"skipped {missing} of {counted(len(cameras), 'camera')} without an image ({searched})"
         if kept:
-            said = f"none of the {counted(missing, 'image')} was found ({searched}); using the cameras alone"
+            said = f"{none_of(missing, 'image')} was found ({searched}); using the cameras alone"
         warnings.warn(f"{source}: {said}", ScoupWarning, stacklevel=3)
     try:
         return Cameras(sorted([*attached, *(others if kept else [])], key=lambda camera: camera.name))

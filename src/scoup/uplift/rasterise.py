@@ -15,7 +15,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.arguments import check_arguments
-from scoup.base.counts import counted
+from scoup.base.counts import none_of
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
@@ -252,7 +252,7 @@ def cameras_with_regions(cameras: Cameras, regions: Regions) -> list[Camera]:
     chosen = [camera for camera in cameras if camera.name in regions]
     if not chosen:
         raise InputError(
-            f"none of the {counted(len(cameras), 'camera')} has regions; views with regions: "
+            f"{none_of(len(cameras), 'camera')} has regions; views with regions: "
             f"{', '.join(regions.view_names[:5]) or 'none'}; check that names agree"
         )
     return chosen

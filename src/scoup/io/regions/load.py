@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.arguments import PATH, check_arguments
-from scoup.base.counts import counted
+from scoup.base.counts import none_of
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.store import RegionStore
@@ -112,7 +112,7 @@ def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingF
     listed = f"it has {', '.join(there[:3])}" if there else f"it has no *{store.endings[0]} files"
     return MissingFileError(
         store.folder,
-        f"has features of none of the {counted(len(cameras), 'camera')}: expected {expected}; {listed}",
+        f"has features of {none_of(len(cameras), 'camera')}: expected {expected}; {listed}",
         "give the features of these images",
     )
 
