@@ -23,7 +23,7 @@ def answer(score: float, is_present: bool = True) -> Answer:
     return Answer(
         mask=mask,
         heat=heat,
-        component=mask,
+        main_parts=mask,
         box=found,
         coverage=0.125,
         level="m",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.names import unique_slugs
 from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionGroups, Texts
@@ -166,7 +167,7 @@ def _report(console: Console, out: Path, result: dict[str, Any], present_from: f
         console.say(_sentence(record, present_from))
     for sheet in result["sheets"]:
         console.say(f"{sheet}: the answers as pictures")
-    console.say(f"{out / RECORD}: {len(result['answers'])} answers")
+    console.say(f"{out / RECORD}: {counted(len(result['answers']), 'answer')}")
     console.result({"out": out, **result})
 
 

@@ -144,9 +144,12 @@ class TextOptions(FieldOptions):
             InputError, UnknownNameError: as ``scoup.query.text_vectors.encode_texts``; or neither the options nor
                 the field name a model or table.
         """
+        from scoup.base.errors import InputError
         from scoup.models.text import TextEncoder
         from scoup.query.text_vectors import encode_texts
 
+        if not self.text and not field.embedding_model:
+            raise InputError(f"{self.field}: names no embedding model; give a table or model with --text")
         source = self.text or field.encoder_source
         with TextEncoder.open(source, device=self.device) as encoder:
             return encode_texts(encoder, field, texts, source)

@@ -102,8 +102,8 @@ class LanguageField(FieldQueries):
         name = self.embedding_model
         if not name:
             raise InputError(
-                f"{self.path or 'this field'}: names no embedding model; give a word table, a model id, or a dict of "
-                "name -> vector (encoder=... in Python, --text on the command line)"
+                f"{self.path or 'this field'}: names no embedding model; pass encoder=..., a word table, a model id, or a "
+                "dict of name -> vector"
             )
         beside = None if self.path is None else self.path.parent / name
         return str(beside) if beside is not None and is_table(name) and beside.is_file() else name
@@ -227,6 +227,7 @@ class LanguageField(FieldQueries):
             UnknownNameError: there is no camera of that name.
             InputError: there are no cameras, or fewer.
         """
+        check_arguments("camera", camera=(camera, (Camera, str, int)))
         if isinstance(camera, Camera):
             return camera
         if self.cameras is None or not len(self.cameras):

@@ -46,8 +46,8 @@ def presence_threshold(texts: TextVectors, wanted: float | None = None) -> float
         return PRESENT_FROM if wanted is None else wanted
     if wanted is not None:
         raise InputError(
-            f"{texts.source}: has {counted(len(texts.everyday), 'word')}; presence is judged against {LEAST_WORDS} or more, so "
-            "add any words to the table"
+            f"{texts.source}: has {counted(len(texts.everyday), 'word')}; presence is judged against {LEAST_WORDS} or "
+            "more, so add any words to the table"
         )
     return None
 

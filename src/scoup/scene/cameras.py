@@ -16,6 +16,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from scoup.base.counts import counted
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card, first_of
 
@@ -215,7 +216,7 @@ class Cameras:
 
         sizes = [f"{width} x {height}" for width, height in dict.fromkeys((c.width, c.height) for c in self)]
         facts = {"names": first_of(self.names), "sizes": first_of(sizes), "picture": "from above"}
-        return card(f"{len(self)} cameras", facts, cameras_preview(self._cameras))
+        return card(counted(len(self), "camera"), facts, cameras_preview(self._cameras))
 
     def __len__(self) -> int:
         return len(self._cameras)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from scoup.base.counts import counted
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card, first_of
 from scoup.scene.directions import unit_rows
@@ -112,7 +113,7 @@ class Regions:
         return cls(levels, maps, lambda name, level: maps[name][level])
 
     def __repr__(self) -> str:
-        return f"Regions({len(self)} views, levels {', '.join(self.levels)}: {first_of(self.view_names)})"
+        return f"Regions({counted(len(self), 'view')}, levels {', '.join(self.levels)}: {first_of(self.view_names)})"
 
     def _repr_html_(self) -> str:
         from scoup.scene.previews import labels_preview
@@ -126,7 +127,7 @@ class Regions:
                 f"{name}, level {level}: {len(shown.embeddings)} regions of {shown.embeddings.shape[1]} d"
             )
             picture = labels_preview(shown.labels)
-        return card(f"Regions of {len(self)} views", facts, picture)
+        return card(f"Regions of {counted(len(self), 'view')}", facts, picture)
 
     def __len__(self) -> int:
         return len(self.view_names)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict, replace
 from pathlib import Path
 
 from scoup.base.arguments import check_arguments
+from scoup.base.errors import ScoupWarning
 from scoup.base.processes import at_work
 from scoup.base.progress import Progress, no_progress
 from scoup.field.artefact import FieldInfo
