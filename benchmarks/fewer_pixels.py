@@ -22,6 +22,7 @@ from torch import Tensor
 import scoup
 from benchmarks.kitchen import make_features
 from scoup.bench import Stopwatch
+from scoup.io import write_text
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -68,7 +69,7 @@ def main(arguments: Arguments) -> dict[str, dict[str, float]]:
         shares = " | ".join(f"{row[f'agreement {level}']:.3f}" for level in regions.levels)
         print(f"| {name} | {row['relative time']:.2f} | {shares} |")
     if arguments.out is not None:
-        arguments.out.write_text(json.dumps(found, indent=1))
+        write_text(arguments.out, json.dumps(found, indent=1), overwrite=True)
     return found
 
 

@@ -35,6 +35,7 @@ from scoup.evaluate.label_vectors import encode_labels
 from scoup.evaluate.metrics import bootstrap_interval
 from scoup.evaluate.scores import SceneScore
 from scoup.evaluate.studies.study_scene import StudyScene
+from scoup.io import write_text
 from scoup.io.labels import match_frames, read_labels
 from scoup.query.presets import QUERY_PRESETS
 from scoup.uplift.build_settings import BuildSettings
@@ -161,7 +162,7 @@ def summarise(scores: dict[str, SceneScore], arguments: Arguments, seconds: dict
         "torch": torch.__version__,
     }
     if arguments.out is not None:
-        arguments.out.write_text(json.dumps(result, indent=1))
+        write_text(arguments.out, json.dumps(result, indent=1), overwrite=True)
     return result
 
 

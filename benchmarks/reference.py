@@ -20,6 +20,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.bench import Task, time_tasks
+from scoup.io import write_text
 from scoup.raster import reference
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
@@ -86,7 +87,7 @@ def main(arguments: Arguments) -> dict[str, float]:
         for other in others:
             print(f"{shortcut}: {medians[other] / medians[shortcut]:.1f} x faster than {other}")
     if arguments.out is not None:
-        arguments.out.write_text(json.dumps(medians, indent=1))
+        write_text(arguments.out, json.dumps(medians, indent=1), overwrite=True)
     return medians
 
 

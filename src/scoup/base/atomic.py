@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
-from scoup.base.errors import InputError, OutputExistsError
+from scoup.base.errors import NO_SPACE, InputError, OutputExistsError, ScoupError, WriteError
+from scoup.base.holding import try_hold
+
+LONGEST_STEM = 64  # of the name of a temporary file
 
 
 def check_output(path: str | Path, overwrite: bool = False) -> Path:
@@ -43,6 +47,27 @@ def check_output(path: str | Path, overwrite: bool = False) -> Path:
 
 
 @contextmanager
+def folder_made(folder: Path, output: Path) -> Iterator[None]:
+    """Make the folder of an output, with its parents; after an error those that were missing are removed again.
+
+    Raises:
+        WriteError: the system refuses; names the output.
+    """
+    missing = [place for place in (folder, *folder.parents) if not os.path.exists(place)]
+    try:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise WriteError.of(output, error) from error
+        yield
+    except BaseException:
+        for place in missing:
+            with suppress(OSError):  # others may have written there
+                place.rmdir()
+        raise
+
+
+@contextmanager
 def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     """A temporary path in the same folder (and with the same extension) that becomes ``path`` at the end.
 
@@ -50,32 +75,28 @@ def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     removed and ``path`` keeps what it held.
 
     Raises:
-        OutputExistsError, InputError: as ``check_output``; InputError also where the system refuses.
+        OutputExistsError, InputError: as ``check_output``.
+        WriteError: the system refuses to write the temporary file; names ``path``.
     """
     path = check_output(path, overwrite)
-    temporary = path.with_name(f".{path.stem[:64]}.{secrets.token_hex(6)}{path.suffix}")
-    with _refusals_named(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        yield temporary
-        # Somebody else may have written the file meanwhile.
-        check_output(path, overwrite)
-        with _refusals_named(path):
+    temporary = path.with_name(f".{path.stem[:LONGEST_STEM]}.{secrets.token_hex(6)}{path.suffix}")
+    with folder_made(path.parent, path), refusals_named(path, temporary):
+        try:
+            yield temporary
+            # Somebody else may have written the file meanwhile.
+            check_output(path, overwrite)
             os.replace(temporary, path)
-    except BaseException:
-        with suppress(OSError):
-            temporary.unlink()
-        raise
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
 
 
 @contextmanager
-def atomic_file(path: str | Path, overwrite: bool = False) -> Iterator[BinaryIO]:
+def atomic_file(path: str | Path, overwrite: bool = False) -> Iterator[io.BufferedIOBase]:
     """A binary file that becomes ``path`` when the block ends without an error. See ``atomic_path``."""
-    with atomic_path(path, overwrite) as temporary:
-        with _refusals_named(Path(path)):
-            stream = temporary.open("xb")
-        with stream:
-            yield stream
+    with atomic_path(path, overwrite) as temporary, _Output(temporary) as stream:
+        yield stream
 
 
 def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
@@ -84,9 +105,85 @@ def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
         stream.write(text.encode("utf-8"))
 
 
+class _Output(io.BufferedIOBase):
+    """A new file, held by this process (``base.holding``). A write that the system refuses is a WriteError.
+
+    It has no ``fileno`` on purpose: libraries would write past it, and say of a full disk whatever they like.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._stream = path.open("xb")
+        with suppress(OSError):
+            try_hold(self._stream.fileno())
+
+    def writable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def write(self, data: Any, /) -> int:
+        with self._refusals_named():
+            return self._stream.write(data)
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        with self._refusals_named():
+            return self._stream.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._stream.tell()
+
+    def flush(self) -> None:
+        if not self._stream.closed:
+            with self._refusals_named():
+                self._stream.flush()
+
+    def close(self) -> None:
+        try:
+            super().close()  # flushes
+        finally:
+            with self._refusals_named():
+                self._stream.close()
+
+    @contextmanager
+    def _refusals_named(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise WriteError.of(self._path, error) from error
+
+
 @contextmanager
-def _refusals_named(path: Path) -> Iterator[None]:
+def refusals_named(output: Path, temporary: Path) -> Iterator[None]:
+    """Refusals to write a temporary file, or what is in a temporary folder, name the output that it would become.
+
+    A file that cannot be read in the block is not mistaken for one that cannot be written.
+
+    Raises:
+        WriteError: a write was refused.
+    """
     try:
         yield
+    except WriteError as error:
+        final = _final(error.path, output, temporary)
+        if final is None:
+            raise
+        raise error.at(final) from error
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
+        if isinstance(error, ScoupError):
+            raise
+        final = _final(error.filename, output, temporary)
+        # A disk is full for those that write only, even where the file named is the one that was copied.
+        if final is None and error.errno in NO_SPACE:
+            final = output
+        if final is None:
+            raise
+        raise WriteError.of(final, error) from error
+
+
+def _final(path: Any, output: Path, temporary: Path) -> Path | None:
+    """What a path at, or below, ``temporary`` will be; None for other paths."""
+    if not isinstance(path, (str, Path)) or not Path(path).is_relative_to(temporary):
+        return None
+    return output / Path(path).relative_to(temporary)

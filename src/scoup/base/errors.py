@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import functools
 import warnings
 from collections.abc import Iterable, Mapping
@@ -10,6 +11,9 @@ from pathlib import Path
 from typing import TypeVar
 
 Entry = TypeVar("Entry")
+
+NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)})
+"""What the system says only where something is written: the disk, the quota or the largest size of a file is full."""
 
 
 class ScoupError(Exception):
@@ -39,6 +43,25 @@ class FileFormatError(InputError):
         return type(self), (self.path, self.problem, self.remedy)
 
 
+class FieldVersionError(FileFormatError):
+    """A language field in a version of the format that this software does not know yet.
+
+    Args:
+        path: the file.
+        version: of the file.
+        newest: version that this software reads.
+    """
+
+    def __init__(self, path: str | Path, version: int, newest: int) -> None:
+        self.version = version
+        self.newest = newest
+        problem = f"was written by a newer SCOUP (format version {version}, this one reads up to {newest})"
+        super().__init__(path, problem, "update it: pip install -U scoup")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.path, self.version, self.newest)
+
+
 class MissingFileError(FileFormatError, FileNotFoundError):
     """A file or folder that is not there."""
 
@@ -52,6 +75,53 @@ class OutputExistsError(ScoupError, FileExistsError):
 
     def __init__(self, path: str | Path) -> None:
         super().__init__(f"{path}: already exists; pass --overwrite (overwrite=True in Python) to replace it")
+
+
+class WriteError(InputError):
+    """An output that the system refuses to write, such as on a full disk.
+
+    Args:
+        path: the output.
+        reason: the system's.
+        remedy: what the user can do.
+    """
+
+    def __init__(self, path: str | Path, reason: str, remedy: str = "") -> None:
+        self.path = Path(path)
+        self.reason = reason
+        self.remedy = remedy
+        super().__init__(f"{path}: cannot be written ({reason})" + (f"; {remedy}" if remedy else ""))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.path, self.reason, self.remedy)
+
+    @classmethod
+    def of(cls, path: str | Path, error: OSError) -> WriteError:
+        """The error of an output for one of the system."""
+        full = error.errno in NO_SPACE
+        remedy = "free some space, or choose another place" if full else ""
+        return cls(path, error.strerror or str(error), remedy)
+
+    def at(self, path: Path) -> WriteError:
+        """The same of another path: of the output that a temporary file would have become."""
+        return WriteError(path, self.reason, self.remedy)
+
+
+class OutputInUseError(InputError):
+    """An output that another process is writing.
+
+    Args:
+        path: the output.
+        holder: which process, as far as it is known.
+    """
+
+    def __init__(self, path: str | Path, holder: str) -> None:
+        self.path = Path(path)
+        self.holder = holder
+        super().__init__(f"{path}: is being written by {holder}; wait for it or give another --out")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.path, self.holder)
 
 
 class UnknownNameError(InputError, KeyError):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import re
+import signal
 import sys
 
 from scoup.cli.bench import Bench
 from scoup.cli.build import Build
-from scoup.cli.console import Console, run_verb
+from scoup.cli.console import Console, Terminated, close_output, run_verb
 from scoup.cli.convert import Convert
 from scoup.cli.demo import Demo
 from scoup.cli.evaluate import EVAL
@@ -37,7 +37,8 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup info scene.scoup
   scoup eval lerf-ovs ROOT
 
-`scoup VERB --help` explains a verb. Exit codes: 0 done, 1 a fault of the program, 2 bad input, 130 interrupted."""
+`scoup VERB --help` explains a verb. Exit codes: 0 done, 1 a fault of the program, 2 bad input, 130 interrupted,
+143 terminated."""
 
 SCOUP = Family(
     DESCRIPTION,
@@ -85,14 +86,21 @@ def entry() -> None:
             # File names and texts may hold letters that the terminal's encoding lacks.
             stream.reconfigure(errors="backslashreplace")
     try:
+        signal.signal(signal.SIGTERM, _terminate)
         code = run(sys.argv[1:])
         sys.stdout.flush()
-    except KeyboardInterrupt:  # before a verb has begun
-        code = 130
+    except KeyboardInterrupt as stop:  # before a verb has begun
+        code = 143 if isinstance(stop, Terminated) else 130
     except BrokenPipeError:  # whoever read the help, such as head, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        close_output()
         code = 0
     sys.exit(code)
+
+
+def _terminate(*_: object) -> None:
+    """End as after an interruption: temporary files are removed, locks are given up."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough; cleaning up is not to be cut short
+    raise Terminated
 
 
 def _in_one_line(box: str) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from scoup.base.counts import counted
-from scoup.cli.console import Console
+from scoup.cli.console import Console, kept
 from scoup.cli.options import Flag, OptionalInteger, OptionalNumber, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.scene_options import ViewOptions
 
@@ -97,6 +97,7 @@ class Build(ViewOptions):
 
     def run(self, console: Console) -> None:
         """Build, save and report."""
+        from scoup.base.locks import locked_file
         from scoup.base.processes import device_of_process, process_group
         from scoup.io import load_gaussians
         from scoup.io.scene_parts import find_splat
@@ -116,10 +117,10 @@ class Build(ViewOptions):
         started = time.perf_counter()
         with (
             process_group(device) as processes,
+            locked_file(out, self.overwrite, processes),
             self._region_sums(out, gaussians, regions, settings, processes) as sums,
         ):
-            if processes.first:
-                _say_what_is_continued(console, sums, len(regions))
+            self._announce(console, sums, len(regions), processes)
             with console.progress() as progress:
                 field = build(
                     gaussians, cameras, regions, settings, embedding_model=model, geometry_path=source, sums=sums,
@@ -178,19 +179,22 @@ class Build(ViewOptions):
         how = {"weights": self.sums_weights, "least_weight": self.least_weight}
         return checkpoint(out, gaussians, regions, settings.raster_preset, self.keep_sums, processes, **how)
 
+    def _announce(self, console: Console, sums: RegionSums, views: int, processes: Processes) -> None:
+        """Say what is continued, now, and what is kept, should the build be interrupted."""
+        from scoup.uplift.checkpoint import continued
+
+        if self.sums is None:
+            share = len(processes.share(range(views)))
+            console.kept = lambda: kept(len(sums), share, "views")
+        message = continued(sums, views)
+        if processes.first and message:
+            console.say(message)
+
 
 def _usual_model(regions: Regions) -> str:
     """LangSplat's CLIP model for features that do not name theirs; "" where it cannot have made them."""
     rows = regions.load_embeddings(regions.view_names[0], regions.levels[0])
     return CLIP_MODEL if rows.shape[1] == CLIP_DIM else ""
-
-
-def _say_what_is_continued(console: Console, sums: RegionSums, views: int) -> None:
-    if sums.writable and (len(sums) or sums.codes is not None):
-        codes = "the codes are kept" if sums.codes is not None else "codes are learned anew"
-        console.say(
-            f"{sums.path}: continues an interrupted build: {len(sums)} of {views} views are there, {codes}"
-        )
 
 
 def _report(

@@ -11,40 +11,51 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from scoup.base.errors import ScoupError, ScoupWarning
+from scoup.base.errors import ScoupError, ScoupWarning, WriteError
 from scoup.base.progress import Progress, no_progress
 from scoup.cli.options import Common
 
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
 
 
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end (SIGTERM): cleaned up after as after an interruption."""
+
+
 class Console:
     """The standard streams of one run of a verb.
 
     Text goes to standard output unless quiet or JSON is wanted; warnings and errors go to standard error.
+
+    Attributes:
+        kept: says what an interruption at this moment leaves; a verb that resumes its work sets it.
     """
 
     def __init__(self, common: Common) -> None:
         self.common = common
         self.warnings: list[str] = []
+        self.kept: Callable[[], str] = lambda: kept(0, 0, "")
 
     def say(self, *parts: Any) -> None:
         """Print a line, or a rich table, for people."""
         if self.common.quiet or self.common.as_json:
             return
         if all(isinstance(part, str) for part in parts):
-            print(*parts)  # not by rich: file names and texts may contain what it takes for markup
+            with _output_named():
+                print(*parts)  # not by rich: file names and texts may contain what it takes for markup
             return
         from rich.console import Console as RichConsole
 
-        RichConsole().print(*parts, highlight=False, soft_wrap=True)
+        with _output_named():
+            RichConsole().print(*parts, highlight=False, soft_wrap=True)
 
     def result(self, record: dict[str, Any]) -> None:
         """Print the machine-readable result, if asked for."""
         if self.common.as_json:
             if self.warnings:
                 record = {**record, "warnings": self.warnings}
-            print(json.dumps(record, indent=2, default=_plain))
+            with _output_named():
+                print(json.dumps(record, indent=2, default=_plain))
 
     def warn(self, message: str) -> None:
         """Print a warning the first time it comes, and keep it for the JSON result."""
@@ -90,7 +101,8 @@ def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
     """Run a verb; print errors that the user can correct as one line.
 
     Returns:
-        Exit code: 0 done, 2 bad input, 130 interrupted. Faults of the program itself raise (exit code 1).
+        Exit code: 0 done, 2 bad input, 130 interrupted, 143 terminated. Faults of the program itself raise (exit
+        code 1).
     """
     console = Console(common)
 
@@ -106,16 +118,18 @@ def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
         try:
             check_device(common.device)
             run(console)
-            sys.stdout.flush()
+            with _output_named():
+                sys.stdout.flush()
             return 0
         except ScoupError as error:
             return console.fail(str(error), 2)
-        except KeyboardInterrupt:
-            return console.fail("interrupted", 130)
+        except KeyboardInterrupt as stop:
+            word, code = ("terminated", 143) if isinstance(stop, Terminated) else ("interrupted", 130)
+            return console.fail(f"{word}; {console.kept()}", code)
         except MemoryError:
             return console.fail(_OUT_OF_MEMORY, 2)
         except BrokenPipeError:  # whoever read the output, such as head, has seen enough
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            close_output()
             return 0
         except OSError as error:  # such as a full disk: no fault of the program
             where = f"{error.filename}: " if error.filename else ""
@@ -126,6 +140,30 @@ def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
             if "allocate" not in str(error) and "out of memory" not in str(error):
                 raise
             return console.fail(_OUT_OF_MEMORY, 2)  # as torch reports it
+
+
+def kept(done: int, total: int, what: str) -> str:
+    """What an interruption leaves, in words: so many of what a verb makes one by one."""
+    if not done:
+        return "nothing was written"
+    return f"{done} of {total} {what} are kept, run the same command again to continue"
+
+
+def close_output() -> None:
+    """Write no more to standard output: what waits there cannot be written."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def _output_named() -> Iterator[None]:
+    """Standard output that cannot be written, such as a file on a full disk, is said to be so."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        close_output()
+        raise WriteError.of("standard output", error) from error
 
 
 def check_device(device: str) -> None:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from scoup.base.counts import counted
+from scoup.base.staging import staged
 from scoup.cli.console import Console
 from scoup.cli.options import OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.evaluate.demonstration import DemoResult
+
+
+FIELD, SHEET, SCORES = "demo.scoup", "queries.png", "scores.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,24 +48,26 @@ class Demo(WritesCommon):
 
         from scoup.evaluate.demonstration import DemoSettings, run_demo
         from scoup.evaluate.demonstration_sheet import query_sheet
-        from scoup.io import check_output, save_png, write_text
+        from scoup.io import save_png, write_text
+        from scoup.synthetic.folder import FILES
 
-        sheet, scores = self.out / "queries.png", self.out / "scores.json"
-        for path in (sheet, scores):
-            check_output(path, self.overwrite)
+        files = [FIELD, SHEET, SCORES, *(f"scene/{name}" for name in FILES)]
         console.say(
             f"a scene of {counted(self.n_gaussians, 'Gaussian')}, {counted(self.views, 'view')} of "
             f"{self.width} x {self.height}"
         )
         settings = DemoSettings(self.seed, self.n_gaussians, self.width, self.height, self.views)
-        with console.progress() as progress:
-            result = run_demo(self.out, settings, self.overwrite, progress)
-        save_png(query_sheet(result), sheet, self.overwrite)
-        record = _record(result, self.out)
-        write_text(scores, json.dumps(record, indent=2), self.overwrite)
+        with staged(self.out, files, self.overwrite) as hidden, console.progress() as progress:
+            result = run_demo(hidden, settings, progress=progress)
+            save_png(query_sheet(result), hidden / SHEET)
+            record = _record(result, self.out)
+            write_text(hidden / SCORES, json.dumps(record, indent=2))
+        result = replace(result, field_path=self.out / FIELD)
         _say_names(console, result)
         _say_totals(console, result)
-        console.say(f"\npictures: {sheet}\nscores:   {scores}\nfield:    {result.field_path}")
+        console.say(
+            f"\npictures: {self.out / SHEET}\nscores:   {self.out / SCORES}\nfield:    {self.out / FIELD}"
+        )
         words, thing = self.out / "scene" / "text.npz", result.scene.layout.favourites[0]
         console.say(f'query it: scoup query {result.field_path} "{thing}" --text {words} --camera all')
         console.result(record)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -11,11 +13,12 @@ import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.build import CLIP_MODEL
-from scoup.cli.console import Console
+from scoup.cli.console import Console, kept
 from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.base.processes import Processes
+    from scoup.base.progress import Progress
     from scoup.extract import ExtractReport
 
 
@@ -93,7 +96,7 @@ class Extract(WritesCommon):
             self.with_default,
         )
         output = Output(self.layout, self.bits, self.max_height or None)
-        with console.progress() as progress:
+        with _at_work(console, out, processes) as progress:
             report = extract(
                 photographs, out, segmenter, embedder, output, self.overwrite, processes, progress
             )
@@ -107,6 +110,28 @@ class Extract(WritesCommon):
         }
         shares = {"rank": processes.rank, "world_size": processes.world} if processes.world > 1 else {}
         console.result({**record, "embedding_model": embedder.name, **shares})
+
+
+@contextmanager
+def _at_work(console: Console, out: Path, processes: Processes) -> Iterator[Progress]:
+    """A progress callback that also says what is continued, and what an interruption leaves; ``out`` is locked.
+
+    Of several processes, which do not communicate here, the first holds the lock.
+    """
+    from scoup.base.locks import locked_folder
+
+    started = False
+
+    def report(stage: str, done: int, total: int) -> None:
+        nonlocal started
+        if not started and 0 < done < total:
+            console.say(f"{out}: continues: {done} of {total} views are there")
+        started = True
+        console.kept = lambda: kept(done, total, "views")
+        progress(stage, done, total)
+
+    with locked_folder(out) if processes.first else nullcontext(), console.progress() as progress:
+        yield report
 
 
 def _record(report: ExtractReport) -> dict[str, Any]:

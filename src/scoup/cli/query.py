@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scoup.base.counts import counted
+from scoup.base.staging import check_outputs, staged
 from scoup.cli.console import Console
-from scoup.cli.names import unique_slugs
+from scoup.cli.names import check_folder, unique_slugs
 from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionGroups, Texts
 from scoup.cli.query_options import (
     CameraOptions,
@@ -16,7 +17,6 @@ from scoup.cli.query_options import (
     absence_message,
     check_texts,
 )
-from scoup.cli.staging import check_folder, check_outputs, staged
 
 if TYPE_CHECKING:
     from torch import Tensor

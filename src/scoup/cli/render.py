@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scoup.base.counts import counted
+from scoup.base.staging import staged
 from scoup.cli.console import Console
-from scoup.cli.names import unique_slugs
+from scoup.cli.names import check_folder, unique_slugs
 from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.query_options import CameraOptions, TextOptions
-from scoup.cli.staging import check_folder, staged
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField

@@ -58,6 +58,7 @@ class Update(FieldOptions, ViewOptions):
     def run(self, console: Console) -> None:
         """Update, save and report."""
         from scoup.base.errors import InputError
+        from scoup.base.locks import locked_file
         from scoup.io import check_output
         from scoup.uplift.checkpoint import changed_copy
         from scoup.uplift.region_sums import sums_path
@@ -69,16 +70,16 @@ class Update(FieldOptions, ViewOptions):
         for path in (out, sums_path(out)):
             check_output(path, self.overwrite)
         source = self._source()
-        field = self.open_field()
-        cameras, regions = self._changed_views(field, source)
-        # Field and sums change together or not at all.
-        with changed_copy(source, sums_path(out), self.overwrite) as sums:
-            with console.progress() as progress:
+        with locked_file(out, self.overwrite):  # before reading: nobody else changes the field meanwhile
+            field = self.open_field()
+            cameras, regions = self._changed_views(field, source)
+            # Field and sums change together or not at all.
+            with changed_copy(source, sums_path(out), self.overwrite) as sums, console.progress() as progress:
                 updated = update(
                     field, sums, cameras, regions, self.remove, self.new_atoms,
                     check_fit=not self.no_check_fit, progress=progress,
                 )  # fmt: skip
-            updated.save(out, self.overwrite, field.geometry_path is None, self.weight_bits)
+                updated.save(out, self.overwrite, field.geometry_path is None, self.weight_bits)
         total = len(updated.info.provenance["views"])
         console.say(
             f"{out}: {counted(len(cameras), 'view')} added, {len(self.remove)} removed, {total:,} in all; "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -83,6 +83,7 @@ def evaluate_scene(
     out: Path,
     settings: EvaluationSettings,
     progress: Progress = no_progress,
+    say: Callable[[str], None] = lambda _: None,
 ) -> SceneEvaluation:
     """Build what is missing, predict what is not in the cache, score, draw.
 
@@ -92,10 +93,12 @@ def evaluate_scene(
         out: folder of the fields, the cache and the failure sheets.
         settings: see there.
         progress: called while building and predicting.
+        say: is given a sentence where an interrupted build is continued.
     """
     vectors = encode_labels(scene, text_source, settings.device)
     path = out / "fields" / f"{scene.name}.scoup"
-    field = build_field(scene, path, settings.build, text_source, settings.rebuild, settings.device, progress)
+    rebuild, device = settings.rebuild, settings.device
+    field = build_field(scene, path, settings.build, text_source, rebuild, device, progress, say)
     cache, digest = PredictionCache(out / "cache"), file_digest(path)
     preset = data_set_preset(settings.data_set, settings.rules)
     maps = predict(scene, vectors, field, digest, cache, progress=progress)

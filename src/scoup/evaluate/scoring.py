@@ -3,13 +3,14 @@ protocol."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
 from torch import Tensor
 
 from scoup.base.errors import InputError
+from scoup.base.locks import locked_file
 from scoup.base.progress import Progress, no_progress
 from scoup.baselines.fitted import FittedField, FittedMethod
 from scoup.evaluate.data_sets import DataSet, LabelledScene
@@ -27,7 +28,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.checkpoint import checkpoint
+from scoup.uplift.checkpoint import checkpoint, continued
 
 
 def build_field(
@@ -38,11 +39,16 @@ def build_field(
     rebuild: bool = False,
     device: str = "cpu",
     progress: Progress = no_progress,
+    say: Callable[[str], None] = lambda _: None,
 ) -> LanguageField:
     """The field of a scene: read where it is built already, else built and saved.
 
+    Args:
+        say: is given a sentence where an interrupted build is continued.
+
     Raises:
         InputError: a field is there that was built with other settings, and ``rebuild`` is false.
+        OutputInUseError: another process is building it.
     """
     gaussians = load_gaussians(scene.splat).to(device)
     # Which constants the rasteriser uses follows from the splat.
@@ -56,8 +62,12 @@ def build_field(
             )
         return field
     regions = load_regions(scene.features, scene.cameras)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with checkpoint(path, gaussians, regions, settings.raster_preset) as sums:
+    with (
+        locked_file(path, overwrite=rebuild),
+        checkpoint(path, gaussians, regions, settings.raster_preset) as sums,
+    ):
+        if message := continued(sums, len(regions)):
+            say(message)
         field = build(
             gaussians,
             scene.cameras,
@@ -68,7 +78,7 @@ def build_field(
             sums=sums,
             progress=progress,
         )
-        field.save(path, overwrite=True)
+        field.save(path, overwrite=rebuild)
     # What is scored is what is stored, half precision included.
     return LanguageField.load(path, gaussians).to(device)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scoup.io import write_text
+from scoup.base.atomic import atomic_file
+from scoup.base.staging import check_outputs, staged
 
 CAVEATS = (
     "Thresholds are tuned for each data set by the papers.",
@@ -63,9 +64,9 @@ def write_tables(
     title: str,
     record: dict[str, Any],
     overwrite: bool = False,
-    pictures: Sequence[str] = (),
+    pictures: Mapping[str, bytes] | None = None,
 ) -> list[Path]:
-    """Write tables as ``stem.md`` and ``stem.tex``, and a record as ``stem.json``; these files.
+    """Write tables as ``stem.md`` and ``stem.tex``, a record as ``stem.json``, and pictures: all or none; these files.
 
     Args:
         tables: in order.
@@ -73,21 +74,27 @@ def write_tables(
         stem: of the file names.
         title: of the Markdown page.
         record: of the JSON; no NaN.
-        overwrite: replace what is there.
-        pictures: file names to show at the end of the page.
+        overwrite: replace what is there; pictures are always replaced.
+        pictures: contents by file name, to show at the end of the page.
+
+    Raises:
+        OutputExistsError: a table is there and ``overwrite`` is false.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    pictures = pictures or {}
     shown = [f"![{Path(name).stem}]({name})\n" for name in pictures]
     page = "\n".join([f"# {title}\n", *(table.markdown() for table in tables), *shown])
-    contents = {
-        "md": page,
-        "json": json.dumps(record, indent=1, allow_nan=False) + "\n",
-        "tex": "\n".join(table.latex() for table in tables),
+    texts = {
+        f"{stem}.md": page,
+        f"{stem}.json": json.dumps(record, indent=1, allow_nan=False) + "\n",
+        f"{stem}.tex": "\n".join(table.latex() for table in tables),
     }
-    files = [folder / f"{stem}.{suffix}" for suffix in contents]
-    for file, content in zip(files, contents.values(), strict=True):
-        write_text(file, content, overwrite)
-    return files
+    check_outputs(folder, list(texts), overwrite)
+    contents = {name: text.encode() for name, text in texts.items()} | dict(pictures)
+    with staged(folder, list(contents), overwrite=True) as hidden:
+        for name, content in contents.items():
+            with atomic_file(hidden / name) as stream:
+                stream.write(content)
+    return [folder / name for name in contents]
 
 
 def _line(cells: Sequence[str]) -> str:

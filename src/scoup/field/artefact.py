@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+import re
+import zlib
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.base.atomic import atomic_path, check_output
-from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.errors import FieldVersionError, FileFormatError, InputError, MissingFileError, WriteError
 from scoup.io.reading import safetensors_damage_named
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
 
 SCHEMA = "scoup.language_field"
-VERSION = 1
+VERSION = 2  # READERS reads this one and those before it
 METADATA_KEY = "scoup"
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
 _REBUILD = "build the field again, or copy the file again if it was cut short"
@@ -111,7 +114,11 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
         tensors |= {f"geometry.{name}": getattr(parts.gaussians, name) for name in _GEOMETRY}
     if parts.cameras is not None:
         tensors |= _camera_tensors(parts.cameras)
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     header = {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "checksums": {name: tensor_checksum(tensor) for name, tensor in tensors.items()},
         "levels": list(parts.info.levels),
         "embedding_model": parts.info.embedding_model,
         "raster_preset": parts.info.raster_preset,
@@ -123,47 +130,113 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
         "cameras": None if parts.cameras is None else list(parts.cameras.names),
         "provenance": parts.info.provenance,
     }
+    # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
+    metadata = {METADATA_KEY: _with_checksum(header)}
     with atomic_path(path, overwrite) as temporary:
-        _write(path, temporary, tensors, SCHEMA, header)
+        _write(temporary, tensors, metadata)
 
 
 def read_field(path: Path) -> FieldParts:
     """Read what a ``.scoup`` file holds; see ``LanguageField.load``. The parts are not yet checked for sense.
 
+    Everything in the file is read, once: header and tensors, embedded Gaussians included. From format version 2 on, all
+    of it is compared with its checksums before any of it is used.
+
     Raises:
-        MissingFileError, FileFormatError: it is not there, or no language field.
+        MissingFileError, FileFormatError: it is not there, no language field, or damaged.
+        FieldVersionError: it is of a newer version.
     """
-    tensors, header = read_tensors(path, SCHEMA, "a SCOUP language field")
+    text, header, tensors = _read(path)
     with field_damage_named(path):
-        geometry = header["geometry"]
-        info = FieldInfo(
-            levels=tuple(str(level) for level in header["levels"]),
-            embedding_model=str(header["embedding_model"]),
-            fingerprint=str(geometry["fingerprint"]),
-            n_gaussians=int(geometry["n_gaussians"]),
-            raster_preset=str(header["raster_preset"]),
-            provenance=dict(header["provenance"]),
-        )
-        geometry_path = geometry["path"]
-        if geometry_path is not None:
-            geometry_path = Path(os.path.normpath(path.absolute().parent / str(geometry_path)))
-        weights = tensors["code_weights"]
-        if weights.dtype == torch.uint8:
-            weights = weights.float() / weights.float().sum(-1, keepdim=True).clamp(min=1)
-        elif weights.dtype != torch.float16:
-            raise InputError(f"code weights are {weights.dtype}, expected float16 or uint8")
-        gaussians = None
-        if "geometry.means" in tensors:
-            gaussians = Gaussians(*(tensors[f"geometry.{name}"] for name in _GEOMETRY))
-        return FieldParts(
-            tensors["code_indices"],
-            weights,
-            tensors["codebook"].float(),
-            info,
-            gaussians,
-            geometry_path,
-            _cameras(tensors, header["cameras"]),
-        )
+        version = header["version"]
+        if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+            raise InputError(f"its format version is {version!r}")
+        if version not in READERS:
+            raise FieldVersionError(path, version, VERSION)
+        return READERS[version](path, text, header, tensors)
+
+
+def _read_version_1(path: Path, text: str, header: dict[str, Any], tensors: dict[str, Tensor]) -> FieldParts:
+    """The parts of a file without checksums."""
+    geometry = header["geometry"]
+    info = FieldInfo(
+        levels=tuple(str(level) for level in header["levels"]),
+        embedding_model=str(header["embedding_model"]),
+        fingerprint=str(geometry["fingerprint"]),
+        n_gaussians=int(geometry["n_gaussians"]),
+        raster_preset=str(header["raster_preset"]),
+        provenance=dict(header["provenance"]),
+    )
+    geometry_path = geometry["path"]
+    if geometry_path is not None:
+        geometry_path = Path(os.path.normpath(path.absolute().parent / str(geometry_path)))
+    weights = tensors["code_weights"]
+    if weights.dtype == torch.uint8:
+        weights = weights.float() / weights.float().sum(-1, keepdim=True).clamp(min=1)
+    elif weights.dtype != torch.float16:
+        raise InputError(f"code weights are {weights.dtype}, expected float16 or uint8")
+    gaussians = None
+    if "geometry.means" in tensors:
+        gaussians = Gaussians(*(tensors[f"geometry.{name}"] for name in _GEOMETRY))
+    return FieldParts(
+        tensors["code_indices"],
+        weights,
+        tensors["codebook"].float(),
+        info,
+        gaussians,
+        geometry_path,
+        _cameras(tensors, header["cameras"]),
+    )
+
+
+def _read_version_2(path: Path, text: str, header: dict[str, Any], tensors: dict[str, Tensor]) -> FieldParts:
+    """The same with checksums, which must all agree."""
+    checksum = header["checksum"]
+    if text_checksum(_replaced(text, checksum, NO_CHECKSUM)) != checksum:
+        raise FileFormatError(path, "is damaged (checksum of the header)", _REBUILD)
+    checksums = header["checksums"]
+    if checksums.keys() != tensors.keys():
+        raise FileFormatError(path, "is damaged (its header names other tensors)", _REBUILD)
+    for name, tensor in tensors.items():
+        if tensor_checksum(tensor) != checksums[name]:
+            raise FileFormatError(path, f"is damaged (checksum of {name})", _REBUILD)
+    return _read_version_1(path, text, header, tensors)
+
+
+READERS: Mapping[int, Callable[[Path, str, dict[str, Any], dict[str, Tensor]], FieldParts]] = {
+    1: _read_version_1,
+    2: _read_version_2,
+}
+"""What reads a file of each format version: from its path, the text of the header, that parsed, and all tensors."""
+
+
+def tensor_checksum(tensor: Tensor) -> str:
+    """CRC-32 over type, shape and bytes of a tensor on the CPU, as eight hexadecimal digits.
+
+    CRC-32 finds every error of a few bits, and is the fastest checksum of the standard library.
+    """
+    array = tensor.contiguous().numpy()
+    described = f"{array.dtype} {list(array.shape)}\n".encode()
+    return f"{zlib.crc32(array.reshape(-1).view(np.uint8), zlib.crc32(described)):08x}"
+
+
+def text_checksum(text: str) -> str:
+    """CRC-32 of a text in UTF-8, as eight hexadecimal digits."""
+    return f"{zlib.crc32(text.encode()):08x}"
+
+
+NO_CHECKSUM = "0" * 8
+
+
+def _with_checksum(header: dict[str, Any]) -> str:
+    """The header as JSON, with a checksum of this very text, taken with zeros in the checksum's place."""
+    text = json.dumps({**header, "checksum": NO_CHECKSUM}, sort_keys=True)
+    return _replaced(text, NO_CHECKSUM, text_checksum(text))
+
+
+def _replaced(text: str, checksum: str, other: str) -> str:
+    """The JSON text with another checksum in it."""
+    return text.replace(f'"checksum": "{checksum}"', f'"checksum": "{other}"', 1)
 
 
 @contextmanager
@@ -178,45 +251,50 @@ def field_damage_named(path: Path) -> Iterator[None]:
         raise FileFormatError(path, f"is not a complete language field ({reason})", _REBUILD) from error
 
 
-def read_tensors(path: Path, schema: str, what: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """All tensors and the JSON header of a safetensors file of ours.
+def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
+    """Text of the header, the header, and all tensors of a ``.scoup`` file of any version.
 
     Raises:
-        FileFormatError: it is something else, damaged, or of a newer version.
+        FileFormatError: it is something else, or damaged.
     """
     from safetensors import safe_open
 
+    what = "a SCOUP language field"
     if path.is_dir():
         raise MissingFileError(path, f"is a folder, not {what}", "give the file itself")
     if not path.is_file():
         raise MissingFileError(path, f"there is no such file ({what} was expected)", "check the path")
     with safetensors_damage_named(path, what, _REBUILD), safe_open(path, framework="pt") as stream:
-        header = json.loads((stream.metadata() or {}).get(METADATA_KEY, "{}"))
-        if not isinstance(header, dict) or header.get("schema") != schema:
+        text = (stream.metadata() or {}).get(METADATA_KEY, "{}")
+        header = json.loads(text)
+        if not isinstance(header, dict) or header.get("schema") != SCHEMA:
             raise FileFormatError(path, f"is a safetensors file, but not {what}", "check the path")
-        version = int(header["version"])
-        if version > VERSION:
-            raise FileFormatError(
-                path, f"was written by a newer SCOUP (format {version})", "pip install -U scoup"
-            )
-        return {name: stream.get_tensor(name) for name in stream.keys()}, header  # noqa: SIM118
+        return text, header, {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
 
 
-def _write(
-    path: Path, temporary: Path, tensors: dict[str, Tensor], schema: str, header: dict[str, Any]
-) -> None:
-    """Write what will become ``path`` to ``temporary``."""
+def _write(temporary: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
+    """Write a safetensors file.
+
+    Raises:
+        WriteError: the system refuses.
+    """
+    from safetensors import SafetensorError
     from safetensors.torch import save_file
 
-    # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
-    metadata = {METADATA_KEY: json.dumps({"schema": schema, "version": VERSION, **header}, sort_keys=True)}
     try:
         temporary.touch(exist_ok=False)
         permissions = temporary.stat().st_mode  # as of any new file; safetensors makes private ones
-        save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary, metadata)
+        save_file(tensors, temporary, metadata)
         temporary.chmod(permissions)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
+        raise WriteError.of(temporary, error) from error
+    except SafetensorError as error:
+        # The system's own number stands in the text alone: "(os error 28)", or "code: 28" in older versions.
+        number = re.search(r"(?:os error|code:) (\d+)", str(error))
+        if number is None:
+            raise
+        code = int(number[1])
+        raise WriteError.of(temporary, OSError(code, os.strerror(code))) from error
 
 
 def _camera_tensors(cameras: Cameras) -> dict[str, Tensor]:

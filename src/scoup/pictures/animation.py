@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from scoup.base.atomic import atomic_file
 from scoup.base.errors import InputError
 from scoup.pictures.colors import Picture
 from scoup.pictures.lettering import PAPER
 
 
 def save_animation(frames: Sequence[Picture], path: Path, frames_per_second: float) -> None:
-    """Write an endless animation, replacing what is there.
+    """Write an endless animation, atomically, replacing what is there.
 
     Args:
         frames: [H, W, 3] uint8 each, of one width. Those that are less high than others, since their titles are
@@ -23,18 +25,21 @@ def save_animation(frames: Sequence[Picture], path: Path, frames_per_second: flo
         frames_per_second: its speed.
 
     Raises:
-        InputError: the pictures differ in width.
+        InputError: the pictures differ in width, or the file cannot be written.
     """
     if len({frame.shape[1] for frame in frames}) > 1:
         raise InputError(f"{path.name}: the pictures differ in size, and an animation needs one size")
     height = max(frame.shape[0] for frame in frames)
     margins = [np.full((height - frame.shape[0], *frame.shape[1:]), PAPER, np.uint8) for frame in frames]
     pictures = [Image.fromarray(np.concatenate(parts)) for parts in zip(margins, frames, strict=True)]
+    encoded = io.BytesIO()
     pictures[0].save(
-        path,
+        encoded,
         format=path.suffix[1:].upper(),
         save_all=True,
         append_images=pictures[1:],
         duration=round(1000 / frames_per_second),
         loop=0,
     )
+    with atomic_file(path, overwrite=True) as stream:
+        stream.write(encoded.getbuffer())

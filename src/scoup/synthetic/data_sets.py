@@ -16,7 +16,8 @@ import numpy as np
 
 from scoup.base.errors import InputError, OutputExistsError, looked_up
 from scoup.base.progress import Progress, no_progress
-from scoup.io import check_output, save_png, write_text
+from scoup.base.staging import staged
+from scoup.io import save_png, write_text
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
@@ -110,14 +111,14 @@ def write_data_set(
     for name in names:
         if (root / name).exists() and not overwrite:
             raise OutputExistsError(root / name)
-    check_output(root / "README.txt", overwrite)
-    for number, (name, (layout, seed)) in enumerate(zip(names, scenes, strict=True)):
-        progress("synthetic data set", number, len(names))
-        scene = make_demo_scene(seed, size.n_gaussians, size.width, size.height, size.n_views, 0, layout)
-        _write_scene(data_set, _renamed(scene, pattern), root, name, size, overwrite)
-    progress("synthetic data set", len(names), len(names))
     labels = SEGMENTATIONS if data_set == "3d-ovs" else LABELS
-    write_text(root / "README.txt", NOTE.format(name=data_set, labels=labels), overwrite)
+    with staged(root, ["README.txt"], overwrite) as hidden:
+        for number, (name, (layout, seed)) in enumerate(zip(names, scenes, strict=True)):
+            progress("synthetic data set", number, len(names))
+            scene = make_demo_scene(seed, size.n_gaussians, size.width, size.height, size.n_views, 0, layout)
+            _write_scene(data_set, _renamed(scene, pattern), hidden, name, size)
+        progress("synthetic data set", len(names), len(names))
+        write_text(hidden / "README.txt", NOTE.format(name=data_set, labels=labels))
     return names
 
 
@@ -139,20 +140,18 @@ def _renamed(scene: DemoScene, pattern: str) -> DemoScene:
     )
 
 
-def _write_scene(
-    data_set: str, scene: DemoScene, root: Path, name: str, size: DataSetSize, overwrite: bool
-) -> None:
+def _write_scene(data_set: str, scene: DemoScene, root: Path, name: str, size: DataSetSize) -> None:
     folder = root / name
-    write_scene(scene, folder, overwrite)
-    write_text(folder / "absent.txt", "".join(f"{word}\n" for word in DISTRACTORS), overwrite)
+    write_scene(scene, folder)
+    write_text(folder / "absent.txt", "".join(f"{word}\n" for word in DISTRACTORS))
     labelled = {scene.building[i].name for i in np.linspace(0, size.n_views - 1, size.n_labelled).astype(int)}
     for camera in scene.building:
         image = (render_colors(scene.gaussians, camera).numpy() * 255 + 0.5).astype(np.uint8)
-        save_png(image, folder / "images" / camera.name, overwrite)
+        save_png(image, folder / "images" / camera.name)
         if camera.name in labelled and data_set != "3d-ovs":
-            _write_label(data_set, scene, camera, image, root / "label" / name, size, overwrite)
+            _write_label(data_set, scene, camera, image, root / "label" / name, size)
     if data_set == "3d-ovs":
-        _write_segmentations(scene, sorted(labelled), folder / "segmentations", overwrite)
+        _write_segmentations(scene, sorted(labelled), folder / "segmentations")
 
 
 def _write_label(
@@ -162,23 +161,24 @@ def _write_label(
     image: np.ndarray,
     folder: Path,
     size: DataSetSize,
-    overwrite: bool,
 ) -> None:
     frame = scene.labelled_frame(camera.name, LABELLED_LEVELS)
     if data_set == "mipnerf360" and size.label_scale != 1:
         frame = frame.resized(round(frame.width * size.label_scale), round(frame.height * size.label_scale))
     content = label_file(frame, camera.name, {label: scene.level_of(label) for label in frame.labels})
-    write_text(folder / f"{frame.name}.json", json.dumps(content) + "\n", overwrite)
-    save_png(image, folder / camera.name, overwrite)
+    write_text(folder / f"{frame.name}.json", json.dumps(content) + "\n")
+    save_png(image, folder / camera.name)
 
 
-def _write_segmentations(scene: DemoScene, views: list[str], folder: Path, overwrite: bool) -> None:
+def _write_segmentations(scene: DemoScene, views: list[str], folder: Path) -> None:
     """Write the masks of the labelled views. As in the real data set, a class is visible in all of them."""
     frames = [scene.labelled_frame(name, LABELLED_LEVELS) for name in views]
     classes = [label for label in frames[0].labels if all(label in frame.masks for frame in frames)]
     if not classes:
-        raise InputError(f"{folder}: the labelled views have no object in common; make more or larger views")
+        raise InputError(
+            f"{folder.parent.name}: the labelled views have no object in common; make more or larger views"
+        )
     for frame in frames:
         for label in classes:
-            save_png(frame.masks[label], folder / frame.name / f"{label}.png", overwrite)
-    write_text(folder / "classes.txt", "".join(f"{label}\n" for label in classes), overwrite)
+            save_png(frame.masks[label], folder / frame.name / f"{label}.png")
+    write_text(folder / "classes.txt", "".join(f"{label}\n" for label in classes))

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from scoup.base.progress import Progress, no_progress
+from scoup.base.staging import staged
 from scoup.io import (
-    check_output,
     save_gaussians,
     save_png,
     save_regions,
@@ -28,6 +28,8 @@ from scoup.synthetic.masks import mask_polygons
 from scoup.synthetic.scene import EMBEDDING_MODEL, LABELLED_LEVELS, DemoScene
 
 SPARSE_POINTS = 4000
+FILES = ("README.txt", "point_cloud.ply", "text.npz", "sparse/0/cameras.bin", "held_out/transforms.json")
+"""Some of those that ``write_demo_scene`` writes: where one is there already, it is refused before any work."""
 
 NOTE = """A {title} made by a program (scoup demo). Nothing in it was photographed or trained.
 
@@ -70,20 +72,21 @@ def write_demo_scene(
         OutputExistsError: a file exists and ``overwrite`` is false; then nothing is written.
     """
     folder = Path(folder)
+    with staged(folder, [*FILES, *(f"images/{name}" for name in scene.building.names)], overwrite) as hidden:
+        _write_all(scene, hidden, levels, render, progress)
+    return folder
+
+
+def _write_all(
+    scene: DemoScene,
+    folder: Path,
+    levels: tuple[str, ...],
+    render: Callable[[Camera], Any] | None,
+    progress: Progress,
+) -> None:
+    """Write everything into a new folder."""
     held_out = folder / "held_out"
-    for name in (
-        "README.txt",
-        "point_cloud.ply",
-        "text.npz",
-        "sparse/0/cameras.bin",
-        "held_out/transforms.json",
-    ):
-        check_output(folder / name, overwrite)
-    for camera in scene.building:
-        check_output(folder / "images" / camera.name, overwrite)
-
-    write_scene(scene, folder, overwrite)
-
+    write_scene(scene, folder)
     cameras = scene.cameras
     for done, camera in enumerate(cameras):
         progress("render", done, len(cameras))
@@ -91,18 +94,17 @@ def write_demo_scene(
         if image.dtype != np.uint8:
             image = (image.clip(0, 1) * 255 + 0.5).astype(np.uint8)
         base = folder if camera.name in scene.building.names else held_out
-        save_png(image, base / "images" / camera.name, overwrite)
+        save_png(image, base / "images" / camera.name)
     progress("render", len(cameras), len(cameras))
 
     if len(scene.held_out):
-        write_transforms(scene.held_out, held_out / "transforms.json", overwrite)
+        write_transforms(scene.held_out, held_out / "transforms.json")
     for camera in scene.held_out:
         frame = scene.labelled_frame(camera.name, levels)
         content = label_file(frame, camera.name, {name: scene.level_of(name) for name in frame.labels})
-        write_text(held_out / "label" / f"{frame.name}.json", json.dumps(content) + "\n", overwrite)
+        write_text(held_out / "label" / f"{frame.name}.json", json.dumps(content) + "\n")
     note = NOTE.format(title=scene.layout.title, name=scene.layout.favourites[0])
-    write_text(folder / "README.txt", note, overwrite)
-    return folder
+    write_text(folder / "README.txt", note)
 
 
 def label_file(frame: LabelledFrame, image_name: str, groups: dict[str, str]) -> dict[str, Any]:
@@ -126,15 +128,13 @@ def label_file(frame: LabelledFrame, image_name: str, groups: dict[str, str]) ->
     return {"info": info, "objects": objects}
 
 
-def write_scene(scene: DemoScene, folder: Path, overwrite: bool) -> None:
+def write_scene(scene: DemoScene, folder: Path) -> None:
     """Write all of a scene's folder but its images: splat, cameras with some points, regions and text vectors."""
-    save_gaussians(scene.gaussians, folder / "point_cloud.ply", overwrite)
+    save_gaussians(scene.gaussians, folder / "point_cloud.ply")
     count = len(scene.gaussians)
     points = np.linspace(0, count - 1, min(SPARSE_POINTS, count)).astype(int)
     colors = (scene.gaussians.sh[points, 0].numpy() * SH_C0 + 0.5).clip(0, 1) * 255
     positions = scene.gaussians.means[points].double().numpy()
-    write_colmap(
-        scene.building, folder / "sparse" / "0", (positions, colors.astype(np.uint8)), overwrite=overwrite
-    )
-    save_regions(scene.regions, folder / "language_features", overwrite)
-    save_table(folder / "text.npz", scene.words.texts, scene.words.vectors, overwrite, EMBEDDING_MODEL)
+    write_colmap(scene.building, folder / "sparse" / "0", (positions, colors.astype(np.uint8)))
+    save_regions(scene.regions, folder / "language_features")
+    save_table(folder / "text.npz", scene.words.texts, scene.words.vectors, model=EMBEDDING_MODEL)

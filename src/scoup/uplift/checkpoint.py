@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from scoup.base.atomic import atomic_path
-from scoup.base.errors import InputError
+from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.processes import ALONE, Processes
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -32,8 +34,10 @@ def checkpoint(
     At the end of the block the file becomes ``sums_path(field)`` or is removed. After an error it stays for the next
     build, but for an ``InputError`` before there was anything in it.
 
+    Files of sums that builds by another number of processes have left are removed.
+
     Args:
-        field: the file that is built.
+        field: the file that is built; the caller has locked it (``base.locks``).
         gaussians, regions, raster_preset: of the build.
         keep: the sums after the build.
         processes: each has a file of its own.
@@ -44,8 +48,9 @@ def checkpoint(
     """
     if keep and processes.world > 1:
         raise InputError("--keep-sums works in one process; run without torchrun")
-    rank = f".{processes.rank}" if processes.world > 1 else ""
-    path = field.with_name(f"{field.name}.partial{rank}")
+    path = field.with_name(_partial_name(field, processes.rank, processes.world))
+    if processes.first:
+        _remove_others(field, processes.world)
     sums = resumed(path, gaussians, regions, raster_preset, **how)
     try:
         yield sums
@@ -58,6 +63,34 @@ def checkpoint(
         path.replace(sums_path(field))
     else:
         path.unlink(missing_ok=True)
+
+
+def continued(sums: RegionSums, views: int) -> str | None:
+    """What an interrupted build of so many views has left in the sums, in words; None where they are new."""
+    if not sums.writable or not (len(sums) or sums.codes is not None):
+        return None
+    codes = "the codes are kept" if sums.codes is not None else "codes are learned anew"
+    return f"{sums.path}: continues an interrupted build: {len(sums)} of {views} views are there, {codes}"
+
+
+def _partial_name(field: Path, rank: int, world: int) -> str:
+    return f"{field.name}.partial" + (f".{rank}" if world > 1 else "")
+
+
+def _remove_others(field: Path, world: int) -> None:
+    """Remove the checkpoints of another number of processes, which nobody would continue."""
+    own = {_partial_name(field, rank, world) for rank in range(world)}
+    pattern = re.compile(re.escape(f"{field.name}.partial") + r"(\.\d+)?")
+    names = (path.name for path in field.parent.iterdir() if pattern.fullmatch(path.name))
+    others = sorted(set(names) - own)
+    for name in others:
+        field.with_name(name).unlink(missing_ok=True)
+    if others:
+        warnings.warn(
+            f"{field}: removed what a build by another number of processes has left ({', '.join(others)})",
+            ScoupWarning,
+            stacklevel=4,
+        )
 
 
 @contextmanager

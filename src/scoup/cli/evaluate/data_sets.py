@@ -58,9 +58,11 @@ class Scored(DataSetOptions):
         out = self.out or Path(f"eval_{self.data_set_name}")
         settings.check_outputs(out, self.overwrite)
         scenes = self.open_scenes(console, self.data_set_name)
+        console.kept = lambda: _kept(out)
         with console.progress() as progress:
             evaluations = [
-                evaluate_scene(scene, self.text_source(scene), out, settings, progress) for scene in scenes
+                evaluate_scene(scene, self.text_source(scene), out, settings, progress, console.say)
+                for scene in scenes
             ]
         records = write_reports(evaluations, out, self.root, settings, self.overwrite)
         for stem in records:
@@ -69,6 +71,13 @@ class Scored(DataSetOptions):
         drawn = ", failures" if settings.sheets else ""
         console.say(f"\n{out}: tables (.md, .json, .tex), fields, cache{drawn}")
         console.result({"out": out, "reports": records})
+
+
+def _kept(out: Path) -> str:
+    """What an interruption leaves, in words."""
+    if not out.is_dir():
+        return "nothing was written"
+    return f"fields and predictions so far are kept in {out}, run the same command again to continue"
 
 
 @dataclass(frozen=True, kw_only=True)

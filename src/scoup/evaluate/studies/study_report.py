@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scoup.base.atomic import atomic_file
 from scoup.evaluate.plots import Plot, can_draw, png
 from scoup.evaluate.tables import Table, write_tables
 
@@ -37,10 +36,4 @@ class StudyReport:
             OutputExistsError: a table is there and ``overwrite`` is false.
         """
         plots = {name: png(plot) for name, plot in self.plots.items()} if can_draw() else {}
-        written = write_tables(
-            self.tables, folder, self.stem, self.title, self.record, overwrite, list(plots)
-        )
-        for name, content in plots.items():
-            with atomic_file(folder / name, overwrite=True) as stream:
-                stream.write(content)
-        return [*written, *(folder / name for name in plots)]
+        return write_tables(self.tables, folder, self.stem, self.title, self.record, overwrite, plots)

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.atomic import atomic_file, check_output
+from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError
+from scoup.base.staging import staged
 from scoup.io.cameras.colmap_model import MODEL_NAMES, MODELS, PARAMETER_COUNTS, Lens, Shot
 from scoup.io.reading import existing_file, read_bytes
 
@@ -156,7 +157,7 @@ def write_model(
     colors: np.ndarray,
     overwrite: bool,
 ) -> None:
-    """Write cameras.bin, images.bin and points3D.bin; all are checked before the first is written."""
+    """Write cameras.bin, images.bin and points3D.bin, all or none."""
     numbers = {name: number for number, name, _ in MODELS}
     cameras = [struct.pack("<Q", len(lenses))]
     for identifier, lens in lenses.items():
@@ -172,8 +173,7 @@ def write_model(
     ):
         points.append(_POINT.pack(identifier, *position, *color, 0.0, 0))
     contents = {"cameras.bin": cameras, "images.bin": images, "points3D.bin": points}
-    for name in contents:
-        check_output(folder / name, overwrite)
-    for name, parts in contents.items():
-        with atomic_file(folder / name, overwrite) as stream:
-            stream.write(b"".join(parts))
+    with staged(folder, list(contents), overwrite) as hidden:
+        for name, parts in contents.items():
+            with atomic_file(hidden / name) as stream:
+                stream.write(b"".join(parts))

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.atomic import check_output, write_text
+from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError
+from scoup.base.staging import staged
 from scoup.io.cameras.colmap_model import PARAMETER_COUNTS, Lens, Shot
 from scoup.io.reading import existing_file, read_text
 
@@ -120,7 +121,7 @@ def write_model(
     colors: np.ndarray,
     overwrite: bool,
 ) -> None:
-    """Write cameras.txt, images.txt and points3D.txt; all are checked before the first is written."""
+    """Write cameras.txt, images.txt and points3D.txt, all or none."""
     cameras = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
     for identifier, lens in lenses.items():
         cameras.append(f"{identifier} {lens.model} {lens.width} {lens.height} {_joined(lens.parameters)}")
@@ -136,10 +137,9 @@ def write_model(
     ):
         points.append(f"{identifier} {_joined(position)} {color[0]} {color[1]} {color[2]} 0")
     contents = {"cameras.txt": cameras, "images.txt": images, "points3D.txt": points}
-    for name in contents:
-        check_output(folder / name, overwrite)
-    for name, lines in contents.items():
-        write_text(folder / name, "\n".join(lines) + "\n", overwrite)
+    with staged(folder, list(contents), overwrite) as hidden:
+        for name, lines in contents.items():
+            write_text(hidden / name, "\n".join(lines) + "\n")
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:

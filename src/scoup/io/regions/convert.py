@@ -8,8 +8,9 @@ from pathlib import Path
 
 from scoup.base.errors import InputError, MissingFileError
 from scoup.base.progress import Progress, no_progress
+from scoup.base.staging import staged
 from scoup.io.regions import compact, langsplat
-from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest
+from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, write_manifest
 from scoup.io.regions.store import RegionStore
 from scoup.io.regions.views import FOLDER_NAME, view_files
 
@@ -61,6 +62,7 @@ def convert_regions(
         FileFormatError: a file is damaged.
         InputError: the target is the source, or holds other things, or features of another layout.
         OutputExistsError: a view is there already and ``overwrite`` is false; nothing is written then.
+        WriteError: the system refuses; nothing is written then either.
     """
     store = RegionStore.open(source)
     target = Path(target)
@@ -80,18 +82,22 @@ def convert_regions(
         problem = "holds no region features"
         raise MissingFileError(store.folder, problem, "give a folder with *_s.npy or *.regions files")
     _check_target(target, manifest, stems, overwrite)
-    out = RegionStore.create(target, manifest, overwrite)
-    out.begin(overwrite)
+    there = RegionStore.check_new(target, manifest, overwrite)
     before = after = 0
     progress("convert", 0, len(stems))
-    for done, stem in enumerate(stems):
-        view = store.open_view(stem)
-        regions = replace(view.read(), name=view.name)
-        if to_layout == "langsplat":  # the files of LangSplat alone
-            regions = replace(regions, photograph="")
-        after += out.write(regions, stem, overwrite)
-        before += store.size_of(stem)
-        progress("convert", done + 1, len(stems))
+    manifest_file = [] if there == manifest else [MANIFEST]
+    with staged(target, manifest_file, overwrite) as hidden:
+        out = RegionStore(hidden, manifest, to_layout)
+        if manifest_file:
+            write_manifest(hidden, manifest)
+        for done, stem in enumerate(stems):
+            view = store.open_view(stem)
+            regions = replace(view.read(), name=view.name)
+            if to_layout == "langsplat":  # the files of LangSplat alone
+                regions = replace(regions, photograph="")
+            after += out.write(regions, stem)
+            before += store.size_of(stem)
+            progress("convert", done + 1, len(stems))
     return ConvertReport(store.folder, target, to_layout, len(stems), before, after)
 
 

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.atomic import atomic_file, check_output, write_text
+from scoup.base.atomic import atomic_file, write_text
 from scoup.base.errors import FileFormatError
+from scoup.base.staging import staged
 from scoup.io.npy import open_npy
 from scoup.io.reading import MAX_IMAGE_SIDE, existing_file, read_json
 from scoup.io.regions.langsplat_rows import FILE_LEVELS, copy_labels, level_blocks
@@ -116,19 +117,17 @@ def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, ove
 
     Where the photograph is known, a record of what the view was made from follows the arrays.
     """
-    labels = folder / f"{stem}_s.npy"
-    embeddings = folder / f"{stem}_f.npy"
-    for path in (embeddings, labels):
-        check_output(path, overwrite)
-    record = folder / f"{stem}{_RECORD_ENDING}"
-    record.unlink(missing_ok=True)  # from here the pair does not count until it is complete
+    names, record = [f"{stem}_f.npy", f"{stem}_s.npy"], f"{stem}{_RECORD_ENDING}"
     planes, rows = _joined(regions)
-    for path, array in ((embeddings, rows), (labels, planes)):
-        with atomic_file(path, overwrite) as stream:
-            np.save(stream, array, allow_pickle=False)
-    if regions.photograph:
-        made = {"view": regions.name, "manifest": manifest, "photograph": regions.photograph}
-        write_text(record, json.dumps(made, indent=2, sort_keys=True) + "\n")
+    with staged(folder, names, overwrite) as hidden:
+        for name, array in zip(names, (rows, planes), strict=True):
+            with atomic_file(hidden / name) as stream:
+                np.save(stream, array, allow_pickle=False)
+        if regions.photograph:
+            made = {"view": regions.name, "manifest": manifest, "photograph": regions.photograph}
+            write_text(hidden / record, json.dumps(made, indent=2, sort_keys=True) + "\n")
+        # The pair does not count until the record, the last to move, is there again.
+        (folder / record).unlink(missing_ok=True)
 
 
 def origin(folder: Path, stem: str) -> tuple[str, str]:

@@ -13,6 +13,7 @@ from torch import Tensor
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.counts import none_of
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.base.staging import staged
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.store import RegionStore
 from scoup.io.regions.views import REMEDY, StoredView, ViewRegions, check_stems, stem_of, view_files
@@ -87,6 +88,7 @@ def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) 
 
     Raises:
         OutputExistsError: a file is there already and ``overwrite`` is false; then nothing is written.
+        WriteError: the system refuses; then nothing is written either.
         InputError: other levels, levels of different sizes, or two views with one stem.
     """
     if regions.levels != LEVELS:
@@ -94,13 +96,14 @@ def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) 
     store = RegionStore(Path(folder))
     check_stems(store.folder, regions.view_names)
     store.check_free([stem_of(name) for name in regions.view_names], overwrite)
-    for name in regions.view_names:
-        maps = {level: regions.load(name, level) for level in LEVELS}
-        if len({tuple(item.labels.shape) for item in maps.values()}) > 1:
-            raise InputError(f"{folder}: the levels of view {name!r} differ in size; resize them to one")
-        labels = {level: item.labels.cpu().numpy() for level, item in maps.items()}
-        rows = {level: item.embeddings.cpu().numpy() for level, item in maps.items()}
-        store.write(ViewRegions(name, labels, rows), overwrite=overwrite)
+    with staged(store.folder, overwrite=overwrite) as hidden:
+        for name in regions.view_names:
+            maps = {level: regions.load(name, level) for level in LEVELS}
+            if len({tuple(item.labels.shape) for item in maps.values()}) > 1:
+                raise InputError(f"{folder}: the levels of view {name!r} differ in size; resize them to one")
+            labels = {level: item.labels.cpu().numpy() for level, item in maps.items()}
+            rows = {level: item.embeddings.cpu().numpy() for level, item in maps.items()}
+            RegionStore(hidden).write(ViewRegions(name, labels, rows))
 
 
 def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingFileError:

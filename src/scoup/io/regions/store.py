@@ -70,6 +70,18 @@ class RegionStore:
         Raises:
             InputError: the folder holds something else, or was made with other settings; nothing has changed then.
         """
+        cls.check_new(folder, manifest, overwrite)
+        return cls(folder, manifest, manifest.layout)
+
+    @classmethod
+    def check_new(
+        cls, folder: Path, manifest: RegionManifest, overwrite: bool = False
+    ) -> RegionManifest | None:
+        """Check that views of a manifest may be written into a folder; the manifest that is there, None for none.
+
+        Raises:
+            InputError: as ``create``.
+        """
         if folder.is_file():
             raise InputError(f"{folder}: is a file; give the name of a folder")
         there = read_manifest(folder) if folder.is_dir() else None
@@ -88,7 +100,7 @@ class RegionStore:
                 "another folder, or pass --overwrite (overwrite=True in Python) to make everything anew"
             )
         check_output(folder / MANIFEST, overwrite=True)
-        return cls(folder, manifest, manifest.layout)
+        return there
 
     def begin(self, overwrite: bool = False) -> None:
         """Put the manifest into the folder, before the first view is written.

@@ -13,6 +13,7 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -20,7 +21,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, WriteError
 
 MAGIC = b"SCOUPREC"
 _HEAD = struct.Struct("<8sIQI")  # magic, CRC-32 and length of what follows, CRC-32 of the head so far
@@ -69,14 +70,21 @@ class RecordFile:
             InputError: it cannot be written.
         """
         try:
-            return cls(path.open("w+b"), path, True)
+            return cls(path.open("w+b", buffering=0), path, True)
         except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
+            raise WriteError.of(path, error) from error
 
     @classmethod
     def temporary(cls) -> RecordFile:
-        """A new file without a name, in the system's folder for such (TMPDIR); gone when it is closed."""
-        return cls(tempfile.TemporaryFile(prefix="scoup-"), None, True)
+        """A new file without a name, in the system's folder for such (TMPDIR); gone when it is closed.
+
+        Raises:
+            WriteError: there is no such folder.
+        """
+        try:
+            return cls(tempfile.TemporaryFile(prefix="scoup-", buffering=0), None, True)
+        except OSError as error:
+            raise _refused(None, error) from error
 
     @classmethod
     def open(cls, path: Path, writable: bool = False) -> RecordFile:
@@ -88,7 +96,7 @@ class RecordFile:
         if not path.is_file():
             raise MissingFileError(path, "there is no such file", "check the path")
         try:
-            stream = path.open("r+b" if writable else "rb")
+            stream = path.open("r+b" if writable else "rb", buffering=0)
         except OSError as error:
             raise InputError(f"{path}: cannot be opened ({error.strerror or error})") from error
         file = cls(stream, path, writable)
@@ -105,10 +113,10 @@ class RecordFile:
         return self._end
 
     def append(self, kind: str, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Record:
-        """Write a record behind the others.
+        """Write a record behind the others. What a refused write has left is cut off.
 
         Raises:
-            InputError: there is no room on the disk, or the like.
+            WriteError: there is no room on the disk, or the like.
         """
         if not self.writable:
             raise InputError(f"{self.path}: was opened for reading only")
@@ -130,12 +138,11 @@ class RecordFile:
         try:
             self._stream.seek(self._end)
             for part in [head, *parts]:
-                self._stream.write(part)
-            self._stream.flush()
+                self._write(part)
         except OSError as error:
-            raise InputError(
-                f"{self.path or 'temporary file'}: cannot be written ({error.strerror or error})"
-            ) from error
+            with suppress(OSError):
+                self._stream.truncate(self._end)
+            raise _refused(self.path, error) from error
         record = self._map(self._end, length, kind, dict(header), layout)
         self.records.append(record)
         self._end += len(head) + length
@@ -150,6 +157,12 @@ class RecordFile:
     def close(self) -> None:
         """Close the file; arrays of its records stay readable while they are held."""
         self._stream.close()
+
+    def _write(self, part: bytes | memoryview) -> None:
+        """All of a part: without a buffer, the system may take less than it is given."""
+        rest = memoryview(part)
+        while rest:
+            rest = rest[self._stream.write(rest) :]
 
     def _read_all(self) -> None:
         size = os.fstat(self._stream.fileno()).st_size
@@ -243,6 +256,17 @@ class RecordFile:
     @property
     def _named(self) -> Path:
         return self.path or Path("temporary file")
+
+
+def _refused(path: Path | None, error: OSError) -> WriteError:
+    """The error of a file that cannot be written."""
+    if path is not None:
+        return WriteError.of(path, error)
+    remedy = "set the environment variable TMPDIR to a folder with more space"
+    where = (
+        f" in {tempfile.tempdir}" if tempfile.tempdir else ""
+    )  # None: no folder was found that can be used
+    return WriteError(f"temporary file{where}", error.strerror or str(error), remedy)
 
 
 def _head(checksum: int, length: int) -> bytes:

@@ -1,0 +1,61 @@
+"""A small field without anything random, and its file as each version of the format had it.
+
+    python tests/frozen_fields.py FILE    # writes the field in the version that the code writes
+
+``tests/frozen/field_version_1.scoup`` was written by the last code that wrote version 1.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import torch
+
+from scoup.field.artefact import FieldInfo
+from scoup.field.language_field import LanguageField
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+
+COUNT, LEVELS, K, ATOMS, DIM = 6, 3, 2, 4, 8
+
+
+def steps(*shape: int) -> torch.Tensor:
+    """Numbers from 0 to below 1, rising, as float32."""
+    count = int(torch.tensor(shape).prod())
+    return (torch.arange(count, dtype=torch.float32) / count).reshape(shape)
+
+
+def small_field() -> LanguageField:
+    """Six Gaussians, three levels, two cameras; the same on every machine."""
+    quats = torch.zeros(COUNT, 4)
+    quats[:, 0] = 1
+    gaussians = Gaussians(
+        steps(COUNT, 3), quats, steps(COUNT, 3) + 0.125, steps(COUNT) / 2 + 0.25, steps(COUNT, 1, 3) - 0.5
+    )
+    K_matrix = torch.tensor([[40.0, 0, 20], [0, 40.0, 15], [0, 0, 1]], dtype=torch.float64)
+    viewmats = [torch.eye(4, dtype=torch.float64) for _ in range(2)]
+    viewmats[1][2, 3] = 0.5
+    cameras = Cameras(
+        Camera(f"view {number}.png", viewmat, K_matrix, 40, 30) for number, viewmat in enumerate(viewmats)
+    )
+    first = torch.arange(COUNT * LEVELS).reshape(COUNT, LEVELS, 1) % ATOMS
+    indices = torch.cat([first, (first + 1) % ATOMS], -1).to(torch.uint8)
+    weights = torch.tensor([0.75, 0.25], dtype=torch.float16).expand(COUNT, LEVELS, K).clone()
+    weights[-1] = 0  # a Gaussian without a code
+    codebook = steps(LEVELS, ATOMS, DIM) + 0.5
+    info = FieldInfo(
+        ("s", "m", "l"),
+        "a/model é",
+        gaussians.fingerprint(),
+        COUNT,
+        "inria",
+        {"settings": {"k": K, "share": 0.1}},
+    )
+    return LanguageField(indices, weights, codebook, info, gaussians, Path("somewhere/splat.ply"), cameras)
+
+
+if __name__ == "__main__":
+    field = small_field()
+    field.geometry_path = None
+    field.save(sys.argv[1], embed_geometry=True)
