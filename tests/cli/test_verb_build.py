@@ -210,8 +210,10 @@ def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, views, at):
         patch.setattr(RegionSums, "append", counted)
         code, out, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--json")
     if views or at == "view":
-        assert (code, err) == (130, "error: interrupted\n")
-        assert out.strip() == '{\n  "error": "interrupted"\n}'
+        left = f"{views} of 4 views" if views else "the codes"
+        message = f"interrupted; {left} are kept, run the same command again to continue"
+        assert (code, err) == (130, f"error: {message}\n")
+        assert out.strip() == f'{{\n  "error": "{message}"\n}}'
         assert not Path("a.scoup").exists()
         assert Path("a.scoup.partial").is_file()
 

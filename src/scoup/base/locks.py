@@ -74,6 +74,7 @@ _HEX = "[0-9a-f]{12}"  # in the name of a temporary file
 
 @contextmanager
 def _held(output: Path, lock: Path, temporary: re.Pattern[str]) -> Iterator[None]:
+    check_output(lock, overwrite=True)
     with folder_made(lock.parent, output):
         try:
             descriptor = _acquired(output, lock)

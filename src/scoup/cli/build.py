@@ -185,7 +185,7 @@ class Build(ViewOptions):
 
         if self.sums is None:
             share = len(processes.share(range(views)))
-            console.kept = lambda: kept(len(sums), share, "views")
+            console.kept = lambda: kept(len(sums), share, "views", "codes" if sums.codes else "")
         message = continued(sums, views)
         if processes.first and message:
             console.say(message)

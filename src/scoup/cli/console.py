@@ -142,11 +142,12 @@ def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
             return console.fail(_OUT_OF_MEMORY, 2)  # as torch reports it
 
 
-def kept(done: int, total: int, what: str) -> str:
-    """What an interruption leaves, in words: so many of what a verb makes one by one."""
-    if not done:
+def kept(done: int, total: int, what: str, also: str = "") -> str:
+    """What an interruption leaves, in words: so many of what a verb makes one by one, or what it makes before."""
+    if not done and not also:
         return "nothing was written"
-    return f"{done} of {total} {what} are kept, run the same command again to continue"
+    left = f"{done} of {total} {what}" if done else f"the {also}"
+    return f"{left} are kept, run the same command again to continue"
 
 
 def close_output() -> None:

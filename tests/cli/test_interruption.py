@@ -1,0 +1,179 @@
+"""Two processes at one output, and processes that are interrupted, terminated or killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cli_support import QUICK, refused, run, run_json, snapshot
+from scoup.base.locks import locked_file, locked_folder
+from scoup.io import save_png
+from scoup.io.regions.store import RegionStore
+from scoup.uplift.region_sums import RegionSums
+
+pytestmark = pytest.mark.usefixtures("here")
+
+BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
+FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
+EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
+# A build in a process of its own that waits before it rasterises a third view.
+STUCK = """
+import time
+from scoup import raster
+from scoup.cli.app import entry
+region_sums, calls = raster.region_sums, []
+def slow(*view):
+    calls.append(1)
+    if len(calls) == 3:
+        print("two views", flush=True)
+        time.sleep(60)
+    return region_sums(*view)
+raster.region_sums = slow
+entry()
+"""
+
+
+def stuck(*arguments: object) -> subprocess.Popen[str]:
+    """The build, stuck after two views."""
+    command = [sys.executable, "-c", STUCK, *map(str, arguments)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    while process.stdout.readline() not in ("two views\n", ""):
+        pass
+    return process
+
+
+@pytest.mark.parametrize(
+    ("number", "word", "code"), [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)]
+)
+def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word: str, code: int) -> None:
+    before = set(snapshot(Path()))
+    with stuck(*BUILD) as build:
+        message = refused(*BUILD)
+        assert message.startswith(f"a.scoup: is being written by process {build.pid} on ")
+        build.send_signal(number)
+        _, err = build.communicate(timeout=60)
+    assert build.returncode == code
+    assert err == f"error: {word}; 2 of 4 views are kept, run the same command again to continue\n"
+    assert set(snapshot(Path())) - before == {"a.scoup.partial"}  # neither lock nor temporary files
+    code, out, err = run(*BUILD)
+    assert (code, err) == (0, "")
+    assert "continues an interrupted build: 2 of 4 views are there" in out
+    assert set(snapshot(Path())) - before == {"a.scoup"}
+
+
+def test_a_build_that_is_killed_leaves_nothing_in_the_way() -> None:
+    before = set(snapshot(Path()))
+    with stuck(*BUILD) as build:
+        build.kill()
+        build.communicate(timeout=60)
+    Path(".a.0123456789ab.scoup").write_text("half a field")
+    assert set(snapshot(Path())) - before == {"a.scoup.partial", "a.scoup.lock", ".a.0123456789ab.scoup"}
+    code, out, err = run(*BUILD)
+    assert (code, err) == (0, "")
+    assert "continues an interrupted build: 2 of 4 views are there" in out
+    assert set(snapshot(Path())) - before == {"a.scoup"}
+
+
+def test_checkpoints_of_another_number_of_processes_are_removed() -> None:
+    for name in ("a.scoup.partial.0", "a.scoup.partial.1", "a.scoup.partial.txt", "b.scoup.partial.0"):
+        Path(name).write_text("x")
+    code, _, err = run(*BUILD)
+    assert code == 0
+    assert err == (
+        "warning: a.scoup: removed what a build by another number of processes has left (a.scoup.partial.0, "
+        "a.scoup.partial.1)\n"
+    )
+    left = {path.name for path in Path().glob("*.partial*")}
+    assert left == {"a.scoup.partial.txt", "b.scoup.partial.0"}
+
+
+def test_verbs_that_find_their_output_in_use() -> None:
+    run_json("build", "scene", *QUICK, "--out", "kept.scoup", "--keep-sums")
+    update = ("update", "kept.scoup", "--remove", "view_00.png", "--overwrite")
+    with (
+        locked_file(Path("a.scoup")),
+        locked_file(Path("kept.scoup"), overwrite=True),
+        locked_folder(Path("regions")),
+    ):
+        for verb, output in ((BUILD, "a.scoup"), (update, "kept.scoup"), (EXTRACT, "regions")):
+            message = refused(*verb)
+            assert message.startswith(f"{output}: is being written by process {os.getpid()} on ")
+            assert message.endswith("; wait for it or give another --out")
+        again = (*BUILD[:-1], "b.scoup", "--sums", "kept.scoup.sums")
+        assert run(*again)[0] == 0  # sums are only read, and the output is another
+
+
+def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    import torch
+
+    for number in range(4):
+        pixels = torch.zeros(30, 40, 3, dtype=torch.uint8)
+        pixels[:15, : 10 + 5 * number] = 200
+        save_png(pixels, f"scene/images/view_0{number}.png", overwrite=True)
+    write, written = RegionStore.write, []
+
+    def interrupted(self, *view, **more):
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        written.append(1)
+        return write(self, *view, **more)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RegionStore, "write", interrupted)
+        code, out, err = run(*EXTRACT, "--json")
+    assert code == 130
+    assert err == "error: interrupted; 3 of 4 views are kept, run the same command again to continue\n"
+    assert json.loads(out) == {"error": err.removeprefix("error: ").strip()}
+    assert sorted(path.name for path in Path("regions").iterdir()) == [
+        "regions.json", "view_00.regions", "view_01.regions", "view_02.regions",
+    ]  # fmt: skip
+    code, out, err = run(*EXTRACT)
+    assert (code, err) == (0, "")
+    assert "regions: continues: 3 of 4 views are there\n" in out
+    assert "1 views made, 3 were there already" in out
+
+
+@pytest.mark.parametrize(
+    ("verb", "inside"),
+    [
+        (("query", "f.scoup", "kettle", "--out", "new/answers"), "scoup.query.drawing.draw_answer"),
+        (("select", "f.scoup", "kettle", "--out", "new/a.ply"), "scoup.query.answer.answer_scene"),
+        (("render", "f.scoup", "--out", "new/a.gif"), "scoup.pictures.animation.save_animation"),
+        (("convert", "scene", "new/compact"), "scoup.io.regions.compact.write_view"),
+        (("demo", "--out", "new/demo"), "scoup.evaluate.demonstration.make_demo_scene"),
+        (("update", "kept.scoup", "--remove", "view_00.png", "--out", "new/b.scoup"), "scoup.uplift.update.update"),
+        ((*BUILD[:-1], "new/a.scoup"), "scoup.uplift.region_codes.fit_codes"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else "",
+)  # fmt: skip
+def test_where_nothing_is_kept_nothing_is_left(verb, inside: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    run_json("build", "scene", *QUICK, "--out", "kept.scoup", "--keep-sums")
+    before = {path: path.stat().st_mtime_ns for path in Path().rglob("*") if path.is_file()}
+    monkeypatch.setattr(inside, interrupt)
+    code, _, err = run(*verb)
+    assert (code, err) == (130, "error: interrupted; nothing was written\n")
+    assert not Path("new").exists()
+    assert {path: path.stat().st_mtime_ns for path in Path().rglob("*") if path.is_file()} == before
+
+
+def test_codes_are_kept_before_there_is_any_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RegionSums, "append", interrupt)
+        code, _, err = run(*BUILD)
+    assert (code, err) == (
+        130, "error: interrupted; the codes are kept, run the same command again to continue\n"
+    )  # fmt: skip
+    assert "0 of 4 views are there, the codes are kept" in run(*BUILD)[1]

@@ -1,0 +1,301 @@
+"""A full disk: every verb that writes says so in one sentence with the path, and leaves nothing half-written.
+
+The disk is full where a file may grow no further (RLIMIT_FSIZE): the system then refuses the write, as on a full disk.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+import scoup.io as scoup_io
+from cli_support import QUICK, run, snapshot
+from scoup.base.atomic import atomic_file
+from scoup.base.errors import WriteError
+from scoup.base.staging import staged
+from scoup.io import save_gaussians, save_png, save_regions, write_inria_cameras, write_transforms
+from scoup.models.word_table import save_table
+from scoup.raster import ViewSums
+from scoup.uplift.rasterise import region_sums
+from scoup.uplift.region_sums import RegionSums
+from support import small_scene
+
+resource = pytest.importorskip("resource")
+
+FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
+SMALL = ("--n-gaussians", "2000", "--width", "48", "--height", "36", "--views", "2")
+VERBS = {
+    "build": ("build", "scene", *QUICK, "--out", "new/a.scoup"),
+    "build with sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums"),
+    "build from sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--sums", "kept.scoup.sums"),
+    "build with geometry": ("build", "scene", *QUICK, "--out", "a.scoup", "--embed-geometry"),
+    "update": ("update", "kept.scoup", "--remove", "view_00.png", "--out", "a.scoup"),
+    "extract": ("extract", "scene", *FREE, "--out", "regions"),
+    "extract, LangSplat": ("extract", "scene", *FREE, "--out", "regions", "--layout", "langsplat"),
+    "convert": ("convert", "scene", "compact"),
+    "query": ("query", "f.scoup", "kettle", "--out", "answers", "--camera", "all"),
+    "select": ("select", "f.scoup", "kettle", "--always", "--out", "a.ply"),
+    "render": ("render", "f.scoup", "--out", "pictures", "--camera", "all"),
+    "animation": ("render", "f.scoup", "--out", "a.gif", "--camera", "all"),
+    "animation, WebP": ("render", "f.scoup", "--out", "a.webp", "--camera", "all"),
+    "regions": ("regions", "scene", "--view", "view_00", "--width", "300", "--out", "a.png"),
+    "demo": ("demo", *SMALL, "--out", "demo"),
+    "synthetic": ("eval", "synthetic", "lerf-ovs", "data", *SMALL, "--scenes", "1", "--labelled", "1"),
+    "bench": ("bench", "--n-gaussians", "100", "--width", "24", "--height", "16", "--repeats", "1", "--stages",
+              "project", "--out", "a.json"),
+}  # fmt: skip
+# Of these, what is complete stays for the same command to continue.
+RESUMED = (".partial", ".regions", "_s.npy", "_f.npy", "_made.json", "regions.json")
+
+
+@pytest.fixture(scope="session")
+def original(original: Path) -> Path:
+    """With a field whose region sums are kept."""
+    table = original / "scene" / "words.npz"
+    build = (
+        "build",
+        original / "scene",
+        *QUICK,
+        "--out",
+        original / "kept.scoup",
+        "--model",
+        table,
+        "--keep-sums",
+    )
+    code, _, err = run(*build)
+    assert code == 0, err
+    return original
+
+
+@contextlib.contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """No file grows beyond so many bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def entries(folder: Path) -> set[str]:
+    """Everything below a folder, folders too."""
+    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+
+
+def check_refused(arguments: tuple[str, ...], size: int, outputs: set[str]) -> None:
+    """The verb ends with 2, says one sentence that names an output, and changes and leaves nothing."""
+    here = Path.cwd()
+    before, contents = entries(here), snapshot(here)
+    with largest_file(size):
+        code, _, err = run(*arguments)
+    lines = [line for line in err.splitlines() if not line.startswith("warning: ")]
+    assert (code, len(lines)) == (2, 1), (size, err)
+    path, _, rest = lines[0].removeprefix("error: ").partition(": cannot be written (")
+    assert rest.startswith("File too large)"), lines[0]
+    places = outputs | {str(parent) for name in outputs for parent in Path(name).parents} - {"."}
+    assert path in places or path.endswith(".partial"), lines[0]
+    new = {name for name in entries(here) - before if Path(name).is_file() or not Path(name).exists()}
+    assert all(name.endswith(RESUMED) for name in new), new
+    assert not any(".lock" in name or "/." in f"/{name}" for name in entries(here) - before)
+    assert {name: content for name, content in snapshot(here).items() if name in contents} == contents
+
+
+@pytest.fixture
+def scene(here: Path) -> Path:
+    """The current folder, whose scene has two photographs that show something."""
+    for number in range(4):
+        picture = here / "scene" / "images" / f"view_0{number}.png"
+        picture.unlink()
+        if number < 2:
+            pixels = torch.zeros(30, 40, 3, dtype=torch.uint8)
+            pixels[:15, : 10 + 5 * number] = 200
+            save_png(pixels, picture)
+    return here
+
+
+def remove(names: set[str]) -> None:
+    """Remove files, and the folders that are empty without them."""
+    for name in names:
+        Path(name).unlink()
+    for folder in sorted({parent for name in names for parent in Path(name).parents}, reverse=True):
+        if folder.name and not any(folder.iterdir()):
+            folder.rmdir()
+
+
+SLOW = ("demo", "synthetic")
+ALL = [pytest.param(verb, marks=pytest.mark.slow) if verb in SLOW else verb for verb in VERBS]
+
+
+@pytest.mark.parametrize("verb", ALL)
+def test_every_verb_that_writes(scene: Path, verb: str) -> None:
+    before = set(snapshot(scene))
+    code, _, err = run(*VERBS[verb])
+    assert code == 0, err
+    made = {name: len(content) for name, content in snapshot(scene).items() if name not in before}
+    # First with everything there already, then with nothing.
+    check_refused((*VERBS[verb], "--overwrite"), 0, set(made))
+    remove(set(made))
+    largest = max(made.values())
+    # No byte; all but the last of the largest file, where it is always of one size.
+    for size in (0, largest // 2 if verb == "bench" else largest - 1):
+        check_refused(VERBS[verb], size, set(made))
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("verb", SLOW)
+def test_the_first_write_of_verbs_that_take_long(verb: str) -> None:
+    before = entries(Path())
+    with largest_file(0):
+        code, _, err = run(*VERBS[verb])
+    assert code == 2
+    assert len(err.splitlines()) == 1
+    assert err.startswith(f"error: {'demo/scene/' if verb == 'demo' else 'data/table'}")
+    assert "point_cloud.ply: cannot be written (File too large); free some space" in err
+    assert entries(Path()) == before
+
+
+@pytest.mark.slow
+def test_an_evaluation(here: Path, synthetic_data_sets: Path) -> None:
+    evaluate = ("eval", "lerf-ovs", synthetic_data_sets / "lerf-ovs", "--n-atoms", 8, "--scenes", "table")
+    before = entries(here)
+    code, _, err = run(*evaluate)
+    assert code == 0, err
+    made = {name for name in entries(here) - before if Path(name).is_file()}
+    sizes = sorted({Path(name).stat().st_size for name in made})
+    reports = {name for name in made if Path(name).parent == Path("eval_lerf-ovs")}
+    remove(made)
+    for size in (0, *(size - 1 for size in sizes)):
+        with largest_file(size):
+            code, _, err = run(*evaluate)
+        assert (code, len(err.splitlines())) == (2, 1), err
+        path, _, rest = err.removeprefix("error: ").partition(": cannot be written (")
+        assert rest.startswith("File too large)")
+        assert path in made or path.startswith("eval_lerf-ovs"), err
+        left = {name for name in entries(here) - before if Path(name).is_file()}
+        assert not left & reports
+        assert all(name.endswith((".scoup", ".scoup.partial", ".safetensors", ".png")) for name in left), left
+    code, _, err = run(*evaluate)  # what was kept is good
+    assert code == 0, err
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_folders_that_may_not_be_written_to(here: Path, verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    access = os.access  # the tests may run as root, who may write everywhere
+    monkeypatch.setattr(
+        os, "access", lambda path, mode, **more: Path(path) != here and access(path, mode, **more)
+    )
+    before = snapshot(here)
+    code, _, err = run(*VERBS[verb])
+    assert (code, len(err.splitlines())) == (2, 1), err
+    assert f"cannot be written, {here} is read-only for you; choose another folder" in err
+    assert snapshot(here) == before
+
+
+def test_a_process_of_its_own(here: Path) -> None:
+    """As a user's shell limits it (ulimit -f)."""
+    build = [sys.executable, "-c", "from scoup.cli.app import entry; entry()", *VERBS["build"]]
+    before = entries(here)
+    done = subprocess.run(
+        build,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert done.stderr == (
+        "error: new/a.scoup: cannot be written (File too large); free some space, or choose another place\n"
+    )
+    assert entries(here) == before
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+@pytest.mark.usefixtures("here")
+def test_standard_output_that_is_full() -> None:
+    command = [sys.executable, "-c", "from scoup.cli.app import entry; entry()", "info", "f.scoup"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: standard output: cannot be written (No space left on device)")
+    assert len(done.stderr.splitlines()) == 1
+
+
+# ---- the library
+
+
+def writers() -> dict[str, Callable[[], object]]:
+    """What writes files without a verb, by the first file it writes."""
+    gaussians, cameras, regions = small_scene(count=40, views=2)
+    kept = region_sums(gaussians, cameras, regions, path="kept.sums")
+    view = ViewSums(*(torch.zeros(0, dtype=kind) for kind in (torch.int32, torch.int32, torch.float32)),
+                    torch.zeros(0, 3, dtype=torch.int32))  # fmt: skip
+    return {
+        "a.ply": lambda: save_gaussians(gaussians, "a.ply"),
+        "a.splat": lambda: save_gaussians(gaussians, "a.splat"),
+        "colmap/cameras.bin": lambda: scoup_io.write_colmap(cameras, "colmap"),
+        "text/cameras.txt": lambda: scoup_io.write_colmap(cameras, "text", text=True),
+        "transforms.json": lambda: write_transforms(cameras, "transforms.json"),
+        "cameras.json": lambda: write_inria_cameras(cameras, "cameras.json"),
+        "features/view_00_f.npy": lambda: save_regions(regions, "features"),
+        "words.npz": lambda: save_table("words.npz", ["a", "b"], torch.eye(2)),
+        "new.sums": lambda: region_sums(gaussians, cameras, regions, path="new.sums"),
+        "kept.sums": lambda: kept.append("another", view),
+        f"temporary file in {tempfile.gettempdir()}": lambda: region_sums(
+            gaussians, cameras, regions, most_in_memory=0
+        ),
+    }
+
+
+@pytest.mark.parametrize("path", [
+    "a.ply", "a.splat", "colmap/cameras.bin", "text/cameras.txt", "transforms.json", "cameras.json",
+    "features/view_00_f.npy", "words.npz", "new.sums", "kept.sums", f"temporary file in {tempfile.gettempdir()}",
+])  # fmt: skip
+def test_every_writer_of_the_library(path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write = writers()[path]
+    before = snapshot(tmp_path)
+    size = len(before["kept.sums"]) if path == "kept.sums" else 100
+    with largest_file(size), pytest.raises(WriteError, match="File too large") as caught:
+        write()
+    assert str(caught.value).startswith(f"{path}: cannot be written (File too large); ")
+    after = snapshot(tmp_path)
+    if path == "new.sums":  # what was complete stays; here nothing was
+        assert after.pop("new.sums") == b""
+    assert after == before
+
+
+def test_region_sums_go_on_where_there_was_no_space(tmp_path: Path) -> None:
+    gaussians, cameras, regions = small_scene(count=40, views=3)
+    whole = region_sums(gaussians, cameras, regions, path=tmp_path / "whole.sums")
+    with largest_file(whole.bytes - 1), pytest.raises(WriteError):
+        region_sums(gaussians, cameras, regions, path=tmp_path / "a.sums")
+    assert len(RegionSums.open(tmp_path / "a.sums")) == 2
+    region_sums(gaussians, cameras, regions, path=tmp_path / "a.sums")
+    assert (tmp_path / "a.sums").read_bytes() == (tmp_path / "whole.sums").read_bytes()
+
+
+def test_an_input_that_cannot_be_read_is_not_mistaken_for_the_output(tmp_path: Path) -> None:
+    def copy() -> None:
+        with atomic_file(tmp_path / "out") as stream:
+            stream.write((tmp_path / "missing").read_bytes())
+
+    def stage() -> None:
+        with staged(tmp_path / "folder"):
+            raise OSError(errno.EIO, "Input/output error", str(tmp_path / "input"))
+
+    with pytest.raises(FileNotFoundError, match="missing") as caught:
+        copy()
+    assert not isinstance(caught.value, WriteError)
+    with pytest.raises(OSError, match="input") as caught:
+        stage()
+    assert not isinstance(caught.value, WriteError)
+    assert not list(tmp_path.iterdir())
