@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -177,3 +178,39 @@ def test_codes_are_kept_before_there_is_any_view(monkeypatch: pytest.MonkeyPatch
         130, "error: interrupted; the codes are kept, run the same command again to continue\n"
     )  # fmt: skip
     assert "0 of 4 views are there, the codes are kept" in run(*BUILD)[1]
+
+
+def together(port: int, *arguments: str) -> list[subprocess.CompletedProcess[str]]:
+    """A verb in two processes, as torchrun starts them."""
+    command = [sys.executable, "-c", "from scoup.cli.app import entry; entry()", *arguments]
+    started = []
+    for rank in range(2):
+        ranks = {"RANK": str(rank), "WORLD_SIZE": "2", "MASTER_ADDR": "localhost", "MASTER_PORT": str(port)}
+        started.append(
+            subprocess.Popen(
+                command,
+                env={**os.environ, **ranks},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        )
+    ended = [(process, process.communicate(timeout=120)) for process in started]
+    return [subprocess.CompletedProcess(command, one.returncode, *streams) for one, streams in ended]
+
+
+def test_of_several_processes_one_locks_and_none_waits_for_ever() -> None:
+    with socket.socket() as probe:
+        probe.bind(("localhost", 0))
+        port = probe.getsockname()[1]
+    before = set(snapshot(Path()))
+    with locked_file(Path("a.scoup")):
+        for done in together(port, *BUILD):
+            assert done.returncode == 2, done.stderr
+            assert f"error: a.scoup: is being written by process {os.getpid()} on " in done.stderr
+    assert set(snapshot(Path())) == before
+    for done in together(port, *BUILD):
+        assert done.returncode == 0, done.stderr
+    assert set(snapshot(Path())) - before == {"a.scoup"}
+    assert run(*BUILD[:-1], "b.scoup")[0] == 0
+    assert Path("a.scoup").read_bytes() == Path("b.scoup").read_bytes()

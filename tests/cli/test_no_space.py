@@ -236,8 +236,8 @@ def writers() -> dict[str, Callable[[], object]]:
     """What writes files without a verb, by the first file it writes."""
     gaussians, cameras, regions = small_scene(count=40, views=2)
     kept = region_sums(gaussians, cameras, regions, path="kept.sums")
-    view = ViewSums(*(torch.zeros(0, dtype=kind) for kind in (torch.int32, torch.int32, torch.float32)),
-                    torch.zeros(0, 3, dtype=torch.int32))  # fmt: skip
+    none = torch.zeros(0, dtype=torch.int32)
+    view = ViewSums(none, none, torch.zeros(0), torch.zeros(0, 3, dtype=torch.int32))
     return {
         "a.ply": lambda: save_gaussians(gaussians, "a.ply"),
         "a.splat": lambda: save_gaussians(gaussians, "a.splat"),

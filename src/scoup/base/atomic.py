@@ -8,7 +8,7 @@ import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 from scoup.base.errors import NO_SPACE, InputError, OutputExistsError, ScoupError, WriteError
 from scoup.base.holding import try_hold
@@ -93,10 +93,13 @@ def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def atomic_file(path: str | Path, overwrite: bool = False) -> Iterator[io.BufferedIOBase]:
-    """A binary file that becomes ``path`` when the block ends without an error. See ``atomic_path``."""
+def atomic_file(path: str | Path, overwrite: bool = False) -> Iterator[BinaryIO]:
+    """A binary file that becomes ``path`` when the block ends without an error. See ``atomic_path``.
+
+    It has no ``fileno``.
+    """
     with atomic_path(path, overwrite) as temporary, _Output(temporary) as stream:
-        yield stream
+        yield cast(BinaryIO, stream)
 
 
 def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:

@@ -37,15 +37,11 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
     remove_abandoned(home.glob(f"{_HIDDEN}*"))
     hidden = home / f"{_HIDDEN}{secrets.token_hex(6)}"
     try:
-        with refusals_named(folder, hidden):
-            hidden.mkdir()
-            with _held(hidden):
-                yield hidden
-                found = [
-                    str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()
-                ]
-                first = [file for file in files if file in found]
-                _move(hidden, folder, [*first, *(file for file in found if file not in files)], overwrite)
+        with refusals_named(folder, hidden), _made_and_held(hidden):
+            yield hidden
+            found = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
+            first = [file for file in files if file in found]
+            _move(hidden, folder, [*first, *(file for file in found if file not in files)], overwrite)
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
 
@@ -64,14 +60,23 @@ def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> 
 
 
 @contextmanager
-def _held(folder: Path) -> Iterator[None]:
-    """Hold a folder, where the system can, so that no other process takes it for abandoned."""
+def _made_and_held(hidden: Path) -> Iterator[None]:
+    """Make a hidden folder, and hold it where the system can, so that no other process takes it for abandoned."""
+    fresh = hidden.with_name(f".new{hidden.name}")  # a name that nobody looks for, until it is held
     descriptor = None
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try_hold(descriptor)
     try:
+        fresh.mkdir()
+        with suppress(OSError):
+            descriptor = os.open(fresh, os.O_RDONLY)
+            try_hold(descriptor)
+        fresh.rename(hidden)
         yield
+    except OSError as error:
+        if error.filename == str(fresh):
+            error.filename = str(hidden)
+        raise
     finally:
         if descriptor is not None:
             os.close(descriptor)
+        with suppress(OSError):
+            fresh.rmdir()

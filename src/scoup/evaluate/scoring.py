@@ -54,33 +54,41 @@ def build_field(
     # Which constants the rasteriser uses follows from the splat.
     settings = replace(settings, raster_preset=default_preset(scene.splat))
     if path.is_file() and not rebuild:
-        field = LanguageField.load(path, gaussians).to(device)
-        if field.info.provenance.get("settings") != asdict(settings):
-            raise InputError(
-                f"{path}: was built with other settings; name another folder with --out, or pass --rebuild to "
-                "build it again"
-            )
-        return field
+        return _stored(path, gaussians, settings)
     regions = load_regions(scene.features, scene.cameras)
-    with (
-        locked_file(path, overwrite=rebuild),
-        checkpoint(path, gaussians, regions, settings.raster_preset) as sums,
-    ):
-        if message := continued(sums, len(regions)):
-            say(message)
-        field = build(
-            gaussians,
-            scene.cameras,
-            regions,
-            settings=settings,
-            embedding_model=model,
-            geometry_path=scene.splat,
-            sums=sums,
-            progress=progress,
+    with locked_file(path, overwrite=True):
+        if path.is_file() and not rebuild:  # another process has built it meanwhile
+            return _stored(path, gaussians, settings)
+        with checkpoint(path, gaussians, regions, settings.raster_preset) as sums:
+            if message := continued(sums, len(regions)):
+                say(message)
+            field = build(
+                gaussians,
+                scene.cameras,
+                regions,
+                settings=settings,
+                embedding_model=model,
+                geometry_path=scene.splat,
+                sums=sums,
+                progress=progress,
+            )
+            field.save(path, overwrite=True)
+    return _stored(path, gaussians, settings)  # what is scored is what is stored, half precision included
+
+
+def _stored(path: Path, gaussians: Gaussians, settings: BuildSettings) -> LanguageField:
+    """A field that is built already, on the device of its Gaussians.
+
+    Raises:
+        InputError: it was built with other settings.
+    """
+    field = LanguageField.load(path, gaussians).to(gaussians.device)
+    if field.info.provenance.get("settings") != asdict(settings):
+        raise InputError(
+            f"{path}: was built with other settings; name another folder with --out, or pass --rebuild to "
+            "build it again"
         )
-        field.save(path, overwrite=rebuild)
-    # What is scored is what is stored, half precision included.
-    return LanguageField.load(path, gaussians).to(device)
+    return field
 
 
 def predict(

@@ -217,7 +217,7 @@ def tensor_checksum(tensor: Tensor) -> str:
     """
     array = tensor.contiguous().numpy()
     described = f"{array.dtype} {list(array.shape)}\n".encode()
-    return f"{zlib.crc32(array.reshape(-1).view(np.uint8), zlib.crc32(described)):08x}"
+    return f"{zlib.crc32(array.reshape(-1).view(np.uint8).data, zlib.crc32(described)):08x}"
 
 
 def text_checksum(text: str) -> str:

@@ -1,0 +1,170 @@
+"""The ``.scoup`` file: its versions, its checksums, and what becomes of damage."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import struct
+from pathlib import Path
+
+import pytest
+import torch
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from frozen_fields import small_field
+from scoup.base.errors import FieldVersionError, FileFormatError
+from scoup.field.artefact import METADATA_KEY, READERS, VERSION, tensor_checksum, text_checksum
+from scoup.field.language_field import LanguageField
+
+FROZEN = Path(__file__).parents[1] / "frozen"
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small field's file, as it is written now; nobody changes it."""
+    path = tmp_path_factory.mktemp("file") / "f.scoup"
+    field = small_field()
+    field.geometry_path = None
+    field.save(path, embed_geometry=True)
+    return path
+
+
+def parts_of(path: Path) -> tuple[dict, dict[str, torch.Tensor]]:
+    """The JSON header and the tensors of a file."""
+    with safe_open(path, framework="pt") as stream:
+        tensors = {name: stream.get_tensor(name).clone() for name in stream.keys()}  # noqa: SIM118
+        return json.loads(stream.metadata()[METADATA_KEY]), tensors
+
+
+def write_parts(path: Path, header: dict, tensors: dict[str, torch.Tensor]) -> None:
+    save_file(tensors, path, {METADATA_KEY: json.dumps(header, sort_keys=True)})
+
+
+def check_same(one: LanguageField, other: LanguageField) -> None:
+    """Equal in everything that is stored."""
+    for name in ("code_indices", "code_weights", "codebook"):
+        assert torch.equal(getattr(one, name), getattr(other, name)), name
+        assert getattr(one, name).dtype == getattr(other, name).dtype
+    assert one.info == other.info
+    assert one.gaussians.fingerprint() == other.gaussians.fingerprint()
+    assert torch.equal(one.gaussians.sh, other.gaussians.sh)
+    assert one.cameras is not None
+    assert other.cameras is not None
+    assert [camera.fingerprint() for camera in one.cameras] == [
+        camera.fingerprint() for camera in other.cameras
+    ]
+    assert one.cameras.names == other.cameras.names
+
+
+def test_every_version_is_read(path: Path) -> None:
+    assert sorted(READERS) == list(range(1, VERSION + 1))
+    old = FROZEN / "field_version_1.scoup"
+    assert parts_of(old)[0]["version"] == 1
+    check_same(LanguageField.load(old), small_field())
+    assert parts_of(path)[0]["version"] == 2
+    check_same(LanguageField.load(path), small_field())
+
+
+def test_a_field_of_an_old_version_is_written_as_a_new_one(path: Path, tmp_path: Path) -> None:
+    LanguageField.load(FROZEN / "field_version_1.scoup").save(tmp_path / "f.scoup", embed_geometry=True)
+    assert (tmp_path / "f.scoup").read_bytes() == path.read_bytes()
+
+
+def test_what_the_checksums_are_of(path: Path) -> None:
+    """As docs/formats.md says, so that others can check and write them."""
+    import zlib
+
+    header, tensors = parts_of(path)
+    assert header["checksums"].keys() == tensors.keys()
+    codebook = tensors["codebook"].numpy()
+    described = b"float32 [3, 4, 8]\n" + codebook.tobytes()
+    assert header["checksums"]["codebook"] == f"{zlib.crc32(described):08x}"
+    text = json.dumps({**header, "checksum": "00000000"}, sort_keys=True)
+    assert header["checksum"] == text_checksum(text)
+
+
+def test_checksums_know_type_and_shape() -> None:
+    numbers = torch.arange(6, dtype=torch.float32)
+    checksums = {
+        tensor_checksum(item)
+        for item in (numbers, numbers.reshape(2, 3), numbers.reshape(3, 2), numbers.view(torch.int32))
+    }
+    assert len(checksums) == 4
+    assert tensor_checksum(numbers.reshape(2, 3).T) == tensor_checksum(numbers.reshape(2, 3).T.contiguous())
+    for kind in (torch.uint8, torch.uint16, torch.float16, torch.float64, torch.int32):
+        assert len(tensor_checksum(torch.zeros(0, 3, dtype=kind))) == 8
+
+
+def test_a_newer_version_is_an_error_of_its_own(path: Path, tmp_path: Path) -> None:
+    header, tensors = parts_of(path)
+    write_parts(tmp_path / "f.scoup", {**header, "version": 7}, tensors)
+    with pytest.raises(FieldVersionError) as caught:
+        LanguageField.load(tmp_path / "f.scoup")
+    assert str(caught.value) == (
+        f"{tmp_path}/f.scoup: was written by a newer SCOUP (format version 7, this one reads up to 2); "
+        "update it: pip install -U scoup"
+    )
+    assert (caught.value.version, caught.value.newest) == (7, VERSION)
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+@pytest.mark.parametrize("version", [0, -1, True, "2", 2.0, None, [2]])
+def test_versions_that_never_were(path: Path, tmp_path: Path, version: object) -> None:
+    header, tensors = parts_of(path)
+    write_parts(tmp_path / "f.scoup", {**header, "version": version}, tensors)
+    with pytest.raises(FileFormatError, match="format version") as caught:
+        LanguageField.load(tmp_path / "f.scoup")
+    assert not isinstance(caught.value, FieldVersionError)
+
+
+def test_what_is_damaged_is_named(path: Path, tmp_path: Path) -> None:
+    header, tensors = parts_of(path)
+    tensors["codebook"][1, 2, 3] += 1e-6
+    write_parts(tmp_path / "f.scoup", header, tensors)
+    with pytest.raises(FileFormatError, match=r"is damaged \(checksum of codebook\); build the field again"):
+        LanguageField.load(tmp_path / "f.scoup")
+    header, tensors = parts_of(path)
+    write_parts(tmp_path / "f.scoup", {**header, "embedding_model": "another/model"}, tensors)
+    with pytest.raises(FileFormatError, match=r"is damaged \(checksum of the header\)"):
+        LanguageField.load(tmp_path / "f.scoup")
+    write_parts(tmp_path / "f.scoup", header, {**tensors, "more": torch.zeros(2)})
+    with pytest.raises(FileFormatError, match=r"is damaged \(its header names other tensors\)"):
+        LanguageField.load(tmp_path / "f.scoup")
+    del header["checksum"]
+    write_parts(tmp_path / "f.scoup", header, tensors)
+    with pytest.raises(FileFormatError, match="lacks 'checksum'"):
+        LanguageField.load(tmp_path / "f.scoup")
+
+
+def check_flipped(path: Path, content: bytes, bit: int, target: Path) -> None:
+    """One bit flipped: an error that names the file, or, where it changes nothing, the same field."""
+    damaged = bytearray(content)
+    damaged[bit // 8] ^= 1 << bit % 8
+    target.write_bytes(damaged)
+    try:
+        found = LanguageField.load(target)
+    except FileFormatError as error:
+        message = str(error)
+    else:
+        check_same(found, LanguageField.load(path))
+        message = target.name
+    assert target.name in message
+
+
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(place=st.floats(0, 1, exclude_max=True), in_header=st.booleans())
+@example(place=0.0, in_header=True)
+def test_any_flipped_bit_is_found(path: Path, tmp_path: Path, place: float, in_header: bool) -> None:
+    content = path.read_bytes()
+    length = 8 + struct.unpack("<Q", content[:8])[0] if in_header else len(content)
+    check_flipped(path, content, int(place * length * 8), tmp_path / "damaged.scoup")
+
+
+@pytest.mark.slow
+def test_every_flipped_bit_is_found(path: Path, tmp_path: Path) -> None:
+    content = path.read_bytes()
+    for bit in range(8 * len(content)):
+        check_flipped(path, content, bit, tmp_path / "damaged.scoup")
