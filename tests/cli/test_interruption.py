@@ -23,19 +23,26 @@ pytestmark = pytest.mark.usefixtures("here")
 BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
-# A build in a process of its own that waits before it rasterises a third view.
+# A build in a process of its own that rasterises no third view: it waits, once two are in the file.
 STUCK = """
 import time
 from scoup import raster
 from scoup.cli.app import entry
-region_sums, calls = raster.region_sums, []
+from scoup.uplift.region_sums import RegionSums
+region_sums, append, rasterised, appended = raster.region_sums, RegionSums.append, [], []
+def counted(self, *view):
+    append(self, *view)
+    appended.append(1)
 def slow(*view):
-    calls.append(1)
-    if len(calls) == 3:
+    rasterised.append(1)
+    while len(rasterised) == 3 and len(appended) < 2:
+        time.sleep(0.01)
+    if len(rasterised) == 3:
         print("two views", flush=True)
-        time.sleep(60)
+    while len(rasterised) == 3:
+        time.sleep(0.1)
     return region_sums(*view)
-raster.region_sums = slow
+raster.region_sums, RegionSums.append = slow, counted
 entry()
 """
 
