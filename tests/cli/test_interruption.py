@@ -145,13 +145,13 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
     code, out, err = run(*EXTRACT)
     assert (code, err) == (0, "")
     assert "regions: continues: 3 of 4 views are there\n" in out
-    assert "1 views made, 3 were there already" in out
+    assert "1 view made, 3 already there" in out
 
 
 @pytest.mark.parametrize(
     ("verb", "inside"),
     [
-        (("query", "f.scoup", "kettle", "--out", "new/answers"), "scoup.query.drawing.draw_answer"),
+        (("query", "f.scoup", "kettle", "--out", "new/answers"), "scoup.query.answer.answer_view"),
         (("select", "f.scoup", "kettle", "--out", "new/a.ply"), "scoup.query.answer.answer_scene"),
         (("render", "f.scoup", "--out", "new/a.gif"), "scoup.pictures.animation.save_animation"),
         (("convert", "scene", "new/compact"), "scoup.io.regions.compact.write_view"),

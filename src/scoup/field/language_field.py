@@ -102,8 +102,8 @@ class LanguageField(FieldQueries):
         name = self.embedding_model
         if not name:
             raise InputError(
-                f"{self.path or 'this field'}: names no embedding model; pass encoder=..., a word table, a model id, or "
-                "a dict of name -> vector"
+                f"{self.path or 'this field'}: names no embedding model; pass encoder=..., a word table, a model id, "
+                "or a dict of name -> vector"
             )
         beside = None if self.path is None else self.path.parent / name
         return str(beside) if beside is not None and is_table(name) and beside.is_file() else name
