@@ -18,7 +18,7 @@ from scoup.base.errors import InputError
 from scoup.cli.query import Query
 from scoup.io import write_colmap
 from scoup.models.word_table import load_table, save_table
-from scoup.query import drawing
+from scoup.pictures import mask_overlay
 from scoup.query.presets import QUERY_PRESETS
 from scoup.scene.cameras import Cameras
 from support import make_camera
@@ -198,7 +198,7 @@ def test_nothing_is_replaced_without_overwrite():
 def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
     run_json("query", "f.scoup", "kettle", "--camera", "all", "--pictures", "all")
     before = snapshot(Path())
-    overlay, drawn = drawing.mask_overlay, []
+    overlay, drawn = mask_overlay, []
 
     def failing(*arguments):
         drawn.append(arguments)
@@ -206,7 +206,7 @@ def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
             raise error
         return overlay(*arguments)
 
-    monkeypatch.setattr(drawing, "mask_overlay", failing)
+    monkeypatch.setattr("scoup.query.answer.mask_overlay", failing)
     code, out, err = run(
         "query", "f.scoup", "mug", "kettle", "--camera", "all", "--overwrite", "--pictures", "all"
     )

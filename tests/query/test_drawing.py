@@ -15,10 +15,8 @@ from scoup.base.errors import InputError
 from scoup.pictures import as_picture, heat_map, heat_overlay
 from scoup.query.answer import answer_view
 from scoup.query.drawing import (
-    answer_remark,
     code_drawing,
     color_drawing,
-    draw_answer,
     relevancy_drawing,
 )
 
@@ -26,10 +24,10 @@ from scoup.query.drawing import (
 def test_pictures_of_an_answer(queried: Queried) -> None:
     answer = answer_view(queried.field, queried.camera, queried.texts)[0]
     rgb = raster.render_colors(queried.field.gaussians, queried.camera)
-    drawn = draw_answer(answer, rgb, "kettle")
+    drawn = answer.pictures(rgb)
     assert list(drawn) == ["heat", "mask", "overlay"]
     assert drawn["mask"] is answer.mask
-    absent = draw_answer(replace(answer, presence=False), rgb, "kettle")
+    absent = replace(answer, presence=False).pictures(rgb)
     assert np.array_equal(np.asarray(absent["heat"]), np.asarray(drawn["heat"]))
     assert not np.array_equal(np.asarray(absent["overlay"]), np.asarray(drawn["overlay"]))  # the remark
 
@@ -37,13 +35,11 @@ def test_pictures_of_an_answer(queried: Queried) -> None:
 def test_what_is_said_of_an_answer(queried: Queried) -> None:
     answer = answer_view(queried.field, queried.camera, queried.texts)[0]
     answer = replace(answer, level="m", score=0.731, coverage=0.0213, z_score=None)
-    assert answer_remark(answer) == "level m, score 0.73, 2.1% of the view"
-    assert (
-        answer_remark(replace(answer, z_score=3.21)) == "level m, score 0.73, 2.1% of the view, z-score 3.2"
-    )
+    assert answer.remark() == "level m, score 0.73, 2.1% of the view"
+    assert replace(answer, z_score=3.21).remark() == "level m, score 0.73, 2.1% of the view, z-score 3.2"
     absent = replace(answer, presence=False, z_score=0.61)
-    assert answer_remark(absent) == "not in this view (z-score 0.6)"
-    assert answer_remark(replace(absent, z_score=-math.inf)) == "not in this view (nothing found)"
+    assert absent.remark() == "not in this view (z-score 0.6)"
+    assert replace(absent, z_score=-math.inf).remark() == "not in this view (nothing found)"
 
 
 def test_drawings_of_a_view(queried: Queried) -> None:

@@ -152,11 +152,10 @@ class Query(TextOptions, CameraOptions):
     ) -> None:
         """Add a view to the sheets, and write its single pictures if they are wanted."""
         from scoup.io import save_png
-        from scoup.query.drawing import draw_answer
 
         sheets.add(camera.name, answers, rgb)
-        for text, answer, names in zip(self.texts, answers, self._picture_names(), strict=True):
-            drawn = draw_answer(answer, rgb, text) if names else {}
+        for answer, names in zip(answers, self._picture_names(), strict=True):
+            drawn = answer.pictures(rgb) if names else {}
             for kind, name in names.items():
                 save_png(drawn[kind], folder / name)
 

@@ -6,16 +6,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup import raster
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.counts import counted
 from scoup.base.errors import GeometryMismatchError, InputError
-from scoup.base.html import PREVIEW, card, first_of
 from scoup.field.artefact import (
     FieldInfo,
     FieldParts,
@@ -91,24 +89,6 @@ class LanguageField(FieldQueries):
         return self.info.embedding_model
 
     @property
-    def encoder_source(self) -> str:
-        """The model or table to open for texts: a table is sought beside the field's file, as its geometry is.
-
-        Raises:
-            InputError: the field names none.
-        """
-        from scoup.models.word_table import is_table
-
-        name = self.embedding_model
-        if not name:
-            raise InputError(
-                f"{self.path or 'this field'}: names no embedding model; pass encoder=..., a word table, a model id, "
-                "or a dict of name -> vector"
-            )
-        beside = None if self.path is None else self.path.parent / name
-        return str(beside) if beside is not None and is_table(name) and beside.is_file() else name
-
-    @property
     def fingerprint(self) -> str:
         """Of the geometry the field belongs to (``Gaussians.fingerprint``)."""
         return self.info.fingerprint
@@ -127,29 +107,9 @@ class LanguageField(FieldQueries):
         return f"LanguageField({len(self):,} Gaussians, levels {', '.join(self.levels)}, {sizes})"
 
     def _repr_html_(self) -> str:
-        facts = {
-            "levels": ", ".join(self.levels),
-            "atoms": self.n_atoms,
-            "embeddings": f"{self.dim} dimensions, {self.embedding_model or 'an unnamed model'}",
-            "cameras": 0 if self.cameras is None else first_of(self.cameras.names),
-            "file": self.path or "not saved",
-        }
-        return card(f"Language field of {len(self):,} Gaussians", facts, self._preview())
+        from scoup.query.field_card import field_card
 
-    def _preview(self) -> NDArray[np.uint8] | None:
-        """The codes of the middle level in the first camera; None if there is no camera or no geometry."""
-        from scoup.query.drawing import code_drawing
-
-        if self.cameras is None or not len(self.cameras):
-            return None
-        camera = self.cameras[0]
-        scale = min(1.0, PREVIEW[0] / camera.width)
-        camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-        try:
-            projection = self.project(camera)
-        except InputError:  # the geometry is not where it was; a notebook shows the rest all the same
-            return None
-        return code_drawing(self, len(self.levels) // 2)(camera, projection)
+        return field_card(self)
 
     def __len__(self) -> int:
         return self.code_indices.shape[0]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,6 +16,7 @@ from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError
 from scoup.base.html import card
+from scoup.pictures import as_picture, heat_map, mask_overlay
 from scoup.query.localize import Localization
 from scoup.query.presence import scene_z_scores, view_z_scores
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
@@ -71,14 +73,40 @@ class Answer:
         return f"Answer({_said(self)} in {self.view!r}: {found if self.presence else 'not in this view'})"
 
     def _repr_html_(self) -> str:
-        from scoup.pictures import as_picture
-        from scoup.query.drawing import draw_answer
-
-        rgb = torch.zeros(*self.heat.shape, 3) if self.render is None else self.render().cpu()
         facts = {name: value for name, value in self.record().items() if name != "pixel_level"}
-        return card(
-            f"{_said(self)} in {self.view}", facts, as_picture(draw_answer(self, rgb, self.text)["overlay"])
+        return card(f"{_said(self)} in {self.view}", facts, as_picture(self.pictures()["overlay"]))
+
+    def remark(self) -> str:
+        """Level, score, coverage and, if presence was judged, z-score in few words; or that the thing is not there."""
+        judged = self.z_score is not None and math.isfinite(self.z_score)
+        z_score = f"z-score {self.z_score:.1f}" if judged else ""
+        if not self.presence:
+            return f"not in this view ({z_score or 'nothing found'})"
+        parts = (
+            f"level {self.level}",
+            f"score {self.score:.2f}",
+            f"{self.coverage:.1%} of the view",
+            z_score,
         )
+        return ", ".join(part for part in parts if part)
+
+    def pictures(self, rgb: Tensor | None = None) -> dict[str, np.ndarray | Tensor]:
+        """The pictures of the answer, by their kind.
+
+        Args:
+            rgb: [H, W, 3] float 0..1, what is drawn upon; by default the colours of the view, rendered, or black.
+
+        Returns:
+            "heat": the relevancy over the render, [.., .., 3] uint8; "mask": [H, W] boolean; "overlay": mask, box and
+            point over the render, [.., .., 3] uint8.
+        """
+        if rgb is None:
+            rgb = torch.zeros(*self.heat.shape, 3) if self.render is None else self.render().cpu()
+        return {
+            "heat": heat_map(self.heat, rgb, self.text, self.level, self.score),
+            "mask": self.mask,
+            "overlay": mask_overlay(self.mask, rgb, self.box, self.point, self.text, self.remark()),
+        }
 
     def crop(self, image: Tensor, margin: int = 0) -> Tensor | None:
         """The part of an image of the view [H, W, ...] in the box; None if the thing is not there.

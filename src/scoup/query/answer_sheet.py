@@ -13,7 +13,6 @@ from scoup.pictures import answer_overlay, as_picture, contact_sheet, heat_legen
 from scoup.pictures.colors import Picture
 from scoup.pictures.sheet import GAP
 from scoup.query.answer import Answer
-from scoup.query.drawing import answer_remark
 
 MOST_VIEWS = 12  # on a sheet
 MOST_TEXTS = 6  # on a sheet; more get sheets of their own
@@ -150,7 +149,7 @@ def _cell(answer: Answer, size: tuple[int, int]) -> _Cell:
         mask=mask,
         box=answer.box and (answer.box[0] * x, answer.box[1] * y, answer.box[2] * x, answer.box[3] * y),
         point=answer.point and ((answer.point[0] + 0.5) * x, (answer.point[1] + 0.5) * y),
-        remark=answer_remark(answer),
+        remark=answer.remark(),
         presence=answer.presence,
         score=answer.score,
         largest=float(relevancy.max()),

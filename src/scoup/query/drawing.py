@@ -1,8 +1,7 @@
-"""Pictures of answers and of fields, one view at a time."""
+"""Pictures of fields, one view at a time."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -18,12 +17,11 @@ from scoup.pictures import (
     code_picture,
     heat_map,
     heat_overlay,
-    mask_overlay,
     stacked,
     swatch_legend,
 )
 from scoup.pictures.colors import Picture
-from scoup.query.answer import Answer, answer_view
+from scoup.query.answer import answer_view
 from scoup.query.queried_field import QueriedField
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
@@ -38,40 +36,6 @@ LEVEL_NAMES = {"s": "s (fine)", "m": "m (medium)", "l": "l (coarse)"}
 
 Draw: TypeAlias = Callable[[Camera, raster.Projection], Picture]
 """Draws one view, given its camera and the field's projection to it."""
-
-
-def draw_answer(answer: Answer, rgb: Tensor, text: str) -> dict[str, np.ndarray | Tensor]:
-    """The pictures of an answer, by their kind.
-
-    Args:
-        answer: to a text in one view.
-        rgb: [H, W, 3] float 0..1, the colour render of the view.
-        text: written above.
-
-    Returns:
-        "heat": the relevancy over the render, [.., .., 3] uint8; "mask": [H, W] boolean; "overlay": mask, box and
-        point over the render, [.., .., 3] uint8.
-    """
-    return {
-        "heat": heat_map(answer.heat, rgb, text, answer.level, answer.score),
-        "mask": answer.mask,
-        "overlay": mask_overlay(answer.mask, rgb, answer.box, answer.point, text, answer_remark(answer)),
-    }
-
-
-def answer_remark(answer: Answer) -> str:
-    """Level, score, coverage and, if presence was judged, z-score in a few words; or that the thing is not there."""
-    judged = answer.z_score is not None and math.isfinite(answer.z_score)
-    z_score = f"z-score {answer.z_score:.1f}" if judged else ""
-    if not answer.presence:
-        return f"not in this view ({z_score or 'nothing found'})"
-    parts = (
-        f"level {answer.level}",
-        f"score {answer.score:.2f}",
-        f"{answer.coverage:.1%} of the view",
-        z_score,
-    )
-    return ", ".join(part for part in parts if part)
 
 
 def color_drawing(field: QueriedField, plain: bool = False) -> Draw:

@@ -43,6 +43,24 @@ class FieldQueries(QueriedField):
     _encoder: TextEncoder | None = None
     _encoder_name: str = ""  # as it was opened; empty for a dict or an encoder
 
+    @property
+    def encoder_source(self) -> str:
+        """The model or table to open for texts: a table is sought beside the field's file, as its geometry is.
+
+        Raises:
+            InputError: the field names none.
+        """
+        from scoup.models.word_table import is_table
+
+        name = self.embedding_model
+        if not name:
+            raise InputError(
+                f"{self.path or 'this field'}: names no embedding model; pass encoder=..., a word table, a model id, "
+                "or a dict of name -> vector"
+            )
+        beside = None if self.path is None else self.path.parent / name
+        return str(beside) if beside is not None and is_table(name) and beside.is_file() else name
+
     def text_encoder(self, encoder: Encoder | None = None) -> TextEncoder:
         """The encoder of this field's texts; opened at its first use and kept.
 

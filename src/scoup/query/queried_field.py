@@ -19,6 +19,7 @@ class QueriedField(ABC):
         code_indices, code_weights: [N, S, K] the codes of N Gaussians at S levels.
         codebook: [S, L, D].
         geometry_path: file of the Gaussians, if the field names one.
+        path: the file the field was read from or last saved to, if any.
         cameras: of the views it was built from, if it holds them.
     """
 
@@ -26,6 +27,7 @@ class QueriedField(ABC):
     code_weights: Tensor  # [N, S, K]
     codebook: Tensor  # [S, L, D]
     geometry_path: Path | None
+    path: Path | None
     cameras: Cameras | None
 
     @abstractmethod
@@ -46,10 +48,6 @@ class QueriedField(ABC):
     @property
     @abstractmethod
     def embedding_model(self) -> str: ...
-
-    @property
-    @abstractmethod
-    def encoder_source(self) -> str: ...
 
     @property
     @abstractmethod

@@ -1,0 +1,35 @@
+"""What a notebook shows of a language field."""
+
+from __future__ import annotations
+
+from scoup.base.errors import InputError
+from scoup.base.html import PREVIEW, card, first_of
+from scoup.pictures.colors import Picture
+from scoup.query.drawing import code_drawing
+from scoup.query.queried_field import QueriedField
+
+
+def field_card(field: QueriedField) -> str:
+    """HTML: the codes in one view, and what the field consists of."""
+    facts = {
+        "levels": ", ".join(field.levels),
+        "atoms": field.n_atoms,
+        "embeddings": f"{field.dim} dimensions, {field.embedding_model or 'an unnamed model'}",
+        "cameras": 0 if field.cameras is None else first_of(field.cameras.names),
+        "file": field.path or "not saved",
+    }
+    return card(f"Language field of {len(field):,} Gaussians", facts, _codes(field))
+
+
+def _codes(field: QueriedField) -> Picture | None:
+    """The codes of the middle level in the first camera; None if there is no camera or no geometry."""
+    if field.cameras is None or not len(field.cameras):
+        return None
+    camera = field.cameras[0]
+    scale = min(1.0, PREVIEW[0] / camera.width)
+    camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    try:
+        projection = field.project(camera)
+    except InputError:  # the geometry is not where it was; a notebook shows the rest all the same
+        return None
+    return code_drawing(field, len(field.levels) // 2, plain=True)(camera, projection)
