@@ -187,7 +187,7 @@ class LanguageField(FieldQueries):
             UnknownNameError: there is no camera of that name.
             InputError: there are no cameras, or fewer.
         """
-        check_arguments("camera", camera=(camera, (Camera, str, int)))
+        check_arguments("LanguageField.camera", camera=(camera, (Camera, str, int)))
         if isinstance(camera, Camera):
             return camera
         if self.cameras is None or not len(self.cameras):

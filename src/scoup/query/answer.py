@@ -202,7 +202,8 @@ def answer_view(
     Raises:
         InputError: the vectors do not fit the field, or there are too few everyday words to judge presence.
     """
-    check_arguments("answer_view", field=(field, QueriedField), texts=(texts, TextVectors))
+    place = (camera, (Camera, str, int))
+    check_arguments("answer_view", field=(field, QueriedField), camera=place, texts=(texts, TextVectors))
     camera = field.camera(camera)
     projection = field.project(camera) if projection is None else projection
     maps = field.relevancy(camera, texts.queries, texts.canonical, projection).unbind(1)
