@@ -69,7 +69,7 @@ SWAPPED: list[tuple[Callable[[Any], Any], str]] = [
     (lambda t: api.load_regions(t.path, t.gaussians), "load_regions: the argument cameras is of type Gaussians"),
     (lambda t: api.load_regions(t.path, ["view_00.png"]), "load_regions: the argument cameras is of type list"),
     (lambda t: api.save_gaussians("a.ply", t.gaussians), "save_gaussians: the argument gaussians is of type str"),
-    (lambda t: t.field.query("kettle", t.cameras, encoder=t.encoder), "answer_view: the argument camera is of type Cam"),
+    (lambda t: t.field.query("kettle", t.cameras, encoder=t.encoder), "the argument camera is of type Cameras"),
     (lambda t: t.field.project(t.gaussians), "LanguageField.camera: the argument camera is of type Gaussians"),
     (lambda t: api.answer_view(t.field, t.cameras, t.texts), "answer_view: the argument camera is of type Cameras"),
     (lambda t: api.answer_view(t.field, t.cameras[0], ["kettle"]), "texts is of type list, expected TextVectors "
