@@ -12,8 +12,9 @@ from scoup.query.localize import Localization, averaged_relevancy, localize
 from scoup.query.presets import QUERY_PRESETS, LevelChoice, QueryPreset
 from scoup.query.smoothing import mask_sums, smoothed_masks
 
-LEAST_SHARE = 0.1
-"""Parts of a mask smaller than this share of the part that holds the point are stray specks."""
+LEAST_SHARE = 0.05
+"""Parts of a mask smaller than this share of the part that holds the point are stray specks (docs/benchmarks.md, "Where
+things are")."""
 
 
 @dataclass(frozen=True, eq=False)
