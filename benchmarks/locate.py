@@ -64,18 +64,17 @@ def main(
     if out is not None:
         check_output(out, overwrite)
     rows = [row for name in scenes for row in measure(name, n_gaussians)]
-    print(
-        f"{'scene':12} {'what':28} {'things':>6} {'middle':>8} {'near':>6} {'extent':>6} {'IoU':>6} {'stretched':>9} {'accuracy':>9}"
-    )
+    heads = " ".join(f"{name:>{width}}" for name, width in COLUMNS.items())
+    print(f"{'scene':12} {'what':24} {'things':>6} {heads}")
     for row in rows:
         numbers = (f"{row[key]:{width}.3f}" if key in row else " " * width for key, width in COLUMNS.items())
-        print(f"{row['scene']:12} {row['what']:28} {row['things']:6} {' '.join(numbers)}")
+        print(f"{row['scene']:12} {row['what']:24} {row['things']:6} {' '.join(numbers)}")
     if out is not None:
         record = {"environment": describe_environment(), "n_gaussians": n_gaussians, "rows": rows}
         write_text(out, json.dumps(record, indent=1) + "\n", overwrite)
 
 
-COLUMNS = {"median_error": 8, "within_quarter": 6, "extent": 6, "iou": 6, "stretched": 9, "accuracy": 9}
+COLUMNS = {"median_error": 12, "within_quarter": 14, "extent": 6, "iou": 6, "stretched": 9, "accuracy": 8}
 
 
 def measure(scene_name: str, n_gaussians: int) -> list[dict[str, Any]]:
@@ -189,7 +188,7 @@ def box_rows(
     name: str, scene: DemoScene, field: scoup.LanguageField, encoder: Encoder
 ) -> list[dict[str, Any]]:
     """Boxes in the held-out views, of things that have one box there."""
-    overlaps: dict[str, list[float]] = {
+    found: dict[str, list[tuple[float, bool]]] = {
         "box of the main parts": [],
         "box of one part": [],
         "box of the mask": [],
