@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 
 import pytest
-
 from benchmarks.locate import box_overlap, main
+
 from synthetic.small_scenes import one_light
 
 
