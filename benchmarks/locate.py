@@ -2,7 +2,7 @@
 
     python -m benchmarks.locate --scenes table-4 hall-3 --out docs/benchmarks/locate.json
 
-Each scene is built by the default settings and asked for every object and group of a single thing. The position is
+Each scene is built by the default settings and queried for every object and group of a single thing. The position is
 compared with the middle of the thing's true Gaussians, in diagonals of the box around them, with and without strays
 left off; extents by the ratio of the boxes' diagonals, Gaussians by their intersection over union. Labels are compared
 with the true object of each Gaussian that has a code. In the held-out views, boxes around the main parts of the mask,

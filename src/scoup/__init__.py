@@ -34,8 +34,8 @@ _HOMES = {
     "update": "scoup.uplift.update",
     "TextEncoder": "scoup.models.text",
     "Answer": "scoup.query.answer",
-    "answer_view": "scoup.query.answer",
-    "answer_scene": "scoup.query.answer",
+    "answer_view": "scoup.query.answering",
+    "answer_scene": "scoup.query.answering",
     "Location": "scoup.query.locate",
     "GaussianLabels": "scoup.query.label",
     "encode_texts": "scoup.query.text_vectors",
@@ -58,8 +58,8 @@ if TYPE_CHECKING:
     from scoup.io import save_gaussians as save_gaussians
     from scoup.models.text import TextEncoder as TextEncoder
     from scoup.query.answer import Answer as Answer
-    from scoup.query.answer import answer_scene as answer_scene
-    from scoup.query.answer import answer_view as answer_view
+    from scoup.query.answering import answer_scene as answer_scene
+    from scoup.query.answering import answer_view as answer_view
     from scoup.query.label import GaussianLabels as GaussianLabels
     from scoup.query.localize import localize as localize
     from scoup.query.locate import Location as Location

@@ -11,7 +11,8 @@ import torch
 from query.conftest import Queried
 from scoup.base.errors import InputError
 from scoup.models.words import LEAST_WORDS
-from scoup.query.answer import Answer, SceneAnswer, answer_scene, answer_view
+from scoup.query.answer import Answer, SceneAnswer
+from scoup.query.answering import answer_scene, answer_view
 from scoup.query.localize import localize
 from scoup.query.presence import scene_z_scores, view_z_scores
 from scoup.query.presets import QUERY_PRESETS

@@ -13,7 +13,7 @@ from query.conftest import Queried
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup.pictures import as_picture, heat_map, heat_overlay
-from scoup.query.answer import answer_view
+from scoup.query.answering import answer_view
 from scoup.query.drawing import (
     code_drawing,
     color_drawing,

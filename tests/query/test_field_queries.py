@@ -1,7 +1,8 @@
-"""A field asked in one call: texts, vectors, encoders, cameras by name."""
+"""A field queried in one call: texts, vectors, encoders, cameras by name."""
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +12,14 @@ import torch
 from torch import Tensor
 
 from query.conftest import Queried, random_vectors
+from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.answer import Answer, answer_scene, answer_view
+from scoup.query.answer import Answer
+from scoup.query.answering import answer_scene, answer_view
 from scoup.query.label import label
 from scoup.query.locate import Location, location
 from scoup.query.text_vectors import encode_texts
@@ -77,10 +80,10 @@ def test_vectors_and_arrays_are_queries_too(queried: Queried, table: dict[str, T
 
 def test_rules_and_presence(queried: Queried, table: dict[str, Tensor]) -> None:
     field, camera = queried.field, queried.camera
-    plain = field.query("word 3", camera, encoder=table, rule="langsplat")
+    plain = field.query("word 3", camera, encoder=table, preset="langsplat")
     assert isinstance(plain, Answer)
     assert plain.z_score is None
-    absent = field.query("word 3", camera, presence=100.0)
+    absent = field.query("word 3", camera, present_from=100.0)
     assert isinstance(absent, Answer)
     assert not absent.presence
     assert not absent.mask.any()
@@ -88,7 +91,7 @@ def test_rules_and_presence(queried: Queried, table: dict[str, Tensor]) -> None:
     assert isinstance(forced, Answer)
     assert forced.presence
     with pytest.raises(UnknownNameError, match="langsplatv2"):
-        field.query("word 3", camera, rule="langsplatv3")
+        field.query("word 3", camera, preset="langsplatv3")
 
 
 def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> None:
@@ -112,6 +115,55 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
         nameless.query("word 1", encoder=table)
 
 
+@pytest.mark.parametrize(
+    ("texts", "options", "message"),
+    [
+        (["word 1", 3], {}, "give a text, a list of texts, or vectors"),
+        (None, {}, "not NoneType"),
+        ({"word 1"}, {}, "not set"),
+        ("word 1", {"encoder": 3}, "encoder is of type int"),
+        ("word 1", {"encoder": {"object": "abc"}}, "must hold vectors"),
+        ("word 1", {"preset": None}, "preset is of type NoneType"),
+        ("word 1", {"present_from": float("nan")}, "must be a number, got nan"),
+    ],
+)
+def test_what_is_no_query(
+    queried: Queried, table: dict[str, Tensor], texts: object, options: dict[str, object], message: str
+) -> None:
+    queried.field.text_encoder(table)
+    with pytest.raises(InputError, match=message):
+        queried.field.query(texts, **options)  # pyright: ignore
+
+
+def test_a_list_of_numbers_is_one_vector(queried: Queried, table: dict[str, Tensor]) -> None:
+    answer = queried.field.query(table["word 3"].tolist(), encoder=table)  # pyright: ignore
+    assert isinstance(answer, Answer)
+
+
+def test_thresholds_are_shares(queried: Queried, table: dict[str, Tensor]) -> None:
+    for threshold in (-0.1, 5, float("nan")):
+        with pytest.raises(InputError, match="0 to 1"):
+            queried.field.locate("word 1", encoder=table, threshold=threshold)
+
+
+def test_answers_are_drawn_by_the_field_s_rasteriser_and_pickled_without_it(
+    queried: Queried, table: dict[str, Tensor]
+) -> None:
+    field = queried.field
+    other = LanguageField(
+        field.code_indices, field.code_weights, field.codebook,
+        replace(field.info, raster_preset="gsplat"), field.gaussians, cameras=field.cameras,
+    )  # fmt: skip
+    answer = other.query("word 3", encoder=table)
+    assert answer.render is not None
+    expected = raster.render_colors(other.gaussians, queried.camera, other.project(queried.camera))
+    assert answer.render().equal(expected)
+    copy = pickle.loads(pickle.dumps(answer))
+    assert copy.render is None
+    assert copy.record() == answer.record()
+    assert copy.pictures()["mask"].equal(answer.mask)
+
+
 def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Tensor], tmp_path: Path) -> None:
     field = queried.field
     (tmp_path / "scene").mkdir()
@@ -127,6 +179,8 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     assert isinstance(other, Answer)
     assert_same_answer(one, other)
     assert loaded.text_encoder() is loaded.text_encoder()
+    part = LanguageField.load(tmp_path / "scene" / "f.scoup")[:40]
+    assert part.query("word 5").view == queried.camera.name
     assert loaded.to("cpu") is loaded
 
 
@@ -138,7 +192,7 @@ def test_locate_and_label_are_their_functions(queried: Queried, table: dict[str,
     located = field.locate(words, encoder=table, threshold=0.5, always=True)
     assert isinstance(located, list)
     assert [each.record() for each in located] == [each.record() for each in expected]
-    one = field.locate("word 1", threshold=0.5, presence=100)
+    one = field.locate("word 1", threshold=0.5, present_from=100)
     assert isinstance(one, Location)
     assert (one.position, one.box, one.presence, len(one.gaussians)) == (None, None, False, 0)
     labels, same = field.label(words, always=True), label(field, texts)
@@ -167,6 +221,11 @@ def test_a_part_of_a_field_is_queried_alone(queried: Queried, table: dict[str, T
             field.select(bad)
     nothing = field.select([])
     assert len(nothing) == 0
+    assert "0 Gaussians" in nothing._repr_html_()
+    assert field[10:20].fingerprint == field[list(range(10, 20))].fingerprint
+    for bad in (None, "a", {1: 2}):
+        with pytest.raises(InputError, match="chosen by a boolean mask"):
+            field.select(bad)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_part_of_a_field_is_saved_with_its_gaussians(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from query.conftest import Queried
-from scoup.base.errors import UnknownNameError
+from scoup.base.errors import InputError, UnknownNameError
 from scoup.query.label import NONE, label
 from scoup.query.presence import scene_z_scores
 from scoup.query.select import select_each
@@ -50,3 +52,10 @@ def test_words_for_absent_things_label_nothing(queried: Queried) -> None:
     absent = torch.tensor([not there for there in judged.presence] + [False])[everything.ids.long()]
     assert absent.any()
     assert judged.ids.equal(torch.where(absent, NONE, everything.ids))
+
+
+@pytest.mark.parametrize("words", [("word 1", "word 1"), ("word 1", "none")])
+def test_words_that_cannot_be_distinguished_are_refused(queried: Queried, words: tuple[str, str]) -> None:
+    texts = replace(queried.texts, texts=words, queries=queried.texts.queries[:2])
+    with pytest.raises(InputError, match="words that differ"):
+        label(queried.field, texts)

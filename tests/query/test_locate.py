@@ -91,6 +91,15 @@ def test_of_two_things_the_heavier_is_meant() -> None:
     assert float(found.position[0]) == pytest.approx(0, abs=0.2)
 
 
+def test_a_gaussian_weighs_its_opacity_times_its_relevancy() -> None:
+    few, many = block(100, [1.0] * 3), block(150, [1.0] * 3, seed=1) + 10
+    means = torch.cat([few, many])
+    for of_few, position in ((0.8, 0.0), (0.6, 10.0)):  # 80 or 60 against 150 times 0.5
+        found = located(means, torch.cat([torch.full((100,), of_few), torch.full((150,), 0.5)]))
+        assert found.position is not None
+        assert float(found.position[0]) == pytest.approx(position, abs=0.3)
+
+
 def test_what_has_no_place() -> None:
     for empty in (torch.zeros(0, 3), torch.full((4, 3), torch.nan)):
         found = located(empty)

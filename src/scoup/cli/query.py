@@ -72,8 +72,8 @@ class Query(TextOptions, CameraOptions):
         import json
 
         from scoup.io import write_text
-        from scoup.query.answer import answer_view
         from scoup.query.answer_sheet import AnswerSheets
+        from scoup.query.answering import answer_view
         from scoup.query.presets import query_preset
         from scoup.raster import render_colors
 

@@ -51,7 +51,7 @@ class Select(TextOptions):
 
     def run(self, console: Console) -> None:
         """Choose and write."""
-        from scoup.query.answer import answer_scene
+        from scoup.query.answering import answer_scene
         from scoup.query.presence import presence_threshold
 
         self._check_options()

@@ -199,11 +199,11 @@ class LanguageField(FieldQueries):
         except IndexError:
             raise InputError(f"there is no camera {camera}; this field has {len(self.cameras)}") from None
 
-    def select(self, chosen: Tensor | ArrayLike) -> LanguageField:
+    def select(self, chosen: Tensor | ArrayLike | slice) -> LanguageField:
         """The field of some of the Gaussians, to be queried and saved as any other; ``field[mask]`` is the same.
 
         Args:
-            chosen: a boolean mask [N], or indices [M] in the order wanted.
+            chosen: a boolean mask [N], indices [M] in the order wanted, or a slice.
 
         Returns:
             A field with a geometry of its own, which ``save`` embeds in the file. It has no region sums: to add or
@@ -224,7 +224,7 @@ class LanguageField(FieldQueries):
         selected.keep_encoder_of(self)
         return selected
 
-    def __getitem__(self, chosen: Tensor | ArrayLike) -> LanguageField:
+    def __getitem__(self, chosen: Tensor | ArrayLike | slice) -> LanguageField:
         return self.select(chosen)
 
     # ---- renders and relevancy
@@ -373,6 +373,7 @@ class LanguageField(FieldQueries):
         )
         write_field(parts, Path(path), overwrite, weight_bits)
         self.path = Path(path)
+        self.tables_folder = self.path.parent
 
     @classmethod
     def load(cls, path: str | Path, gaussians: Gaussians | None = None) -> LanguageField:
@@ -393,7 +394,7 @@ class LanguageField(FieldQueries):
         with field_damage_named(path):
             codes = parts.code_indices, parts.code_weights, parts.codebook
             loaded = cls(*codes, parts.info, geometry_path=parts.geometry_path, cameras=parts.cameras)
-        loaded.path = path
+        loaded.path, loaded.tables_folder = path, path.parent
         if gaussians is not None:
             loaded.attach(gaussians, f"{path} with the Gaussians given")
         elif parts.gaussians is not None:

@@ -69,7 +69,10 @@ class WordTable:
         """
         if not all(isinstance(name, str) for name in vectors):
             raise InputError("a dict of text embeddings must have texts as its keys")
-        rows = {name: torch.as_tensor(row).detach().cpu() for name, row in vectors.items()}
+        try:
+            rows = {name: torch.as_tensor(row).detach().cpu() for name, row in vectors.items()}
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise InputError(f"a dict of text embeddings must hold vectors ({error})") from error
         if len({tuple(row.shape) for row in rows.values()}) != 1 or next(iter(rows.values())).dim() != 1:
             raise InputError("a dict of text embeddings must hold vectors of one length, and at least one")
         return cls(

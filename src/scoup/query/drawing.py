@@ -21,7 +21,7 @@ from scoup.pictures import (
     swatch_legend,
 )
 from scoup.pictures.colors import Picture
-from scoup.query.answer import answer_view
+from scoup.query.answering import answer_view
 from scoup.query.queried_field import QueriedField
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera

@@ -23,7 +23,7 @@ def field_card(field: QueriedField) -> str:
 
 def _codes(field: QueriedField) -> Picture | None:
     """The codes of the middle level in the first camera; None if there is no camera or no geometry."""
-    if field.cameras is None or not len(field.cameras):
+    if field.cameras is None or not len(field.cameras) or not len(field):
         return None
     camera = field.cameras[0]
     scale = min(1.0, PREVIEW[0] / camera.width)

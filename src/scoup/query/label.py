@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from scoup.base.errors import InputError, UnknownNameError
 from scoup.query.presence import scene_z_scores
 from scoup.query.queried_field import QueriedField
 from scoup.query.select import select_each
@@ -14,6 +15,7 @@ from scoup.query.text_vectors import TextVectors
 
 NONE = -1
 """The class of a Gaussian that none of the words fits."""
+NONE_NAME = "none"
 DRAW = 0.5
 """Relevancy at which a word fits as well as the best canonical phrase."""
 
@@ -25,7 +27,7 @@ class GaussianLabels:
     Attributes:
         ids: [N] int32, the position of a word in ``names``; -1 for none of them.
         names: Q words.
-        scores: [N] float32 relevancy to the word; of "none", that to the best word.
+        scores: [N] float32 relevancy to the word; of "none", that to the best word, 0.5 without a code.
         z_scores: per word, as in ``Answer``; None if presence was not judged.
         presence: per word, whether the thing is in the scene; true if that was not judged.
     """
@@ -42,18 +44,16 @@ class GaussianLabels:
         Raises:
             InputError: it is none of the words.
         """
-        from scoup.base.errors import UnknownNameError
-
         if name in self.names:
             return self.ids == self.names.index(name)
-        if name == "none":
+        if name == NONE_NAME:
             return self.ids == NONE
-        raise UnknownNameError("class", name, (*self.names, "none"))
+        raise UnknownNameError("class", name, (*self.names, NONE_NAME))
 
     def counts(self) -> dict[str, int]:
         """How many Gaussians each word has, and "none"."""
         found = torch.bincount(self.ids.long() + 1, minlength=len(self.names) + 1).tolist()
-        return {**dict(zip(self.names, found[1:], strict=True)), "none": found[0]}
+        return {**dict(zip(self.names, found[1:], strict=True)), NONE_NAME: found[0]}
 
 
 def label(field: QueriedField, texts: TextVectors, present_from: float | None = None) -> GaussianLabels:
@@ -69,8 +69,13 @@ def label(field: QueriedField, texts: TextVectors, present_from: float | None = 
         present_from: the z-score from which a thing counts as present; None: presence is not judged.
 
     Raises:
-        InputError: the vectors do not fit the field, or there are too few everyday words to judge presence.
+        InputError: the vectors do not fit the field, a word is given twice or is "none", or there are too few everyday
+            words to judge presence.
     """
+    if len(set(texts.texts)) < len(texts.texts) or NONE_NAME in texts.texts:
+        raise InputError(
+            f"labels need words that differ, and other than {NONE_NAME!r}: {', '.join(texts.texts)}"
+        )
     best = torch.full((len(field),), -torch.inf, device=field.codebook.device)
     ids = torch.full((len(field),), NONE, dtype=torch.int32, device=field.codebook.device)
     judged: list[float] = []

@@ -95,7 +95,7 @@ def location(field: QueriedField, answer: SceneAnswer) -> Location:
 
     The Gaussians of the answer fall into parts that are connected in space: each is linked to its nearest others, and
     links much longer than usual are cut. The part that weighs most is the thing. A Gaussian weighs its opacity times
-    its relevancy's excess over that of the least relevant Gaussian of the answer.
+    its relevancy.
 
     Args:
         field: that was queried, with its geometry.

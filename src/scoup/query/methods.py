@@ -1,4 +1,4 @@
-"""The queries of a language field as its methods: what the verbs of the command line do, each in one call."""
+"""The queries of a language field as its methods, each in one call."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup import raster
+from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError
-from scoup.query.answer import Answer, answer_scene, answer_view
+from scoup.query.answer import Answer
+from scoup.query.answering import answer_scene, answer_view
 from scoup.query.label import GaussianLabels, label
 from scoup.query.locate import Location, location
 from scoup.query.presence import presence_threshold
@@ -34,12 +36,16 @@ Encoder: TypeAlias = "TextEncoder | Mapping[str, Tensor | ArrayLike] | str | Pat
 
 
 class FieldQueries(QueriedField):
-    """Methods of a field that answer texts.
+    """Methods of a field that answer texts, by the rules of `scoup query` and `scoup select`.
+
+    Attributes:
+        tables_folder: where a word table that the field names is sought; that of the field's file.
 
     All of them compare as `scoup query` does: with the canonical phrases and, by default, with everyday words, which
     also judge whether the thing is there at all.
     """
 
+    tables_folder: Path | None = None
     _encoder: TextEncoder | None = None
     _encoder_name: str = ""  # as it was opened; empty for a dict or an encoder
 
@@ -58,7 +64,7 @@ class FieldQueries(QueriedField):
                 f"{self.path or 'this field'}: names no embedding model; pass encoder=..., a word table, a model id, "
                 "or a dict of name -> vector"
             )
-        beside = None if self.path is None else self.path.parent / name
+        beside = None if self.tables_folder is None else self.tables_folder / name
         return str(beside) if beside is not None and is_table(name) and beside.is_file() else name
 
     def text_encoder(self, encoder: Encoder | None = None) -> TextEncoder:
@@ -73,6 +79,8 @@ class FieldQueries(QueriedField):
         """
         from scoup.models.text import TextEncoder
 
+        kinds = (TextEncoder, Mapping, str, Path, type(None))
+        check_arguments("text_encoder", encoder=(encoder, kinds))
         if encoder is None:
             if self._encoder is not None:
                 return self._encoder
@@ -86,8 +94,9 @@ class FieldQueries(QueriedField):
         return self._encoder
 
     def keep_encoder_of(self, other: FieldQueries) -> None:
-        """Use the encoder that another field has open."""
+        """Use the encoder that another field has open, or would open."""
         self._encoder, self._encoder_name = other._encoder, other._encoder_name
+        self.tables_folder = other.tables_folder
 
     def text_vectors(self, texts: Texts, encoder: Encoder | None = None) -> TextVectors:
         """The vectors of texts, or vectors as they are, with what they are compared with.
@@ -105,7 +114,7 @@ class FieldQueries(QueriedField):
             if not words:
                 raise InputError('give at least one text to look for, for example "kettle"')
             return encode_texts(self.text_encoder(encoder), self, words)
-        queries = query_vectors(words, self.dim)  # pyright: ignore[reportArgumentType]
+        queries = query_vectors(_vectors(texts), self.dim)
         names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
         return replace(encode_texts(self.text_encoder(encoder), self, []), texts=names, queries=queries)
 
@@ -121,8 +130,8 @@ class FieldQueries(QueriedField):
         camera: Camera | str | int = 0,
         *,
         encoder: Encoder | None = None,
-        rule: str | QueryPreset = "default",
-        presence: float | None = None,
+        preset: str | QueryPreset = "default",
+        present_from: float | None = None,
         always: bool = False,
         projection: raster.Projection | None = None,
     ) -> Answer | list[Answer]:
@@ -132,9 +141,9 @@ class FieldQueries(QueriedField):
             texts: what to look for.
             camera: of the view, or its name or position among ``cameras``.
             encoder: see ``text_encoder``.
-            rule: how relevancy becomes masks and points (``scoup.query.presets.QUERY_PRESETS``); those other than
+            preset: how relevancy becomes masks and points (``scoup.query.presets.QUERY_PRESETS``); those other than
                 "default" follow the papers' systems, find something always and do without everyday words.
-            presence: a text is in the view if its z-score is at least this; by default 2, where there are enough
+            present_from: a text is in the view if its z-score is at least this; by default 2, where there are enough
                 everyday words.
             always: find something for any text.
             projection: what ``field.project(camera)`` gave, if it is known: further queries with it take less time.
@@ -143,12 +152,13 @@ class FieldQueries(QueriedField):
             An answer, or one for each of several texts or vectors.
 
         Raises:
-            InputError, UnknownNameError: texts, camera or rule do not fit the field.
+            InputError, UnknownNameError: texts, camera or preset do not fit the field, or a number is out of range.
         """
-        preset = query_preset(rule) if isinstance(rule, str) else rule
+        check_arguments("query", preset=(preset, (str, QueryPreset)))
+        preset = query_preset(preset) if isinstance(preset, str) else preset
         vectors = self.text_vectors(texts, encoder)
-        judged = not always and (presence is not None or preset.name == "default")
-        present_from = presence_threshold(vectors, presence) if judged else None
+        judged = not always and (present_from is not None or preset.name == "default")
+        present_from = presence_threshold(vectors, present_from) if judged else None
         vectors = vectors.with_everyday() if preset.name == "default" else vectors
         answers = answer_view(self, camera, vectors, preset, present_from, projection)
         return answers[0] if _is_single(texts) else answers
@@ -168,13 +178,13 @@ class FieldQueries(QueriedField):
         encoder: Encoder | None = None,
         threshold: float = 0.6,
         neighbours: int = 0,
-        presence: float | None = None,
+        present_from: float | None = None,
         always: bool = False,
     ) -> Location | list[Location]:
         """Where something is in the world: position, oriented box, confidence, and the Gaussians.
 
         Args:
-            texts, encoder, presence, always: as for ``query``.
+            texts, encoder, present_from, always: as for ``query``.
             threshold: a Gaussian answers above this, once relevancy is rescaled over the scene.
             neighbours: blend each Gaussian's relevancy with the mean of so many nearest neighbours; 0 is off.
 
@@ -185,7 +195,7 @@ class FieldQueries(QueriedField):
             InputError, UnknownNameError: the texts do not fit the field.
         """
         vectors = self.text_vectors(texts, encoder)
-        present_from = None if always else presence_threshold(vectors, presence)
+        present_from = None if always else presence_threshold(vectors, present_from)
         answers = answer_scene(
             self, vectors.with_everyday(), threshold, neighbours or None, present_from=present_from
         )
@@ -197,24 +207,35 @@ class FieldQueries(QueriedField):
         words: Texts,
         *,
         encoder: Encoder | None = None,
-        presence: float | None = None,
+        present_from: float | None = None,
         always: bool = False,
     ) -> GaussianLabels:
         """The word that fits each Gaussian best, of several, or none of them.
 
         Args:
             words: names of things.
-            encoder, presence, always: as for ``query``.
+            encoder, present_from, always: as for ``query``.
 
         Raises:
             InputError, UnknownNameError: the words do not fit the field.
         """
         vectors = self.text_vectors(words, encoder)
-        present_from = None if always else presence_threshold(vectors, presence)
+        present_from = None if always else presence_threshold(vectors, present_from)
         return label(self, vectors.with_everyday(), present_from)
 
 
 def _is_single(texts: Texts) -> bool:
-    return isinstance(texts, str) or (
-        not isinstance(texts, (list, tuple)) and torch.as_tensor(texts).dim() == 1
-    )
+    """Whether they are one text, or one vector."""
+    if isinstance(texts, (list, tuple)) and any(isinstance(text, str) for text in texts):
+        return False
+    return isinstance(texts, str) or _vectors(texts).dim() == 1
+
+
+def _vectors(texts: Texts) -> Tensor:
+    """Vectors in the place of texts."""
+    try:
+        return torch.as_tensor(texts)
+    except (TypeError, ValueError, RuntimeError):
+        raise InputError(
+            f"give a text, a list of texts, or vectors [D] or [Q, D], not {type(texts).__name__} {str(texts)[:60]}"
+        ) from None

@@ -12,6 +12,7 @@ the kind, and scores by their rules never use it. Measured in docs/evaluation.md
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
 import torch
@@ -40,8 +41,10 @@ def presence_threshold(texts: TextVectors, wanted: float | None = None) -> float
         wanted: instead of ``PRESENT_FROM``.
 
     Raises:
-        InputError: there are too few words, and a z-score is wanted.
+        InputError: there are too few words, and a z-score is wanted; or it is not finite.
     """
+    if wanted is not None and not math.isfinite(wanted):
+        raise InputError(f"the z-score from which a text counts as present must be a number, got {wanted}")
     if texts.can_judge_presence:
         return PRESENT_FROM if wanted is None else wanted
     if wanted is not None:

@@ -58,7 +58,7 @@ def select(
         Boolean [N], or [Q, N] for [Q, D].
 
     Raises:
-        InputError: shapes do not fit, or ``neighbours`` is below 1.
+        InputError: shapes do not fit, ``neighbours`` is below 1, or the threshold is not 0 to 1.
     """
     rows = queries if queries.dim() == 2 else queries[None]
     masks = [found.mask for found in select_each(field, rows, canonical, threshold, neighbours, rescaled)]
@@ -78,6 +78,8 @@ def select_each(
     """``select`` query by query, with level and relevancy; arguments and errors as there."""
     if neighbours is not None and neighbours < 1:
         raise InputError(f"neighbours must be at least 1, got {neighbours}")
+    if not 0 <= threshold <= 1:
+        raise InputError(f"the threshold must be 0 to 1, got {threshold}")
     coded = (field.code_weights > 0).any(-1).T  # [S, N]
     around = Neighbourhood.of(field.gaussians.means, coded.any(0), neighbours) if neighbours else None
     for query in queries:

@@ -84,7 +84,7 @@ class Gaussians:
     def to(self, device: torch.device | str) -> Gaussians:
         return Gaussians(*(getattr(self, field.name).to(device) for field in fields(self)))
 
-    def select(self, chosen: Tensor | ArrayLike) -> Gaussians:
+    def select(self, chosen: Tensor | ArrayLike | slice) -> Gaussians:
         """The Gaussians of a boolean mask [N], or of indices [M] in their order.
 
         Raises:
@@ -121,28 +121,27 @@ class Gaussians:
         return digest.hexdigest()
 
 
-def chosen_rows(chosen: Tensor | ArrayLike, count: int) -> Tensor:
+def chosen_rows(chosen: Tensor | ArrayLike | slice, count: int) -> Tensor:
     """A boolean mask [count], or int64 indices [M], that choose among ``count`` rows.
 
     Args:
-        chosen: the same as a tensor, an array or a list; indices of any integer type.
+        chosen: the same as a tensor, an array or a list; indices of any integer type; or a slice.
         count: of rows.
 
     Raises:
         InputError: it is neither, a mask has another length, or there is no such row.
     """
-    rows = torch.as_tensor(chosen)
-    if rows.dim() == 1 and rows.dtype == torch.bool:
-        if len(rows) != count:
-            raise InputError(f"a mask of {len(rows)} does not choose among {count} Gaussians")
+    try:
+        rows = torch.arange(count)[chosen] if isinstance(chosen, slice) else torch.as_tensor(chosen)
+    except (TypeError, ValueError, RuntimeError):
+        rows = torch.zeros(())
+    is_integer = not (rows.is_floating_point() or rows.is_complex())
+    if rows.dim() != 1 or not (is_integer or not len(rows)):
+        raise InputError(f"Gaussians are chosen by a boolean mask [{count}], by indices [M] or by a slice")
+    if rows.dtype == torch.bool and len(rows) != count:
+        raise InputError(f"a mask of {len(rows)} does not choose among {count} Gaussians")
+    if rows.dtype == torch.bool:
         return rows
-    if rows.dim() != 1 or rows.is_floating_point() or rows.is_complex() or rows.dtype == torch.bool:
-        if rows.numel():
-            raise InputError(
-                f"Gaussians are chosen by a boolean mask [{count}] or by indices [M], not by {rows.dtype} "
-                f"{list(rows.shape)}"
-            )
-        return torch.zeros(0, dtype=torch.int64)
     rows = rows.to(torch.int64)
     if len(rows) and not (int(rows.min()) >= 0 and int(rows.max()) < count):
         raise InputError(

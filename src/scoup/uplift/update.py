@@ -104,6 +104,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
         geometry_path=field.geometry_path,
         cameras=_cameras(field.cameras, add, remove),
     ).to(device)
+    updated.keep_encoder_of(field)
     if field.has_geometry:
         updated.attach(field.gaussians, known=True)
     return updated

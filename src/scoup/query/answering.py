@@ -1,0 +1,142 @@
+"""Queries answered: in one view, or in the scene as a whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+from torch import Tensor
+
+from scoup import raster
+from scoup.base.arguments import check_arguments
+from scoup.query.answer import Answer, SceneAnswer
+from scoup.query.localize import Localization
+from scoup.query.presence import scene_z_scores, view_z_scores
+from scoup.query.presets import QUERY_PRESETS, QueryPreset
+from scoup.query.queried_field import QueriedField
+from scoup.query.segment import Segmentation, localize_and_segment, main_parts, mask_box
+from scoup.query.select import select_each
+from scoup.query.text_vectors import TextVectors
+from scoup.scene.cameras import Camera
+
+
+def answer_view(
+    field: QueriedField,
+    camera: Camera | str | int,
+    texts: TextVectors,
+    preset: QueryPreset = QUERY_PRESETS["default"],
+    present_from: float | None = None,
+    projection: raster.Projection | None = None,
+) -> list[Answer]:
+    """Where each query is in one view, and which pixels are it.
+
+    Args:
+        field: to be queried.
+        camera: of the view, or its name or position among the field's.
+        texts: queries and what they are compared with (``scoup.query.text_vectors.encode_texts``);
+            ``texts.with_everyday()`` is what `scoup query` uses.
+        preset: how relevancy becomes points and masks.
+        present_from: the z-score from which a thing counts as present (``scoup.query.presence.PRESENT_FROM``); None:
+            presence is not judged, and something is found always.
+        projection: what ``field.project(camera)`` gave, if it is known; keep it for further queries.
+
+    Returns:
+        One answer a query, in their order.
+
+    Raises:
+        InputError: the vectors do not fit the field, or there are too few everyday words to judge presence.
+    """
+    place = (camera, (Camera, str, int))
+    check_arguments("answer_view", field=(field, QueriedField), camera=place, texts=(texts, TextVectors))
+    camera = field.camera(camera)
+    projection = field.project(camera) if projection is None else projection
+    maps = field.relevancy(camera, texts.queries, texts.canonical, projection).unbind(1)
+    found = [localize_and_segment(each, preset) for each in maps]
+    judged: list[float | None] = [None] * len(found)
+    if present_from is not None:
+        segmentations = [segmentation for _, segmentation in found]
+        judged = view_z_scores(field, projection, segmentations, texts.queries, texts.everyday).tolist()
+    render = partial(_colors, field, camera)
+    return [
+        replace(
+            _answer(field.levels, *places, relevancy, z_score, present_from),
+            text=text,
+            view=camera.name,
+            render=render,
+        )
+        for text, places, relevancy, z_score in zip(texts.texts, found, maps, judged, strict=True)
+    ]
+
+
+def answer_scene(
+    field: QueriedField,
+    texts: TextVectors,
+    threshold: float = 0.6,
+    neighbours: int | None = None,
+    rescaled: bool = True,
+    present_from: float | None = None,
+) -> list[SceneAnswer]:
+    """Which Gaussians answer each query, without rendering.
+
+    Args:
+        field: to be queried.
+        texts: as for ``answer_view``.
+        threshold, neighbours, rescaled: as for ``scoup.query.select.select``.
+        present_from: as for ``answer_view``.
+
+    Returns:
+        One answer a query, in their order.
+
+    Raises:
+        InputError: as ``answer_view``, or ``neighbours`` is below 1.
+    """
+    check_arguments("answer_scene", field=(field, QueriedField), texts=(texts, TextVectors))
+    found = list(select_each(field, texts.queries, texts.canonical, threshold, neighbours, rescaled))
+    judged: list[float | None] = [None] * len(found)
+    if present_from is not None:
+        judged = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
+    answers = []
+    for text, each, z_score in zip(texts.texts, found, judged, strict=True):
+        presence = _presence(z_score, present_from)
+        mask = each.mask.cpu() & presence
+        answers.append(
+            SceneAnswer(
+                mask, each.relevancy.cpu(), field.levels[each.level], each.score, z_score, presence, text
+            )
+        )
+    return answers
+
+
+def _answer(
+    levels: tuple[str, ...],
+    place: Localization,
+    shape: Segmentation,
+    relevancy: Tensor,  # [S, H, W]
+    z_score: float | None,
+    present_from: float | None,
+) -> Answer:
+    presence = _presence(z_score, present_from)
+    mask = shape.mask.cpu() & presence
+    parts = main_parts(mask, place.pixel, shape.smoothed.cpu())
+    return Answer(
+        mask=mask,
+        heat=relevancy[shape.level].clone().cpu(),  # a copy, so that the other levels can be freed
+        main_parts=parts,
+        box=mask_box(parts),
+        coverage=shape.coverage if presence else 0.0,
+        level=levels[shape.level],
+        score=shape.score,
+        point=place.pixel if presence else None,
+        point_level=levels[place.level],
+        point_score=place.score,
+        z_score=z_score,
+        presence=presence,
+    )
+
+
+def _colors(field: QueriedField, camera: Camera) -> Tensor:
+    return raster.render_colors(field.gaussians, camera, field.project(camera))
+
+
+def _presence(z_score: float | None, present_from: float | None) -> bool:
+    return z_score is None or present_from is None or z_score >= present_from
