@@ -129,7 +129,7 @@ def test_a_build_checkpoint_that_is_damaged_costs_only_time():
         (PLY, ASK["query"], "point_cloud.ply: is not there", "--gaussians"),
         (PLY, ASK["select"], "point_cloud.ply: is not there", "--gaussians"),
         (PLY, ("render", "f.scoup"), "point_cloud.ply: is not there", "--gaussians"),
-        (TABLE, ASK["query"], "scene/words.npz: there is no such file", "check the path"),
+        (TABLE, ASK["query"], "scene/words.npz: is not there", "--text"),
         (None, (*ASK["query"], "--scene", "no"), "no: there is no such file or folder", "check the path"),
         (None, (*ASK["query"], "--gaussians", "no.ply"), "no.ply: there is no such file", "check the path"),
         (None, (*ASK["select"], "--text", "no.json"), "no.json: there is no such file", "check the path"),

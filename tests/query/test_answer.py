@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from query.conftest import Queried
 from scoup.base.errors import InputError
@@ -116,6 +118,8 @@ def test_the_box_and_the_crop_follow_the_main_parts() -> None:
     assert answer.crop(image) is not None
     assert torch.equal(answer.crop(image), image[5:9, 10:16])  # pyright: ignore[reportArgumentType]
     assert answer.crop(image, margin=12).shape == (20, 28)  # pyright: ignore[reportOptionalMemberAccess]
+    picture = Image.fromarray(np.zeros((20, 30, 3), np.uint8))
+    assert answer.crop(picture).shape == (4, 6, 3)  # pyright: ignore[reportOptionalMemberAccess]
     assert replace(answer, box=None).crop(image) is None
     for wrong in (image[1:], image.T):
         with pytest.raises(InputError, match="cannot be cropped"):

@@ -51,8 +51,8 @@ def test_every_cell_says_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None
     texts = drawn_texts(sheets, monkeypatch)
     assert "2 texts in 2 views" in texts
     assert texts.count("mug") == texts.count("teapot") == 2
-    assert "a.png: level m, score 0.70, 12.5% of the view, z-score 3.0" in " ".join(texts)
-    assert "a.png: not in this view (z-score 3.0)" in " ".join(texts)
+    assert "a.png: level m, score 0.70, 12.5% of the view, z-score 3.00" in " ".join(texts)
+    assert "a.png: not in this view (z-score 3.00)" in " ".join(texts)
     assert "largest 0.90" in texts
 
 

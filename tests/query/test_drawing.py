@@ -36,9 +36,9 @@ def test_what_is_said_of_an_answer(queried: Queried) -> None:
     answer = answer_view(queried.field, queried.camera, queried.texts)[0]
     answer = replace(answer, level="m", score=0.731, coverage=0.0213, z_score=None)
     assert answer.remark() == "level m, score 0.73, 2.1% of the view"
-    assert replace(answer, z_score=3.21).remark() == "level m, score 0.73, 2.1% of the view, z-score 3.2"
+    assert replace(answer, z_score=3.21).remark() == "level m, score 0.73, 2.1% of the view, z-score 3.21"
     absent = replace(answer, presence=False, z_score=0.61)
-    assert absent.remark() == "not in this view (z-score 0.6)"
+    assert absent.remark() == "not in this view (z-score 0.61)"
     assert replace(absent, z_score=-math.inf).remark() == "not in this view (nothing found)"
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from query.conftest import Queried, random_vectors
 from scoup import raster
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base.errors import InputError, MissingFileError, UnknownNameError
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
@@ -102,6 +102,9 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
         field.query("word 1", "view_09.png")
     with pytest.raises(InputError, match="has 3"):
         field.query("word 1", 7)
+    assert field.camera(np.int64(1)) is field.camera(1)
+    with pytest.raises(InputError, match="must be vectors"):
+        field.gaussian_relevancy("word 1", ["object"])  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="at least one text"):
         field.query([])
     for bad in (torch.full((16,), torch.nan), torch.zeros(16), torch.ones(15), torch.ones(2, 2, 16)):
@@ -181,6 +184,9 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     assert loaded.text_encoder() is loaded.text_encoder()
     part = LanguageField.load(tmp_path / "scene" / "f.scoup")[:40]
     assert part.query("word 5").view == queried.camera.name
+    moved = (tmp_path / "scene" / "f.scoup").rename(tmp_path / "moved.scoup")
+    with pytest.raises(MissingFileError, match=r"words\.npz: is not there.*encoder="):
+        LanguageField.load(moved).query("word 5")
     assert loaded.to("cpu") is loaded
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from query.conftest import Queried, random_vectors
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
@@ -91,3 +91,29 @@ def test_vectors_of_another_size_are_told_from_what_the_field_names(
     with pytest.raises(InputError) as refusal:
         encode_texts(TextEncoder.open(tmp_path / "wide.npz"), built, ["mug"])
     assert said in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "named", "warned"),
+    [
+        ("open_clip:ViT-B-16/laion2b_s34b_b88k", "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", False),
+        ("openai/clip-vit-base-patch16", "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", True),
+        ("scoup-demo (simulated)", "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", True),
+        ("", "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", False),
+        ("google/siglip-base-patch16-224", "", False),
+        ("google/siglip-base-patch16-224", "words.npz", False),
+    ],
+)
+def test_vectors_of_another_model_are_warned_of(
+    queried: Queried, given: str, named: str, warned: bool
+) -> None:
+    field = queried.field
+    other = LanguageField(
+        field.code_indices, field.code_weights, field.codebook, replace(field.info, embedding_model=named)
+    )
+    encoder = TextEncoder(given, 16, lambda phrases: torch.ones(len(phrases), 16))
+    if warned:
+        with pytest.warns(ScoupWarning, match="mean nothing unless"):
+            encode_texts(encoder, other, ["kettle"])
+    else:
+        encode_texts(encoder, other, ["kettle"])

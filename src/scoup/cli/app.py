@@ -94,6 +94,10 @@ def entry() -> None:
     except BrokenPipeError:  # whoever read the help, such as head, has seen enough
         close_output()
         code = 0
+    except OSError as error:  # nowhere to print the help to
+        close_output()
+        print(f"error: standard output: cannot be written ({error.strerror or error})", file=sys.stderr)
+        code = 2
     sys.exit(code)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from numbers import Integral
 from pathlib import Path
 
 import torch
@@ -187,7 +188,7 @@ class LanguageField(FieldQueries):
             UnknownNameError: there is no camera of that name.
             InputError: there are no cameras, or fewer.
         """
-        check_arguments("LanguageField.camera", camera=(camera, (Camera, str, int)))
+        check_arguments("LanguageField.camera", camera=(camera, (Camera, str, Integral)))
         if isinstance(camera, Camera):
             return camera
         if self.cameras is None or not len(self.cameras):

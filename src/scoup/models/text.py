@@ -12,6 +12,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from scoup.base.arguments import PATH, check_arguments
 from scoup.base.counts import counted
 from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameError
 from scoup.base.html import card, first_of
@@ -96,6 +97,7 @@ class TextEncoder:
             InputError: the vectors of a dict are no vectors of one length.
             ScoupError: the package or the weights that the model needs are missing.
         """
+        check_arguments("TextEncoder.open", model_or_table=(model_or_table, (*PATH, Mapping)))
         if isinstance(model_or_table, Mapping):
             return cls._of_table(WordTable.of(model_or_table))
         text = str(model_or_table)

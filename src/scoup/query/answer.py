@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.html import card
 from scoup.pictures import as_picture, heat_map, mask_overlay
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,7 +76,7 @@ class Answer:
     def remark(self) -> str:
         """Level, score, coverage and, if presence was judged, z-score in few words; or that the thing is not there."""
         judged = self.z_score is not None and math.isfinite(self.z_score)
-        z_score = f"z-score {self.z_score:.1f}" if judged else ""
+        z_score = f"z-score {self.z_score:.2f}" if judged else ""
         if not self.presence:
             return f"not in this view ({z_score or 'nothing found'})"
         parts = (
@@ -101,25 +105,26 @@ class Answer:
             "overlay": mask_overlay(self.mask, rgb, self.box, self.point, self.text, self.remark()),
         }
 
-    def crop(self, image: Tensor, margin: int = 0) -> Tensor | None:
+    def crop(self, image: Tensor | ArrayLike | Image, margin: int = 0) -> Tensor | np.ndarray | None:
         """The part of an image of the view [H, W, ...] in the box; None if the thing is not there.
 
         Args:
-            image: of the view's size.
+            image: of the view's size: a tensor, an array, or a picture of Pillow, which becomes an array.
             margin: pixels added on every side, as far as the image reaches.
 
         Raises:
             InputError: the image has another size, or the margin is negative.
         """
-        if tuple(image.shape[:2]) != tuple(self.mask.shape) or margin < 0:
+        pixels = image if isinstance(image, Tensor) else np.asarray(image)
+        if tuple(pixels.shape[:2]) != tuple(self.mask.shape) or margin < 0:
             raise InputError(
-                f"an image of {list(image.shape)} with a margin of {margin} cannot be cropped by a view of "
+                f"an image of {list(pixels.shape)} with a margin of {margin} cannot be cropped by a view of "
                 f"{list(self.mask.shape)}"
             )
         if self.box is None:
             return None
         x0, y0, x1, y1 = self.box
-        return image[max(0, y0 - margin) : y1 + margin, max(0, x0 - margin) : x1 + margin]
+        return pixels[max(0, y0 - margin) : y1 + margin, max(0, x0 - margin) : x1 + margin]
 
     def record(self) -> dict[str, Any]:
         """The answer as plain JSON values, rounded; ``z_score`` and ``present`` only if presence was judged."""
@@ -158,6 +163,9 @@ class SceneAnswer:
     def __repr__(self) -> str:
         found = f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians, level {self.level}, score {self.score:.2f}"
         return f"SceneAnswer({_said(self)}: {found if self.presence else 'not in this scene'})"
+
+    def _repr_html_(self) -> str:
+        return card(f"{_said(self)} in the scene", {**self.record(), "of": f"{len(self.mask):,} Gaussians"})
 
     def record(self) -> dict[str, Any]:
         """The answer as plain JSON values, rounded; ``z_score`` and ``present`` only if presence was judged."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from numbers import Integral
 
 from torch import Tensor
 
@@ -46,7 +47,7 @@ def answer_view(
     Raises:
         InputError: the vectors do not fit the field, or there are too few everyday words to judge presence.
     """
-    place = (camera, (Camera, str, int))
+    place = (camera, (Camera, str, Integral))
     check_arguments("answer_view", field=(field, QueriedField), camera=place, texts=(texts, TextVectors))
     camera = field.camera(camera)
     projection = field.project(camera) if projection is None else projection

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
+from scoup.base.html import card
 from scoup.query.presence import scene_z_scores
 from scoup.query.queried_field import QueriedField
 from scoup.query.select import select_each
@@ -20,7 +21,7 @@ DRAW = 0.5
 """Relevancy at which a word fits as well as the best canonical phrase."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GaussianLabels:
     """The class of every Gaussian. Tensors are on the CPU.
 
@@ -37,6 +38,13 @@ class GaussianLabels:
     scores: Tensor  # [N]
     z_scores: tuple[float, ...] | None
     presence: tuple[bool, ...]
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{name}: {count:,}" for name, count in self.counts().items())
+        return f"GaussianLabels({len(self.ids):,} Gaussians; {counts})"
+
+    def _repr_html_(self) -> str:
+        return card(f"Labels of {len(self.ids):,} Gaussians", self.counts())
 
     def mask(self, name: str) -> Tensor:
         """[N] boolean: the Gaussians of a word, or of "none".

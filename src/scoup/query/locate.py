@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup.base.html import card
 from scoup.query.answer import SceneAnswer
 from scoup.query.queried_field import QueriedField
 
@@ -73,6 +74,12 @@ class Location:
             f"Location({self.answer.text!r} at {_rounded(self.position)}, extent {_rounded(self.box.extent)}, "
             f"confidence {self.confidence:.2f}, {len(self.gaussians):,} Gaussians)"
         )
+
+    def _repr_html_(self) -> str:
+        facts = {name: value for name, value in self.record().items() if name != "box"}
+        if self.box is not None:
+            facts |= self.box.record()
+        return card(f"{self.answer.text!r} in the world", facts)
 
     @property
     def presence(self) -> bool:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.arguments import check_arguments
-from scoup.base.errors import InputError
+from scoup.base.errors import InputError, MissingFileError
 from scoup.query.answer import Answer
 from scoup.query.answering import answer_scene, answer_view
 from scoup.query.label import GaussianLabels, label
@@ -55,6 +55,7 @@ class FieldQueries(QueriedField):
 
         Raises:
             InputError: the field names none.
+            MissingFileError: the table is not there.
         """
         from scoup.models.word_table import is_table
 
@@ -64,8 +65,14 @@ class FieldQueries(QueriedField):
                 f"{self.path or 'this field'}: names no embedding model; pass encoder=..., a word table, a model id, "
                 "or a dict of name -> vector"
             )
-        beside = None if self.tables_folder is None else self.tables_folder / name
-        return str(beside) if beside is not None and is_table(name) and beside.is_file() else name
+        if not is_table(name):
+            return name
+        beside = Path(name) if self.tables_folder is None else self.tables_folder / name
+        found = next((place for place in (beside, Path(name)) if place.is_file()), None)
+        if found is None:
+            problem = "is not there, and the field names it as its word table"
+            raise MissingFileError(beside, problem, "say where it is now (--text, or encoder=... in Python)")
+        return str(found)
 
     def text_encoder(self, encoder: Encoder | None = None) -> TextEncoder:
         """The encoder of this field's texts; opened at its first use and kept.

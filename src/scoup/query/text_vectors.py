@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,11 +12,21 @@ from torch import Tensor
 
 from scoup.base.arguments import check_arguments
 from scoup.base.counts import counted
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder
 from scoup.models.word_table import is_table
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.queried_field import QueriedField
+
+_PUBLISHERS = {
+    "open",
+    "clip",
+    "laion",
+    "openai",
+    "google",
+    "hf",
+    "hub",
+}  # words that do not tell models apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +75,9 @@ def encode_texts(
         texts: Q phrases, encoded as they stand.
         source: what messages call the encoder; by default its model.
 
+    Warns:
+        ScoupWarning: encoder and field name different models.
+
     Raises:
         UnknownNameError: a text is not in the encoder's table; the nearest names are listed.
         InputError: the vectors have another size than the field's embeddings, or the table lacks the
@@ -75,6 +90,7 @@ def encode_texts(
             f"{source}: gives vectors of {counted(encoder.dim, 'dimension')}, but the field holds embeddings of "
             f"{field.dim}; " + _where_words_are(field, encoder)
         )
+    _warn_of_another_model(encoder.name, field.embedding_model, source)
     queries = encoder.encode(texts)
     try:
         canonical = encoder.canonical()
@@ -84,6 +100,22 @@ def encode_texts(
             f"{', '.join(CANONICAL_PHRASES)}, so encode them into the table too"
         ) from error
     return TextVectors(tuple(texts), queries, canonical, encoder.everyday(), source)
+
+
+def _warn_of_another_model(given: str, wanted: str, source: str) -> None:
+    """Vectors of another model fit in size only: cosines with them mean nothing."""
+    if given and wanted and not is_table(wanted) and _words_of(given) != _words_of(wanted):
+        warnings.warn(
+            f"{source}: its vectors come from {given}, the field's embeddings from {wanted}; answers mean nothing "
+            "unless both are one model by two names",
+            ScoupWarning,
+            stacklevel=3,
+        )
+
+
+def _words_of(model: str) -> set[str]:
+    """What tells models apart in their names, which transformers and open_clip write differently."""
+    return set(re.findall(r"[a-z]+[0-9]+[a-z]*|[a-z]+|[0-9]+", model.lower())) - _PUBLISHERS
 
 
 def _where_words_are(field: QueriedField, other: TextEncoder) -> str:

@@ -23,7 +23,7 @@ from scoup.base.html import card, first_of
 _PARALLEL = 1e-9  # sine of the angle between view direction and up below which the camera has no defined roll
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Camera:
     """One posed pinhole camera. OpenCV axes: x right, y down, z forward; pixel centres at +0.5.
 
@@ -140,6 +140,10 @@ class Camera:
         viewmat[:3, 3] = -viewmat[:3, :3] @ place
         K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
         return cls(name, torch.from_numpy(viewmat), K, width, height)
+
+    def __repr__(self) -> str:
+        place = ", ".join(f"{value:.4g}" for value in self.position.tolist())
+        return f"Camera({self.name!r}, {self.width} x {self.height}, focal {self.fx:.4g}, at ({place}))"
 
     def fingerprint(self) -> str:
         """SHA-256 of everything that decides what the camera sees; its name and photograph are left out."""

@@ -81,7 +81,12 @@ def query_vectors(
     Raises:
         InputError: they have another shape, are not finite, or one is zero.
     """
-    given = torch.as_tensor(vectors)
+    try:
+        given = torch.as_tensor(vectors)
+    except (TypeError, ValueError, RuntimeError):
+        raise InputError(
+            f"{what} must be vectors [{dim}] or [count, {dim}], not {str(vectors)[:60]}"
+        ) from None
     rows = given[None] if given.dim() == 1 else given
     if rows.dim() != 2 or rows.shape[1] != dim or not len(rows):
         raise InputError(f"{what} {list(given.shape)} must be [{dim}] or [count, {dim}]")
