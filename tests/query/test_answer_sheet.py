@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 import torch
 from PIL import ImageDraw
+from scipy import ndimage
 
+from scoup.base.errors import InputError
+from scoup.pictures.colors import Picture
+from scoup.pictures.lettering import PAPER
 from scoup.query.answer import Answer
 from scoup.query.answer_sheet import MOST_VIEWS, AnswerSheets
 
@@ -34,6 +38,12 @@ def answer(score: float, is_present: bool = True) -> Answer:
         z_score=3.0,
         presence=is_present,
     )
+
+
+def cells_of(sheet: Picture) -> list[tuple[slice, slice]]:
+    """Rows and columns of the cells: what is not paper, and neither lettering nor the scale below."""
+    found = ndimage.find_objects(ndimage.label((sheet != PAPER).any(2))[0])
+    return [(y, x) for y, x in found if x.stop - x.start > 200 and y.stop - y.start > 50]
 
 
 def drawn_texts(sheets: AnswerSheets, monkeypatch: pytest.MonkeyPatch) -> list[str]:
@@ -116,9 +126,35 @@ def test_more_texts_take_more_sheets(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(sheets) == len(sheets.pictures()) == 2
     texts = drawn_texts(sheets, monkeypatch)
     assert [text for text in texts if text.startswith("texts")] == [
-        "texts 1 to 6 of 8 in 1 view",
-        "texts 7 to 8 of 8 in 1 view",
+        "texts 1 to 4 of 8 in 1 view",
+        "texts 5 to 8 of 8 in 1 view",
     ]
+
+
+@pytest.mark.parametrize("views", [1, 2])
+@pytest.mark.parametrize("texts", [7, 8, 13])
+def test_each_view_is_a_row_of_each_sheet(texts: int, views: int) -> None:
+    sheets = AnswerSheets([f"thing {number}" for number in range(texts)], views)
+    for view in range(views):
+        sheets.add(f"view {view}", [answer(0.7)] * texts, RGB)
+    widths: set[int] = set()
+    count = 0
+    for sheet in sheets.pictures():
+        cells = cells_of(sheet)
+        count += len(cells)
+        rows = {cell[0].start for cell in cells}
+        assert len(rows) == views
+        assert len(cells) == views * len({cell[1].start for cell in cells})
+        widths |= {cell[1].stop - cell[1].start for cell in cells}
+        assert max(cell[1].stop for cell in cells) > sheet.shape[1] - 20  # no empty column
+    assert count == texts * views
+    assert max(widths) - min(widths) <= 1
+
+
+def test_sheets_of_nothing() -> None:
+    for texts, views in ((["mug"], 0), ([], 1), (["mug", "cup"], 0)):
+        with pytest.raises(InputError, match="at least one text and one view"):
+            AnswerSheets(texts, views)
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (400, 30), (30, 400)])
@@ -129,4 +165,8 @@ def test_views_of_any_shape(height: int, width: int) -> None:
     sheets.add("a.png", [odd], torch.zeros(height, width, 3))
     sheets.add("b.png", [answer(0.7)], RGB)
     (sheet,) = sheets.pictures()
-    assert sheet.dtype == np.uint8
+    odd_cell, even_cell = sorted(cells_of(sheet), key=lambda cell: cell[1].start)
+    for cell, shape in ((odd_cell, (height, width)), (even_cell, (30, 40))):
+        tall, wide = (side.stop - side.start for side in cell)
+        assert tall == pytest.approx(wide * shape[0] / shape[1], abs=2)
+        assert np.ptp(sheet[cell].astype(int), axis=2).max() > 60  # heat

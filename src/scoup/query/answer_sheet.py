@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from PIL import Image
 from torch import Tensor
 
+from scoup.base.counts import counted
+from scoup.base.errors import InputError
 from scoup.pictures import answer_overlay, as_picture, contact_sheet, heat_legend, stacked
 from scoup.pictures.colors import Picture
 from scoup.pictures.sheet import GAP
 from scoup.query.answer import Answer
 
 MOST_VIEWS = 12  # on a sheet
-MOST_TEXTS = 6  # on a sheet; more get sheets of their own
+MOST_TEXTS = 6  # on a sheet; more are spread evenly over several
 VIEWS_BESIDE = 4  # of one text
 WIDTH, HEIGHT = 1600, 3600  # of a sheet, in pixels, more or less
 NARROWEST, WIDEST = 320, 960  # of a cell, in pixels
@@ -61,13 +64,18 @@ class AnswerSheets:
     Args:
         texts: of the query.
         views: how many will be added.
+
+    Raises:
+        InputError: no text or no view.
     """
 
     def __init__(self, texts: Sequence[str], views: int) -> None:
+        if not texts or views < 1:
+            raise InputError("sheets of answers need at least one text and one view")
         self.texts, self.views = tuple(texts), views
-        columns = min(len(texts), MOST_TEXTS) if len(texts) > 1 else min(views, VIEWS_BESIDE)
-        self._columns = columns
-        rows = min(views, MOST_VIEWS) if len(texts) > 1 else -(-min(views, MOST_VIEWS) // columns)
+        several = len(texts) > 1
+        columns = -(-len(texts) // len(self)) if several else min(views, VIEWS_BESIDE)
+        rows = min(views, MOST_VIEWS) if several else -(-min(views, MOST_VIEWS) // columns)
         self._cell_width = min(WIDEST, max(NARROWEST, min(WIDTH // columns, HEIGHT // rows)))
         self._rows: list[_Row] = []
         self._added = 0
@@ -99,22 +107,23 @@ class AnswerSheets:
         """The sheets, at least one view having been added."""
         high = max(cell.largest for row in self._rows for cell in row.cells)
         span = (min(0.5, high - LEAST_SPAN), high)
-        starts = range(0, len(self.texts), MOST_TEXTS)
-        return [self._sheet(range(len(self.texts))[start : start + MOST_TEXTS], span) for start in starts]
+        ends = [len(self.texts) * number // len(self) for number in range(len(self) + 1)]
+        return [self._sheet(range(*of_sheet), span) for of_sheet in pairwise(ends)]
 
     def _sheet(self, columns: range, span: tuple[float, float]) -> Picture:
+        alone = len(self.texts) == 1
         tiles, titles, remarks = [], [], []
         for row in self._rows:
             for column in columns:
                 cell = row.cells[column]
                 heat = cell.heat if cell.presence else np.zeros_like(cell.heat)
                 tiles.append(answer_overlay(heat, cell.mask, row.picture, span, cell.box, cell.point))
-                alone = len(self.texts) == 1
                 titles.append(row.view if alone else self.texts[column])
                 remarks.append(cell.remark if alone else f"{row.view}: {cell.remark}")
-        width = self._columns * (self._cell_width + GAP) + GAP
+        beside = min(self.views, VIEWS_BESIDE) if alone else len(columns)
+        width = beside * (self._cell_width + GAP) + GAP
         heading = self._heading(columns)
-        sheet = contact_sheet(tiles, titles, self._columns, width, heading, HOW_TO_READ, remarks)
+        sheet = contact_sheet(tiles, titles, beside, width, heading, HOW_TO_READ, remarks)
         return stacked([sheet, heat_legend(width, *span)])
 
     def _heading(self, columns: range) -> str:
@@ -123,9 +132,9 @@ class AnswerSheets:
         if len(self) > 1:
             texts = f"texts {columns[0] + 1} to {columns[-1] + 1} of {len(self.texts)}"
         if shown == self.views:
-            return f"{texts} in {shown} {'view' if shown == 1 else 'views'}"
+            return f"{texts} in {counted(shown, 'view')}"
         turns = ", the texts choosing in turn" if len(self.texts) > 1 else ""
-        return f"{texts} in {shown} of {self.views} views: those of the best answers{turns}"
+        return f"{texts} in {shown} of {counted(self.views, 'view')}: those of the best answers{turns}"
 
 
 def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
