@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scoup.base.counts import counted, none_of
+from scoup.base.counts import counted, listed, none_of, share_of, verb
 
 
 def test_one_is_singular():
@@ -14,3 +14,17 @@ def test_one_is_singular():
 
 def test_none_of_one():
     assert [none_of(number, "view") for number in (1, 4)] == ["no view", "none of the 4 views"]
+
+
+def test_shares_of_one_and_of_many():
+    assert [share_of(1, total, "camera") for total in (1, 2)] == ["the only camera", "1 of 2 cameras"]
+    assert share_of(2000, 2000, "camera tried", "cameras tried") == "2,000 of 2,000 cameras tried"
+
+
+def test_verbs_agree():
+    assert [verb(number, "sees", "see") for number in (0, 1, 2)] == ["see", "sees", "see"]
+
+
+def test_names_are_listed_up_to_a_number():
+    assert [listed("abcd"[:length]) for length in (0, 1, 3, 4)] == ["", "a", "a, b, c", "a, b, c, ..."]
+    assert listed(("a", "b"), 1) == "a, ..."

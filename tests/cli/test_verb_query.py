@@ -163,7 +163,7 @@ def test_views_that_see_nothing_are_counted():
     answers = {answer["camera"]: answer for answer in json.loads(out)["answers"]}
     assert answers["away.png"]["box"] is None
     assert answers["away.png"]["score"] == 0.5
-    assert "warning: 1 of 2 cameras see nothing of the field (away.png)" in err
+    assert "warning: 1 of 2 cameras sees nothing of the field (away.png)" in err
 
 
 def test_geometry_that_moved_is_named():

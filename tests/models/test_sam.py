@@ -135,7 +135,7 @@ def test_normalization_comes_with_the_model(tmp_path: Path) -> None:
 def test_what_cannot_be_loaded_is_told(tmp_path: Path, monkeypatch) -> None:
     with pytest.raises(ScoupError, match=r"segmenter 'sam-vit-h' cannot be loaded .*felzenszwalb"):
         open_sam("sam-vit-h")
-    with pytest.raises(ScoupError, match="'clip' is no SAM model"):
+    with pytest.raises(ScoupError, match="'clip' is not a SAM model"):
         open_sam(str(saved(tiny_clip(), tmp_path / "clip")))
     folder = saved(tiny_sam(), tmp_path / "pickled")
     (folder / "model.safetensors").unlink()

@@ -24,7 +24,7 @@ def test_one_splat_is_not_hidden_by_another() -> None:
     gaussians.means[:15] *= 1e30  # were they counted, the scene would be as large as they are
     gaussians.scales[20] = 1e30
     far, large = sorted(oddities(gaussians), reverse=True)
-    assert large.startswith("1 of 400 Gaussians are over 100 times larger")
+    assert large.startswith("1 of 400 Gaussians is over 100 times larger")
     assert far.startswith("15 of 400 Gaussians are over 10,000 times")
 
 
@@ -34,6 +34,13 @@ def test_values_that_are_not_finite_do_not_hide_the_rest() -> None:
     gaussians.opacities[3] = torch.nan
     (found,) = oddities(gaussians)
     assert found.startswith("all 400 Gaussians are transparent")
+
+
+def test_an_only_gaussian_is_singular() -> None:
+    gaussians = random_gaussians(1, 0)
+    gaussians.opacities[:] = 0
+    (found,) = oddities(gaussians)
+    assert found.startswith("the only Gaussian is transparent")
 
 
 @pytest.mark.data

@@ -1,6 +1,8 @@
-"""Numbers of things in messages, in the singular where there is one."""
+"""Numbers of things and their names in messages, in the singular where there is one."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 
 def counted(count: int, thing: str, things: str = "") -> str:
@@ -16,3 +18,22 @@ def counted(count: int, thing: str, things: str = "") -> str:
 def none_of(count: int, thing: str) -> str:
     """The subject of a sentence that denies something of all: "none of the 4 views", "no view" where there is one."""
     return f"no {thing}" if count == 1 else f"none of the {count:,} {thing}s"
+
+
+def share_of(count: int, total: int, thing: str, things: str = "") -> str:
+    """Some of all: "1 of 8 views", "8 of 8 views", and "the only view" where there is one; its verb is that of count.
+
+    Args:
+        thing, things: see ``counted``.
+    """
+    return f"the only {thing}" if total == 1 else f"{count:,} of {counted(total, thing, things)}"
+
+
+def verb(count: int, singular: str, plural: str) -> str:
+    """The form of a verb, or of what begins with it, that a number of things takes."""
+    return singular if count == 1 else plural
+
+
+def listed(names: Sequence[str], count: int = 3) -> str:
+    """The first few of some names: "a, b, c, ..."."""
+    return ", ".join(names[:count]) + (", ..." if len(names) > count else "")

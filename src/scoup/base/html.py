@@ -42,8 +42,3 @@ def data_address(picture: NDArray[np.uint8]) -> str:
     stream = io.BytesIO()
     Image.fromarray(picture).save(stream, "PNG")
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
-
-
-def first_of(names: tuple[str, ...] | list[str], count: int = 4) -> str:
-    """The first few of some names, for people."""
-    return ", ".join(names[:count]) + (f", ... ({len(names):,})" if len(names) > count else "")

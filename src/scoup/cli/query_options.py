@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from scoup.base.counts import counted
+from scoup.base.counts import listed, share_of, verb
 from scoup.cli.options import FieldFile, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
@@ -118,13 +118,15 @@ class CameraOptions(FieldOptions):
         """
         from scoup.base.errors import InputError, ScoupWarning
 
-        names = ", ".join(camera.name for camera in blind[:3]) + (", ..." if len(blind) > 3 else "")
+        names = listed([camera.name for camera in blind])
         if blind and len(blind) == count:
             raise InputError(
-                f"{self.scene or self.field}: the cameras see nothing of the field ({names}); {_SAME_FRAME}"
+                f"{self.scene or self.field}: {verb(count, 'the camera sees', 'the cameras see')} nothing of the field "
+                f"({names}); {_SAME_FRAME}"
             )
         if blind:
-            message = f"{len(blind)} of {counted(count, 'camera')} see nothing of the field ({names}); {_SAME_FRAME}"
+            seen = f"{share_of(len(blind), count, 'camera')} {verb(len(blind), 'sees', 'see')} nothing of the field"
+            message = f"{seen} ({names}); {_SAME_FRAME}"
             warnings.warn(message, ScoupWarning, stacklevel=2)
 
 

@@ -119,7 +119,7 @@ def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
             limit.
 
     Raises:
-        FileFormatError: it is no image, or damaged, or too large.
+        FileFormatError: it is not an image, or damaged, or too large.
     """
     from PIL import Image
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from scoup.base.counts import counted, none_of
+from scoup.base.counts import counted, listed, none_of
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.image_folder import ImageFolder
 from scoup.io.images import image_size
@@ -55,7 +55,7 @@ def attach_images(
         else:
             attached.append(_resized_to_image(camera, path, size, scale / (downscale or scale)))
     if not attached and not unreadable and images is not None:
-        named = ", ".join(camera.name for camera in others[:3]) + (", ..." if len(others) > 3 else "")
+        named = listed([camera.name for camera in others])
         raise MissingFileError(
             Path(images), f"has {none_of(len(cameras), 'image')} ({named})",
             "give the folder of their photographs",

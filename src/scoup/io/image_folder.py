@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
-from scoup.base.counts import counted
+from scoup.base.counts import counted, listed
 from scoup.base.errors import ScoupWarning
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
@@ -71,10 +71,9 @@ def warn_of_outside(source: Path, folder: Path, names: Iterable[str]) -> None:
     """
     outside = [name for name in names if is_outside(folder, name)]
     if outside:
-        listed = ", ".join(outside[:3]) + (", ..." if len(outside) > 3 else "")
         warnings.warn(
-            f"{source}: names {counted(len(outside), 'image')} outside of the scene's folder ({listed}); only those in "
-            "it are opened, found by their names: put the images into its folder images, or name their folder "
+            f"{source}: names {counted(len(outside), 'image')} outside of the scene's folder ({listed(outside)}); only "
+            "those in it are opened, found by their names: put the images into its folder images, or name their folder "
             "(--images; images=FOLDER in Python)",
             ScoupWarning,
             stacklevel=4,

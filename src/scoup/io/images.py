@@ -28,7 +28,7 @@ def image_size(path: str | Path) -> tuple[int, int]:
 
     Raises:
         MissingFileError: there is no such file.
-        FileFormatError: it is no image, or absurdly large.
+        FileFormatError: it is not an image, or absurdly large.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow warns about every large photograph
@@ -87,7 +87,7 @@ def load_image(camera: Camera) -> Tensor:
 
     Raises:
         MissingFileError: the camera has no image, or it is gone.
-        FileFormatError: the file is no image or is damaged.
+        FileFormatError: the file is not an image or is damaged.
     """
     if camera.image_path is None:
         raise MissingFileError(
@@ -133,7 +133,7 @@ def open_image(path: Path) -> Iterator[Any]:
 
     Raises:
         MissingFileError: there is no such file.
-        FileFormatError: it is no image, too large to decode, or damaged.
+        FileFormatError: it is not an image, too large to decode, or damaged.
     """
     from PIL import Image
 

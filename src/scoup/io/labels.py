@@ -13,7 +13,7 @@ import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from scoup.base.counts import counted
+from scoup.base.counts import counted, listed
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning, UnknownNameError
 from scoup.io.reading import number, pixels, read_json
 from scoup.scene.cameras import Camera, Cameras
@@ -85,7 +85,7 @@ def read_frame(path: str | Path) -> LabelledFrame:
 
     Raises:
         MissingFileError: there is no such file.
-        FileFormatError: it is no label file, or damaged.
+        FileFormatError: it is not a label file, or damaged.
     """
     path = Path(path)
     content = read_json(path, "LERF-OVS labels")
@@ -98,7 +98,7 @@ def read_frame(path: str | Path) -> LabelledFrame:
         pixels(path, info.get("height"), "the height"),
     )
     if width * height > 1 << 28:
-        raise FileFormatError(path, f"the size {width} x {height} is no image size", _REMEDY)
+        raise FileFormatError(path, f"the size {width} x {height} is not a possible image size", _REMEDY)
     canvases: dict[str, Image.Image] = {}
     boxes: dict[str, list[list[float]]] = {}
     for position, item in enumerate(objects):
@@ -133,8 +133,8 @@ def match_frames(frames: Iterable[LabelledFrame], cameras: Cameras) -> list[tupl
             lost.append(frame.name)
     if not matched:
         raise InputError(
-            f"none of the labelled frames ({', '.join(lost[:3]) or 'there are none'}) is among the "
-            f"{counted(len(cameras), 'camera')} ({', '.join(cameras.names[:3])}, ...); labels and cameras are of "
+            f"none of the labelled frames ({listed(lost) or 'there are none'}) is among the "
+            f"{counted(len(cameras), 'camera')} ({listed(cameras.names)}); labels and cameras are of "
             "different scenes"
         )
     if lost:

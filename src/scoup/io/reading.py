@@ -162,7 +162,7 @@ def make_camera(
         distortion: (k1, k2, p1, p2); all zeros count as none.
 
     Raises:
-        FileFormatError: it is no camera, or distorted while ``distorted`` is "refuse".
+        FileFormatError: it is not a camera, or distorted while ``distorted`` is "refuse".
     """
     coefficients = tuple(float(item) for item in distortion)
     if not any(coefficients):

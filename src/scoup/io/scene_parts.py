@@ -24,7 +24,7 @@ def find_splat(scene: Path, gaussians: Path | None = None) -> Path:
             raise FileFormatError(scene, "there is no such scene", "check the path") from error
         if scene.is_dir():
             find_cameras(scene)  # a folder without cameras either is no scene; this says which may be meant
-        problem = error.problem if scene.is_dir() else "is no splat, and none is named"
+        problem = error.problem if scene.is_dir() else "is not a splat, and none is named"
         raise FileFormatError(error.path, problem, "name the trained splat with --gaussians") from error
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from scoup.base.arguments import PATH, check_arguments
-from scoup.base.counts import counted
+from scoup.base.counts import counted, listed
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.cameras.colmap import is_model, read_colmap
@@ -125,8 +125,8 @@ def find_gaussians(path: str | Path) -> Path:
         if item.suffix.lower() in (".ply", ".splat") and item.is_file() and item.name != "input.ply"
     ]
     if len(found) != 1:
-        listed = ", ".join(item.name for item in found[:5])
-        problem = f"holds {len(found)} splats ({listed})" if found else "holds no trained splat"
+        names = listed([item.name for item in found], 5)
+        problem = f"holds {len(found)} splats ({names})" if found else "holds no trained splat"
         raise MissingFileError(path, problem, "name the .ply, .splat or .pt file itself")
     return found[0]
 
@@ -288,7 +288,7 @@ def _source_of_file(path: Path) -> CameraSource:
         return CameraSource("colmap", folder, (scene_folder(folder),))
     if path.suffix.lower() != ".json":
         raise FileFormatError(
-            path, "is no kind of camera file known here", "give transforms.json or cameras.json"
+            path, "is not a kind of camera file known here", "give transforms.json or cameras.json"
         )
     with open(path, "rb") as stream:
         start = stream.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n")

@@ -188,7 +188,7 @@ def _class_of(transformers: Any, model_type: str) -> Any:
     """The class for a config, also for that of a video model, whose file holds the image model too."""
     generation = model_type.split("_", 1)[0]
     if generation not in _CLASSES:
-        raise ScoupError(f"{model_type!r} is no SAM model; use SAM, SAM 2 or SAM 3")
+        raise ScoupError(f"{model_type!r} is not a SAM model; use SAM, SAM 2 or SAM 3")
     kind = getattr(transformers, _CLASSES[generation], None)
     if kind is None:
         raise ScoupError(

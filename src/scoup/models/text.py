@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from scoup.base.arguments import PATH, check_arguments
-from scoup.base.counts import counted
+from scoup.base.counts import counted, listed
 from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameError
-from scoup.base.html import card, first_of
+from scoup.base.html import card
 from scoup.models.hub import OPEN_CLIP, ModelRequest, load_open_clip, load_pretrained
 from scoup.models.towers import load_tower
 from scoup.models.word_table import WordTable, is_table, load_table, refuse_other_file
@@ -54,13 +54,17 @@ class TextEncoder:
         self._everyday: Tensor | None = None
 
     def __repr__(self) -> str:
-        what = "any text" if self.names is None else f"{len(self.names)} names: {first_of(self.names)}"
+        what = (
+            "any text"
+            if self.names is None
+            else f"{counted(len(self.names), 'name')}: {listed(self.names, 4)}"
+        )
         return f"TextEncoder({self.name or 'unnamed model'}, {self.dim} dimensions, {what})"
 
     def _repr_html_(self) -> str:
         facts = {
             "dimensions": self.dim,
-            "texts": "any" if self.names is None else first_of(self.names, 12),
+            "texts": "any" if self.names is None else f"{len(self.names):,}: {listed(self.names, 12)}",
             "state": "closed" if self._encode is None else "open",
         }
         return card(f"Text encoder: {self.name or 'unnamed model'}", facts, self._similarities())
@@ -93,8 +97,8 @@ class TextEncoder:
             device: where the model runs. Vectors are always returned on the CPU.
 
         Raises:
-            MissingFileError, FileFormatError: the table is missing or damaged, or the file is no table.
-            InputError: the vectors of a dict are no vectors of one length.
+            MissingFileError, FileFormatError: the table is missing or damaged, or the file is not a table.
+            InputError: the vectors of a dict differ in size, or are not vectors.
             ScoupError: the package or the weights that the model needs are missing.
         """
         check_arguments("TextEncoder.open", model_or_table=(model_or_table, (*PATH, Mapping)))

@@ -65,7 +65,7 @@ class WordTable:
         """A table in memory, of name -> vector [D].
 
         Raises:
-            InputError: there is no name, or the vectors are no vectors of one length, zero or not finite.
+            InputError: there is no name, or the vectors differ in size, are not vectors, zero or not finite.
         """
         if not all(isinstance(name, str) for name in vectors):
             raise InputError("a dict of text embeddings must have texts as its keys")
@@ -86,7 +86,7 @@ def is_table(model_or_table: str | Path) -> bool:
 
 
 def refuse_other_file(model_or_table: str) -> None:
-    """Refuse what means a file, by being one or by its extension, and is no table.
+    """Refuse what means a file, by being one or by its extension, and is not a table.
 
     Raises:
         FileFormatError: it does.
@@ -96,7 +96,7 @@ def refuse_other_file(model_or_table: str) -> None:
         problem = (
             "is not a table of text embeddings"
             if path.is_file()
-            else "is no file that can be a table of words"
+            else "cannot be a table of text embeddings, by its extension"
         )
         raise FileFormatError(path, problem, _FORMS)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from scoup.base.counts import listed
 from scoup.base.errors import InputError
-from scoup.base.html import PREVIEW, card, first_of
+from scoup.base.html import PREVIEW, card
 from scoup.pictures.colors import Picture
 from scoup.query.drawing import code_drawing
 from scoup.query.queried_field import QueriedField
@@ -11,11 +12,12 @@ from scoup.query.queried_field import QueriedField
 
 def field_card(field: QueriedField) -> str:
     """HTML: the codes in one view, and what the field consists of."""
+    names = () if field.cameras is None else field.cameras.names
     facts = {
         "levels": ", ".join(field.levels),
         "atoms": field.n_atoms,
         "embeddings": f"{field.dim} dimensions, {field.embedding_model or 'an unnamed model'}",
-        "cameras": 0 if field.cameras is None else first_of(field.cameras.names),
+        "cameras": f"{len(names):,}: {listed(names, 4)}" if names else 0,
         "file": field.path or "not saved",
     }
     return card(f"Language field of {len(field):,} Gaussians", facts, _codes(field))

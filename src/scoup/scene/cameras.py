@@ -16,9 +16,9 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base.counts import counted
+from scoup.base.counts import counted, listed
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.base.html import card, first_of
+from scoup.base.html import card
 
 _PARALLEL = 1e-9  # sine of the angle between view direction and up below which the camera has no defined roll
 
@@ -213,13 +213,13 @@ class Cameras:
             self._by_name[camera.name] = camera
 
     def __repr__(self) -> str:
-        return f"Cameras({len(self)}: {first_of(self.names)})"
+        return f"Cameras({len(self)}: {listed(self.names, 4)})"
 
     def _repr_html_(self) -> str:
         from scoup.scene.previews import cameras_preview
 
         sizes = [f"{width} x {height}" for width, height in dict.fromkeys((c.width, c.height) for c in self)]
-        facts = {"names": first_of(self.names), "sizes": first_of(sizes), "picture": "from above"}
+        facts = {"names": listed(self.names, 4), "sizes": listed(sizes, 4), "picture": "from above"}
         return card(counted(len(self), "camera"), facts, cameras_preview(self._cameras))
 
     def __len__(self) -> int:

@@ -93,5 +93,5 @@ def query_vectors(
     found = unit_rows(rows, what, lengthen)
     zero = ~found.any(1)
     if zero.any():
-        raise InputError(f"{what}: row {int(zero.nonzero()[0])} is zero, which is no direction")
+        raise InputError(f"{what}: row {int(zero.nonzero()[0])} is zero, which has no direction")
     return found

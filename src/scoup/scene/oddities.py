@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.base.counts import counted
+from scoup.base.counts import share_of, verb
 from scoup.scene.gaussians import Gaussians
 
 LARGE = 100.0  # times the extent of the scene: more than the sky of any outdoor scene
@@ -26,20 +26,21 @@ def oddities(gaussians: Gaussians) -> list[str]:
     step = max(1, len(means) // _SAMPLE)
     lowest, middle, highest = np.nanquantile(means[::step], (0.05, 0.5, 0.95), axis=0)
     extent = float(np.linalg.norm(highest - lowest))
-    total = counted(len(gaussians), "Gaussian")
+    total = len(gaussians)
     found = []
     if extent > 0:
         large = int((scales > LARGE * extent).sum())
         far = int((np.abs(means - middle).max(1) > FAR * extent).sum())
         if large:
-            found.append(f"{large:,} of {total} are over {LARGE:.0f} times larger than the scene; {_REMEDY}")
+            some = f"{share_of(large, total, 'Gaussian')} {verb(large, 'is', 'are')}"
+            found.append(f"{some} over {LARGE:.0f} times larger than the scene; {_REMEDY}")
         if far:
-            found.append(
-                f"{far:,} of {total} are over {FAR:,.0f} times the scene's size away from it; {_REMEDY}"
-            )
+            some = f"{share_of(far, total, 'Gaussian')} {verb(far, 'is', 'are')}"
+            found.append(f"{some} over {FAR:,.0f} times the scene's size away from it; {_REMEDY}")
     if float(gaussians.opacities.nan_to_num(0).max()) < FAINT:
         found.append(
-            f"all {total} are transparent (no opacity reaches 1/255), so nothing is visible; export the splat again, "
-            "with opacities as training left them (in a PLY as logits)"
+            f"{verb(total, 'the only Gaussian is', f'all {total:,} Gaussians are')} transparent (no opacity reaches "
+            "1/255), so nothing is visible; export the splat again, with opacities as training left them (in a PLY as "
+            "logits)"
         )
     return found

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.base.counts import counted
+from scoup.base.counts import counted, listed
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.base.html import card, first_of
+from scoup.base.html import card
 from scoup.scene.directions import unit_rows
 
 INTEGERS = (torch.int32, torch.int64, torch.int16, torch.int8, torch.uint8)  # types of labels
@@ -113,12 +113,12 @@ class Regions:
         return cls(levels, maps, lambda name, level: maps[name][level])
 
     def __repr__(self) -> str:
-        return f"Regions({counted(len(self), 'view')}, levels {', '.join(self.levels)}: {first_of(self.view_names)})"
+        return f"Regions({counted(len(self), 'view')}, levels {', '.join(self.levels)}: {listed(self.view_names, 4)})"
 
     def _repr_html_(self) -> str:
         from scoup.scene.previews import labels_preview
 
-        facts = {"levels": ", ".join(self.levels), "views": first_of(self.view_names)}
+        facts = {"levels": ", ".join(self.levels), "views": listed(self.view_names, 4)}
         picture = None
         if len(self):
             name, level = self.view_names[0], self.levels[len(self.levels) // 2]

@@ -169,7 +169,7 @@ def _read_classes(path: Path) -> list[str]:
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
-        raise FileFormatError(path, "is no text", "one class a line is expected") from error
+        raise FileFormatError(path, "is not text", "one class a line is expected") from error
     classes = [line.strip() for line in lines if line.strip()]
     if not classes or len(set(classes)) < len(classes):
         problem = "names a class twice" if classes else "names no class"
@@ -182,7 +182,7 @@ def _read_mask(path: Path) -> Tensor:
     try:
         with Image.open(path) as picture:
             if max(picture.size) > MAX_IMAGE_SIDE:
-                raise FileFormatError(path, f"the size {picture.size} is no image size", _REMEDY)
+                raise FileFormatError(path, f"the size {picture.size} is not a possible image size", _REMEDY)
             levels = np.asarray(picture.convert("L"))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         if isinstance(error, FileFormatError):

@@ -166,7 +166,7 @@ def _focal(path: Path, name: str, entry: Mapping[str, Any], width: int, height: 
         tangent = math.tan(number(path, angle, f"camera_angle_x of frame {name!r}") / 2)
         if not 1e-6 < tangent < 1e6:
             raise FileFormatError(
-                path, f"camera_angle_x of frame {name!r} is no angle of view", "it is in radians"
+                path, f"camera_angle_x of frame {name!r} is not an angle of view", "it is in radians"
             )
         fx = width / (2 * tangent)
         angle = entry.get("camera_angle_y")

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from scoup.base.counts import listed
 from scoup.base.errors import InputError, MissingFileError
 from scoup.base.progress import Progress, no_progress
 from scoup.base.staging import staged
@@ -116,10 +117,9 @@ def _check_target(target: Path, manifest: RegionManifest, stems: Iterable[str], 
         if not path.name.startswith(".") and not (path.is_file() and path.name.endswith(endings))
     )
     if foreign:
-        listed = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
         raise InputError(
-            f"{target}: holds other things than region features ({listed}); give a folder for them alone, such as "
-            f"{target / f'{FOLDER_NAME}_{manifest.layout}'}"
+            f"{target}: holds other things than region features ({listed(foreign)}); give a folder for them alone, "
+            f"such as {target / f'{FOLDER_NAME}_{manifest.layout}'}"
         )
     there = RegionStore.open(target)
     present = view_files(target, there.endings[0])

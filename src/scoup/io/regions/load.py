@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.arguments import PATH, check_arguments
-from scoup.base.counts import none_of
+from scoup.base.counts import listed, none_of
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.base.staging import staged
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
@@ -108,14 +108,12 @@ def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) 
 
 def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingFileError:
     """Tells which files were expected and which are there."""
-    expected = ", ".join(
-        " and ".join(path.name for path in store.files(camera.stem)) for camera in cameras[:3]
-    ) + (", ..." if len(cameras) > 3 else "")
+    expected = listed([" and ".join(path.name for path in store.files(camera.stem)) for camera in cameras])
     there = [path.name for path in view_files(store.folder, store.endings[0])]
-    listed = f"it has {', '.join(there[:3])}" if there else f"it has no *{store.endings[0]} files"
+    found = f"it has {listed(there)}" if there else f"it has no *{store.endings[0]} files"
     return MissingFileError(
         store.folder,
-        f"has features of {none_of(len(cameras), 'camera')}: expected {expected}; {listed}",
+        f"has features of {none_of(len(cameras), 'camera')}: expected {expected}; {found}",
         "give the features of these images",
     )
 

@@ -94,7 +94,7 @@ def ply_type(dtype: np.dtype) -> np.dtype:
     """``dtype`` if PLY has such a number, else the nearest that it has.
 
     Raises:
-        InputError: it is no number.
+        InputError: it is not a number.
     """
     if dtype.kind not in "biuf":
         raise InputError(f"a PLY property cannot hold values of type {dtype}")
