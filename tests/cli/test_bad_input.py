@@ -148,8 +148,9 @@ def test_the_field_given_where_the_splat_belongs_and_the_reverse():
     assert "point_cloud.ply: is not a SCOUP language field" in refused("query", PLY, "kettle")
     assert "scene: is a folder" in refused("query", "scene", "kettle")
     assert "is a file, not a folder" in refused(*BUILD, "--features", PLY)
-    assert "cameras.bin: is no splat, and none is named; name the trained splat with --gaussians" in refused(
-        "build", CAMERAS, "--out", "a.scoup"
+    assert (
+        "cameras.bin: is not a splat, and none is named; name the trained splat with --gaussians"
+        in refused("build", CAMERAS, "--out", "a.scoup")
     )
 
 

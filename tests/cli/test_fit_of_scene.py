@@ -79,7 +79,7 @@ def test_new_views_are_checked():
     photograph(Path("elsewhere"), Path("elsewhere/point_cloud.ply"))
     shutil.copy("elsewhere/images/view_03.png", "scene/images")
     add = ("update", "a.scoup", "--scene", "scene", "--add", "view_03", "--out")
-    misfit = "may not fit the cameras: 1 of 1 renders tried look unlike their photographs (view_03.png;"
+    misfit = "may not fit the cameras: the only render tried looks unlike its photograph (view_03.png;"
     assert any(misfit in said for said in run_json(*add, "b.scoup")["warnings"])
     assert not any(misfit in said for said in run_json(*add, "c.scoup", "--no-check-fit").get("warnings", []))
 

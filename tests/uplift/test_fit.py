@@ -20,7 +20,8 @@ from scoup.io import save_png
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.uplift.fit import Fit, Verdict, check_coded, measure_fit, refuse_misfit, similarities, views_tried
+from scoup.uplift.fit import Fit, Verdict, check_coded, check_fit, measure_fit, views_tried
+from scoup.uplift.similarity import similarities
 from support import make_camera, random_gaussians
 
 SEEDS = range(4)
@@ -65,15 +66,15 @@ def with_photographs_of(cameras: list[Camera], others: list[Camera]) -> list[Cam
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("look", [{}, {"background": 1.0}, {"gain": 0.4}, {"background": 0.5, "gain": 0.7}])
-def test_a_scene_and_its_own_photographs_fit(seed: int, look: dict[str, float], tmp_path: Path):
-    gaussians, cameras = scene(seed, tmp_path, **look)
+@pytest.mark.parametrize("shown", [{}, {"background": 1.0}, {"gain": 0.4}, {"background": 0.5, "gain": 0.7}])
+def test_a_scene_and_its_own_photographs_fit(seed: int, shown: dict[str, float], tmp_path: Path):
+    gaussians, cameras = scene(seed, tmp_path, **shown)
     fit = measure_fit(gaussians, cameras)
     assert fit.verdict is Verdict.FITS
     assert fit.compared.all()
     assert float(fit.own.min()) > 0.8
     assert not fit.unlike
-    refuse_misfit(gaussians, cameras)  # no warning: it would be an error here
+    check_fit(gaussians, cameras)  # no warning: it would be an error here
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -86,7 +87,7 @@ def test_what_is_refused(seed: int, tmp_path: Path):
     for splat, views in ((other, cameras), (turned, cameras), (gaussians, shuffled)):
         assert measure_fit(splat, views).verdict is Verdict.HOPELESS
         with pytest.raises(InputError, match=r"a\.ply: does not fit the cameras: .*--no-check-fit") as caught:
-            refuse_misfit(splat, views, splat="a.ply")
+            check_fit(splat, views, splat="a.ply")
         assert "median correlation" in str(caught.value)
 
 
@@ -108,7 +109,7 @@ def test_two_wrong_photographs_of_eight_are_nothing_and_three_are_doubtful(tmp_p
     wrong = photographed(random_gaussians(600, 7), cameras, tmp_path / "other")
     assert measure_fit(gaussians, [*wrong[:2], *cameras[2:]]).verdict is Verdict.FITS
     with pytest.warns(ScoupWarning, match="may not fit the cameras: 3 of 8 renders tried look unlike"):
-        refuse_misfit(gaussians, [*wrong[:3], *cameras[3:]])
+        check_fit(gaussians, [*wrong[:3], *cameras[3:]])
 
 
 def test_cameras_that_see_nothing(tmp_path: Path):
@@ -117,14 +118,19 @@ def test_cameras_that_see_nothing(tmp_path: Path):
             for camera in cameras]  # fmt: skip
     bare = [replace(camera, image_path=None) for camera in (*away[:3], *cameras[3:8])]
     with pytest.warns(ScoupWarning, match="3 of 8 cameras tried see nothing"):
-        refuse_misfit(gaussians, bare)
-    refuse_misfit(gaussians, bare[2:])  # one of six
+        check_fit(gaussians, bare)
+    check_fit(gaussians, bare[2:])  # one of six
     with pytest.raises(
         InputError, match="the splat does not fit the cameras: 8 of 8 cameras tried see nothing"
     ):
-        refuse_misfit(gaussians, away)
+        check_fit(gaussians, away)
     # The photographs of the others decide.
-    refuse_misfit(gaussians, [*bare[:3], *cameras[3:8]])
+    check_fit(gaussians, [*bare[:3], *cameras[3:8]])
+    # Unless nearly all are blind, be they few.
+    assert measure_fit(gaussians, [*bare[:3], cameras[3]]).verdict is Verdict.HOPELESS
+    assert measure_fit(gaussians, [*bare[:2], *cameras[3:5]]).verdict is Verdict.FITS
+    with pytest.raises(InputError, match="cameras: the only camera tried sees nothing of the splat"):
+        check_fit(gaussians, away[:1])
 
 
 def test_photographs_that_say_nothing_are_passed_over(tmp_path: Path):
@@ -142,9 +148,10 @@ def test_photographs_that_say_nothing_are_passed_over(tmp_path: Path):
 def test_few_views_are_never_refused_for_their_photographs(tmp_path: Path):
     gaussians, cameras = scene(0, tmp_path)
     wrong = photographed(random_gaussians(600, 7), cameras[:3], tmp_path / "other")
-    for count in (1, 3):
-        with pytest.warns(ScoupWarning, match="look unlike their photographs"):
-            refuse_misfit(gaussians, wrong[:count])
+    with pytest.warns(ScoupWarning, match="the only render tried looks unlike its photograph"):
+        check_fit(gaussians, wrong[:1])
+    with pytest.warns(ScoupWarning, match="3 of 3 renders tried look unlike their photographs"):
+        check_fit(gaussians, wrong)
     assert measure_fit(gaussians, []).verdict is Verdict.FITS
 
 
@@ -234,7 +241,7 @@ def test_numbers_behind_a_verdict():
     assert (fit.unlike, fit.mistaken) == (["c"], [])
     assert fit.verdict is Verdict.DOUBTFUL
     assert fit.reason() == (
-        "1 of 4 cameras tried see nothing of the splat (d), 1 of 3 renders tried look unlike their photographs "
+        "1 of 4 cameras tried sees nothing of the splat (d), 1 of 3 renders tried looks unlike its photograph "
         "(c; median correlation 0.80)"
     )
 

@@ -363,6 +363,17 @@ def test_refusals(wall: Wall, kept: Kept) -> None:
     assert list(sums.views) == list(wall.early.names)  # nothing was changed
 
 
+def test_views_without_regions_are_refused_before_any_is_rendered(
+    wall: Wall, kept: Kept, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def too_early(*_: object, **__: object) -> None:
+        raise AssertionError("views were rendered before the arguments were checked")
+
+    monkeypatch.setattr("scoup.uplift.fit.measure_fit", too_early)
+    with pytest.raises(InputError, match="given without their regions; give regions="):
+        update(*kept, wall.late[:1])
+
+
 def test_a_field_that_does_not_record_what_to_expect(wall: Wall, kept: Kept) -> None:
     """Without coding reports no region counts as badly explained, and no atoms are added on a guess."""
     field, sums = kept

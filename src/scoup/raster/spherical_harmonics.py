@@ -6,15 +6,14 @@ import torch
 from torch import Tensor
 
 from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene.gaussians import SH_C0, Gaussians
 
-C0 = 0.28209479177387814
 C1 = 0.4886025119029199
 
 
 def view_colors(gaussians: Gaussians, camera: Camera) -> Tensor:
     """[N, 3] float32 RGB of every Gaussian seen from the camera, max(0, SH(direction) + 0.5)."""
-    colors = C0 * gaussians.sh[:, 0] + 0.5
+    colors = SH_C0 * gaussians.sh[:, 0] + 0.5
     if gaussians.sh_degree > 0:
         position = camera.position.float().to(gaussians.device)
         directions = torch.nn.functional.normalize(gaussians.means - position, dim=1)

@@ -16,11 +16,11 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions
+from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.consensus import consensus
-from scoup.uplift.fit import check_coded, refuse_misfit
 from scoup.uplift.provenance import build_record
-from scoup.uplift.rasterise import add_views, cameras_with_regions, check_fits, exchanged
+from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums, exchanged
 from scoup.uplift.region_codes import RegionEmbeddings, inputs_digest, learn_region_codes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import vote
@@ -80,10 +80,10 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     if sums is None:
         sums = RegionSums.of(gaussians, regions.levels, settings.raster_preset)
     else:
-        check_fits(sums, gaussians, regions, settings.raster_preset)
+        check_sums(sums, gaussians, regions, settings.raster_preset)
     processes, device = at_work(), gaussians.device
     if check_fit and not any(processes.gather(len(sums))):
-        refuse_misfit(gaussians, views, settings.raster_preset, backend, geometry_path, processes)
+        fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path, processes)
 
     if settings.consensus:  # before coding; each process needs all sums
         add_views(sums, gaussians, views, regions, backend, progress)
@@ -99,7 +99,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
 
     keep, atoms = settings.keep or None, codes.codebook.to(device)
     found = vote(sums, codes.codes, atoms, settings.rounds, keep, backend=backend, progress=progress)
-    check_coded(found.weights)
+    fit.check_coded(found.weights)
     record = build_record(settings, inputs, sums, codes, found.sharpness)
     info = FieldInfo(
         sums.levels, embedding_model, sums.fingerprint, len(gaussians), settings.raster_preset, record

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.arguments import check_arguments
-from scoup.base.counts import none_of
+from scoup.base.counts import listed, none_of
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
@@ -63,7 +63,7 @@ def region_sums(
     chosen = cameras_with_regions(cameras, regions)
     if path is not None and Path(path).exists():
         sums = RegionSums.open(path, writable=True)
-        check_fits(sums, gaussians, regions, raster_preset)
+        check_sums(sums, gaussians, regions, raster_preset)
     else:
         new = None if path is None else Path(path)
         sums = RegionSums.of(gaussians, regions.levels, raster_preset, path=new, **more)
@@ -85,7 +85,7 @@ def resumed(
     if path.exists():
         try:
             sums = RegionSums.open(path, writable=True)
-            check_fits(sums, gaussians, regions, raster_preset)
+            check_sums(sums, gaussians, regions, raster_preset)
             wanted = {"weights": "float32", "least_weight": 0.0, **more}
             if wanted != {name: getattr(sums, name) for name in wanted}:
                 raise InputError("its weights were kept in another way")
@@ -221,7 +221,7 @@ def exchanged(sums: RegionSums, view_names: Sequence[str], processes: Processes)
     return mine
 
 
-def check_fits(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_preset: str) -> None:
+def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_preset: str) -> None:
     """Refuse region sums of another scene.
 
     Raises:
@@ -253,6 +253,6 @@ def cameras_with_regions(cameras: Cameras, regions: Regions) -> list[Camera]:
     if not chosen:
         raise InputError(
             f"{none_of(len(cameras), 'camera')} has regions; views with regions: "
-            f"{', '.join(regions.view_names[:5]) or 'none'}; check that names agree"
+            f"{listed(regions.view_names, 5) or 'none'}; check that names agree"
         )
     return chosen

@@ -15,7 +15,7 @@ from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
-from scoup.uplift.fit import refuse_misfit
+from scoup.uplift import fit
 from scoup.uplift.new_views import MANY, CodedView, code_view, embeddings_of, explained_thresholds
 from scoup.uplift.rasterise import add_views
 from scoup.uplift.region_codes import RegionCodes
@@ -64,21 +64,20 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
     """
     check_arguments("update", field=(field, LanguageField), sums=(sums, RegionSums))
     coded, add = codes_of(field, sums), list(add)
-    if check_fit and add:
-        refuse_misfit(field.gaussians, add, field.info.raster_preset, backend, field.geometry_path)
-    changed: list[CodedView] = []
-    for camera in add:
-        if regions is None:
+    if regions is None:
+        if add:
             raise InputError(
                 "update: views to add are given without their regions; give regions=load_regions(folder, cameras)"
             )
-        changed.append(_code_new_view(field, coded, camera.name, regions, new_atoms))
-        coded = coded.with_view(camera.name, changed[-1].codes, changed[-1].codebook)
+        regions = Regions.from_maps({})
+    if check_fit and add:
+        fit.check_fit(field.gaussians, add, field.info.raster_preset, backend, field.geometry_path)
+    changed, coded = _code_new_views(field, coded, add, regions, new_atoms)
     for name in remove:
         coded = coded.without(name)
     if not coded.rows[0]:
         raise InputError("no view would be left to vote; keep at least one")
-    if add and regions is not None:
+    if add:
         add_views(sums, field.gaussians, add, regions, backend, progress)
     for name in remove:
         sums.remove(name)
@@ -127,15 +126,21 @@ class _Recorded:
         )
 
 
-def _code_new_view(
-    field: LanguageField, coded: RegionCodes, name: str, regions: Regions, new_atoms: int
-) -> CodedView:
-    """The regions of one view under the codebook of ``coded``; warns where it explains many of them badly."""
-    rows = embeddings_of(name, regions, field.levels, field.dim)
-    thresholds = explained_thresholds(field.info.provenance, field.levels)
-    found = code_view(coded.codebook, rows, _Recorded.of(field).k, thresholds, new_atoms)
-    _warn_of_badly_explained(name, found, new_atoms)
-    return found
+def _code_new_views(
+    field: LanguageField, coded: RegionCodes, cameras: Sequence[Camera], regions: Regions, new_atoms: int
+) -> tuple[list[CodedView], RegionCodes]:
+    """The regions of views under the codebook of ``coded``, and ``coded`` with them; warns where it explains many of
+    them badly.
+    """
+    found: list[CodedView] = []
+    for name in (camera.name for camera in cameras):
+        rows = embeddings_of(name, regions, field.levels, field.dim)
+        thresholds = explained_thresholds(field.info.provenance, field.levels)
+        view = code_view(coded.codebook, rows, _Recorded.of(field).k, thresholds, new_atoms)
+        _warn_of_badly_explained(name, view, new_atoms)
+        coded = coded.with_view(name, view.codes, view.codebook)
+        found.append(view)
+    return found, coded
 
 
 def codes_of(field: LanguageField, sums: RegionSums) -> RegionCodes:

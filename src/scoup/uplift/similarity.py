@@ -1,0 +1,120 @@
+"""How alike small renders of a splat and photographs are.
+
+Both are reduced to the detail of middle size (``detail``), and correlated over the pixels that the Gaussians paint.
+Neither exposure, white balance nor a background that the splat lacks plays a part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from scoup import raster
+from scoup.base.errors import ScoupError
+from scoup.io.images import load_image
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import SH_C0, Gaussians
+
+Array = NDArray[np.float64]
+
+LONGEST_SIDE = 256  # of a render, in pixels
+FINEST, COARSEST = 1.5, 10.0  # standard deviations between which detail lies, in pixels of the longest side
+LEAST_PAINTED = 0.002  # mean alpha below which a render is not compared with photographs
+LEAST_CONTRAST = 4 / 255  # standard deviation of detail below which it stays weaker than that of other places
+LEAST_DETAIL = 0.1  # mean square of the detail that is compared; where detail is strong, it is about 1
+PLAIN = 0.002  # mean square of the detail below which a whole photograph shows nothing
+
+
+def small_views(cameras: Sequence[Camera]) -> list[Camera]:
+    """At least one camera, all at the size of the first one, or smaller.
+
+    One size for all, whatever their shapes: renders are compared with the photographs of other views, too.
+    """
+    first = cameras[0]
+    scale = min(1.0, LONGEST_SIDE / max(first.width, first.height))
+    width, height = (max(1, round(side * scale)) for side in (first.width, first.height))
+    return [camera.resized(width, height) for camera in cameras]
+
+
+def renders_of(
+    gaussians: Gaussians, views: Sequence[Camera], raster_preset: str, backend: str | None
+) -> tuple[Array, Array]:
+    """Renders [V, H, W, 3] over black in the constant part of the colours, and their alphas [V, H, W]."""
+    prepared = raster.prepare_gaussians(gaussians, backend)
+    colors = (SH_C0 * prepared.gaussians.sh[:, 0] + 0.5).clamp(min=0)
+    images, alphas = [], []
+    for camera in views:
+        image, alpha = raster.render_channels(raster.project(prepared, camera, raster_preset), colors)
+        images.append(image.cpu().double().numpy())
+        alphas.append(alpha.cpu().double().numpy())
+    return np.stack(images), np.stack(alphas)
+
+
+def photographs_of(views: Sequence[Camera]) -> Array:
+    """[V, H, W, 3] in 0..1, of views of one size; NaN where there is none that can be read."""
+    return np.stack([_photograph(camera) for camera in views])
+
+
+def _photograph(camera: Camera) -> Array:
+    try:
+        return load_image(camera).double().numpy() / 255
+    except ScoupError:
+        return np.full((camera.height, camera.width, 3), np.nan)
+
+
+def similarities(images: Array, alphas: Array, photographs: Array) -> Array:
+    """[V, V] correlation of the detail of each render with that of each photograph, over the pixels painted.
+
+    Args:
+        images: [V, H, W, 3] renders over black, 0..1.
+        alphas: [V, H, W] of them; the weights of the pixels.
+        photographs: [V, H, W, 3], 0..1; all NaN where there is none.
+
+    Returns:
+        Correlations; NaN where a render paints too little, either has hardly any detail, or there is no photograph.
+    """
+    count = len(images)
+    missing: NDArray[np.bool_] = np.isnan(photographs[:, 0, 0, 0])
+    filled = np.where(missing[:, None, None, None], 0.0, photographs)
+    empty = filled[~missing][alphas[~missing] < 0.1]
+    background = np.median(empty, axis=0) if len(empty) else np.zeros(3)
+    seen = detail(images + (1 - alphas[..., None]) * background)
+    taken = detail(filled)
+    # [V, pixels, 3] and [V, pixels]; each pair of views is a product of matrices.
+    seen, taken = (maps.reshape(count, -1, 3) for maps in (seen, taken))
+    mass = alphas.mean((1, 2))
+    weights = alphas.reshape(count, -1)
+    weights = weights / np.maximum(weights.sum(1, keepdims=True), 1e-12)
+    weighted = weights[..., None] * seen
+    mean_seen = weighted.sum(1)  # [V, 3]
+    mean_taken = np.einsum("ip,jpc->ijc", weights, taken, optimize=True)
+    shared = np.einsum("ipc,jpc->ij", weighted, taken, optimize=True) - np.einsum(
+        "ic,ijc->ij", mean_seen, mean_taken
+    )
+    power_seen = (weighted * seen).sum((1, 2)) - (mean_seen**2).sum(1)
+    power_taken = np.einsum("ip,jp->ij", weights, (taken**2).sum(2), optimize=True) - (mean_taken**2).sum(2)
+    least = 3 * LEAST_DETAIL
+    # A photograph that is plain where the Gaussians paint, but not elsewhere, is unlike the render.
+    usable = (mass >= LEAST_PAINTED) & (power_seen >= least)
+    telling = ~missing & ((taken**2).sum(2).mean(1) >= 3 * PLAIN)
+    usable = usable[:, None] & telling[None, :]
+    scale = np.sqrt(np.maximum(power_seen[:, None], least) * np.maximum(power_taken, least))
+    return np.where(usable, shared / scale, np.nan)
+
+
+def detail(images: Array) -> Array:
+    """Structure of middle size in images [V, H, W, 3], about equally strong everywhere: no brightness, and nothing that
+    one strong edge could outweigh.
+    """
+    scale = max(images.shape[1:3]) / LONGEST_SIDE
+
+    def blurred(maps: Array, sigma: float) -> Array:
+        return ndimage.gaussian_filter(maps, (0, sigma * scale, sigma * scale, 0), mode="nearest")
+
+    fine = blurred(images, FINEST)
+    found = fine - blurred(fine, COARSEST)
+    power = blurred((found**2).mean(3, keepdims=True), COARSEST)
+    return found / np.sqrt(power + LEAST_CONTRAST**2)
