@@ -11,8 +11,10 @@ import pytest
 
 from cli_support import QUICK, refused, run, run_json, write_scene
 from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png, write_colmap
+from scoup.io.splats.ply import read_ply
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
 
 BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
 RANDOM = pytest.mark.filterwarnings("ignore:.*badly explained")  # the regions are random
@@ -41,6 +43,18 @@ def test_a_scene_that_fits_is_silent():
     fit = run_json("info", "scene")["fit"]
     assert (fit["verdict"], fit["views_tried"]) == ("fits", 4)
     assert fit["similarity"] > 0.9
+
+
+def test_info_reads_a_splat_once(monkeypatch: pytest.MonkeyPatch):
+    read: list[Path] = []
+
+    def counted_read(path: Path) -> Gaussians:
+        read.append(path)
+        return read_ply(path)
+
+    monkeypatch.setattr("scoup.io.scenes.read_ply", counted_read)
+    assert "fit" in run_json("info", "scene")
+    assert read == [Path("scene/point_cloud.ply")]
 
 
 def test_the_splat_of_another_scene_is_refused_before_the_work():

@@ -99,8 +99,15 @@ def test_texts_in_cards_are_no_markup() -> None:
 
 def test_previews_of_ugly_scenes() -> None:
     for seed in range(5):
-        picture = gaussians_preview(random_gaussians(60, seed, KINDS))
+        gaussians = random_gaussians(60, seed, KINDS)
+        gaussians.sh[:] = 0
+        gaussians.sh[:, 0, 0] = 10.0  # red, saturated
+        picture = gaussians_preview(gaussians)
         assert picture.shape == (PREVIEW[1], PREVIEW[0], 3)
+        marks = (picture != 245).any(2)
+        assert (picture[marks] == (255, 128, 128)).all()
+        shown = int((gaussians.finite() & (gaussians.opacities > 0.1)).sum())
+        assert shown - 5 <= marks.sum() <= shown  # some hide others, or lie outside
 
 
 def test_gaussians_are_drawn_in_their_colours() -> None:

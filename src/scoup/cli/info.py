@@ -47,21 +47,16 @@ _READ = (
 
 
 def _folder(path: Path) -> dict[str, Any]:
+    from scoup.io import default_preset
     from scoup.io.describe import describe_folder
-
-    record = describe_folder(path)
-    if record.get("splat") and record.get("cameras"):
-        record["fit"] = _fit(path, Path(record["splat"]))
-    return record
-
-
-def _fit(scene: Path, splat: Path) -> dict[str, Any]:
-    """How the splat and the cameras of a scene fit, as a build would find."""
-    from scoup.io import default_preset, load_cameras, load_gaussians
     from scoup.uplift.fit import measure_fit
 
-    cameras = load_cameras(scene, distorted="undistort", missing_images="keep")
-    return measure_fit(load_gaussians(splat), list(cameras), default_preset(splat)).describe()
+    found = describe_folder(path)
+    if not (found.splat and found.gaussians and found.cameras):
+        return found.record
+    # As a build would find them.
+    fit = measure_fit(found.gaussians, list(found.cameras), default_preset(found.splat))
+    return {**found.record, "fit": fit.describe()}
 
 
 def _splat(path: Path) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -99,13 +100,26 @@ def describe_regions(store: RegionStore) -> dict[str, Any]:
     }
 
 
-def describe_folder(path: Path) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class DescribedFolder:
+    """What is said of a folder, and what was loaded for it: the splat's file and Gaussians, the cameras; None where
+    there are none.
+    """
+
+    record: dict[str, Any]
+    splat: Path | None
+    gaussians: Gaussians | None
+    cameras: Cameras | None
+
+
+def describe_folder(path: Path) -> DescribedFolder:
     """A scene, or what there is of one; or region features alone. Missing parts are left out.
 
     Raises:
         FileFormatError: a part is damaged, or there is nothing of the kind.
     """
     record: dict[str, Any] = {}
+    splat, gaussians, cameras = None, None, None
     with suppress(MissingFileError):
         record["cameras_from"] = str(find_cameras(path).path)
         cameras = load_cameras(path, distorted="undistort", missing_images="keep")
@@ -116,7 +130,8 @@ def describe_folder(path: Path) -> dict[str, Any]:
             record["regions"] = {level: len(regions.embeddings(level)[0]) for level in regions.levels}
     try:
         splat = find_gaussians(path)
-        record |= {"splat": str(splat), **describe_gaussians(load_gaussians(splat))}
+        gaussians = load_gaussians(splat)
+        record |= {"splat": str(splat), **describe_gaussians(gaussians)}
         no_splat = ""
     except MissingFileError as error:
         no_splat = error.problem
@@ -128,4 +143,4 @@ def describe_folder(path: Path) -> dict[str, Any]:
             f"holds nothing known here: it has no cameras and no region features, and {no_splat}",
             where_cameras_are(path),
         )
-    return {"kind": "scene", **record}
+    return DescribedFolder({"kind": "scene", **record}, splat, gaussians, cameras)
