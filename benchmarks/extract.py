@@ -18,7 +18,6 @@ not depend on the weights): SAM ViT-B encoding one crop and predicting masks of 
 
 from __future__ import annotations
 
-import os
 import time
 import tracemalloc
 from collections.abc import Callable
@@ -31,6 +30,7 @@ import torch
 import tyro
 from tests.literal_rules import box_of, mask_rule, painted
 
+from benchmarks.data import data_folder
 from benchmarks.extract_masks import candidates, photograph_of, regions_of
 from scoup.bench import describe_environment, write_json
 from scoup.extract.crops import mask_crops
@@ -62,7 +62,7 @@ class Arguments:
     """Time the models too, with random weights."""
     threads: int = 1
     """Threads of torch."""
-    data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
+    data: Path = field(default_factory=data_folder)
     """Folder that holds desk/."""
     out: Path | None = None
     """Where to write the figures as JSON."""

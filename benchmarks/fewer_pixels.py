@@ -9,7 +9,6 @@ paint, whose strongest atom is the same. Codes come from the "exact" solver, onc
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +19,7 @@ import tyro
 from torch import Tensor
 
 import scoup
+from benchmarks.data import data_folder
 from benchmarks.kitchen import make_features
 from scoup.bench import Stopwatch
 from scoup.io import write_text
@@ -32,7 +32,7 @@ from scoup.uplift.vote import GaussianCodes, vote
 
 @dataclass(frozen=True)
 class Arguments:
-    data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
+    data: Path = field(default_factory=data_folder)
     """Folder that holds kitchen/."""
     repeats: int = 5
     """Interleaved repetitions; medians are printed."""

@@ -12,7 +12,6 @@ The thresholds of ``scoup.uplift.fit`` were chosen on seed 0, kitchen and guitar
 from __future__ import annotations
 
 import math
-import os
 import tempfile
 import time
 from collections.abc import Iterator
@@ -24,6 +23,7 @@ import numpy as np
 import tyro
 
 import scoup
+from benchmarks.data import data_folder
 from benchmarks.fit_cases import RIGHT, WRONG, FitScene, photographed
 from benchmarks.scenes import LAYOUTS, find_layout
 from scoup.bench import (
@@ -44,7 +44,7 @@ from scoup.uplift.fit import Fit, Verdict, measure_fit, views_tried
 
 @dataclass(frozen=True)
 class Arguments:
-    data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
+    data: Path = field(default_factory=data_folder)
     """Folder that may hold kitchen/ and guitar/."""
     layouts: tuple[str, ...] = tuple(LAYOUTS)
     """Layouts of the synthetic scenes."""

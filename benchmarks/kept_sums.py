@@ -11,7 +11,6 @@ each Gaussian paints, and the mean difference of weights where the atoms are the
 from __future__ import annotations
 
 import dataclasses
-import os
 import tempfile
 import time
 from collections.abc import Iterator
@@ -24,6 +23,7 @@ import torch
 import tyro
 
 import scoup
+from benchmarks.data import data_folder
 from benchmarks.kitchen import make_features
 from benchmarks.raster import report
 from scoup.bench import (
@@ -76,7 +76,7 @@ class Arguments:
     """Regions in a view, at levels s, m, l."""
     threads: int = 1
     """Threads."""
-    data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
+    data: Path = field(default_factory=data_folder)
     """Folder that holds kitchen/."""
     kitchen: bool = True
     """Measure the kitchen, too, where it is there."""

@@ -11,7 +11,6 @@ other and cannot be set against published LERF-OVS figures.
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -23,6 +22,7 @@ import torch
 import tyro
 
 import scoup
+from benchmarks.data import data_folder
 from benchmarks.raster import report
 from scoup.base.measuring import timed
 from scoup.baselines.dense import dense_uplift
@@ -46,7 +46,7 @@ METHOD, ALL_ATOMS, DENSE = "top-4 vote", "no top-K", "dense 512-d"
 
 @dataclass(frozen=True)
 class Arguments:
-    data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
+    data: Path = field(default_factory=data_folder)
     """Folder that holds kitchen/ and clip/."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of the codebook; scores are means over them."""

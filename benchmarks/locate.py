@@ -22,8 +22,8 @@ from torch import Tensor
 
 import scoup
 from benchmarks.scenes import find_layout
-from scoup.bench.environment import describe_environment
-from scoup.io import check_output, write_text
+from scoup.bench import describe_environment, write_json
+from scoup.io import check_output
 from scoup.query.locate import Location, oriented_box
 from scoup.query.methods import Encoder
 from scoup.query.segment import main_parts, mask_box
@@ -59,8 +59,6 @@ def main(
     overwrite: bool = False,
 ) -> None:
     """Print a table; write it as JSON with ``--out``."""
-    import json
-
     if out is not None:
         check_output(out, overwrite)
     rows = [row for name in scenes for row in measure(name, n_gaussians)]
@@ -70,11 +68,20 @@ def main(
         numbers = (f"{row[key]:{width}.3f}" if key in row else " " * width for key, width in COLUMNS.items())
         print(f"{row['scene']:12} {row['what']:24} {row['things']:6} {' '.join(numbers)}")
     if out is not None:
-        record = {"environment": describe_environment(), "n_gaussians": n_gaussians, "rows": rows}
-        write_text(out, json.dumps(record, indent=1) + "\n", overwrite)
+        record = {
+            "environment": describe_environment(),
+            "n_gaussians": n_gaussians,
+            "rows": [without_infinite(row) for row in rows],
+        }
+        write_json(out, record, overwrite)
 
 
 COLUMNS = {"median_error": 12, "within_quarter": 14, "extent": 6, "iou": 6, "stretched": 9, "accuracy": 8}
+
+
+def without_infinite(row: dict[str, Any]) -> dict[str, Any]:
+    """A row for JSON: None where most things were not found, which makes a median infinite."""
+    return {key: None if value == float("inf") else value for key, value in row.items()}
 
 
 def measure(scene_name: str, n_gaussians: int) -> list[dict[str, Any]]:

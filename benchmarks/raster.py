@@ -12,7 +12,6 @@ alpha >= 1/255 before their pixel stops, 16 at a time in 11 cycles of fused mult
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -26,6 +25,7 @@ from PIL import Image
 
 import scoup
 from benchmarks.bound import FORMULA, bound_rows, count_evaluations, print_bounds
+from benchmarks.data import data_folder
 from scoup.bench import (
     STAGES,
     Row,
@@ -72,7 +72,7 @@ class Arguments:
     """Repetitions of the reference, where fewer than those of the others."""
     kitchen: bool = True
     """Measure kitchen too."""
-    data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
+    data: Path = field(default_factory=data_folder)
     """Folder that holds kitchen/."""
     clock_ghz: float | None = None
     """Clock of a core under this load; what the system reports by default, which may be the nominal one."""

@@ -18,7 +18,6 @@ changed: each entry names its commit; delete the file to start over.
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -26,6 +25,7 @@ from pathlib import Path
 
 import tyro
 
+from benchmarks.data import data_folder
 from benchmarks.voting_results import Entry, Results, summary, table
 from benchmarks.voting_scenes import SceneSize, VotingScene, make_scene
 from benchmarks.voting_scores import score
@@ -58,7 +58,7 @@ class Arguments:
     """File in which the scores of single pairs are kept, and taken up again."""
     out: Path | None = None
     """Where the summary is written; replaced."""
-    data: Path = field(default_factory=lambda: Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data")))
+    data: Path = field(default_factory=data_folder)
     """Folder that holds kitchen/ and clip/."""
     size: SceneSize = field(default_factory=SceneSize)
 

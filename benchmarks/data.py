@@ -1,0 +1,11 @@
+"""Where the real scenes are that some benchmarks measure."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+def data_folder() -> Path:
+    """The folder named by SCOUP_TEST_DATA, else ../shared/data."""
+    return Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data"))
