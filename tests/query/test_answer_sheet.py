@@ -42,7 +42,9 @@ def answer(score: float, is_present: bool = True) -> Answer:
 
 def cells_of(sheet: Picture) -> list[tuple[slice, slice]]:
     """Rows and columns of the cells: what is not paper, and neither lettering nor the scale below."""
-    found = ndimage.find_objects(ndimage.label((sheet != PAPER).any(2))[0])
+    labels = np.zeros(sheet.shape[:2], np.int32)
+    ndimage.label((sheet != PAPER).any(2), output=labels)
+    found = ndimage.find_objects(labels)
     return [(y, x) for y, x in found if x.stop - x.start > 200 and y.stop - y.start > 50]
 
 

@@ -93,12 +93,7 @@ def refuse_other_file(model_or_table: str) -> None:
     """
     path = Path(model_or_table)
     if path.is_file() or path.suffix.lower() in _OTHER_SUFFIXES:
-        problem = (
-            "is not a table of text embeddings"
-            if path.is_file()
-            else "cannot be a table of text embeddings, by its extension"
-        )
-        raise FileFormatError(path, problem, _FORMS)
+        raise FileFormatError(path, "is not a table of text embeddings", _FORMS)
 
 
 def load_table(path: str | Path) -> WordTable:
