@@ -74,7 +74,11 @@ class OutputExistsError(ScoupError, FileExistsError):
     """An output is already there and overwriting was not allowed."""
 
     def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
         super().__init__(f"{path}: already exists; pass --overwrite (overwrite=True in Python) to replace it")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.path,)
 
 
 class WriteError(InputError):
@@ -135,11 +139,16 @@ class UnknownNameError(InputError, KeyError):
     """
 
     def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
+        self.kind = kind
         self.name = name
+        self.where = where
         self.nearest = nearest_names(name, known)
         listed = ", ".join(repr(item) for item in self.nearest) or "there are none"
         self.message = f"{where + ': ' if where else ''}no {kind} named {name!r}; nearest names: {listed}"
         super().__init__(self.message)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.kind, self.name, self.nearest, self.where)
 
     def __str__(self) -> str:  # KeyError would print the repr
         return self.message
