@@ -360,6 +360,7 @@ class LanguageField(FieldQueries):
 
         Raises:
             OutputExistsError: the file is there and ``overwrite`` is false.
+            WriteError: the system refuses.
         """
         if embed_geometry is None:
             embed_geometry = self.geometry_path is None and self.has_geometry
