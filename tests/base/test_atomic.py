@@ -53,11 +53,13 @@ def test_somebody_else_wrote_meanwhile(tmp_path):
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_temporary_path_keeps_the_extension(tmp_path):
+def test_temporary_path_keeps_the_name(tmp_path):
     with atomic_path(tmp_path / "picture.png") as temporary:
-        assert temporary.suffix == ".png"
-        assert temporary.parent == tmp_path
+        assert temporary.name == "picture.png"
+        assert temporary.parent.parent == tmp_path
+        (temporary.parent / "of a library").write_bytes(b"half")
         temporary.write_bytes(b"x")
+    assert [item.name for item in tmp_path.iterdir()] == ["picture.png"]
     assert (tmp_path / "picture.png").read_bytes() == b"x"
 
 

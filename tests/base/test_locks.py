@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import re
+import signal
 import socket
 import subprocess
 import sys
@@ -48,7 +50,7 @@ def another_process(what: str, path: Path) -> Iterator[subprocess.Popen[str]]:
         yield process
 
 
-def test_the_second_is_told_who_holds_it(tmp_path: Path) -> None:
+def test_the_second_is_refused_with_the_name_of_the_holder(tmp_path: Path) -> None:
     path = tmp_path / "a.scoup"
     with another_process("file", path) as other:
         with pytest.raises(OutputInUseError) as refused, locked_file(path):
@@ -56,9 +58,8 @@ def test_the_second_is_told_who_holds_it(tmp_path: Path) -> None:
         message = str(refused.value)
         start = f"{path}: is being written by process {other.pid} on {socket.gethostname()} since "
         assert message.startswith(start)
-        hour, minute = message.removeprefix(start).partition(";")[0].split(":")
-        assert 0 <= int(hour) < 24
-        assert 0 <= int(minute) < 60
+        since = message.removeprefix(start).partition(";")[0]
+        assert re.fullmatch(r"(\d{4}-\d\d-\d\d )?\d\d:\d\d", since)  # the date where midnight has passed
         assert message.endswith("; wait for it or give another --out")
         assert str(pickle.loads(pickle.dumps(refused.value))) == message
         with locked_file(tmp_path / "b.scoup"):  # another output
@@ -137,6 +138,114 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     assert other_output.startswith(".b.")
 
 
+def test_what_a_living_process_writes_by_itself_stays(tmp_path: Path) -> None:
+    path = tmp_path / "a.scoup"
+    with another_process("nothing", path) as other:
+        for lock in (locked_file(path), locked_folder(tmp_path)):
+            with lock:
+                pass
+        other.communicate("")
+        assert other.returncode == 0
+    assert path.read_text() == "half"
+
+
+def test_files_of_users_with_names_like_ours_stay(tmp_path: Path) -> None:
+    (tmp_path / ".scoup-notes").write_text("precious")
+    (tmp_path / ".scoup-0123456789ab").write_text("precious")  # a file: ours are folders
+    (tmp_path / ".scoup-cache").mkdir()
+    (tmp_path / ".scoup-0123456789abc").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / ".scoup-0123456789ac").symlink_to("elsewhere")
+    (tmp_path / ".scoup-0123456789ad").mkdir()  # what a killed process has left
+    before = {item.name for item in tmp_path.iterdir()}
+    with staged(tmp_path):
+        pass
+    assert before - {item.name for item in tmp_path.iterdir()} == {".scoup-0123456789ad"}
+
+
+def test_a_hidden_folder_that_was_taken_for_abandoned_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a process that came between making it and holding it."""
+    make, made = Path.mkdir, []
+
+    def and_removed(path: Path, *how, **more) -> None:
+        make(path, *how, **more)
+        if path.name.startswith(".scoup-"):
+            made.append(path)
+            if len(made) == 1:
+                path.rmdir()
+
+    monkeypatch.setattr(Path, "mkdir", and_removed)
+    with staged(tmp_path) as hidden:
+        (hidden / "a").write_text("x")
+    assert len(made) == 2
+    assert [item.name for item in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("number", "error"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
+)
+def test_files_move_together_though_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, error: type[BaseException]
+) -> None:
+    for name in "ab":
+        (tmp_path / name).write_text("old")
+    move = os.replace
+
+    def moved(source: Path, target: Path) -> None:
+        move(source, target)
+        signal.raise_signal(number)
+
+    def stop(*_) -> None:
+        raise error
+
+    def write() -> None:
+        with staged(tmp_path, overwrite=True) as hidden:
+            for name in "ab":
+                (hidden / name).write_text("new")
+            monkeypatch.setattr(os, "replace", moved)
+
+    before = signal.signal(number, stop)
+    try:
+        with pytest.raises(error):
+            write()
+        assert signal.getsignal(number) is stop
+    finally:
+        signal.signal(number, before)
+    assert {item.name: item.read_text() for item in tmp_path.iterdir()} == {"a": "new", "b": "new"}
+
+
+def test_processes_at_work_in_one_folder(tmp_path: Path) -> None:
+    """They keep a lone process out, to the last, and a lone one keeps each of them out."""
+    first, second = Processes(0, 2), Processes(1, 2)
+    with another_process("folder", tmp_path) as other:
+        for processes in (first, second):
+            with pytest.raises(OutputInUseError, match=f"by process {other.pid} "), \
+                    locked_folder(tmp_path, processes):  # fmt: skip
+                pass
+    with locked_folder(tmp_path, second):
+        with locked_folder(tmp_path, first), pytest.raises(OutputInUseError), locked_folder(tmp_path, first):
+            pass
+        with pytest.raises(OutputInUseError, match=f"by process {os.getpid()} "), locked_folder(tmp_path):
+            pass
+        assert [item.name for item in tmp_path.iterdir()] == ["scoup.lock.1"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_locks_of_dead_processes_at_work_in_one_folder_are_removed(tmp_path: Path) -> None:
+    with locked_folder(tmp_path, Processes(0, 2)):
+        record = (tmp_path / "scoup.lock.0").read_text()
+    for name in ("scoup.lock", "scoup.lock.0", "scoup.lock.1"):
+        (tmp_path / name).write_text(record)
+    (tmp_path / "scoup.lock.txt").write_text("precious")
+    with locked_folder(tmp_path, Processes(0, 2)):
+        pass
+    with locked_folder(tmp_path):
+        pass
+    assert [item.name for item in tmp_path.iterdir()] == ["scoup.lock.txt"]
+
+
 def test_what_a_living_process_writes_stays(tmp_path: Path) -> None:
     with locked_folder(tmp_path), atomic_file(tmp_path / "a.regions") as stream:
         stream.write(b"of one of several processes")
@@ -173,15 +282,35 @@ def test_of_several_processes_the_first_holds_it_and_all_are_refused(tmp_path: P
     path.write_text("x")
     with pytest.raises(OutputExistsError), locked_file(path, processes=Others(0, 2)):
         pass
-    assert said[0] == (None,)
-    assert isinstance(said[1][0], OutputExistsError)  # which every process would raise
+    assert said[0] == (None, None)
+    assert isinstance(said[1][1], OutputExistsError)  # which every process would raise
 
 
-def test_a_lock_file_of_other_contents(tmp_path: Path) -> None:
-    (tmp_path / "a.scoup.lock").write_text("not JSON")
-    with (
-        locked_file(tmp_path / "a.scoup"),
-        pytest.raises(OutputInUseError),
-        locked_file(tmp_path / "a.scoup"),
-    ):
+@pytest.mark.parametrize(
+    "contents", ["not JSON", "{}", "[1]", '{"process": 1, "host": "a", "since": 5}', "x" * 9000]
+)
+def test_a_file_of_other_contents_is_no_lock(tmp_path: Path, contents: str) -> None:
+    path = tmp_path / "a.scoup.lock"
+    path.write_text(contents)
+    with pytest.raises(InputError, match=f"^{path}: is no lock that scoup has written; move it"), \
+            locked_file(tmp_path / "a.scoup"):  # fmt: skip
         pass
+    assert path.read_text() == contents
+
+
+def test_an_empty_file_is_a_lock(tmp_path: Path) -> None:
+    (tmp_path / "a.scoup.lock").touch()  # of a process that was killed before it wrote its name
+    with locked_file(tmp_path / "a.scoup"):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("contents", ["precious", ""])
+def test_a_link_is_no_lock(tmp_path: Path, contents: str) -> None:
+    (tmp_path / "target").write_text(contents)
+    (tmp_path / "a.scoup.lock").symlink_to("target")
+    with pytest.raises(InputError, match="is no lock that scoup has written"), \
+            locked_file(tmp_path / "a.scoup"):  # fmt: skip
+        pass
+    assert (tmp_path / "target").read_text() == contents
+    assert (tmp_path / "a.scoup.lock").is_symlink()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from scoup.base.errors import NO_SPACE, InputError, OutputExistsError, ScoupError, WriteError
-from scoup.base.holding import try_hold
+from scoup.base.holding import held_temporary
 
 LONGEST_STEM = 64  # of the name of a temporary file
 
@@ -69,27 +69,18 @@ def folder_made(folder: Path, output: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
-    """A temporary path in the same folder (and with the same extension) that becomes ``path`` at the end.
+    """A path of the same name, in a hidden folder beside ``path``, that becomes ``path`` at the end.
 
-    The parent folder is made if it is missing. On any error, interruption included, the temporary file is
-    removed and ``path`` keeps what it held.
+    The parent folder is made if it is missing. On any error, interruption included, the hidden folder is removed with
+    all that is in it, and ``path`` keeps what it held.
 
     Raises:
         OutputExistsError, InputError: as ``check_output``.
         WriteError: the system refuses to write the temporary file; names ``path``.
     """
-    path = check_output(path, overwrite)
-    temporary = path.with_name(f".{path.stem[:LONGEST_STEM]}.{secrets.token_hex(6)}{path.suffix}")
-    with folder_made(path.parent, path), refusals_named(path, temporary):
-        try:
-            yield temporary
-            # Somebody else may have written the file meanwhile.
-            check_output(path, overwrite)
-            os.replace(temporary, path)
-        except BaseException:
-            with suppress(OSError):
-                temporary.unlink()
-            raise
+    # A folder, as libraries may write files of other names first, which nobody holds.
+    with _appearing(path, overwrite, in_folder=True) as temporary:
+        yield temporary
 
 
 @contextmanager
@@ -98,7 +89,7 @@ def atomic_file(path: str | Path, overwrite: bool = False) -> Iterator[BinaryIO]
 
     It has no ``fileno``.
     """
-    with atomic_path(path, overwrite) as temporary, _Output(temporary) as stream:
+    with _appearing(path, overwrite, in_folder=False) as temporary, _Output(temporary) as stream:
         yield cast(BinaryIO, stream)
 
 
@@ -108,17 +99,32 @@ def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
         stream.write(text.encode("utf-8"))
 
 
+@contextmanager
+def _appearing(path: str | Path, overwrite: bool, in_folder: bool) -> Iterator[Path]:
+    """The path of a temporary file that is held (``base.holding``), or is in a folder that is."""
+    path = check_output(path, overwrite)
+    hidden = path.with_name(f".{path.stem[:LONGEST_STEM]}.{secrets.token_hex(6)}{path.suffix}")
+    temporary = hidden / path.name if in_folder else hidden
+    with (
+        folder_made(path.parent, path),
+        refusals_named(path, hidden),
+        refusals_named(path, temporary),
+        held_temporary(hidden, in_folder),
+    ):
+        yield temporary
+        check_output(path, overwrite)  # somebody else may have written the file meanwhile
+        os.replace(temporary, path)
+
+
 class _Output(io.BufferedIOBase):
-    """A new file, held by this process (``base.holding``). A write that the system refuses is a WriteError.
+    """An empty file to fill. A write that the system refuses is a WriteError.
 
     It has no ``fileno`` on purpose: libraries would write past it, and say of a full disk whatever they like.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._stream = path.open("xb")
-        with suppress(OSError):
-            try_hold(self._stream.fileno())
+        self._stream = path.open("wb")
 
     def writable(self) -> bool:
         return True

@@ -13,14 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scoup.base.atomic import LONGEST_STEM, check_output, folder_made
-from scoup.base.errors import InputError, OutputInUseError, ScoupError, WriteError
-from scoup.base.holding import remove_abandoned, try_hold
+from scoup.base.errors import InputError, OutputInUseError, WriteError
+from scoup.base.holding import HEX, NO_LINK, is_same, remove_abandoned, try_hold
 
 if TYPE_CHECKING:
     from scoup.base.processes import Processes
 
 LOCK = ".lock"
 FOLDER_LOCK = "scoup.lock"
+_MOST_BYTES = 4096  # of the contents of a lock
 
 
 @contextmanager
@@ -40,41 +41,59 @@ def locked_file(path: Path, overwrite: bool = False, processes: Processes | None
         OutputExistsError, InputError: as ``base.atomic.check_output``; WriteError: the lock cannot be written.
     """
     own = re.escape(path.stem[:LONGEST_STEM]), re.escape(path.suffix), re.escape(path.name[:LONGEST_STEM])
-    temporary = re.compile(rf"\.({own[0]}\.{_HEX}{own[1]}|{own[2]}\.{_HEX}\.\w+)")
+    temporary = re.compile(rf"\.({own[0]}\.{HEX}{own[1]}|{own[2]}\.{HEX}\.\w+)")
     with ExitStack() as stack:
-        refusal: ScoupError | None = None
-        if processes is None or processes.first:
-            try:
-                stack.enter_context(_held(path, path.with_name(path.name + LOCK), temporary))
-                check_output(path, overwrite)
-            except ScoupError as error:
-                refusal = error
-        if processes is not None:
-            (refusal,) = processes.from_rank((refusal,), 0)
-        if refusal is not None:
-            raise refusal
+
+        def acquire() -> None:
+            stack.enter_context(_held(path, path.with_name(path.name + LOCK), temporary))
+            check_output(path, overwrite)
+
+        if processes is None:
+            acquire()
+        else:
+            processes.of_first(acquire)
         yield
 
 
 @contextmanager
-def locked_folder(path: Path) -> Iterator[None]:
+def locked_folder(path: Path, processes: Processes | None = None) -> Iterator[None]:
     """The same for a folder of results, by a file ``scoup.lock`` in it; the folder is made if it is missing.
+
+    Args:
+        path: the folder.
+        processes: at work in it together, which need not communicate. Each of several holds ``scoup.lock.RANK``: a lone
+            process is kept out while any of them is at work, and they are while a lone one is.
 
     Raises:
         InputError: it is a file; or as ``locked_file``.
     """
     if path.is_file():
         raise InputError(f"{path}: is a file; give the name of a folder")
-    with _held(path, path / FOLDER_LOCK, re.compile(rf"\..+\.{_HEX}(\.\w+)?")):
+    temporary = re.compile(rf"\..+\.{HEX}(\.\w+)?")
+    # Whoever has taken its own lock looks for others': of two that begin together, one at least is refused.
+    if processes is not None and processes.world > 1:
+        with _held(path, path / f"{FOLDER_LOCK}.{processes.rank}", temporary):
+            _check_free(path, path / FOLDER_LOCK)
+            yield
+        return
+    with _held(path, path / FOLDER_LOCK, temporary):
+        for lock in sorted(path.glob(f"{FOLDER_LOCK}.*")):
+            if is_folder_lock(lock.name):
+                with _held(path, lock, temporary):
+                    pass  # of a dead process; now it is removed
         yield
 
 
-_HEX = "[0-9a-f]{12}"  # in the name of a temporary file
+def is_folder_lock(name: str) -> bool:
+    """Whether a file of this name in a folder is a lock of ``locked_folder``."""
+    return re.fullmatch(re.escape(FOLDER_LOCK) + r"(\.\d+)?", name) is not None
 
 
 @contextmanager
 def _held(output: Path, lock: Path, temporary: re.Pattern[str]) -> Iterator[None]:
     check_output(lock, overwrite=True)
+    if lock.is_symlink():
+        raise _foreign(lock)
     with folder_made(lock.parent, output):
         try:
             descriptor = _acquired(output, lock)
@@ -82,7 +101,7 @@ def _held(output: Path, lock: Path, temporary: re.Pattern[str]) -> Iterator[None
             raise WriteError.of(output, error) from error
         try:
             _write_holder(output, descriptor)
-            remove_abandoned(item for item in lock.parent.iterdir() if temporary.fullmatch(item.name))
+            remove_abandoned(lock.parent, temporary)
             yield
         finally:
             with suppress(OSError):
@@ -96,11 +115,13 @@ def _held(output: Path, lock: Path, temporary: re.Pattern[str]) -> Iterator[None
 def _acquired(output: Path, lock: Path) -> int:
     """The open lock file, which this process holds."""
     while True:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | NO_LINK, 0o666)
         try:
             if not _is_free(descriptor):
                 raise OutputInUseError(output, _holder(descriptor))
-            if _is_same(descriptor, lock):
+            if is_same(descriptor, lock):
+                if os.fstat(descriptor).st_size and _record(descriptor) is None:
+                    raise _foreign(lock)
                 return descriptor
         except BaseException:
             os.close(descriptor)
@@ -108,18 +129,30 @@ def _acquired(output: Path, lock: Path) -> int:
         os.close(descriptor)  # the holder before has removed it meanwhile
 
 
-def _is_free(descriptor: int) -> bool:
+def _check_free(output: Path, lock: Path) -> None:
+    """Refuse an output whose lock another process holds."""
     try:
-        return try_hold(descriptor)
+        descriptor = os.open(lock, os.O_RDONLY | NO_LINK)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise WriteError.of(output, error) from error
+    try:
+        if not _is_free(descriptor, shared=True):  # as others may look at this moment
+            raise OutputInUseError(output, _holder(descriptor))
+    finally:
+        os.close(descriptor)
+
+
+def _is_free(descriptor: int, shared: bool = False) -> bool:
+    try:
+        return try_hold(descriptor, shared)
     except OSError:  # a file system without locks: nobody is kept out
         return True
 
 
-def _is_same(descriptor: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(descriptor), path.stat())
-    except FileNotFoundError:
-        return False
+def _foreign(lock: Path) -> InputError:
+    return InputError(f"{lock}: is no lock that scoup has written; move it away, or give another --out")
 
 
 def _write_holder(output: Path, descriptor: int) -> None:
@@ -136,13 +169,21 @@ def _write_holder(output: Path, descriptor: int) -> None:
         raise WriteError.of(output, error) from error
 
 
-def _holder(descriptor: int) -> str:
-    """Who holds a lock, in words."""
+def _record(descriptor: int) -> tuple[str, datetime] | None:
+    """Who wrote a lock, and when; None where its contents are something else."""
     try:
         os.lseek(descriptor, 0, os.SEEK_SET)
-        record = json.loads(os.read(descriptor, 4096))
-        since = datetime.fromisoformat(record["since"])
-        when = f"{since:%H:%M}" if since.date() == datetime.now().date() else f"{since:%Y-%m-%d %H:%M}"
-        return f"process {record['process']} on {record['host']} since {when}"
-    except (OSError, ValueError, KeyError, TypeError):  # it has not written that yet
+        record = json.loads(os.read(descriptor, _MOST_BYTES))
+        return f"process {record['process']} on {record['host']}", datetime.fromisoformat(record["since"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _holder(descriptor: int) -> str:
+    """Who holds a lock, in words."""
+    record = _record(descriptor)
+    if record is None:  # it has not written that yet
         return "another process"
+    who, since = record
+    when = f"{since:%H:%M}" if since.date() == datetime.now().date() else f"{since:%Y-%m-%d %H:%M}"
+    return f"{who} since {when}"

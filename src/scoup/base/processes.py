@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+import pickle
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import torch
 
@@ -52,6 +53,26 @@ class Processes:
         assert items[0] is not None
         return items[0]
 
+    def of_first(self, work: Callable[[], Item]) -> Item:
+        """What the first process's work gives, on each; where it raises an error, each raises it.
+
+        Args:
+            work: done by the first process alone.
+        """
+        found: Item | None = None
+        error: Exception | None = None
+        if self.first:
+            try:
+                found = work()
+            except Exception as caught:
+                error = caught
+        if self.world > 1:
+            found, said = self.from_rank((found, _sendable(error)), 0)
+            error = error or said
+        if error is not None:
+            raise error
+        return cast(Item, found)
+
     def gather(self, item: Item) -> list[Item]:
         """Everybody's item, on each process, by rank."""
         if self.world == 1:
@@ -59,6 +80,15 @@ class Processes:
         items: list[Item] = [item] * self.world
         torch.distributed.all_gather_object(items, item)
         return items
+
+
+def _sendable(error: Exception | None) -> Exception | None:
+    """The error, or one that says the same where it cannot be sent to another process."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
 
 
 ALONE = Processes()

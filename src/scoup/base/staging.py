@@ -1,26 +1,34 @@
-"""Several files that appear together, or not at all."""
+"""Several files that are made first, and then appear together."""
 
 from __future__ import annotations
 
+import functools
 import os
+import re
 import secrets
-import shutil
+import signal
+import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from scoup.base.atomic import check_output, folder_made, refusals_named
-from scoup.base.holding import remove_abandoned, try_hold
+from scoup.base.holding import HEX, held_temporary, remove_abandoned
 
 _HIDDEN = ".scoup-"
+_NAME = re.compile(re.escape(_HIDDEN) + HEX)
+_STOPS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
 def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> Iterator[Path]:
     """A hidden folder to write into; at the end everything in it moves into ``folder``.
 
-    On any error, interruption included, it is removed and ``folder`` stays as it was. What a killed process has left
-    behind in this way is removed.
+    On any error in the block, interruption included, it is removed and ``folder`` stays as it was. Interruptions and
+    terminations wait while files move (in the main thread). Only a kill, or a refusal of the system, at that moment
+    leaves some files new and others old; each is whole.
+
+    Hidden folders that killed processes have left beside it are removed, once in the life of this process.
 
     Args:
         folder: where the files belong; made if it is missing.
@@ -34,16 +42,14 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
     check_outputs(folder, files, overwrite)
     # In the nearest existing folder: on the same file system, moving is only renaming.
     home = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
-    remove_abandoned(home.glob(f"{_HIDDEN}*"))
+    _remove_abandoned_once(home)
     hidden = home / f"{_HIDDEN}{secrets.token_hex(6)}"
-    try:
-        with refusals_named(folder, hidden), _made_and_held(hidden):
-            yield hidden
-            found = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
-            first = [file for file in files if file in found]
+    with refusals_named(folder, hidden), held_temporary(hidden, folder=True):
+        yield hidden
+        found = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
+        first = [file for file in files if file in found]
+        with _stops_held_back():
             _move(hidden, folder, [*first, *(file for file in found if file not in files)], overwrite)
-    finally:
-        shutil.rmtree(hidden, ignore_errors=True)
 
 
 def check_outputs(folder: Path, files: Sequence[str], overwrite: bool) -> None:
@@ -59,24 +65,27 @@ def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> 
             os.replace(hidden / file, folder / file)
 
 
+@functools.cache
+def _remove_abandoned_once(home: Path) -> None:
+    """Once: a folder of thousands of files is not to be listed for each view that is written into it."""
+    remove_abandoned(home, _NAME, only_folders=True)
+
+
 @contextmanager
-def _made_and_held(hidden: Path) -> Iterator[None]:
-    """Make a hidden folder, and hold it where the system can, so that no other process takes it for abandoned."""
-    fresh = hidden.with_name(f".new{hidden.name}")  # a name that nobody looks for, until it is held
-    descriptor = None
-    try:
-        fresh.mkdir()
-        with suppress(OSError):
-            descriptor = os.open(fresh, os.O_RDONLY)
-            try_hold(descriptor)
-        fresh.rename(hidden)
+def _stops_held_back() -> Iterator[None]:
+    """Interruptions and terminations that come in the block take effect after it, in the main thread."""
+    if threading.current_thread() is not threading.main_thread():  # no signal interrupts the others
         yield
-    except OSError as error:
-        if error.filename == str(fresh):
-            error.filename = str(hidden)
-        raise
+        return
+    arrived: list[int] = []
+    before = {number: signal.getsignal(number) for number in _STOPS}
+    before = {number: handler for number, handler in before.items() if handler is not None}
+    try:
+        for number in before:
+            signal.signal(number, lambda number, _: arrived.append(number))
+        yield
     finally:
-        if descriptor is not None:
-            os.close(descriptor)
-        with suppress(OSError):
-            fresh.rmdir()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in arrived:
+            signal.raise_signal(number)

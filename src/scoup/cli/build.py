@@ -126,8 +126,8 @@ class Build(ViewOptions):
                     gaussians, cameras, regions, settings, embedding_model=model, geometry_path=source, sums=sums,
                     check_fit=not self.no_check_fit, progress=progress,
                 )  # fmt: skip
-            if processes.first:
-                field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)
+            # Nobody gives up its sums before the field is there.
+            processes.of_first(lambda: field.save(out, self.overwrite, self.embed_geometry, self.weight_bits))
             bytes_of_sums = sums.bytes if self.keep_sums else None
         if processes.first:
             _report(console, field, out, len(regions), bytes_of_sums, device, time.perf_counter() - started)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -114,10 +114,7 @@ class Extract(WritesCommon):
 
 @contextmanager
 def _at_work(console: Console, out: Path, processes: Processes) -> Iterator[Progress]:
-    """A progress callback that also says what is continued, and what an interruption leaves; ``out`` is locked.
-
-    Of several processes, which do not communicate here, the first holds the lock.
-    """
+    """A progress callback that also says what is continued, and what an interruption leaves; ``out`` is locked."""
     from scoup.base.locks import locked_folder
 
     started = False
@@ -130,7 +127,7 @@ def _at_work(console: Console, out: Path, processes: Processes) -> Iterator[Prog
         console.kept = lambda: kept(done, total, "views")
         progress(stage, done, total)
 
-    with locked_folder(out) if processes.first else nullcontext(), console.progress() as progress:
+    with locked_folder(out, processes), console.progress() as progress:
         yield report
 
 

@@ -282,7 +282,7 @@ def _write(temporary: Path, tensors: dict[str, Tensor], metadata: dict[str, str]
     from safetensors.torch import save_file
 
     try:
-        temporary.touch(exist_ok=False)
+        temporary.touch()
         permissions = temporary.stat().st_mode  # as of any new file; safetensors makes private ones
         save_file(tensors, temporary, metadata)
         temporary.chmod(permissions)

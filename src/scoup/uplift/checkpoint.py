@@ -6,12 +6,12 @@ import re
 import shutil
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 from scoup.base.atomic import atomic_path
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base.errors import InputError, ScoupWarning, WriteError
 from scoup.base.processes import ALONE, Processes
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -40,25 +40,25 @@ def checkpoint(
         field: the file that is built; the caller has locked it (``base.locks``).
         gaussians, regions, raster_preset: of the build.
         keep: the sums after the build.
-        processes: each has a file of its own.
+        processes: each has a file of its own. None may end the block before the field is written.
         how: further arguments of ``RegionSums``.
 
     Raises:
         InputError: several processes cannot keep sums.
+        WriteError: files of other builds cannot be removed.
     """
     if keep and processes.world > 1:
         raise InputError("--keep-sums works in one process; run without torchrun")
     path = field.with_name(_partial_name(field, processes.rank, processes.world))
-    if processes.first:
-        _remove_others(field, processes.world)
+    processes.of_first(lambda: _remove_others(field, processes.world))
     sums = resumed(path, gaussians, regions, raster_preset, **how)
     try:
-        yield sums
+        with closing(sums):  # before its file is removed
+            yield sums
     except InputError:
         if sums.is_empty:
             path.unlink(missing_ok=True)
         raise
-    sums.close()
     if keep:
         path.replace(sums_path(field))
     else:
@@ -81,15 +81,18 @@ def _remove_others(field: Path, world: int) -> None:
     """Remove the checkpoints of another number of processes, which nobody would continue."""
     own = {_partial_name(field, rank, world) for rank in range(world)}
     pattern = re.compile(re.escape(f"{field.name}.partial") + r"(\.\d+)?")
-    names = (path.name for path in field.parent.iterdir() if pattern.fullmatch(path.name))
-    others = sorted(set(names) - own)
-    for name in others:
-        field.with_name(name).unlink(missing_ok=True)
+    try:
+        names = (path.name for path in field.parent.iterdir() if pattern.fullmatch(path.name))
+        others = sorted(set(names) - own)
+        for name in others:
+            field.with_name(name).unlink(missing_ok=True)
+    except OSError as error:
+        raise WriteError.of(error.filename or field, error) from error
     if others:
         warnings.warn(
             f"{field}: removed what a build by another number of processes has left ({', '.join(others)})",
             ScoupWarning,
-            stacklevel=4,
+            stacklevel=6,
         )
 
 

@@ -174,8 +174,7 @@ def check_fit(
     Warns:
         ScoupWarning: the fit is doubtful.
     """
-    mine = measure_fit(gaussians, cameras, raster_preset, backend) if processes.first else None
-    fit = processes.from_rank(mine, 0)
+    fit = processes.of_first(lambda: measure_fit(gaussians, cameras, raster_preset, backend))
     where = "the splat " if splat is None else f"{splat}: "
     if fit.verdict is Verdict.HOPELESS:
         said = f"{where}does not fit the cameras: {fit.reason()}; {fit.remedies()}; {OVERRIDE}"

@@ -9,6 +9,7 @@ from pathlib import Path
 from scoup.base.counts import listed
 from scoup.base.errors import InputError, MissingFileError
 from scoup.base.progress import Progress, no_progress
+from scoup.base.locks import is_folder_lock
 from scoup.base.staging import staged
 from scoup.io.regions import compact, langsplat
 from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, write_manifest
@@ -99,6 +100,7 @@ def convert_regions(
             after += out.write(regions, stem)
             before += store.size_of(stem)
             progress("convert", done + 1, len(stems))
+        langsplat.forget_origins(target, stems)  # what is replaced was made from photographs, by extract
     return ConvertReport(store.folder, target, to_layout, len(stems), before, after)
 
 
@@ -110,11 +112,12 @@ def _check_target(target: Path, manifest: RegionManifest, stems: Iterable[str], 
     """Refuse what would be mixed up or replaced, before anything is written."""
     if not target.is_dir():
         return
-    endings = (MANIFEST, *compact.ENDINGS, *langsplat.ENDINGS)
+    endings = (MANIFEST, *compact.ENDINGS, *langsplat.ENDINGS, langsplat.RECORD_ENDING)
     foreign = sorted(
         path.name
         for path in target.iterdir()
-        if not path.name.startswith(".") and not (path.is_file() and path.name.endswith(endings))
+        if not path.name.startswith(".")
+        and not (path.is_file() and (path.name.endswith(endings) or is_folder_lock(path.name)))
     )
     if foreign:
         raise InputError(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from scoup.io.regions.langsplat_rows import FILE_LEVELS, copy_labels, level_bloc
 from scoup.io.regions.views import REMEDY, ViewRegions
 
 ENDINGS = ("_s.npy", "_f.npy")
-_RECORD_ENDING = "_made.json"  # written after the two arrays
+RECORD_ENDING = "_made.json"  # written after the two arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, ove
 
     Where the photograph is known, a record of what the view was made from follows the arrays.
     """
-    names, record = [f"{stem}_f.npy", f"{stem}_s.npy"], f"{stem}{_RECORD_ENDING}"
+    names, record = [f"{stem}_f.npy", f"{stem}_s.npy"], f"{stem}{RECORD_ENDING}"
     planes, rows = _joined(regions)
     with staged(folder, names, overwrite) as hidden:
         for name, array in zip(names, (rows, planes), strict=True):
@@ -127,14 +127,20 @@ def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, ove
             made = {"view": regions.name, "manifest": manifest, "photograph": regions.photograph}
             write_text(hidden / record, json.dumps(made, indent=2, sort_keys=True) + "\n")
         # The pair does not count until the record, the last to move, is there again.
-        (folder / record).unlink(missing_ok=True)
+        forget_origins(folder, [stem])
+
+
+def forget_origins(folder: Path, stems: Iterable[str]) -> None:
+    """Remove the records of what views were made from."""
+    for stem in stems:
+        (folder / f"{stem}{RECORD_ENDING}").unlink(missing_ok=True)
 
 
 def origin(folder: Path, stem: str) -> tuple[str, str]:
     """Fingerprint of the manifest and SHA-256 of the photograph; see ``views.RegionLayout``."""
     for ending in ENDINGS:
         existing_file(folder / f"{stem}{ending}", "region features")
-    path = folder / f"{stem}{_RECORD_ENDING}"
+    path = folder / f"{stem}{RECORD_ENDING}"
     record = read_json(path, "a record of region features")
     if not isinstance(record, dict):
         raise FileFormatError(path, "is not a record of region features", REMEDY)
