@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
 from hypothesis import strategies as st
@@ -10,6 +12,28 @@ from hypothesis import strategies as st
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions
+
+HANGS = 1800
+"""Seconds until a process that a test has started counts as one that never ends, on however busy a machine."""
+
+
+@contextmanager
+def environments(world: int) -> Iterator[list[dict[str, str]]]:
+    """Variables as torchrun gives them to each of several processes, which meet at a store of this process.
+
+    So nobody else can take the port meanwhile.
+    """
+    store = torch.distributed.TCPStore("localhost", 0, is_master=True, wait_for_workers=False)
+    shared = {
+        "WORLD_SIZE": str(world),
+        "MASTER_ADDR": "localhost",
+        "MASTER_PORT": str(store.port),
+        "TORCHELASTIC_USE_AGENT_STORE": "True",
+        "TORCHELASTIC_RESTART_COUNT": "0",
+    }
+    yield [{"RANK": str(rank), **shared} for rank in range(world)]
+    del store
+
 
 KINDS = (
     "plain",

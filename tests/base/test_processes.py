@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import socket
+import os
 from collections.abc import Callable
 from multiprocessing import get_context
 from pathlib import Path
@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from scoup import BuildSettings, LanguageField, build
-from scoup.base.errors import InputError
+from scoup.base.errors import InputError, OutputExistsError
 from scoup.base.processes import Processes, device_of_process, of_environment, process_group
 from scoup.uplift.rasterise import region_sums, resumed
-from support import small_scene
+from support import HANGS, environments, small_scene
 
 SETTINGS = BuildSettings(n_atoms=8, k=3)
 
@@ -47,33 +47,26 @@ def test_the_environment_of_torchrun(monkeypatch: pytest.MonkeyPatch) -> None:
         of_environment()
 
 
-def join(rank: int, world: int, port: int) -> None:
+def join(environment: dict[str, str]) -> None:
     """Make this process one of several."""
-    import os
-
-    os.environ |= {
-        "RANK": str(rank),
-        "WORLD_SIZE": str(world),
-        "MASTER_ADDR": "localhost",
-        "MASTER_PORT": str(port),
-    }
+    os.environ |= environment
     torch.set_num_threads(1)
 
 
-def build_in_process(rank: int, world: int, port: int, folder: Path) -> None:
+def build_in_process(rank: int, environment: dict[str, str], folder: Path) -> None:
     """One of several processes."""
-    join(rank, world, port)
+    join(environment)
     gaussians, cameras, regions = small_scene(count=700, views=5)
     with process_group("cpu") as processes:
-        assert processes == Processes(rank, world)
+        assert processes == Processes(rank, int(environment["WORLD_SIZE"]))
         sums = resumed(folder / f"partial.{rank}", gaussians, regions)
         field = build(gaussians, cameras, regions, settings=SETTINGS, sums=sums)
     field.save(folder / f"{rank}.scoup")
 
 
-def refused_in_process(rank: int, world: int, port: int, folder: Path) -> None:
+def refused_in_process(rank: int, environment: dict[str, str], folder: Path) -> None:
     """One of several processes whose cameras see nothing; writes the error, and what it had rasterised by then."""
-    join(rank, world, port)
+    join(environment)
     gaussians, cameras, regions = small_scene(count=50, views=5)
     gaussians.means[:, 2] -= 1000
     with process_group("cpu"):
@@ -84,17 +77,57 @@ def refused_in_process(rank: int, world: int, port: int, folder: Path) -> None:
             (folder / f"{rank}.txt").write_text(f"{len(sums)} {error}")
 
 
-def run_together(work: Callable[[int, int, int, Path], None], world: int, folder: Path) -> None:
-    with socket.socket() as probe:
-        probe.bind(("localhost", 0))
-        port = probe.getsockname()[1]
+class Unsendable(ValueError):
+    """Pickled by the text alone, which is not what it is made of."""
+
+    def __init__(self, one: int, other: int) -> None:
+        super().__init__(f"{one} and {other}")
+
+
+def first_in_process(rank: int, environment: dict[str, str], folder: Path) -> None:
+    """One of several processes; writes what the first has found, and the errors it has raised."""
+    join(environment)
+
+    def fail(error: Exception) -> None:
+        raise error
+
+    with process_group("cpu") as processes:
+        said = [str(processes.of_first(lambda: f"found by {rank}"))]
+        for error in (OutputExistsError("a.scoup"), OSError(5, "Input/output error", "a"), Unsendable(1, 2)):
+            try:
+                processes.of_first(lambda error=error: fail(error))
+            except Exception as caught:
+                said.append(f"{caught}")
+    (folder / f"{rank}.txt").write_text("\n".join(said))
+
+
+def test_what_the_first_finds_or_raises_is_everybodys(tmp_path: Path) -> None:
+    run_together(first_in_process, 2, tmp_path)
+    assert (tmp_path / "0.txt").read_text() == "\n".join(
+        ["found by 0", str(OutputExistsError("a.scoup")), "[Errno 5] Input/output error: 'a'", "1 and 2"]
+    )
+    first, second = ((tmp_path / f"{rank}.txt").read_text() for rank in range(2))
+    assert second == first.replace("1 and 2", "Unsendable: 1 and 2")
+
+
+def test_alone_the_first_finds_and_raises_itself() -> None:
+    assert Processes().of_first(lambda: 5) == 5
+    with pytest.raises(ZeroDivisionError):
+        Processes().of_first(lambda: 1 // 0)
+
+
+def run_together(work: Callable[[int, dict[str, str], Path], None], world: int, folder: Path) -> None:
     spawn = get_context("spawn")
-    workers = [spawn.Process(target=work, args=(rank, world, port, folder)) for rank in range(world)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join(120)
-        assert worker.exitcode == 0
+    with environments(world) as ranks:
+        workers = [
+            spawn.Process(target=work, args=(rank, environment, folder))
+            for rank, environment in enumerate(ranks)
+        ]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join(HANGS)
+            assert worker.exitcode == 0
 
 
 def build_together(world: int, folder: Path) -> list[LanguageField]:

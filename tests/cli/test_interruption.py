@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -14,20 +13,44 @@ import pytest
 
 from cli_support import QUICK, refused, run, run_json, snapshot
 from scoup.base.locks import locked_file, locked_folder
+from scoup.base.processes import Processes
 from scoup.io import save_png
 from scoup.io.regions.store import RegionStore
+from scoup.uplift.checkpoint import checkpoint
 from scoup.uplift.region_sums import RegionSums
+from support import HANGS, environments, small_scene
 
 pytestmark = pytest.mark.usefixtures("here")
 
 BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
+RUN = "from scoup.cli.app import entry; entry()"
+# Of two processes at a build, the first finds the disk full where it writes the field.
+FULL = """
+import errno
+import safetensors.torch
+from scoup.cli.app import entry
+def full(tensors, path, *_):
+    raise OSError(errno.ENOSPC, "No space left on device", str(path))
+safetensors.torch.save_file = full
+entry()
+"""
+# ... or fails where it compares renders with photographs.
+FAILS = """
+from scoup.cli.app import entry
+from scoup.uplift import fit
+def fails(*_):
+    raise ValueError("of the first")
+fit.measure_fit = fails
+entry()
+"""
 # A build in a process of its own that rasterises no third view: it waits, once two are in the file.
 STUCK = """
 import time
 from scoup import raster
 from scoup.cli.app import entry
+from scoup.uplift.checkpoint import checkpoint
 from scoup.uplift.region_sums import RegionSums
 region_sums, append, rasterised, appended = raster.region_sums, RegionSums.append, [], []
 def counted(self, *view):
@@ -66,7 +89,7 @@ def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word:
         message = refused(*BUILD)
         assert message.startswith(f"a.scoup: is being written by process {build.pid} on ")
         build.send_signal(number)
-        _, err = build.communicate(timeout=60)
+        _, err = build.communicate(timeout=HANGS)
     assert build.returncode == code
     assert err == f"error: {word}; 2 of 4 views are kept, run the same command again to continue\n"
     assert set(snapshot(Path())) - before == {"a.scoup.partial"}  # neither lock nor temporary files
@@ -80,7 +103,7 @@ def test_a_build_that_is_killed_leaves_nothing_in_the_way() -> None:
     before = set(snapshot(Path()))
     with stuck(*BUILD) as build:
         build.kill()
-        build.communicate(timeout=60)
+        build.communicate(timeout=HANGS)
     Path(".a.0123456789ab.scoup").write_text("half a field")
     assert set(snapshot(Path())) - before == {"a.scoup.partial", "a.scoup.lock", ".a.0123456789ab.scoup"}
     code, out, err = run(*BUILD)
@@ -187,37 +210,86 @@ def test_codes_are_kept_before_there_is_any_view(monkeypatch: pytest.MonkeyPatch
     assert "0 of 4 views are there, the codes are kept" in run(*BUILD)[1]
 
 
-def together(port: int, *arguments: str) -> list[subprocess.CompletedProcess[str]]:
+def together(*arguments: str, program: str = RUN) -> list[subprocess.CompletedProcess[str]]:
     """A verb in two processes, as torchrun starts them."""
-    command = [sys.executable, "-c", "from scoup.cli.app import entry; entry()", *arguments]
-    started = []
-    for rank in range(2):
-        ranks = {"RANK": str(rank), "WORLD_SIZE": "2", "MASTER_ADDR": "localhost", "MASTER_PORT": str(port)}
-        started.append(
+    command = [sys.executable, "-c", program, *arguments]
+    with environments(2) as ranks:
+        started = [
             subprocess.Popen(
                 command,
-                env={**os.environ, **ranks},
+                env={**os.environ, **rank},
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,
             )
-        )
-    ended = [(process, process.communicate(timeout=120)) for process in started]
+            for rank in ranks
+        ]
+        ended = [(process, process.communicate(timeout=HANGS)) for process in started]
     return [subprocess.CompletedProcess(command, one.returncode, *streams) for one, streams in ended]
 
 
 def test_of_several_processes_one_locks_and_none_waits_for_ever() -> None:
-    with socket.socket() as probe:
-        probe.bind(("localhost", 0))
-        port = probe.getsockname()[1]
     before = set(snapshot(Path()))
     with locked_file(Path("a.scoup")):
-        for done in together(port, *BUILD):
+        for done in together(*BUILD):
             assert done.returncode == 2, done.stderr
             assert f"error: a.scoup: is being written by process {os.getpid()} on " in done.stderr
     assert set(snapshot(Path())) == before
-    for done in together(port, *BUILD):
+    for done in together(*BUILD):
         assert done.returncode == 0, done.stderr
     assert set(snapshot(Path())) - before == {"a.scoup"}
     assert run(*BUILD[:-1], "b.scoup")[0] == 0
     assert Path("a.scoup").read_bytes() == Path("b.scoup").read_bytes()
+
+
+def test_of_several_processes_none_gives_up_its_views_before_the_field_is_there() -> None:
+    before = set(snapshot(Path()))
+    for done in together(*BUILD, program=FULL):
+        assert done.returncode == 2, done.stderr
+        assert done.stderr.startswith("error: a.scoup: cannot be written (No space left on device)")
+    assert set(snapshot(Path())) - before == {"a.scoup.partial.0", "a.scoup.partial.1"}
+    for name in ("a.scoup.partial.0", "a.scoup.partial.1"):
+        assert len(RegionSums.open(Path(name))) == 2
+    for done in together(*BUILD):
+        assert done.returncode == 0, done.stderr
+    assert set(snapshot(Path())) - before == {"a.scoup"}
+
+
+def test_of_several_processes_all_end_with_the_error_of_the_first() -> None:
+    for done in together(*BUILD, program=FAILS):
+        assert done.returncode != 0
+        assert "of the first" in done.stderr
+        assert "Connection" not in done.stderr
+
+
+def test_of_several_processes_none_extracts_into_a_folder_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    with locked_folder(Path("regions")):
+        for rank in "01":
+            monkeypatch.setenv("RANK", rank)
+            assert f"by process {os.getpid()} on " in refused(*EXTRACT)
+    monkeypatch.setenv("RANK", "1")
+    assert run(*EXTRACT)[0] == 0
+    monkeypatch.delenv("RANK")
+    monkeypatch.delenv("WORLD_SIZE")
+    before = snapshot(Path("regions"))
+    with locked_folder(Path("regions"), Processes(1, 2)):  # the first has ended already
+        assert f"by process {os.getpid()} on " in refused(*EXTRACT)
+    assert snapshot(Path("regions")) == before
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_sums_are_closed_after_any_error(error: type[BaseException]) -> None:
+    gaussians, _, regions = small_scene(count=40, views=3)
+    kept: list[RegionSums] = []
+
+    def work() -> None:
+        with checkpoint(Path("a.scoup"), gaussians, regions) as sums:
+            kept.append(sums)
+            sums.keep_codes({}, {})
+            raise error
+
+    with pytest.raises(error):
+        work()
+    with pytest.raises(ValueError, match="closed"):
+        kept[0].keep_codes({}, {})

@@ -134,6 +134,21 @@ def test_convert_both_ways(here) -> None:
     assert run_json("info", "scene")["views_with_regions"] == 4
 
 
+def test_convert_into_a_folder_that_extract_has_made(here) -> None:
+    photographs()
+    run_json("extract", "scene", *FREE, "--out", "regions", "--layout", "langsplat")
+    run_json("extract", "scene", *FREE, "--out", "compact")
+    assert Path("regions/view_00_made.json").exists()
+    Path("regions/scoup.lock").touch()  # of an extraction that was killed
+    Path("regions/scoup.lock.1").touch()
+    run_json("convert", "compact", "regions", "--overwrite")
+    assert not list(Path("regions").glob("*_made.json"))  # they are not what extract has made any more
+    Path("regions/scoup.lock.txt").touch()
+    assert "holds other things than region features (scoup.lock.txt)" in refused(
+        "convert", "compact", "regions", "--overwrite"
+    )
+
+
 def test_processes_of_torchrun_take_their_share(here, monkeypatch) -> None:
     photographs()
     monkeypatch.setenv("WORLD_SIZE", "3")

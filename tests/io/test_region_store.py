@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -107,3 +111,19 @@ def test_stored_bits(tmp_path: Path) -> None:
         assert store.open_view("a").embeddings("s").dtype == kind
     with pytest.raises(InputError, match="16 or 32 bits, not 8"):
         RegionManifest.of("langsplat", "", {}, 8)
+
+
+def test_a_folder_is_not_listed_for_each_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = RegionStore.create(tmp_path, manifest_of("langsplat"))
+    store.begin()
+    listed: list[Path] = []
+    for name in ("listdir", "scandir"):
+
+        def counted(path: Path, function: Callable[[Path], Any]) -> Any:
+            listed.extend([tmp_path] if str(path) == str(tmp_path) else [])
+            return function(path)
+
+        monkeypatch.setattr(os, name, partial(counted, function=getattr(os, name)))
+    for number in range(5):
+        store.write(view(f"view_{number}.png"))
+    assert len(listed) <= 1

@@ -1,4 +1,4 @@
-"""Files and folders that a process holds while it lives: another process can find out whether somebody is at work there."""
+"""Files and folders that a process holds while it lives: others can find out whether somebody works there."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from scoup.base.counts import listed
 from scoup.base.errors import InputError, MissingFileError
-from scoup.base.progress import Progress, no_progress
 from scoup.base.locks import is_folder_lock
+from scoup.base.progress import Progress, no_progress
 from scoup.base.staging import staged
 from scoup.io.regions import compact, langsplat
 from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, write_manifest
