@@ -23,7 +23,9 @@ def environments(world: int) -> Iterator[list[dict[str, str]]]:
 
     So nobody else can take the port meanwhile.
     """
-    store = torch.distributed.TCPStore("localhost", 0, is_master=True, wait_for_workers=False)
+    store = torch.distributed.TCPStore(  # pyright: ignore[reportPrivateImportUsage]
+        "localhost", 0, is_master=True, wait_for_workers=False
+    )
     shared = {
         "WORLD_SIZE": str(world),
         "MASTER_ADDR": "localhost",
