@@ -102,7 +102,7 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
         field.query("word 1", "view_09.png")
     with pytest.raises(InputError, match="has 3"):
         field.query("word 1", 7)
-    assert field.camera(np.int64(1)) is field.camera(1)
+    assert field.camera(np.int64(1)) is field.camera(1)  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="must be vectors"):
         field.gaussian_relevancy("word 1", ["object"])  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="at least one text"):
