@@ -208,7 +208,6 @@ def box_rows(
         ):
             x0, y0, x1, y1 = frame.boxes[label][0].tolist()
             truth = (int(x0), int(y0), int(x1) + 1, int(y1) + 1)
-            # As for the answer, but with the heat for the smoothed relevancy, where the point is outside the mask.
             one = main_parts(answer.mask, answer.point or (0, 0), answer.heat, torch.inf)
             boxes = (answer.box, mask_box(one), mask_box(answer.mask))
             for what, box in zip(found, boxes, strict=True):

@@ -50,7 +50,7 @@ def test_demo_finds_things(tmp_path: Path) -> None:
     code, printed, err = run("demo", "--out", tmp_path / "demo", *SMALL)
     assert code == 0, err
     assert "teapot" in printed
-    assert "bytes a Gaussian" in printed
+    assert "bytes of codes a Gaussian" in printed
     record = json.loads((tmp_path / "demo" / "scores.json").read_text())
     method = record["methods"]["sparse, top-K vote"]
     # Chance level is a few per cent; a broken stage brings it there.

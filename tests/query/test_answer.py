@@ -32,7 +32,7 @@ def test_an_answer_is_point_and_mask(queried: Queried, name: str) -> None:
         place, shape = localize(relevancy, preset), segment(relevancy, preset)
         assert answer.mask.equal(shape.mask)
         assert (answer.coverage, answer.score) == (shape.coverage, shape.score)
-        assert answer.main_parts.equal(main_parts(shape.mask, place.pixel, shape.smoothed))
+        assert answer.main_parts.equal(main_parts(shape.mask, place.pixel, relevancy[shape.level]))
         assert answer.box == mask_box(answer.main_parts)
         assert answer.level == field.levels[shape.level]
         assert answer.heat.equal(relevancy[shape.level])

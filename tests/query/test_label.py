@@ -14,20 +14,15 @@ from scoup.query.presence import scene_z_scores
 from scoup.query.select import select_each
 
 
-def test_labels_are_the_best_words_by_their_own_levels(queried: Queried) -> None:
+def test_labels_are_the_best_words_of_those_that_select(queried: Queried) -> None:
     field, texts = queried.field, queried.texts
-    found = label(field, texts)
-    maps = field.gaussian_relevancy(texts.queries, texts.canonical)
-    levels = [each.level for each in select_each(field, texts.queries, texts.canonical)]
+    found = label(field, texts, threshold=0.3)
+    selections = list(select_each(field, texts.queries, texts.canonical, 0.3))
     for row in range(len(field)):
-        best, word = 0.5, NONE
-        for number, level in enumerate(levels):
-            value = float(maps[level, number, row])
-            if bool((field.code_weights[row, level] > 0).any()) and value > best:
-                best, word = value, number
-        assert int(found.ids[row]) == word
-        if word != NONE:
-            assert float(found.scores[row]) == pytest.approx(best)
+        fitting = [number for number, each in enumerate(selections) if each.mask[row]]
+        values = [float(selections[number].relevancy[row]) for number in fitting]
+        assert int(found.ids[row]) == (fitting[values.index(max(values))] if fitting else NONE)
+        assert float(found.scores[row]) == (max(values) if fitting else -torch.inf)
     assert found.z_scores is None
     counts = found.counts()
     assert sum(counts.values()) == len(field)
@@ -49,9 +44,13 @@ def test_words_for_absent_things_label_nothing(queried: Queried) -> None:
     assert judged.z_scores is not None
     assert judged.z_scores == pytest.approx(scores)
     assert judged.presence == tuple(score >= middle for score in scores)
-    absent = torch.tensor([not there for there in judged.presence] + [False])[everything.ids.long()]
-    assert absent.any()
-    assert judged.ids.equal(torch.where(absent, NONE, everything.ids))
+    present = [number for number, there in enumerate(judged.presence) if there]
+    alone = label(
+        field, replace(texts, texts=tuple(texts.texts[n] for n in present), queries=texts.queries[present])
+    )
+    expected = torch.tensor([*present, NONE])[alone.ids.long()]
+    assert judged.ids.equal(expected.int())
+    assert not judged.ids.equal(everything.ids)
 
 
 @pytest.mark.parametrize("words", [("word 1", "word 1"), ("word 1", "none")])

@@ -169,7 +169,11 @@ def test_the_main_parts_hold_the_point_and_no_specks() -> None:
     found = main_parts(mask, (12, 15), smoothed)
     assert mask_box(found) == (10, 10, 21, 21)
     assert int(found.sum()) == 101
-    mask[25:28, 30:34] = True  # a piece of 12 pixels: more than a twentieth
+    mask[25:28, 30:34] = True  # a piece of 12 pixels: more than a fiftieth
+    assert mask_box(main_parts(mask, (12, 15), smoothed)) == (10, 10, 21, 21)  # but its relevancy is only 0.5
+    smoothed[26, 31] = 0.65  # a draw is 0.5: 75 % of what the part with the point exceeds it by
+    assert mask_box(main_parts(mask, (12, 15), smoothed)) == (10, 10, 21, 21)
+    smoothed[26, 31] = 0.67
     assert mask_box(main_parts(mask, (12, 15), smoothed)) == (10, 10, 34, 28)
     assert mask_box(main_parts(mask, (12, 15), smoothed, least_share=0.5)) == (10, 10, 21, 21)
     assert mask_box(main_parts(mask, (35, 2), smoothed, torch.inf)) == (35, 2, 36, 3)

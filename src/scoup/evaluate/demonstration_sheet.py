@@ -64,6 +64,6 @@ def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture
         color=TRUTH_COLOR,
     )
     heat = heat_map(maps[shape.level], rgb, "relevancy", field.levels[shape.level], shape.score)
-    parts = main_parts(shape.mask.cpu(), place.pixel, shape.smoothed.cpu())
+    parts = main_parts(shape.mask.cpu(), place.pixel, maps[shape.level].cpu())
     found = mask_overlay(shape.mask, rgb, mask_box(parts), place.pixel, "found", f"IoU {pair.iou:.2f}")
     return truth, heat, found

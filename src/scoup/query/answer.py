@@ -27,9 +27,9 @@ class Answer:
     Attributes:
         mask: [H, W] boolean; empty if the thing is not there.
         heat: [H, W] float32 relevancy at the level of the mask, 0..1.
-        main_parts: [H, W] boolean, the mask without stray specks: the connected part that holds the point, and those at
-            least a twentieth as large. If the point, which may be of another level, is outside of the mask, the mask's
-            most relevant pixel takes its place.
+        main_parts: [H, W] boolean, the mask without strays: the connected part that holds the point, and those alike in
+            size and relevancy (``scoup.query.segment.main_parts``). If the point, which may be of another level, is
+            outside of the mask, the mask's most relevant pixel takes its place.
         box: (x0, y0, x1, y1) around the main parts in pixels, x1 and y1 one past the last; None if it is empty.
         coverage: share of the view in the mask, 0..1.
         level: name of the level of the mask.

@@ -26,7 +26,7 @@ LEAST_SPAN = 0.05  # of the relevancy that the colours stand for
 
 HOW_TO_READ = (
     "Heat: relevancy, the same colours in all cells. White line: the mask. Cross: the pixel that fits best. Blue: the "
-    "box around the mask without stray specks. Grey all over: not in this view."
+    "box around the mask without strays. Grey all over: not in this view."
 )
 
 

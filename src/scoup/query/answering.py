@@ -118,10 +118,11 @@ def _answer(
 ) -> Answer:
     presence = _presence(z_score, present_from)
     mask = shape.mask.cpu() & presence
-    parts = main_parts(mask, place.pixel, shape.smoothed.cpu())
+    heat = relevancy[shape.level].clone().cpu()  # a copy, so that the other levels can be freed
+    parts = main_parts(mask, place.pixel, heat)
     return Answer(
         mask=mask,
-        heat=relevancy[shape.level].clone().cpu(),  # a copy, so that the other levels can be freed
+        heat=heat,
         main_parts=parts,
         box=mask_box(parts),
         coverage=shape.coverage if presence else 0.0,

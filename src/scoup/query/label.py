@@ -17,8 +17,6 @@ from scoup.query.text_vectors import TextVectors
 NONE = -1
 """The class of a Gaussian that none of the words fits."""
 NONE_NAME = "none"
-DRAW = 0.5
-"""Relevancy at which a word fits as well as the best canonical phrase."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -28,7 +26,7 @@ class GaussianLabels:
     Attributes:
         ids: [N] int32, the position of a word in ``names``; -1 for none of them.
         names: Q words.
-        scores: [N] float32 relevancy to the word; of "none", that to the best word, 0.5 without a code.
+        scores: [N] float32 relevancy to the word; minus infinity for none of them.
         z_scores: per word, as in ``Answer``; None if presence was not judged.
         presence: per word, whether the thing is in the scene; true if that was not judged.
     """
@@ -64,16 +62,18 @@ class GaussianLabels:
         return {**dict(zip(self.names, found[1:], strict=True)), NONE_NAME: found[0]}
 
 
-def label(field: QueriedField, texts: TextVectors, present_from: float | None = None) -> GaussianLabels:
+def label(
+    field: QueriedField, texts: TextVectors, threshold: float = 0.6, present_from: float | None = None
+) -> GaussianLabels:
     """The word that fits each Gaussian best, of several, or none.
 
-    Every word is judged at the level that ``select`` chooses for it. None of them fits where the largest relevancy is
-    not above 0.5, so that a canonical phrase fits better, where a Gaussian has no code, and where the best word is the
-    name of a thing that is not in the scene.
+    A word fits the Gaussians that ``select`` would choose for it, unless the thing is not in the scene; of several
+    words that fit, the most relevant one counts, each at the level chosen for it.
 
     Args:
         field: to be queried.
         texts: the words, and what they are compared with.
+        threshold: see ``select``.
         present_from: the z-score from which a thing counts as present; None: presence is not judged.
 
     Raises:
@@ -88,17 +88,13 @@ def label(field: QueriedField, texts: TextVectors, present_from: float | None = 
     ids = torch.full((len(field),), NONE, dtype=torch.int32, device=field.codebook.device)
     judged: list[float] = []
     presence: list[bool] = []
-    for number, found in enumerate(select_each(field, texts.queries, texts.canonical)):
+    for number, found in enumerate(select_each(field, texts.queries, texts.canonical, threshold)):
         if present_from is not None:
             query = texts.queries[number : number + 1]
             judged.append(float(scene_z_scores(field, [found], query, texts.everyday)))
         presence.append(present_from is None or judged[-1] >= present_from)
-        coded = (field.code_weights[:, found.level] > 0).any(1)
-        better = coded & (found.relevancy > best)
+        better = found.mask & (found.relevancy > best) & presence[-1]
         best = torch.where(better, found.relevancy, best)
         ids[better] = number
-    fits = (best > DRAW) & torch.tensor([*presence, False], device=ids.device)[ids.long()]
-    ids[~fits] = NONE
-    scores = torch.where(best.isfinite(), best, DRAW).cpu()
     z_scores = tuple(judged) if present_from is not None else None
-    return GaussianLabels(ids.cpu(), texts.texts, scores, z_scores, tuple(presence))
+    return GaussianLabels(ids.cpu(), texts.texts, best.cpu(), z_scores, tuple(presence))

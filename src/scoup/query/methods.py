@@ -214,6 +214,7 @@ class FieldQueries(QueriedField):
         words: Texts,
         *,
         encoder: Encoder | None = None,
+        threshold: float = 0.6,
         present_from: float | None = None,
         always: bool = False,
     ) -> GaussianLabels:
@@ -221,6 +222,7 @@ class FieldQueries(QueriedField):
 
         Args:
             words: names of things.
+            threshold: as for ``locate``.
             encoder, present_from, always: as for ``query``.
 
         Raises:
@@ -228,7 +230,7 @@ class FieldQueries(QueriedField):
         """
         vectors = self.text_vectors(words, encoder)
         present_from = None if always else presence_threshold(vectors, present_from)
-        return label(self, vectors.with_everyday(), present_from)
+        return label(self, vectors.with_everyday(), threshold, present_from)
 
 
 def _is_single(texts: Texts) -> bool:

@@ -12,9 +12,11 @@ from scoup.query.localize import Localization, averaged_relevancy, localize
 from scoup.query.presets import QUERY_PRESETS, LevelChoice, QueryPreset
 from scoup.query.smoothing import mask_sums, smoothed_masks
 
-LEAST_SHARE = 0.05
-"""Parts of a mask smaller than this share of the part that holds the point are stray specks (docs/benchmarks.md, "Where
-things are")."""
+LEAST_SHARE, LEAST_PEAK = 0.02, 0.8
+"""Parts of a mask are strays if they are smaller than this share of the part that holds the point, or if their largest
+relevancy exceeds a draw (0.5) by less than this share of what that of the part exceeds it by (docs/benchmarks.md,
+"Where things are")."""
+DRAW = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,34 +136,35 @@ def mask_box(mask: Tensor) -> tuple[int, int, int, int] | None:
 
 
 def main_parts(
-    mask: Tensor, point: tuple[int, int], smoothed: Tensor, least_share: float = LEAST_SHARE
+    mask: Tensor, point: tuple[int, int], heat: Tensor, least_share: float = LEAST_SHARE
 ) -> Tensor:
-    """A mask without stray specks: the connected part that holds a point, and those not much smaller than it.
+    """A mask without strays: the connected part that holds a point, and those alike in size and relevancy.
 
     Pixels that touch at a corner are connected. Things are often seen in pieces, with something in front of them: the
-    part with the point alone would be too little.
+    part with the point alone would be too little. Strays are specks, and patches of other things that resemble it.
 
     Args:
         mask: [H, W] boolean, on the CPU.
         point: (x, y).
-        smoothed: [H, W] relevancy, on the CPU; where the point is not in the mask, the mask's most relevant pixel takes
-            its place.
-        least_share: of the area of the part with the point, that another part must have; infinity leaves that part
-            alone.
+        heat: [H, W] relevancy at the level of the mask, on the CPU; where the point is not in the mask, the mask's most
+            relevant pixel takes its place.
+        least_share: see ``LEAST_SHARE``; infinity leaves the part with the point alone.
 
     Returns:
         [H, W] boolean; empty if the mask is.
     """
-    from scipy.ndimage import label
+    from scipy import ndimage
 
     if not mask.any():
         return mask
     x, y = point
     if not mask[y, x]:
-        y, x = divmod(int(torch.where(mask, smoothed, -torch.inf).argmax()), mask.shape[1])
+        y, x = divmod(int(torch.where(mask, heat, -torch.inf).argmax()), mask.shape[1])
     parts = np.empty(mask.shape, np.int32)
-    label(mask.numpy(), np.ones((3, 3)), output=parts)
-    areas = np.bincount(parts.ravel())
-    kept = areas >= least_share * areas[parts[y, x]]
-    kept[parts[y, x]], kept[0] = True, False
+    count = int(ndimage.label(mask.numpy(), np.ones((3, 3)), output=parts))  # pyright: ignore[reportArgumentType]
+    own = parts[y, x]
+    areas = np.bincount(parts.ravel(), minlength=count + 1)
+    peaks = np.append(0.0, ndimage.maximum(heat.numpy(), parts, np.arange(1, count + 1)))
+    kept = (areas >= least_share * areas[own]) & (peaks - DRAW >= LEAST_PEAK * (peaks[own] - DRAW))
+    kept[own], kept[0] = True, False
     return torch.from_numpy(kept[parts])
