@@ -15,7 +15,7 @@ from PIL import Image
 from scoup.base.html import PREVIEW, card
 from scoup.models.text import TextEncoder
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.previews import cameras_preview, gaussians_preview, labels_preview
+from scoup.scene.previews import labels_preview
 from scoup.scene.regions import Regions
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
@@ -102,7 +102,7 @@ def test_previews_of_ugly_scenes() -> None:
         gaussians = random_gaussians(60, seed, KINDS)
         gaussians.sh[:] = 0
         gaussians.sh[:, 0, 0] = 10.0  # red, saturated
-        picture = gaussians_preview(gaussians)
+        (picture,) = pictures(gaussians._repr_html_())
         assert picture.shape == (PREVIEW[1], PREVIEW[0], 3)
         marks = (picture != 245).any(2)
         assert (picture[marks] == (255, 128, 128)).all()
@@ -114,7 +114,7 @@ def test_gaussians_are_drawn_in_their_colours() -> None:
     gaussians = random_gaussians(400, 0)
     gaussians.sh[:] = 0
     gaussians.sh[:, 0, 0] = 10.0  # red, saturated
-    drawn = gaussians_preview(gaussians)
+    (drawn,) = pictures(gaussians._repr_html_())
     colored = drawn[(drawn != 245).any(2)]
     assert len(colored) > 50
     assert (colored[:, 0] == 255).all()
@@ -126,7 +126,7 @@ def test_cameras_are_drawn_where_they_are() -> None:
         Camera.look_at((3 * np.cos(a), 3 * np.sin(a), 1.0), (0, 0, 1.0), f"{a}.png", 40, 30, 36)
         for a in np.linspace(0, 2 * np.pi, 8, endpoint=False)
     ]
-    drawn = cameras_preview(ring)
+    (drawn,) = pictures(Cameras(ring)._repr_html_())
     dark = np.argwhere((drawn == 30).all(2))
     middle = dark.mean(0)
     assert abs(middle[0] - PREVIEW[1] / 2) < 6

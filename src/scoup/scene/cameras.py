@@ -220,7 +220,8 @@ class Cameras:
 
         sizes = [f"{width} x {height}" for width, height in dict.fromkeys((c.width, c.height) for c in self)]
         facts = {"names": listed(self.names, 4), "sizes": listed(sizes, 4), "picture": "from above"}
-        return card(counted(len(self), "camera"), facts, cameras_preview(self._cameras))
+        viewmats = torch.stack([camera.viewmat for camera in self]) if len(self) else torch.zeros(0, 4, 4)
+        return card(counted(len(self), "camera"), facts, cameras_preview(viewmats))
 
     def __len__(self) -> int:
         return len(self._cameras)

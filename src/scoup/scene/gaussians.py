@@ -13,6 +13,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 
 MAX_SH_DEGREE = 4
+FAINT = 0.1  # opacity below which a Gaussian is not in the picture of a notebook
 SH_C0 = 0.28209479177387814  # the constant spherical harmonic: RGB = SH_C0 * sh[:, 0] + 0.5 at degree 0
 
 
@@ -98,13 +99,15 @@ class Gaussians:
 
     def _repr_html_(self) -> str:
         from scoup.base.html import card
-        from scoup.scene.previews import gaussians_preview
+        from scoup.scene.previews import points_preview
 
         means = self.means[self.finite()]
         facts: dict[str, str] = {"SH degree": str(self.sh_degree), "device": str(self.device)}
         if len(means):
             facts["extent"] = " x ".join(f"{side:.3g}" for side in (means.amax(0) - means.amin(0)).tolist())
-        return card(f"{len(self):,} Gaussians", facts, gaussians_preview(self))
+        shown = self.finite() & (self.opacities > FAINT)
+        colors = (SH_C0 * self.sh[shown, 0] + 0.5).clamp(0, 1)
+        return card(f"{len(self):,} Gaussians", facts, points_preview(self.means[shown], colors))
 
     def finite(self) -> Tensor:
         """Boolean [N]: rows whose means, quats, scales and opacities are all finite (opacity may be +inf)."""

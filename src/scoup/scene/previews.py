@@ -2,54 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.html import PREVIEW
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import SH_C0, Gaussians
 
 MOST_POINTS = 200_000
 _MIDDLE = (0.02, 0.98)  # what lies beyond these quantiles of the means is not shown
 _GREY = 245
 
 
-def gaussians_preview(gaussians: Gaussians) -> NDArray[np.uint8]:
-    """The means in their colours, seen along the direction in which they spread least: [H, W, 3]."""
+def points_preview(points: Tensor, colors: Tensor) -> NDArray[np.uint8]:
+    """Points in their colours, seen along the direction in which they spread least: [H, W, 3].
+
+    Args:
+        points: [M, 3], finite.
+        colors: [M, 3], 0..1.
+    """
     width, height = PREVIEW
     picture = np.full((height, width, 3), _GREY, np.uint8)
-    usable = gaussians.finite() & (gaussians.opacities > 0.1)
-    rows = usable.nonzero()[:, 0]
-    rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))].cpu()
-    if not len(rows):
+    step = max(1, -(-len(points) // MOST_POINTS))
+    means, pixels = points[::step].cpu().double(), (colors[::step].cpu() * 255).round().to(torch.uint8)
+    if not len(means):
         return picture
-    means = gaussians.means[rows.to(gaussians.device)].cpu().double()
     across, down, depth = _principal(means)
     x, y = _fitted(across, down, width, height)
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    base = gaussians.sh[rows.to(gaussians.device), 0].cpu()
-    colors = ((SH_C0 * base + 0.5).clamp(0, 1) * 255).round().to(torch.uint8)
     order = depth.argsort(stable=True)  # far ones first
     order = order[inside[order]]
-    picture[y[order].numpy(), x[order].numpy()] = colors[order].numpy()
+    picture[y[order].numpy(), x[order].numpy()] = pixels[order].numpy()
     return picture
 
 
-def cameras_preview(cameras: Sequence[Camera]) -> NDArray[np.uint8]:
-    """Where the cameras are and look, seen from above: [H, W, 3]. Upwards is what is upwards in most images."""
+def cameras_preview(viewmats: Tensor) -> NDArray[np.uint8]:
+    """Where cameras [C, 4, 4] world-to-camera are and look, seen from above: [H, W, 3]. Upwards is what is upwards in
+    most images."""
     from PIL import Image, ImageDraw
 
     width, height = PREVIEW
     canvas = Image.new("RGB", (width, height), (_GREY,) * 3)
-    if not len(cameras):
+    if not len(viewmats):
         return np.asarray(canvas)
-    places = torch.stack([camera.position for camera in cameras])
-    forward = torch.stack([camera.viewmat[2, :3] for camera in cameras])
-    up = -torch.stack([camera.viewmat[1, :3] for camera in cameras]).mean(0)
+    turns = viewmats[:, :3, :3]
+    places = -(turns.mT @ viewmats[:, :3, 3:])[..., 0]
+    forward, up = turns[:, 2], -turns[:, 1].mean(0)
     axis = int(up.abs().argmin())
     right = torch.linalg.cross(torch.eye(3, dtype=torch.float64)[axis], up)
     right = right / right.norm().clamp(min=1e-9)
