@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.query.answer import Answer
     from scoup.query.answer_sheet import AnswerSheets
-    from scoup.query.text_vectors import TextVectors
     from scoup.raster import Projection
     from scoup.scene.cameras import Camera
 
@@ -74,6 +73,7 @@ class Query(TextOptions, CameraOptions):
         from scoup.io import write_text
         from scoup.query.answer_sheet import AnswerSheets
         from scoup.query.answering import answer_view
+        from scoup.query.presence import compared
         from scoup.query.presets import query_preset
         from scoup.raster import render_colors
 
@@ -84,9 +84,7 @@ class Query(TextOptions, CameraOptions):
         check_outputs(out, [RECORD], self.overwrite)
         field = self.open_field()
         cameras = self.open_cameras(field)
-        texts = self.encode(field, self.texts)
-        present_from = self._present_from(texts)
-        texts = texts.with_everyday() if self.rule == "default" else texts
+        texts, present_from = compared(self.encode(field, self.texts), preset, self.presence, self.always)
         folders = unique_slugs(camera.stem for camera in cameras)
         sheets = AnswerSheets(self.texts, len(cameras))
         files = self._files(folders, len(sheets))
@@ -123,14 +121,6 @@ class Query(TextOptions, CameraOptions):
         for name, sheet in zip(names, sheets.pictures() if names else [], strict=True):
             save_png(sheet, hidden / name)
         return {"sheets": [(out / name).as_posix() for name in names]}
-
-    def _present_from(self, texts: TextVectors) -> float | None:
-        """The z-score from which a text counts as present; None where something is found always."""
-        from scoup.query.presence import presence_threshold
-
-        if self.always or (self.presence is None and self.rule != "default"):
-            return None
-        return presence_threshold(texts, self.presence)
 
     def _picture_names(self) -> list[dict[str, str]]:
         """File names of each text's pictures by their kind; none if only the sheet is wanted."""

@@ -19,7 +19,7 @@ from scoup.query.answer import Answer
 from scoup.query.answering import answer_scene, answer_view
 from scoup.query.label import GaussianLabels, label
 from scoup.query.locate import Location, location
-from scoup.query.presence import presence_threshold
+from scoup.query.presence import compared, presence_threshold
 from scoup.query.presets import QueryPreset, query_preset
 from scoup.query.queried_field import QueriedField
 from scoup.query.text_vectors import TextVectors, encode_texts
@@ -163,10 +163,7 @@ class FieldQueries(QueriedField):
         """
         check_arguments("query", preset=(preset, (str, QueryPreset)))
         preset = query_preset(preset) if isinstance(preset, str) else preset
-        vectors = self.text_vectors(texts, encoder)
-        judged = not always and (present_from is not None or preset.name == "default")
-        present_from = presence_threshold(vectors, present_from) if judged else None
-        vectors = vectors.with_everyday() if preset.name == "default" else vectors
+        vectors, present_from = compared(self.text_vectors(texts, encoder), preset, present_from, always)
         answers = answer_view(self, camera, vectors, preset, present_from, projection)
         return answers[0] if _is_single(texts) else answers
 

@@ -107,8 +107,5 @@ def changed_copy(source: Path, target: Path, overwrite: bool = False) -> Iterato
     """
     with atomic_path(target, overwrite) as copy:
         shutil.copyfile(source, copy)
-        sums = RegionSums.open(copy, writable=True)
-        try:
+        with closing(RegionSums.open(copy, writable=True)) as sums:
             yield sums
-        finally:
-            sums.close()
