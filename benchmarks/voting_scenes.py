@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,14 +13,17 @@ from torch import Tensor
 
 import scoup
 from benchmarks.kitchen import make_features
+from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.scenes import find_layout
 from scoup import raster
 from scoup.io.labels import LabelledFrame, match_frames, read_labels
+from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.synthetic.faults import LevelSums, gaussians_by_name, level_sums
 from scoup.synthetic.scene import LABELLED_LEVELS, make_demo_scene
+from scoup.synthetic.words import CANONICAL, DISTRACTORS
 from scoup.uplift.rasterise import region_sums
 
 
@@ -51,6 +55,10 @@ class VotingScene:
         frames: labelled frames with their views; of one size.
         queries: label -> [D] unit text vector.
         canonical: [P, D].
+        everyday: [B, D] unit vectors of everyday words, the labels among them.
+        words: the everyday words.
+        absent: those of them that nothing in the scene is called.
+        members: label -> [N] boolean, the Gaussians that truly are it; empty for the kitchen as given.
         shares: which Gaussians belong to each label (``gaussians_by_name``).
     """
 
@@ -60,6 +68,10 @@ class VotingScene:
     frames: list[tuple[LabelledFrame, raster.Projection]]
     queries: dict[str, Tensor]
     canonical: Tensor
+    everyday: Tensor
+    words: tuple[str, ...]
+    absent: tuple[str, ...]
+    members: dict[str, Tensor]
     shares: dict[str, np.ndarray]
 
     @property
@@ -69,10 +81,13 @@ class VotingScene:
 
 
 def make_scene(name: str, data: Path, size: SceneSize) -> VotingScene:
-    """A scene by name: "kitchen", or a layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
+    """A scene by name: "kitchen" as given, one of its draws such as "kitchen-3" (``benchmarks.kitchen_draws``), or a
+    layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
     if name == "kitchen":
         return _kitchen(data, size.kitchen_scale)
     layout, _, seed = name.rpartition("-")
+    if layout == "kitchen":
+        return _kitchen_draw(data, int(seed), size.kitchen_scale)
     demo = make_demo_scene(
         int(seed),
         size.n_gaussians,
@@ -85,8 +100,15 @@ def make_scene(name: str, data: Path, size: SceneSize) -> VotingScene:
     labelled = [(demo.labelled_frame(camera.name, LABELLED_LEVELS), camera) for camera in demo.held_out]
     frames = [(frame, camera) for frame, camera in labelled if frame.labels]
     labels = _labels(frames)
-    vectors = dict(zip(labels, demo.text_vectors(labels), strict=True))
-    return _prepared(name, demo.gaussians, demo.building, demo.regions, frames, vectors, demo.canonical)
+    words = tuple(word for word in demo.words.texts if word not in CANONICAL)
+    numbers = demo.part_of_gaussian.numpy()
+    members = {
+        label: torch.from_numpy(demo.parts.at_level(numbers, level) == demo.parts.names(level).index(label))
+        for label in labels
+        for level in [demo.level_of(label)]
+    }
+    texts = Texts(demo.canonical, words, demo.text_vectors(words), DISTRACTORS)
+    return _prepared(name, demo.gaussians, demo.building, demo.regions, frames, texts, members)
 
 
 def _kitchen(data: Path, scale: float) -> VotingScene:
@@ -97,13 +119,35 @@ def _kitchen(data: Path, scale: float) -> VotingScene:
         (frame.resized(camera.width, camera.height), camera)
         for frame, camera in match_frames(read_labels(kitchen / "label"), cameras.scaled(scale))
     ]
-    labels = _labels(frames)
-    encoder = scoup.TextEncoder.open(data / "clip" / "text_vit_b16_laion2b.npz")
-    vectors = dict(zip(labels, encoder.encode(labels), strict=True))
     with tempfile.TemporaryDirectory() as folder:
         regions = scoup.load_regions(make_features(kitchen, Path(folder)), cameras)
-        canonical = encoder.canonical()
-        return _prepared("kitchen", gaussians, cameras, regions, frames, vectors, canonical)
+        truth = Truth.open(data, scale)
+        members = truth.members(_labels(frames))
+        return _prepared("kitchen", gaussians, cameras, regions, frames, _texts(data, truth), members)
+
+
+def _kitchen_draw(data: Path, seed: int, scale: float) -> VotingScene:
+    truth = Truth.open(data, scale)
+    draw = make_draw(truth, seed)
+    texts = _texts(data, truth)
+    return _prepared(
+        f"kitchen-{seed}", truth.gaussians, truth.cameras, draw.regions, draw.frames, texts, draw.members
+    )
+
+
+class Texts(NamedTuple):
+    """The text vectors of a scene: canonical phrases [P, D], and everyday words [B, D] with those that are absent."""
+
+    canonical: Tensor
+    words: tuple[str, ...]
+    everyday: Tensor
+    absent: tuple[str, ...]
+
+
+def _texts(data: Path, truth: Truth) -> Texts:
+    encoder = scoup.TextEncoder.open(data / "clip" / "text_vit_b16_laion2b.npz")
+    words = tuple(name for name in encoder.names or () if name not in CANONICAL_PHRASES)
+    return Texts(encoder.canonical(), words, encoder.encode(words), truth.absent(words))
 
 
 def _prepared(
@@ -112,17 +156,22 @@ def _prepared(
     cameras: Cameras,
     regions: Regions,
     frames: list[tuple[LabelledFrame, Camera]],
-    queries: dict[str, Tensor],
-    canonical: Tensor,
+    texts: Texts,
+    members: dict[str, Tensor],
 ) -> VotingScene:
     levels = level_sums(region_sums(gaussians, cameras, regions), regions)
+    everyday = torch.nn.functional.normalize(texts.everyday, dim=1)
     return VotingScene(
         name,
         gaussians,
         levels,
         [(frame, raster.project(gaussians, camera)) for frame, camera in frames],
-        {label: torch.nn.functional.normalize(vector, dim=0) for label, vector in queries.items()},
-        canonical,
+        {label: everyday[texts.words.index(label)] for label in _labels(frames)},
+        texts.canonical,
+        everyday,
+        texts.words,
+        texts.absent,
+        members,
         gaussians_by_name(gaussians, frames),
     )
 

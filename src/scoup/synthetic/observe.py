@@ -45,14 +45,20 @@ IntMap = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
-class _Level:
-    """One level of the truth in one view, and what its embeddings are made of."""
+class Shown:
+    """What one view truly shows, and what the embeddings of its regions are made of.
 
-    name: str
-    truth: IntMap  # [H, W] numbers of names at this level, -1 = nothing
+    Attributes:
+        truth: [H, W] numbers of names, -1 = nothing.
+        prototypes: [names, D].
+        offsets: [names, D] added to the prototypes in every view.
+        shifts: [names, D] noise of this view, which all regions of a name share.
+    """
+
+    truth: IntMap  # [H, W]
     prototypes: Floats  # [names, D]
     offsets: Floats  # [names, D]
-    shifts: Floats  # [names, D] noise of this view
+    shifts: Floats  # [names, D]
 
 
 def observe(part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np.random.Generator) -> Regions:
@@ -65,21 +71,21 @@ def observe(part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np
         rng: all randomness.
     """
     offsets = {
-        level: _noise(words.prototypes[level].shape, PART_OFFSET if level == "s" else 0.0, rng)
+        level: noise(words.prototypes[level].shape, PART_OFFSET if level == "s" else 0.0, rng)
         for level in LEVELS
     }
     maps: dict[str, dict[str, RegionMap]] = {}
     for name, part_map in part_maps.items():
         maps[name] = {}
-        moved = _moved(part_map, rng)
+        moved = moved_borders(part_map, rng)
         for level in LEVELS:
             prototypes = words.prototypes[level]
-            shifts = _noise(prototypes.shape, VIEW_NOISE, rng)
+            shifts = noise(prototypes.shape, VIEW_NOISE, rng)
             truth = parts.at_level(part_map, level).astype(np.int32)
-            described = _Level(level, truth, prototypes, offsets[level], shifts)
+            shown = Shown(truth, prototypes, offsets[level], shifts)
             labels = make_regions(parts.at_level(moved, level).astype(np.int32), level, rng)
             maps[name][level] = RegionMap(
-                torch.from_numpy(labels), torch.from_numpy(_embed(labels, described, rng).astype(np.float32))
+                torch.from_numpy(labels), torch.from_numpy(embed_regions(labels, shown, rng).astype(np.float32))
             )
     return Regions.from_maps(maps)
 
@@ -125,7 +131,7 @@ def make_regions(truth: IntMap, level: str, rng: np.random.Generator) -> IntMap:
     return _renumbered(labels)
 
 
-def _moved(part_map: IntMap, rng: np.random.Generator) -> IntMap:
+def moved_borders(part_map: IntMap, rng: np.random.Generator) -> IntMap:
     """The map read at smoothly displaced positions."""
     scale = part_map.shape[1] / REFERENCE_WIDTH
     rows, columns = np.indices(part_map.shape)
@@ -175,10 +181,12 @@ def _renumbered(labels: IntMap) -> IntMap:
     return np.where(labels >= 0, numbers[labels], -1).astype(np.int32)
 
 
-def _embed(labels: IntMap, level: _Level, rng: np.random.Generator) -> Floats:
-    """[R, D] unit embeddings of the regions of one map."""
+def embed_regions(
+    labels: IntMap, shown: Shown, rng: np.random.Generator, region_noise: float = REGION_NOISE
+) -> Floats:
+    """[R, D] unit embeddings of the regions of one map [H, W]: regions from 0, -1 for none."""
     count = int(labels.max()) + 1
-    appearances = level.prototypes + level.offsets + level.shifts
+    appearances = shown.prototypes + shown.offsets + shown.shifts
     dimensions = appearances.shape[1]
     mixture, clean = np.zeros((count, dimensions)), np.zeros((count, dimensions))
     neighbour = np.arange(count)
@@ -189,8 +197,8 @@ def _embed(labels: IntMap, level: _Level, rng: np.random.Generator) -> Floats:
         window = _padded(rows, 6), _padded(columns, 6)
         mask = labels[window] == number
         around = grown(mask, 5) & ~mask
-        inside = _share(level.truth[window][mask], len(appearances))
-        outside = _share(level.truth[window][around], len(appearances))
+        inside = _share(shown.truth[window][mask], len(appearances))
+        outside = _share(shown.truth[window][around], len(appearances))
         surroundings = rng.uniform(*SURROUNDINGS) if outside.any() else 0.0
         mixture[number] = ((1 - surroundings) * inside + surroundings * outside) @ appearances
         clean[number] = mixture[number]
@@ -201,10 +209,10 @@ def _embed(labels: IntMap, level: _Level, rng: np.random.Generator) -> Floats:
     mixture = unit(np.where(swapped[:, None], clean[neighbour], mixture))
     pixels = areas * (REFERENCE_WIDTH / labels.shape[1]) ** 2
     strength = (1 + 0.5 * np.sqrt(SMALL_AREA / (pixels + SMALL_AREA / 4)).clip(max=1.6))[:, None]
-    isotropic = _noise(mixture.shape, 1.0, rng) * REGION_NOISE
+    isotropic = noise(mixture.shape, region_noise, rng)
     towards = (
-        level.prototypes[rng.integers(0, len(appearances), count)]
-        - level.prototypes[rng.integers(0, len(appearances), count)]
+        shown.prototypes[rng.integers(0, len(appearances), count)]
+        - shown.prototypes[rng.integers(0, len(appearances), count)]
     )
     return unit(mixture + strength * (isotropic + DIRECTED_NOISE * rng.normal(size=(count, 1)) * towards))
 
@@ -215,6 +223,6 @@ def _share(numbers: IntMap, count: int) -> Floats:
     return found / max(found.sum(), 1.0)
 
 
-def _noise(shape: tuple[int, ...], length: float, rng: np.random.Generator) -> Floats:
+def noise(shape: tuple[int, ...], length: float, rng: np.random.Generator) -> Floats:
     """Random rows of about the given length."""
     return rng.normal(size=shape) * (length / np.sqrt(shape[-1]))

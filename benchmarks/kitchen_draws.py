@@ -1,0 +1,354 @@
+"""Draws of the kitchen: regions, embeddings and labels made anew, by seed, from what its Gaussians truly are.
+
+    python -m benchmarks.kitchen_draws [--seeds 1 2 3] [--data DATA]
+
+prints how like the given scene the draws are. Geometry, colours, cameras and text vectors are the given ones, and real;
+the truth (``gt/``) is drawn by hand upon them. A seed draws:
+
+* pieces: every object is cut in space into some pieces, the regions of level s;
+* region maps of all 24 views: borders moved, regions missing, grown, shrunk, merged and split (``observe``). At level m
+  the person is whole in half of the views, else head, clothes and hands; at level l the person, the shelves with what
+  is in them, the plate with its fruit, and the table with most of what is on it are one region each;
+* prototypes: real image centroids near the object's name, moved along text directions until the object has a cosine of
+  .26 to .31 with its own name (.25 for the head with "person") and all others stay below; centroids of objects without
+  a name, and of what has no label, at random;
+* embeddings: mixtures of prototypes by what a region's pixels show, with a part's own offset at level s, surroundings,
+  noise, noise of the view, and a tenth that carry a neighbour's (``observe``);
+* 15 of the 28 names are asked, in 6 of the views. Their true masks are what is rendered of the truth.
+
+The given scene follows the same recipe, but for details (its pieces and background are cut in the image).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from numpy.typing import NDArray
+from torch import Tensor
+
+import scoup
+from benchmarks.data import data_folder
+from scoup import raster
+from scoup.io.labels import LabelledFrame
+from scoup.query.segment import mask_box
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.synthetic.art.meshes import Floats
+from scoup.synthetic.observe import IntMap, Shown, embed_regions, make_regions, moved_borders, noise
+from scoup.synthetic.words import unit
+
+PERSON, CLOTHES, HAND = 4, 5, 6
+GROUPS = {"person": (4, 5, 6), "shelves": (14, 15, 16), "plate": (22, 23, 24)}
+TABLE = 9
+ON_TABLE = (7, 8, 11, 12, 17, 18, 19, 20, 21, 30, 31, 32, 33, 34, 35)
+NOT_ASKED = frozenset({"counter"})  # its label is unreliable
+N_BACKGROUND = 24  # parts of what has no label
+MIGHT_BE_THERE = frozenset(
+    {
+        "Stainless steel pots", "apple", "bag", "bookshelf", "cabinet", "coffee", "desk", "floor", "glass of water",
+        "green apple", "red apple", "knife", "napkin", "paper", "paper napkin", "plastic ledge", "plastic ladle",
+        "porcelain hand", "spatula", "spoon", "red cup", "otherfurniture", "otherprop", "otherstructure", "ceiling",
+        "curtain", "egg", "yellow desk", "frog cup", "mirror", "stuffed bear", "lamp",
+    }
+)  # fmt: skip
+"""Words of the table that may truly fit something in the kitchen, or whose prototypes nobody has set apart."""
+PIECE = 900  # Gaussians of a piece, about; haze and dense things differ much
+MOST_PIECES = 6
+N_QUERIES, N_LABELLED = 15, 6
+SMALLEST_LABEL = 75  # pixels, in a view 480 wide
+OWN_COSINE, HEAD_COSINE = (0.26, 0.31), 0.25
+MARGIN = 0.03  # how far below its own prototype all others stay for a name
+OFFSET, VIEW_NOISE, REGION_NOISE = 0.2, 0.16, 0.29
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What the Gaussians are, before anything is drawn.
+
+    Attributes:
+        gaussians, cameras: as given, views in the size wanted.
+        ids: [N] int64 object of each Gaussian; 0 for none.
+        names: object -> the name it is asked by, or none.
+        words: name -> [D] unit text vector.
+        centroids: [C, D] unit image embeddings of the same model.
+    """
+
+    gaussians: Gaussians
+    cameras: Cameras
+    ids: NDArray[np.int64]
+    names: dict[int, str | None]
+    words: dict[str, Floats]
+    centroids: Floats
+
+    @classmethod
+    def open(cls, data: Path, scale: float) -> Truth:
+        """From the folder that holds kitchen/ and clip/."""
+        kitchen = data / "kitchen"
+        named = json.loads((kitchen / "gt" / "names.json").read_text())
+        names = {int(number): entry["query"] for number, entry in named.items()}
+        with np.load(data / "clip" / "text_vit_b16_laion2b.npz") as table:
+            words = {str(name): unit(row) for name, row in zip(table["names"], table["vectors"], strict=True)}
+        with np.load(data / "clip" / "image_centroids.npz") as file:
+            centroids = unit(file["vectors"].astype(np.float64))
+        return cls(
+            scoup.load_gaussians(kitchen / "scene" / "model.splat"),
+            scoup.load_cameras(kitchen).scaled(scale),
+            np.load(kitchen / "gt" / "gt_labels.npy").astype(np.int64),
+            names,
+            words,
+            centroids,
+        )
+
+    def of_name(self) -> dict[str, tuple[int, ...]]:
+        """The objects that each name asked stands for."""
+        single = {name: (number,) for number, name in self.names.items() if name and name not in NOT_ASKED}
+        return single | {name: GROUPS[name] for name in ("person", "shelves")}
+
+    def members(self, names: Iterable[str]) -> dict[str, Tensor]:
+        """Name -> [N] boolean, the Gaussians it stands for."""
+        of_name = self.of_name()
+        return {name: torch.from_numpy(np.isin(self.ids, of_name[name])) for name in names}
+
+    def absent(self, words: Iterable[str]) -> tuple[str, ...]:
+        """Those words that nothing in the scene is called, nor might be."""
+        there = {name for name in self.names.values() if name} | {*GROUPS, *MIGHT_BE_THERE}
+        return tuple(word for word in words if word not in there)
+
+
+@dataclass(frozen=True, eq=False)
+class KitchenDraw:
+    """One draw.
+
+    Attributes:
+        regions: of all views.
+        frames: labelled ones with their cameras.
+        members: name -> [N] boolean, the Gaussians it stands for: the truth in space.
+    """
+
+    regions: Regions
+    frames: list[tuple[LabelledFrame, Camera]]
+    members: dict[str, Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Pieces of all objects, and then of the background, whose "objects" follow those with a label.
+
+    Attributes:
+        of_gaussian: [N] int64.
+        objects: [pieces] int64 object of each.
+    """
+
+    of_gaussian: NDArray[np.int64]
+    objects: NDArray[np.int64]
+
+
+def make_draw(truth: Truth, seed: int) -> KitchenDraw:
+    """A draw by its seed."""
+    for_pieces, for_words, for_regions, for_labels = (
+        np.random.default_rng([seed, purpose]) for purpose in range(4)
+    )
+    pieces = _cut(truth, for_pieces)
+    maps = {camera.name: _piece_map(truth, pieces, camera) for camera in truth.cameras}
+    prototypes = _prototypes(truth, int(pieces.objects.max()) + 1, for_words)
+    regions = _observed(maps, pieces, prototypes, for_regions)
+
+    of_name = truth.of_name()
+    asked = sorted(of_name)
+    chosen = {asked[place] for place in for_labels.permutation(len(asked))[:N_QUERIES]}
+    views = sorted(for_labels.permutation(len(truth.cameras))[:N_LABELLED].tolist())
+    members = truth.members(sorted(chosen))
+    frames = []
+    for view in views:
+        camera = truth.cameras[view]
+        objects = pieces.objects[maps[camera.name]]
+        frames.append((_labelled(camera, objects, {name: of_name[name] for name in members}), camera))
+    return KitchenDraw(regions, frames, members)
+
+
+def _cut(truth: Truth, rng: np.random.Generator) -> _Pieces:
+    """Every object cut in space; what has no label by place and colour."""
+    means = truth.gaussians.means.numpy().astype(np.float64)
+    colors = truth.gaussians.sh[:, 0].numpy().astype(np.float64)
+    of_gaussian = np.zeros(len(truth.ids), np.int64)
+    owners: list[int] = []
+    background = max(truth.names) + 1
+    for number in (*sorted(truth.names), 0):
+        members = np.flatnonzero(truth.ids == number)
+        places = means[members]
+        places = (places - np.median(places, 0)) / (np.median(np.abs(places - np.median(places, 0))) + 1e-9)
+        if number == 0:
+            places = np.concatenate([places, 2 * colors[members]], 1)
+        count = N_BACKGROUND if number == 0 else int(np.clip(len(members) / PIECE, 1, MOST_PIECES))
+        of_gaussian[members] = len(owners) + _kmeans(places.clip(-4, 4), count, rng)
+        owners += [background + place if number == 0 else number for place in range(count)]
+    return _Pieces(of_gaussian, np.array(owners))
+
+
+def _kmeans(rows: Floats, count: int, rng: np.random.Generator, rounds: int = 12) -> NDArray[np.int64]:
+    from scipy.spatial import KDTree
+
+    centres = rows[rng.permutation(len(rows))[:count]]
+    nearest = np.zeros(len(rows), np.int64)
+    for _ in range(rounds):
+        nearest = KDTree(centres).query(rows)[1]
+        sizes = np.bincount(nearest, minlength=count)
+        for axis in range(rows.shape[1]):
+            sums = np.bincount(nearest, rows[:, axis], count)
+            centres[:, axis] = np.where(sizes > 0, sums / sizes.clip(1), centres[:, axis])
+    return nearest
+
+
+def _piece_map(truth: Truth, pieces: _Pieces, camera: Camera) -> IntMap:
+    """[H, W] the piece that a view shows: of the object painted most (all background together), the piece painted
+    most."""
+    count = len(pieces.objects)
+    indices = torch.from_numpy(pieces.of_gaussian)[:, None, None].to(torch.uint8)
+    weights = torch.ones(len(indices), 1, 1)
+    (image,) = raster.render_codes(raster.project(truth.gaussians, camera), indices, weights, count)
+    nothing = max(truth.names) + 1
+    owners = torch.from_numpy(pieces.objects.clip(max=nothing))
+    painted = image.new_zeros(*image.shape[:2], nothing + 1).index_add_(2, owners, image)
+    shown = painted.argmax(2)
+    own = torch.where(owners == shown[..., None], image, -1.0)
+    return own.argmax(2).int().numpy()
+
+
+def _prototypes(truth: Truth, count: int, rng: np.random.Generator) -> Floats:
+    """[count, D] unit image prototypes, by number of the object; that of 0 is not used."""
+    centroids = truth.centroids
+    mean = unit(centroids.mean(0))
+    prototypes = centroids[rng.integers(0, len(centroids), count)]
+    named = {number: name for number, name in truth.names.items() if name} | {PERSON: "person"}
+    central = centroids @ mean > np.quantile(centroids @ mean, 0.2)
+    for number, name in named.items():
+        fit = np.where(central, centroids @ truth.words[name], -1.0)
+        prototypes[number] = centroids[rng.choice(np.argsort(-fit)[:12])]
+    prototypes = unit(prototypes + noise(prototypes.shape, 0.25, rng))
+
+    names = sorted(set(named.values()))
+    vectors = np.stack([truth.words[name] for name in names])
+    concepts = unit(vectors - np.stack(list(truth.words.values())).mean(0))
+    slopes = np.einsum("nd,nd->n", concepts, vectors)
+    own = {number: HEAD_COSINE if number == PERSON else rng.uniform(*OWN_COSINE) for number in named}
+    limit = np.full((count, len(names)), np.inf)
+    for number, name in named.items():
+        limit[:, names.index(name)] = own[number] - MARGIN
+    limit[[CLOTHES, HAND], names.index("person")] = HEAD_COSINE - 0.01
+    for _ in range(80):
+        cosines = prototypes @ vectors.T
+        step = -(cosines - limit).clip(0)
+        for number, name in named.items():
+            step[number, names.index(name)] = own[number] - cosines[number, names.index(name)]
+        prototypes = unit(prototypes + 0.5 * (step / slopes) @ concepts)
+    return prototypes
+
+
+def _observed(
+    maps: dict[str, IntMap], pieces: _Pieces, prototypes: Floats, rng: np.random.Generator
+) -> Regions:
+    of_piece = prototypes[pieces.objects]
+    offsets = {level: noise(of_piece.shape, OFFSET if level == "s" else 0.0, rng) for level in LEVELS}
+    merged = np.arange(len(prototypes))
+    for group in GROUPS.values():
+        merged[list(group)] = group[0]
+    found: dict[str, dict[str, RegionMap]] = {}
+    for name, shown in maps.items():
+        moved = moved_borders(shown, rng)
+        person = merged.copy() if rng.random() < 0.5 else np.arange(len(prototypes))
+        at_m = np.where(np.isin(np.arange(len(prototypes)), GROUPS["person"]), person, np.arange(len(prototypes)))
+        on_table = [number for number in ON_TABLE if rng.random() < 0.8]
+        at_l = merged.copy()
+        at_l[on_table] = TABLE
+        numbers = {"s": moved, "m": at_m[pieces.objects][moved], "l": at_l[pieces.objects][moved]}
+        found[name] = {}
+        for level in LEVELS:
+            # The view's noise belongs to an object, not to a piece of it.
+            shifts = noise(prototypes.shape, VIEW_NOISE, rng)[pieces.objects]
+            labels = make_regions(numbers[level].astype(np.int32), level, rng)
+            rows = embed_regions(labels, Shown(shown, of_piece, offsets[level], shifts), rng, REGION_NOISE)
+            found[name][level] = RegionMap(torch.from_numpy(labels), torch.from_numpy(rows.astype(np.float32)))
+    return Regions.from_maps(found)
+
+
+def _labelled(camera: Camera, objects: NDArray[np.int64], of_name: dict[str, tuple[int, ...]]) -> LabelledFrame:
+    least = SMALLEST_LABEL * (camera.width / 480) ** 2
+    masks: dict[str, Tensor] = {}
+    boxes: dict[str, Tensor] = {}
+    for name, numbers in of_name.items():
+        mask = torch.from_numpy(np.isin(objects, numbers))
+        box = mask_box(mask)
+        if box is not None and int(mask.sum()) >= least:
+            masks[name] = mask
+            boxes[name] = torch.tensor([[box[0], box[1], box[2] - 1, box[3] - 1]], dtype=torch.float32)
+    return LabelledFrame(camera.name.rsplit(".", 1)[0], camera.width, camera.height, masks, boxes)
+
+
+@dataclass(frozen=True)
+class Arguments:
+    seeds: tuple[int, ...] = (1, 2, 3)
+    """Draws to describe."""
+    data: Path = field(default_factory=data_folder)
+    """Folder that holds kitchen/ and clip/."""
+
+
+def likeness(truth: Truth, regions: Regions) -> dict[str, list[float]]:
+    """What the draws can be compared by, per level: regions a view, the median cosine of regions of one object in
+    different views, and the 10th, 50th and 90th percentile of the cosine of a region with its own name."""
+    from collections import defaultdict
+
+    found: dict[str, list[float]] = {}
+    maps = {
+        camera.name: _object_map(truth, camera).numpy() for camera in truth.cameras if camera.name in regions
+    }
+    for level in regions.levels:
+        of_object = defaultdict(list)
+        count, texts = 0, []
+        for name, shown in maps.items():
+            labels = regions.load(name, level).labels.numpy()
+            rows = torch.nn.functional.normalize(regions.load_embeddings(name, level), dim=1).numpy()
+            count += len(rows)
+            for number in range(len(rows)):
+                inside = shown[labels == number]
+                if len(inside) and np.bincount(inside).max() > 0.8 * len(inside):
+                    main = int(np.bincount(inside).argmax())
+                    if main:
+                        of_object[main].append(rows[number])
+                        if truth.names[main]:
+                            texts.append(float(rows[number] @ truth.words[truth.names[main] or ""]))
+        cosines = [
+            np.median((stacked @ stacked.T)[np.triu_indices(len(stacked), 1)])
+            for stacked in (np.stack(rows) for rows in of_object.values() if len(rows) > 3)
+        ]
+        found[level] = [count / len(maps), float(np.median(cosines)), *np.quantile(texts, [0.1, 0.5, 0.9])]
+    return found
+
+
+def _object_map(truth: Truth, camera: Camera) -> Tensor:
+    indices = torch.from_numpy(truth.ids)[:, None, None].to(torch.uint8)
+    projection = raster.project(truth.gaussians, camera)
+    (image,) = raster.render_codes(projection, indices, torch.ones(len(indices), 1, 1), max(truth.names) + 1)
+    return image.argmax(2)
+
+
+def main(arguments: Arguments) -> dict:
+    """Print how like the given scene the draws are."""
+    truth = Truth.open(arguments.data, 0.5)
+    given = scoup.load_regions(arguments.data / "kitchen" / "regions", truth.cameras) if False else None
+    rows = {}
+    for seed in arguments.seeds:
+        draw = make_draw(truth, seed)
+        rows[seed] = likeness(truth, draw.regions)
+        print(seed, {k: [round(x, 3) for x in v] for k, v in rows[seed].items()}, [len(f.labels) for f, _ in draw.frames], sorted(draw.members))
+    return rows
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))
