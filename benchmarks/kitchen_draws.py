@@ -36,6 +36,7 @@ import scoup
 from benchmarks.data import data_folder
 from scoup import raster
 from scoup.io.labels import LabelledFrame
+from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.segment import mask_box
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
@@ -65,7 +66,8 @@ N_QUERIES, N_LABELLED = 15, 6
 SMALLEST_LABEL = 75  # pixels, in a view 480 wide
 OWN_COSINE, HEAD_COSINE = (0.26, 0.31), 0.25
 MARGIN = 0.03  # how far below its own prototype all others stay for a name
-OFFSET, VIEW_NOISE, REGION_NOISE = 0.2, 0.16, 0.29
+OFFSET, VIEW_NOISE = 0.2, 0.16  # as in ``observe``
+NOISINESS = 1.25  # of the regions: with it, regions of one object are as alike as in the given scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,15 +152,15 @@ class _Pieces:
     objects: NDArray[np.int64]
 
 
-def make_draw(truth: Truth, seed: int) -> KitchenDraw:
-    """A draw by its seed."""
+def make_draw(truth: Truth, seed: int, noise_scale: float = 1.0) -> KitchenDraw:
+    """A draw by its seed; ``noise_scale`` multiplies all noise of the embeddings."""
     for_pieces, for_words, for_regions, for_labels = (
         np.random.default_rng([seed, purpose]) for purpose in range(4)
     )
     pieces = _cut(truth, for_pieces)
     maps = {camera.name: _piece_map(truth, pieces, camera) for camera in truth.cameras}
     prototypes = _prototypes(truth, int(pieces.objects.max()) + 1, for_words)
-    regions = _observed(maps, pieces, prototypes, for_regions)
+    regions = _observed(maps, pieces, prototypes, for_regions, noise_scale)
 
     of_name = truth.of_name()
     asked = sorted(of_name)
@@ -238,21 +240,27 @@ def _prototypes(truth: Truth, count: int, rng: np.random.Generator) -> Floats:
     concepts = unit(vectors - np.stack(list(truth.words.values())).mean(0))
     slopes = np.einsum("nd,nd->n", concepts, vectors)
     own = {number: HEAD_COSINE if number == PERSON else rng.uniform(*OWN_COSINE) for number in named}
-    limit = np.full((count, len(names)), np.inf)
-    for number, name in named.items():
-        limit[:, names.index(name)] = own[number] - MARGIN
-    limit[[CLOTHES, HAND], names.index("person")] = HEAD_COSINE - 0.01
+    phrases = np.stack([truth.words[phrase] for phrase in CANONICAL_PHRASES])
+    owner = [next(number for number, name in named.items() if name == wanted) for wanted in names]
+    columns = np.arange(len(names))
     for _ in range(80):
         cosines = prototypes @ vectors.T
-        step = -(cosines - limit).clip(0)
+        # What decides is the cosine beyond that with the nearest canonical phrase.
+        beyond = cosines - (prototypes @ phrases.T).max(1, keepdims=True)
+        step = -(beyond - beyond[owner, columns] + MARGIN).clip(0)
         for number, name in named.items():
             step[number, names.index(name)] = own[number] - cosines[number, names.index(name)]
+        step[[CLOTHES, HAND], names.index("person")] *= 0.2  # which they belong to
         prototypes = unit(prototypes + 0.5 * (step / slopes) @ concepts)
     return prototypes
 
 
 def _observed(
-    maps: dict[str, IntMap], pieces: _Pieces, prototypes: Floats, rng: np.random.Generator
+    maps: dict[str, IntMap],
+    pieces: _Pieces,
+    prototypes: Floats,
+    rng: np.random.Generator,
+    noise_scale: float,
 ) -> Regions:
     of_piece = prototypes[pieces.objects]
     offsets = {level: noise(of_piece.shape, OFFSET if level == "s" else 0.0, rng) for level in LEVELS}
@@ -271,9 +279,9 @@ def _observed(
         found[name] = {}
         for level in LEVELS:
             # The view's noise belongs to an object, not to a piece of it.
-            shifts = noise(prototypes.shape, VIEW_NOISE, rng)[pieces.objects]
+            shifts = noise(prototypes.shape, noise_scale * VIEW_NOISE, rng)[pieces.objects]
             labels = make_regions(numbers[level].astype(np.int32), level, rng)
-            rows = embed_regions(labels, Shown(shown, of_piece, offsets[level], shifts), rng, REGION_NOISE)
+            rows = embed_regions(labels, Shown(shown, of_piece, offsets[level], shifts), rng, noise_scale * NOISINESS)
             found[name][level] = RegionMap(torch.from_numpy(labels), torch.from_numpy(rows.astype(np.float32)))
     return Regions.from_maps(found)
 

@@ -81,13 +81,15 @@ class VotingScene:
 
 
 def make_scene(name: str, data: Path, size: SceneSize) -> VotingScene:
-    """A scene by name: "kitchen" as given, one of its draws such as "kitchen-3" (``benchmarks.kitchen_draws``), or a
+    """A scene by name: "kitchen" as given, one of its draws such as "kitchen-3", or "kitchen-3x2" with noise
+    twice as strong (``benchmarks.kitchen_draws``), or a
     layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
     if name == "kitchen":
         return _kitchen(data, size.kitchen_scale)
     layout, _, seed = name.rpartition("-")
     if layout == "kitchen":
-        return _kitchen_draw(data, int(seed), size.kitchen_scale)
+        number, _, noise = seed.partition("x")
+        return _kitchen_draw(data, int(number), float(noise or 1), size.kitchen_scale)
     demo = make_demo_scene(
         int(seed),
         size.n_gaussians,
@@ -126,12 +128,12 @@ def _kitchen(data: Path, scale: float) -> VotingScene:
         return _prepared("kitchen", gaussians, cameras, regions, frames, _texts(data, truth), members)
 
 
-def _kitchen_draw(data: Path, seed: int, scale: float) -> VotingScene:
+def _kitchen_draw(data: Path, seed: int, noise: float, scale: float) -> VotingScene:
     truth = Truth.open(data, scale)
-    draw = make_draw(truth, seed)
+    draw = make_draw(truth, seed, noise)
     texts = _texts(data, truth)
     return _prepared(
-        f"kitchen-{seed}", truth.gaussians, truth.cameras, draw.regions, draw.frames, texts, draw.members
+        f"kitchen-{seed}x{noise:g}", truth.gaussians, truth.cameras, draw.regions, draw.frames, texts, draw.members
     )
 
 

@@ -36,15 +36,17 @@ nb::object py_box_means(const Array& maps, int64_t kernel, bool reflect, int thr
     return to_numpy(std::move(out), {maps.shape(0), maps.shape(1), maps.shape(2)});
 }
 
-nb::tuple py_level_masks(const Array& relevancy, const Array& averaged, float threshold, int64_t smoothing, int threads) {
+nb::tuple py_level_masks(const Array& relevancy, const Array& averaged, const Array& thresholds, int64_t smoothing,
+                        int threads) {
     const Maps found = maps_of(relevancy, "relevancy");
     check_side(smoothing, "smoothing");
     const auto levels = relevancy.shape(0), height = relevancy.shape(1), width = relevancy.shape(2);
     const float* means = data_of<float>(averaged, "averaged", {int64_t(levels), int64_t(height), int64_t(width)});
+    const float* bounds = data_of<float>(thresholds, "thresholds", {int64_t(levels)});
     Buffer<float> smoothed(int64_t(relevancy.size()));
     Buffer<uint8_t> masks(int64_t(relevancy.size()));
     without_lock([&] {
-        level_masks(found, means, {threshold, int32_t(smoothing)}, smoothed.data(), masks.data(), sane(threads),
+        level_masks(found, means, bounds, int32_t(smoothing), smoothed.data(), masks.data(), sane(threads),
                     python_signals());
     });
     return nb::make_tuple(to_numpy(std::move(smoothed), {levels, height, width}),
@@ -73,7 +75,7 @@ nb::tuple py_level_sums(const Array& smoothed, const Array& masks, int threads) 
 void bind_smoothing(nb::module_& m) {
     m.attr("MOST_KERNEL") = kMostKernel;
     m.def("box_means", &py_box_means, nb::arg("maps"), nb::arg("kernel"), nb::arg("reflect"), nb::arg("threads"));
-    m.def("level_masks", &py_level_masks, nb::arg("relevancy"), nb::arg("averaged"), nb::arg("threshold"),
+    m.def("level_masks", &py_level_masks, nb::arg("relevancy"), nb::arg("averaged"), nb::arg("thresholds"),
           nb::arg("smoothing"), nb::arg("threads"));
     m.def("level_sums", &py_level_sums, nb::arg("smoothed"), nb::arg("masks"), nb::arg("threads"));
 }

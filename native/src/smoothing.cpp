@@ -78,16 +78,16 @@ void box_means(const Maps& maps, int32_t kernel, bool reflect, float* out, int n
     });
 }
 
-void level_masks(const Maps& relevancy, const float* averaged, const MaskRule& rule, float* smoothed, uint8_t* masks,
-                 int n_threads, const Interrupted& interrupted) {
+void level_masks(const Maps& relevancy, const float* averaged, const float* thresholds, int32_t smoothing,
+                 float* smoothed, uint8_t* masks, int n_threads, const Interrupted& interrupted) {
     const auto& kernels = pick(baseline::smoothing_kernels, v3::smoothing_kernels, v4::smoothing_kernels);
     n_threads = workers(relevancy, n_threads);
     std::vector<MaskMemory> memory;
     for (int worker = 0; worker < n_threads; ++worker) memory.emplace_back(relevancy.width, relevancy.height);
     for_chunks(relevancy.count, n_threads, interrupted, [&](int64_t level, int worker) {
         const int64_t first = level * relevancy.pixels();
-        kernels.mask(relevancy.values + first, averaged + first, relevancy.width, relevancy.height, rule,
-                     memory[size_t(worker)].scratch(), smoothed + first, masks + first);
+        kernels.mask(relevancy.values + first, averaged + first, relevancy.width, relevancy.height,
+                     {thresholds[level], smoothing}, memory[size_t(worker)].scratch(), smoothed + first, masks + first);
     });
 }
 

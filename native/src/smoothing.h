@@ -24,9 +24,9 @@ constexpr int32_t kMostKernel = 1024;  // scratch is kernel + 1 rows, and counts
 // pixels of the box inside.
 void box_means(const Maps& maps, int32_t kernel, bool reflect, float* out, int n_threads, const Interrupted& interrupted);
 
-// smoothed and masks [count, height, width]
-void level_masks(const Maps& relevancy, const float* averaged, const MaskRule& rule, float* smoothed, uint8_t* masks,
-                 int n_threads, const Interrupted& interrupted);
+// thresholds [count]; smoothed and masks [count, height, width]
+void level_masks(const Maps& relevancy, const float* averaged, const float* thresholds, int32_t smoothing,
+                 float* smoothed, uint8_t* masks, int n_threads, const Interrupted& interrupted);
 
 // out [count]
 void level_sums(const Maps& smoothed, const uint8_t* masks, LevelSums* out, int n_threads, const Interrupted& interrupted);

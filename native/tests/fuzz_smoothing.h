@@ -43,9 +43,10 @@ inline void fuzz_smoothing(Random& random, int threads) {
 
     Exact<float> smoothed(random, count * pixels);
     Exact<uint8_t> masks(random, count * pixels), alone(random, count * pixels);
-    const MaskRule rule{float(random.uniform()), smoothing};
-    level_masks(maps, means.data(), rule, smoothed.data(), masks.data(), threads, never);
-    level_masks(maps, means.data(), rule, again.data(), alone.data(), 1, never);
+    Exact<float> thresholds(random, count);
+    for (int64_t map = 0; map < count; ++map) thresholds[map] = float(random.uniform());
+    level_masks(maps, means.data(), thresholds.data(), smoothing, smoothed.data(), masks.data(), threads, never);
+    level_masks(maps, means.data(), thresholds.data(), smoothing, again.data(), alone.data(), 1, never);
     check_same(smoothed, again, "smoothed relevancy: threads");
     check_same(masks, alone, "masks: threads");
     std::vector<LevelSums> sums(static_cast<size_t>(count));
@@ -59,7 +60,7 @@ inline void fuzz_smoothing(Random& random, int threads) {
         std::vector<uint8_t> above(static_cast<size_t>(pixels));
         for (int64_t i = 0; i < pixels; ++i) {
             const double stretched = 2 * ((double(own[i]) - double(low)) / (double(high) - double(low) + 1e-9)) - 1;
-            above[size_t(i)] = float(std::min(std::max(stretched, 0.0), 1.0)) > rule.threshold;
+            above[size_t(i)] = float(std::min(std::max(stretched, 0.0), 1.0)) > thresholds[map];
         }
         double sum = 0;
         int64_t area = 0;

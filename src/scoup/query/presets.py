@@ -20,7 +20,8 @@ class QueryPreset:
         kernel: side of the box that averages the relevancy, in pixels.
         border: "inside" averages over the pixels of the box inside the image; "reflect" mirrors the image at
             its edge pixels (which are not repeated).
-        threshold: a pixel belongs to the mask if its rescaled relevancy is above this.
+        threshold: a pixel belongs to the mask if its rescaled relevancy is above this; None: of each map the threshold
+            at which the area changes least (``scoup.query.stable_threshold``).
         smoothing: side of the box that smooths the mask by majority; 1 leaves it alone.
         level_choice: which level answers. "peak": the level with the largest smoothed relevancy, as in the papers'
             protocol for LERF-OVS; "mask": the level whose own mask has the largest mean of smoothed relevancy.
@@ -32,14 +33,14 @@ class QueryPreset:
     name: str
     kernel: int
     border: Border
-    threshold: float
+    threshold: float | None
     smoothing: int
     level_choice: LevelChoice = "peak"
 
     def __post_init__(self) -> None:
         if self.kernel < 1 or self.smoothing < 1:
             raise InputError(f"box sides must be at least 1 pixel, got {self.kernel} and {self.smoothing}")
-        if not 0 <= self.threshold <= 1:
+        if self.threshold is not None and not 0 <= self.threshold <= 1:
             raise InputError(f"the threshold must be 0 to 1, got {self.threshold}")
         if self.level_choice not in get_args(LevelChoice):
             raise InputError(f"the level is chosen by 'peak' or 'mask', not by {self.level_choice!r}")
@@ -47,7 +48,7 @@ class QueryPreset:
 
 QUERY_PRESETS: dict[str, QueryPreset] = {
     "default": QueryPreset(
-        "default", kernel=7, border="inside", threshold=0.6, smoothing=7, level_choice="mask"
+        "default", kernel=7, border="inside", threshold=None, smoothing=7, level_choice="mask"
     ),
     "scoup": QueryPreset("scoup", kernel=7, border="inside", threshold=0.6, smoothing=7),
     "langsplatv2": QueryPreset("langsplatv2", kernel=29, border="inside", threshold=0.4, smoothing=7),
@@ -55,12 +56,12 @@ QUERY_PRESETS: dict[str, QueryPreset] = {
 }
 """Presets by name: "default" for everyday use, the others by the rules of the systems of their names for LERF-OVS."""
 
-DATASET_THRESHOLDS: dict[str, dict[str, float]] = {
-    "lerf-ovs": {"default": 0.6, "scoup": 0.6, "langsplatv2": 0.4, "langsplat": 0.4},
-    "3d-ovs": {"default": 0.3, "scoup": 0.3, "langsplatv2": 0.25},
-    "mipnerf360": {"default": 0.45, "scoup": 0.45, "langsplatv2": 0.4},
+DATASET_THRESHOLDS: dict[str, dict[str, float | None]] = {
+    "lerf-ovs": {"default": None, "scoup": 0.6, "langsplatv2": 0.4, "langsplat": 0.4},
+    "3d-ovs": {"default": None, "scoup": 0.3, "langsplatv2": 0.25},
+    "mipnerf360": {"default": None, "scoup": 0.45, "langsplatv2": 0.4},
 }
-"""Thresholds as the papers tuned them per data set. Only the thresholds: ``scoup.evaluate`` has one file a data set
+"""Thresholds as the papers tuned them per data set; ours needs none. Only the thresholds: ``scoup.evaluate`` has one file a data set
 with the rest of its rules."""
 
 

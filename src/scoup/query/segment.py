@@ -11,6 +11,7 @@ from torch import Tensor
 from scoup.query.localize import Localization, averaged_relevancy, localize
 from scoup.query.presets import QUERY_PRESETS, LevelChoice, QueryPreset
 from scoup.query.smoothing import mask_sums, smoothed_masks
+from scoup.query.stable_threshold import stable_thresholds
 
 LEAST_SHARE, LEAST_PEAK = 0.02, 0.8
 """Parts of a mask are strays if they are smaller than this share of the part that holds the point, or if their largest
@@ -29,6 +30,7 @@ class Segmentation:
         level: position of the level chosen.
         score: the largest smoothed relevancy at that level, 0..1.
         coverage: share of the image in the mask, 0..1.
+        threshold: of the mask, on the rescaled relevancy.
     """
 
     mask: Tensor  # [H, W]
@@ -36,6 +38,7 @@ class Segmentation:
     level: int
     score: float
     coverage: float
+    threshold: float
 
     def core(self) -> Tensor:
         """[H, W] boolean: the more relevant half of the mask; of an empty mask, the most relevant pixels.
@@ -60,14 +63,15 @@ def segment(
     Raises:
         InputError: relevancy has another shape, or is empty.
     """
-    smoothed, masks = level_masks(relevancy, preset, averaged)
-    peaks, areas, sums = mask_sums(smoothed, masks)
+    found = level_masks(relevancy, preset, averaged)
+    peaks, areas, sums = mask_sums(found.smoothed, found.masks)
     level = _chosen_level(peaks, areas, sums, preset.level_choice)
-    mask = masks[level]
+    mask = found.masks[level]
     # A copy, so that the other levels can be freed.
-    shown = smoothed[level].clone()
+    shown = found.smoothed[level].clone()
     coverage = int(areas[level]) / mask.numel()
-    return Segmentation(mask, shown, level, float(peaks[level]), coverage)
+    threshold = float(found.thresholds[level])
+    return Segmentation(mask, shown, level, float(peaks[level]), coverage, threshold)
 
 
 def localize_and_segment(
@@ -86,33 +90,47 @@ def localize_and_segment(
     return localize(relevancy, preset, averaged), segment(relevancy, preset, averaged)
 
 
-def level_masks(
-    relevancy: Tensor, preset: QueryPreset, averaged: Tensor | None = None
-) -> tuple[Tensor, Tensor]:
+@dataclass(frozen=True, eq=False)
+class LevelMasks:
+    """The mask of every level.
+
+    Attributes:
+        smoothed: [S, H, W] smoothed relevancy, dtype of the relevancy.
+        masks: [S, H, W] boolean.
+        thresholds: [S] float32 on the CPU, of the masks, on the rescaled relevancy.
+    """
+
+    smoothed: Tensor  # [S, H, W]
+    masks: Tensor  # [S, H, W]
+    thresholds: Tensor  # [S]
+
+
+def level_masks(relevancy: Tensor, preset: QueryPreset, averaged: Tensor | None = None) -> LevelMasks:
     """The mask of every level (protocols.md, LERF-OVS, steps 1 to 3).
 
     Args:
         relevancy: [S, H, W] of one query, 0..1.
         preset: box, threshold and mask smoothing.
         averaged: what ``averaged_relevancy`` gives for both, if it is known already.
-
-    Returns:
-        smoothed relevancy [S, H, W], dtype of ``relevancy``, and masks [S, H, W] boolean.
     """
     averaged = averaged_relevancy(relevancy, preset) if averaged is None else averaged
-    return smoothed_masks(relevancy, averaged, preset.threshold, preset.smoothing)
+    if preset.threshold is None:
+        thresholds, _ = stable_thresholds((0.5 * (relevancy + averaged)).flatten(1))
+    else:
+        thresholds = torch.full((len(relevancy),), preset.threshold)
+    return LevelMasks(*smoothed_masks(relevancy, averaged, thresholds, preset.smoothing), thresholds)
 
 
-def choose_level(smoothed: Tensor, masks: Tensor, choice: LevelChoice) -> int:
+def choose_level(found: LevelMasks, choice: LevelChoice) -> int:
     """Position of the level that answers (protocols.md, LERF-OVS, step 4); the first of equals.
 
     With "mask", a level with an empty mask is never chosen, unless all are empty: then the peak decides.
 
     Args:
-        smoothed, masks: [S, H, W] each, from ``level_masks``.
+        found: from ``level_masks``.
         choice: see ``QueryPreset``.
     """
-    return _chosen_level(*mask_sums(smoothed, masks), choice)
+    return _chosen_level(*mask_sums(found.smoothed, found.masks), choice)
 
 
 def _chosen_level(peaks: Tensor, areas: Tensor, sums: Tensor, choice: LevelChoice) -> int:

@@ -47,14 +47,14 @@ def plain_box_mean(maps: Tensor, kernel: int, border: Border = "inside") -> Tens
 
 
 def smoothed_masks(
-    relevancy: Tensor, averaged: Tensor, threshold: float, smoothing: int
+    relevancy: Tensor, averaged: Tensor, thresholds: Tensor, smoothing: int
 ) -> tuple[Tensor, Tensor]:
     """Smoothed relevancy, and the majority of the pixels above the threshold once it is rescaled.
 
     Args:
         relevancy: [S, H, W] of one query, not empty.
         averaged: [S, H, W] its ``box_mean``.
-        threshold: on the rescaled relevancy.
+        thresholds: [S] float32 on the CPU, of each level, on the rescaled relevancy.
         smoothing: side in pixels of the box in which the majority decides; 1 leaves the mask alone.
 
     Returns:
@@ -62,18 +62,20 @@ def smoothed_masks(
     """
     core = _core_for(relevancy, smoothing)
     if core is None or averaged.dtype != relevancy.dtype:
-        return plain_smoothed_masks(relevancy, averaged, threshold, smoothing)
-    arrays = (maps.detach().contiguous().numpy() for maps in (relevancy, averaged))
-    smoothed, masks = core.level_masks(*arrays, threshold, smoothing, torch.get_num_threads())
+        return plain_smoothed_masks(relevancy, averaged, thresholds, smoothing)
+    arrays = (maps.detach().contiguous().numpy() for maps in (relevancy, averaged, thresholds))
+    smoothed, masks = core.level_masks(*arrays, smoothing, torch.get_num_threads())
     return torch.from_numpy(smoothed), torch.from_numpy(masks).view(torch.bool)
 
 
 def plain_smoothed_masks(
-    relevancy: Tensor, averaged: Tensor, threshold: float, smoothing: int
+    relevancy: Tensor, averaged: Tensor, thresholds: Tensor, smoothing: int
 ) -> tuple[Tensor, Tensor]:
     """``smoothed_masks`` in torch."""
     smoothed = 0.5 * (relevancy + averaged)
-    above = torch.stack([rescale(level) > threshold for level in smoothed])
+    above = torch.stack(
+        [rescale(level) > threshold for level, threshold in zip(smoothed, thresholds.tolist(), strict=True)]
+    )
     return smoothed, plain_box_mean(above.float(), smoothing) > 0.5
 
 

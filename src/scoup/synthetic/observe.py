@@ -182,9 +182,12 @@ def _renumbered(labels: IntMap) -> IntMap:
 
 
 def embed_regions(
-    labels: IntMap, shown: Shown, rng: np.random.Generator, region_noise: float = REGION_NOISE
+    labels: IntMap, shown: Shown, rng: np.random.Generator, noisiness: float = 1.0
 ) -> Floats:
-    """[R, D] unit embeddings of the regions of one map [H, W]: regions from 0, -1 for none."""
+    """[R, D] unit embeddings of the regions of one map [H, W]: regions from 0, -1 for none.
+
+    ``noisiness`` scales the noise of the regions; that of the view is in ``shown``.
+    """
     count = int(labels.max()) + 1
     appearances = shown.prototypes + shown.offsets + shown.shifts
     dimensions = appearances.shape[1]
@@ -208,8 +211,8 @@ def embed_regions(
     swapped = rng.random(count) < SWAPPED
     mixture = unit(np.where(swapped[:, None], clean[neighbour], mixture))
     pixels = areas * (REFERENCE_WIDTH / labels.shape[1]) ** 2
-    strength = (1 + 0.5 * np.sqrt(SMALL_AREA / (pixels + SMALL_AREA / 4)).clip(max=1.6))[:, None]
-    isotropic = noise(mixture.shape, region_noise, rng)
+    strength = noisiness * (1 + 0.5 * np.sqrt(SMALL_AREA / (pixels + SMALL_AREA / 4)).clip(max=1.6))[:, None]
+    isotropic = noise(mixture.shape, REGION_NOISE, rng)
     towards = (
         shown.prototypes[rng.integers(0, len(appearances), count)]
         - shown.prototypes[rng.integers(0, len(appearances), count)]

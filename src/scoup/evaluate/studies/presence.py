@@ -147,9 +147,9 @@ def signals_of(
         extra: maps [S, H, W], such as the entropy of the votes (``rendered_mean``).
         preset: by which the answer is made.
     """
-    smoothed, masks = level_masks(relevancy, preset)
-    level = choose_level(smoothed, masks, preset.level_choice)
-    shown, mask = smoothed[level].double(), masks[level]
+    found = level_masks(relevancy, preset)
+    level = choose_level(found, preset.level_choice)
+    shown, mask = found.smoothed[level].double(), found.masks[level]
     inside = float(shown[mask].mean()) if mask.any() else 0.5
     outside = float(shown[~mask].mean()) if not mask.all() else inside
     contrast = inside - outside if mask.any() else 0.0

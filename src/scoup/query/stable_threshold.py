@@ -1,0 +1,53 @@
+"""A threshold that no one has to tune: where the answer changes least as the threshold moves.
+
+The papers fix one threshold a data set (0.6, 0.3, 0.45). Where a thing stands out, relevancy falls steeply at its
+border, and the area above a threshold hardly depends on it. So the threshold is taken where the logarithm of that area
+changes least over a window, as maximally stable extremal regions are found in pictures (Matas, Chum, Urban and Pajdla
+2002). Measured in docs/answers.md.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from scoup.query.smoothing import rescale
+
+LOWEST, HIGHEST = 0.44, 0.84
+"""Thresholds considered, on the rescaled relevancy that the papers' thresholds are on."""
+WINDOW = 0.1
+"""Width of the window over which the change of area is taken."""
+CENTRE, PULL = 0.64, 0.05
+"""Of thresholds that are almost as stable, the one nearer to the centre is taken: its distance times the pull is added
+to the change."""
+_BINS = 100
+
+
+def stable_thresholds(values: Tensor) -> tuple[Tensor, Tensor]:
+    """The most stable threshold of each row, and how unstable the answer is there.
+
+    Args:
+        values: [S, M] relevancy of pixels or Gaussians, each row for itself.
+
+    Returns:
+        thresholds [S] float32 on the rescaled relevancy (``rescale``), and [S] float32, the change of the logarithm of
+        the area over the window there: 0 for a step, 2 and more for what fades away. Both on the CPU.
+    """
+    found = [_stable(rescale(row)) for row in values]
+    thresholds, changes = zip(*found, strict=True) if found else ((), ())
+    return torch.tensor(thresholds, dtype=torch.float32), torch.tensor(changes, dtype=torch.float32)
+
+
+def _stable(rescaled: Tensor) -> tuple[float, float]:
+    """Of values [M] between 0 and 1."""
+    if not rescaled.numel():
+        return CENTRE, 0.0
+    counts = torch.histc(rescaled.float(), _BINS, 0, 1).double().cpu()
+    above = counts.flip(0).cumsum(0).flip(0)  # values in bin b and further up
+    area = above.clamp(min=1).log()
+    half = round(WINDOW / 2 * _BINS)
+    bins = torch.arange(round(LOWEST * _BINS), round(HIGHEST * _BINS) + 1)
+    change = area[bins - half] - area[bins + half]
+    at = bins / _BINS
+    best = int((change + PULL * (at - CENTRE).abs()).argmin())
+    return float(at[best]), float(change[best])
