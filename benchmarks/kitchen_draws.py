@@ -271,7 +271,9 @@ def _observed(
     for name, shown in maps.items():
         moved = moved_borders(shown, rng)
         person = merged.copy() if rng.random() < 0.5 else np.arange(len(prototypes))
-        at_m = np.where(np.isin(np.arange(len(prototypes)), GROUPS["person"]), person, np.arange(len(prototypes)))
+        at_m = np.where(
+            np.isin(np.arange(len(prototypes)), GROUPS["person"]), person, np.arange(len(prototypes))
+        )
         on_table = [number for number in ON_TABLE if rng.random() < 0.8]
         at_l = merged.copy()
         at_l[on_table] = TABLE
@@ -281,12 +283,18 @@ def _observed(
             # The view's noise belongs to an object, not to a piece of it.
             shifts = noise(prototypes.shape, noise_scale * VIEW_NOISE, rng)[pieces.objects]
             labels = make_regions(numbers[level].astype(np.int32), level, rng)
-            rows = embed_regions(labels, Shown(shown, of_piece, offsets[level], shifts), rng, noise_scale * NOISINESS)
-            found[name][level] = RegionMap(torch.from_numpy(labels), torch.from_numpy(rows.astype(np.float32)))
+            rows = embed_regions(
+                labels, Shown(shown, of_piece, offsets[level], shifts), rng, noise_scale * NOISINESS
+            )
+            found[name][level] = RegionMap(
+                torch.from_numpy(labels), torch.from_numpy(rows.astype(np.float32))
+            )
     return Regions.from_maps(found)
 
 
-def _labelled(camera: Camera, objects: NDArray[np.int64], of_name: dict[str, tuple[int, ...]]) -> LabelledFrame:
+def _labelled(
+    camera: Camera, objects: NDArray[np.int64], of_name: dict[str, tuple[int, ...]]
+) -> LabelledFrame:
     least = SMALLEST_LABEL * (camera.width / 480) ** 2
     masks: dict[str, Tensor] = {}
     boxes: dict[str, Tensor] = {}
@@ -354,7 +362,12 @@ def main(arguments: Arguments) -> dict:
     for seed in arguments.seeds:
         draw = make_draw(truth, seed)
         rows[seed] = likeness(truth, draw.regions)
-        print(seed, {k: [round(x, 3) for x in v] for k, v in rows[seed].items()}, [len(f.labels) for f, _ in draw.frames], sorted(draw.members))
+        print(
+            seed,
+            {k: [round(x, 3) for x in v] for k, v in rows[seed].items()},
+            [len(f.labels) for f, _ in draw.frames],
+            sorted(draw.members),
+        )
     return rows
 
 

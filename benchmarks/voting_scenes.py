@@ -133,7 +133,13 @@ def _kitchen_draw(data: Path, seed: int, noise: float, scale: float) -> VotingSc
     draw = make_draw(truth, seed, noise)
     texts = _texts(data, truth)
     return _prepared(
-        f"kitchen-{seed}x{noise:g}", truth.gaussians, truth.cameras, draw.regions, draw.frames, texts, draw.members
+        f"kitchen-{seed}x{noise:g}",
+        truth.gaussians,
+        truth.cameras,
+        draw.regions,
+        draw.frames,
+        texts,
+        draw.members,
     )
 
 

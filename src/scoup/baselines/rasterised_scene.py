@@ -56,7 +56,7 @@ class UpliftInputs:
 
 
 def _key(coder: Coder, settings: BuildSettings) -> tuple[Coder, BuildSettings]:
-    return coder, replace(settings, keep=settings.k, rounds=1)
+    return coder, replace(settings, keep=0, rounds=1)
 
 
 class RasterisedScene:

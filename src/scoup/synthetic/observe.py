@@ -85,7 +85,8 @@ def observe(part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np
             shown = Shown(truth, prototypes, offsets[level], shifts)
             labels = make_regions(parts.at_level(moved, level).astype(np.int32), level, rng)
             maps[name][level] = RegionMap(
-                torch.from_numpy(labels), torch.from_numpy(embed_regions(labels, shown, rng).astype(np.float32))
+                torch.from_numpy(labels),
+                torch.from_numpy(embed_regions(labels, shown, rng).astype(np.float32)),
             )
     return Regions.from_maps(maps)
 
@@ -181,9 +182,7 @@ def _renumbered(labels: IntMap) -> IntMap:
     return np.where(labels >= 0, numbers[labels], -1).astype(np.int32)
 
 
-def embed_regions(
-    labels: IntMap, shown: Shown, rng: np.random.Generator, noisiness: float = 1.0
-) -> Floats:
+def embed_regions(labels: IntMap, shown: Shown, rng: np.random.Generator, noisiness: float = 1.0) -> Floats:
     """[R, D] unit embeddings of the regions of one map [H, W]: regions from 0, -1 for none.
 
     ``noisiness`` scales the noise of the regions; that of the view is in ``shown``.

@@ -9,7 +9,7 @@ from typing import Any
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError, looked_up
 
-_OF_CODES = ("n_atoms", "k", "solver", "effort", "epochs", "tolerance", "seed")
+_OF_FIT = ("n_atoms", "k", "solver", "effort", "epochs", "tolerance", "seed")
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,9 @@ class BuildSettings:
     Attributes:
         n_atoms: L, atoms in each level's codebook.
         k: K, atoms in the code of a region.
-        keep: atoms kept for each Gaussian by the vote; None (default) keeps k, 0 keeps all (no top-K step).
+        wide: regions vote with the K largest weights of non-negative least squares over all atoms
+            (``scoup.coding.wide``); false: with the K-sparse codes that the codebook was learned with, as in the paper.
+        keep: atoms kept for each Gaussian by the vote; 0 keeps all (no top-K step).
         rounds: of the vote, 1 or more. One is the paper's; in each further one regions count by their cosine with the
             outcome of the round before (``scoup.uplift.reweighting``).
         consensus: give regions that the same Gaussians see similar embeddings before coding
@@ -34,29 +36,32 @@ class BuildSettings:
     """
 
     n_atoms: int = 128
-    k: int = 4
-    keep: int | None = None
+    k: int = 8
+    wide: bool = True
+    keep: int = 4
     rounds: int = 2
     consensus: bool = False
     solver: str = "exact"
-    effort: str = "best"
+    effort: str = "fast"
     epochs: int = 4000
     tolerance: float | None = None
     seed: int = 0
     raster_preset: str = "inria"
 
     @property
+    def of_fit(self) -> dict[str, Any]:
+        """Those that decide the codebook (``fit_codes``)."""
+        return {name: getattr(self, name) for name in _OF_FIT}
+
+    @property
     def of_codes(self) -> dict[str, Any]:
         """Those that decide the codes of the regions."""
-        return {name: getattr(self, name) for name in _OF_CODES}
+        return {**self.of_fit, "wide": self.wide}
 
     def __post_init__(self) -> None:
-        if self.keep is None:
-            object.__setattr__(self, "keep", self.k)
-        keep = self.keep or 0
-        if not 1 <= self.k <= self.n_atoms or not 0 <= keep <= self.n_atoms:
+        if not 1 <= self.k <= self.n_atoms or not 0 <= self.keep <= self.n_atoms:
             raise InputError(
-                f"k ({self.k}) and keep ({keep}) must not exceed the {self.n_atoms} atoms, and k must be at "
+                f"k ({self.k}) and keep ({self.keep}) must not exceed the {self.n_atoms} atoms, and k must be at "
                 "least 1"
             )
         if self.rounds < 1:
@@ -69,7 +74,7 @@ class BuildSettings:
 
 BUILD_PRESETS: dict[str, BuildSettings] = {
     "default": BuildSettings(),
-    "paper": BuildSettings(n_atoms=64, rounds=1, solver="adam"),
+    "paper": BuildSettings(n_atoms=64, k=4, wide=False, rounds=1, solver="adam"),
 }
 """What answers best at little cost (docs/benchmarks.md, "Codes and votes"), and the paper's method as published."""
 
@@ -85,7 +90,4 @@ def build_settings(settings: BuildSettings | str = "default", **changes: Any) ->
         settings = looked_up("build preset", settings, BUILD_PRESETS)
     check_arguments("build_settings", settings=(settings, BuildSettings))
     changes = {name: value for name, value in changes.items() if value is not None}
-    # By default as many atoms stay as a code has.
-    if "k" in changes and "keep" not in changes and settings.keep == settings.k:
-        changes["keep"] = changes["k"]
     return dataclasses.replace(settings, **changes)

@@ -12,6 +12,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.coding.codebook import check_new_atoms, encode_rows, learn_atoms
 from scoup.coding.encode import encode
+from scoup.coding.wide import wide_codes
 from scoup.scene.codes import SparseCodes
 from scoup.scene.directions import normalise_embeddings
 from scoup.scene.regions import Regions
@@ -66,6 +67,7 @@ def code_view(
     k: int,
     thresholds: Sequence[float] | None,
     new_atoms: int = 0,
+    wide: bool = False,
 ) -> CodedView:
     """Code a view's regions, with atoms added for those badly explained if wanted.
 
@@ -76,6 +78,7 @@ def code_view(
         thresholds: per level, the cosine below which a region is badly explained (``explained_thresholds``); None if
             not known.
         new_atoms: add at most so many atoms a level.
+        wide: give wide codes (``scoup.coding.wide``), as the other regions of the field have them.
 
     Raises:
         InputError: embeddings are not finite, ``new_atoms`` is negative or too large, or wanted without ``thresholds``.
@@ -99,6 +102,8 @@ def code_view(
     if any(len(atoms) for atoms in new):
         codebook = append_atoms(codebook, new)
         codes = [encode(r, atoms, k) for r, atoms in zip(rows, codebook, strict=True)]
+    if wide:
+        codes = [wide_codes(r, atoms, k) for r, atoms in zip(rows, codebook, strict=True)]
     badly_explained = sum(int(coded.badly_explained.sum()) for coded in encoded)
     return CodedView(
         codes,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
@@ -16,8 +16,10 @@ from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
 from scoup.base.version import VERSION
 from scoup.coding import Codebook, fit_codes
+from scoup.coding.wide import wide_codes
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
+from scoup.scene.directions import normalise_embeddings
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums, Rows
@@ -177,8 +179,11 @@ def learn_region_codes(
 
 
 def learn_codebook(rows: Tensor, settings: BuildSettings, progress: Progress = no_progress) -> Codebook:
-    """Codebook and codes of the embeddings [R, D] of one level, by the settings of a build; see ``fit_codes``."""
-    return fit_codes(rows, **settings.of_codes, progress=progress)
+    """Codebook of the embeddings [R, D] of one level, with the codes they vote with, by the settings of a build."""
+    book = fit_codes(rows, **settings.of_fit, progress=progress)
+    if not settings.wide:
+        return book
+    return replace(book, codes=wide_codes(normalise_embeddings(rows), book.atoms, settings.k))
 
 
 def joined(first: SparseCodes, second: SparseCodes) -> SparseCodes:

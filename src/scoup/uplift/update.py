@@ -111,9 +111,11 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
 
 @dataclass(frozen=True)
 class _Recorded:
-    """Settings of the build that a field records: K of a region's code, atoms a Gaussian keeps (0: all), rounds."""
+    """Settings of the build that a field records: K of a region's code, whether it is wide, atoms a Gaussian keeps (0:
+    all), rounds."""
 
     k: int
+    wide: bool
     keep: int
     rounds: int
 
@@ -122,7 +124,10 @@ class _Recorded:
         settings = field.info.provenance.get("settings", {})
         kept = field.code_indices.shape[2]
         return cls(
-            int(settings.get("k", kept)), int(settings.get("keep", kept)), int(settings.get("rounds", 1))
+            int(settings.get("k", kept)),
+            bool(settings.get("wide", False)),
+            int(settings.get("keep", kept)),
+            int(settings.get("rounds", 1)),
         )
 
 
@@ -133,10 +138,11 @@ def _code_new_views(
     them badly.
     """
     found: list[CodedView] = []
+    recorded = _Recorded.of(field)
     for name in (camera.name for camera in cameras):
         rows = embeddings_of(name, regions, field.levels, field.dim)
         thresholds = explained_thresholds(field.info.provenance, field.levels)
-        view = code_view(coded.codebook, rows, _Recorded.of(field).k, thresholds, new_atoms)
+        view = code_view(coded.codebook, rows, recorded.k, thresholds, new_atoms, recorded.wide)
         _warn_of_badly_explained(name, view, new_atoms)
         coded = coded.with_view(name, view.codes, view.codebook)
         found.append(view)
