@@ -13,6 +13,7 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.coding.adam import AdamSettings, solve_adam
 from scoup.coding.codebook import Codebook, Encoded
+from scoup.coding.distinct import value_codes
 from scoup.coding.exact import EFFORTS, solve_exact
 from scoup.coding.report import CodingReport, report_on
 from scoup.scene.codes import SparseCodes, index_dtype
@@ -54,6 +55,11 @@ def _adam(
 def _exact(
     rows: Tensor, n_atoms: int, k: int, seed: int, settings: SolverSettings, progress: Progress
 ) -> tuple[Tensor, SparseCodes, int]:
+    known = value_codes(rows, n_atoms, k)
+    if known is not None:
+        progress("sparse coding", 0, 1)
+        progress("sparse coding", 1, 1)
+        return *known, 0
     solution = solve_exact(rows, n_atoms, k, seed, EFFORTS[settings.effort], progress, settings.backend)
     return solution.atoms, solution.codes, solution.steps
 
@@ -78,6 +84,9 @@ def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of 
     Every embedding counts alike, whatever its norm. Embeddings of norm zero get empty codes. There may be
     fewer embeddings than atoms; some atoms are then copies of each other. Same input, seed and
     number of threads, same result; "exact" with the compiled core gives it for any number of threads.
+
+    Where embeddings take few values, at most L and each that of two embeddings or more on average, "exact" learns
+    nothing: the values are the atoms, followed by zeros, and a code is one atom (``scoup.coding.distinct``).
 
     Args:
         embeddings: [R, D] floating point, one row a region.

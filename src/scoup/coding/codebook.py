@@ -40,7 +40,8 @@ class Codebook:
     """Atoms, and the codes of the rows they were learned from.
 
     Attributes:
-        atoms: [L, D] float32, as learned: of unit norm with the "exact" solver, not with "adam".
+        atoms: [L, D] float32, as learned: of unit norm with the "exact" solver (or zero, where embeddings take fewer
+            values than there are atoms), not with "adam".
         codes: of the rows given to ``fit_codes``, in their order, and then of those given to ``extended``.
         report: quality and cost.
     """

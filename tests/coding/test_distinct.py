@@ -1,0 +1,136 @@
+"""Embeddings that take few values get these values as atoms, and codes of one atom."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from scoup.coding import fit_codes
+from scoup.coding.distinct import distinct_rows, value_codes
+from scoup.coding.exact import solve_exact
+from scoup.scene.directions import normalise_embeddings
+
+
+def values(count: int, dim: int = 32, seed: int = 0) -> Tensor:
+    """[count, dim] unit vectors with cosines of about .5."""
+    generator = torch.Generator().manual_seed(seed)
+    rows = torch.randn(count, dim, generator=generator) + torch.randn(1, dim, generator=generator)
+    return torch.nn.functional.normalize(rows, dim=1)
+
+
+def classes(n_rows: int, count: int, seed: int = 1) -> Tensor:
+    """[n_rows] int64, each of ``count`` at least once."""
+    drawn = torch.randint(count, (n_rows,), generator=torch.Generator().manual_seed(seed))
+    drawn[:count] = torch.arange(count)
+    return drawn
+
+
+def test_ten_values_among_500_rows_are_coded_without_loss() -> None:
+    of_row = classes(500, 10)
+    rows = values(10)[of_row]
+    book = fit_codes(rows, 128, 4)
+    assert (book.codes.weights[:, 0] == 1).all()
+    assert not book.codes.weights[:, 1:].any()
+    assert book.codes.indices[:, 0].long().equal(of_row)
+    assert book.atoms[:10].allclose(values(10), atol=1e-6)
+    assert not book.atoms[10:].any()
+    assert book.report.loss == pytest.approx(0, abs=1e-6)
+    assert (book.report.epochs, book.report.dead_atoms) == (0, pytest.approx(118 / 128))
+
+
+def test_learned_codes_of_the_same_rows_are_mixtures() -> None:
+    """The reason for all this; if it fails, ``scoup.coding.distinct`` may be superfluous."""
+    codes = solve_exact(values(10)[classes(500, 10)], 128, 4).codes
+    assert float(codes.weights[:, 0].mean()) < 0.9
+
+
+def test_every_backend_gives_the_same(backend: str) -> None:
+    rows = values(10)[classes(300, 10)]
+    first, second = fit_codes(rows, 32, 4), fit_codes(rows, 32, 4, seed=3, backend=backend)
+    assert first.atoms.equal(second.atoms)
+    assert first.codes.indices.equal(second.codes.indices)
+
+
+def test_the_order_of_the_rows_names_the_atoms_only() -> None:
+    rows = values(12)[classes(200, 12)]
+    order = torch.randperm(200, generator=torch.Generator().manual_seed(0))
+    here, there = fit_codes(rows, 40, 3), fit_codes(rows[order], 40, 3)
+    decoded = here.atoms[here.codes.indices[:, 0].long()]
+    assert decoded[order].equal(there.atoms[there.codes.indices[:, 0].long()])
+
+
+def test_near_copies_are_one_value_and_others_are_not() -> None:
+    of_row = classes(300, 8)
+    noise = torch.randn(300, 32, generator=torch.Generator().manual_seed(2))
+    rows = values(8)[of_row]
+    copies = torch.nn.functional.normalize(rows + 1e-5 * noise, dim=1)
+    found = distinct_rows(copies, 20)
+    assert found is not None
+    assert len(found[0]) == 8
+    assert found[1].equal(of_row)
+    assert distinct_rows(torch.nn.functional.normalize(rows + 1e-3 * noise, dim=1), 20) is None
+
+
+def test_norms_do_not_matter_and_zero_rows_get_empty_codes() -> None:
+    of_row = classes(100, 6)
+    rows = values(6)[of_row] * torch.rand(100, 1, generator=torch.Generator().manual_seed(0)).add(0.1)
+    rows[::7] = 0
+    book = fit_codes(rows, 16, 4)
+    coded = rows.any(1)
+    assert book.codes.weights.sum(1).equal(coded.float())
+    assert (book.codes.weights[coded, 0] == 1).all()
+    assert book.report.regions == int(coded.sum())
+    assert book.report.loss == pytest.approx(0, abs=1e-6)
+
+
+def test_rows_that_are_known_get_the_same_codes_and_new_ones_are_noticed() -> None:
+    book = fit_codes(values(10)[classes(500, 10)], 128, 4)
+    known = book.encode(values(10))
+    assert known.codes.indices[:, 0].tolist() == list(range(10))
+    assert known.codes.weights.tolist() == [[1, 0, 0, 0]] * 10
+    assert not known.badly_explained.any()
+    new = values(2, seed=5)
+    assert book.encode(new).badly_explained.all()
+    extended = book.extended(new, 4)
+    assert len(extended.atoms) == 130
+    assert extended.codes.weights[-2:, 0].tolist() == pytest.approx([1, 1])
+
+
+@pytest.mark.parametrize(("n_atoms", "k"), [(10, 1), (10, 10), (300, 4), (12, 16)])
+def test_sizes(n_atoms: int, k: int) -> None:
+    of_row = classes(60, 10)
+    found = value_codes(values(10)[of_row], n_atoms, k)
+    assert found is not None
+    atoms, codes = found
+    assert (list(atoms.shape), codes.k, codes.n_atoms) == ([n_atoms, 32], k, n_atoms)
+    assert codes.indices[:, 0].long().equal(of_row)
+    assert codes.weights.sum(1).equal(torch.ones(60))
+
+
+def test_too_many_values_are_learned() -> None:
+    rows = values(10)[classes(60, 10)]
+    assert value_codes(rows, 9, 2) is None
+    assert value_codes(rows[:19], 32, 2) is None  # fewer than two rows a value
+    assert value_codes(rows[:10], 32, 2) is None
+
+
+@pytest.mark.parametrize("n_atoms", [4, 64])
+def test_rows_that_all_differ_are_coded_as_ever(n_atoms: int) -> None:
+    rows = values(50)
+    book, learned = fit_codes(rows, n_atoms, 3), solve_exact(normalise_embeddings(rows), n_atoms, 3)
+    assert book.atoms.equal(learned.atoms)
+    assert book.codes.indices.equal(learned.codes.indices)
+    assert book.codes.weights.equal(learned.codes.weights)
+
+
+def test_progress_is_complete() -> None:
+    seen: list[tuple[int, int]] = []
+    fit_codes(values(5)[classes(50, 5)], 8, 2, progress=lambda _, done, total: seen.append((done, total)))
+    assert seen == [(0, 1), (1, 1)]
+
+
+def test_no_rows() -> None:
+    found = distinct_rows(torch.zeros(0, 4), 3)
+    assert found is not None
+    assert (list(found[0].shape), len(found[1])) == ([0, 4], 0)
