@@ -22,6 +22,8 @@ The given scene follows the same recipe, but for details (its pieces and backgro
 from __future__ import annotations
 
 import json
+import tempfile
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,7 +36,9 @@ from torch import Tensor
 
 import scoup
 from benchmarks.data import data_folder
+from benchmarks.kitchen import make_features
 from scoup import raster
+from scoup.bench import markdown
 from scoup.io.labels import LabelledFrame
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.segment import mask_box
@@ -318,8 +322,6 @@ class Arguments:
 def likeness(truth: Truth, regions: Regions) -> dict[str, list[float]]:
     """What the draws can be compared by, per level: regions a view, the median cosine of regions of one object in
     different views, and the 10th, 50th and 90th percentile of the cosine of a region with its own name."""
-    from collections import defaultdict
-
     found: dict[str, list[float]] = {}
     maps = {
         camera.name: _object_map(truth, camera).numpy() for camera in truth.cameras if camera.name in regions
@@ -354,21 +356,31 @@ def _object_map(truth: Truth, camera: Camera) -> Tensor:
     return image.argmax(2)
 
 
-def main(arguments: Arguments) -> dict:
+def main(arguments: Arguments) -> dict[str, dict[str, list[float]]]:
     """Print how like the given scene the draws are."""
-    truth = Truth.open(arguments.data, 0.5)
-    given = scoup.load_regions(arguments.data / "kitchen" / "regions", truth.cameras) if False else None
-    rows = {}
+    truth = Truth.open(arguments.data, 1.0)
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        features = make_features(arguments.data / "kitchen", Path(folder))
+        found["as given"] = likeness(truth, scoup.load_regions(features, truth.cameras))
     for seed in arguments.seeds:
-        draw = make_draw(truth, seed)
-        rows[seed] = likeness(truth, draw.regions)
-        print(
-            seed,
-            {k: [round(x, 3) for x in v] for k, v in rows[seed].items()},
-            [len(f.labels) for f, _ in draw.frames],
-            sorted(draw.members),
-        )
-    return rows
+        found[f"draw {seed}"] = likeness(truth, make_draw(truth, seed).regions)
+    headings = [
+        "scene",
+        "level",
+        "regions a view",
+        "cosine within an object",
+        "10 %",
+        "median",
+        "90 % of own name",
+    ]
+    body = [
+        [name, level, f"{values[0]:.0f}", *(f"{value:.3f}" for value in values[1:])]
+        for name, levels in found.items()
+        for level, values in levels.items()
+    ]
+    print(markdown(headings, body))
+    return found
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.query.smoothing import Border
 
-LevelChoice = Literal["peak", "mask"]
+LevelChoice = Literal["peak", "mask", "evidence"]
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,9 @@ class QueryPreset:
             at which the area changes least (``scoup.query.stable_threshold``).
         smoothing: side of the box that smooths the mask by majority; 1 leaves it alone.
         level_choice: which level answers. "peak": the level with the largest smoothed relevancy, as in the papers'
-            protocol for LERF-OVS; "mask": the level whose own mask has the largest mean of smoothed relevancy.
+            protocol for LERF-OVS; "mask": the level whose own mask has the largest mean of smoothed relevancy;
+            "evidence": that mean, and how stable the mask is and whether it holds another level's
+            (``scoup.query.segment.choose_level``).
 
     Raises:
         InputError: a value is out of range.
@@ -43,12 +45,14 @@ class QueryPreset:
         if self.threshold is not None and not 0 <= self.threshold <= 1:
             raise InputError(f"the threshold must be 0 to 1, got {self.threshold}")
         if self.level_choice not in get_args(LevelChoice):
-            raise InputError(f"the level is chosen by 'peak' or 'mask', not by {self.level_choice!r}")
+            raise InputError(
+                f"the level is chosen by 'peak', 'mask' or 'evidence', not by {self.level_choice!r}"
+            )
 
 
 QUERY_PRESETS: dict[str, QueryPreset] = {
     "default": QueryPreset(
-        "default", kernel=7, border="inside", threshold=None, smoothing=7, level_choice="mask"
+        "default", kernel=7, border="inside", threshold=None, smoothing=7, level_choice="evidence"
     ),
     "scoup": QueryPreset("scoup", kernel=7, border="inside", threshold=0.6, smoothing=7),
     "langsplatv2": QueryPreset("langsplatv2", kernel=29, border="inside", threshold=0.4, smoothing=7),
@@ -61,8 +65,8 @@ DATASET_THRESHOLDS: dict[str, dict[str, float | None]] = {
     "3d-ovs": {"default": None, "scoup": 0.3, "langsplatv2": 0.25},
     "mipnerf360": {"default": None, "scoup": 0.45, "langsplatv2": 0.4},
 }
-"""Thresholds as the papers tuned them per data set; ours needs none. Only the thresholds: ``scoup.evaluate`` has one file a data set
-with the rest of its rules."""
+"""Thresholds as the papers tuned them per data set; ours needs none. Only the thresholds: ``scoup.evaluate``
+has one file a data set with the rest of its rules."""
 
 
 def query_preset(name: str, dataset: str = "lerf-ovs", threshold: float | None = None) -> QueryPreset:

@@ -18,6 +18,9 @@ LEAST_SHARE, LEAST_PEAK = 0.02, 0.8
 relevancy exceeds a draw (0.5) by less than this share of what that of the part exceeds it by (docs/benchmarks.md,
 "Where things are")."""
 DRAW = 0.5
+STABLE, WHOLE, LEAST_INSTABILITY = 0.08, 0.05, 0.005
+"""What stability and holding another level's mask count beside the relevancy in a mask; a mask that changes less counts
+as one that changes so much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +68,7 @@ def segment(
     """
     found = level_masks(relevancy, preset, averaged)
     peaks, areas, sums = mask_sums(found.smoothed, found.masks)
-    level = _chosen_level(peaks, areas, sums, preset.level_choice)
+    level = _chosen_level(found, preset.level_choice, peaks, areas, sums)
     mask = found.masks[level]
     # A copy, so that the other levels can be freed.
     shown = found.smoothed[level].clone()
@@ -98,11 +101,14 @@ class LevelMasks:
         smoothed: [S, H, W] smoothed relevancy, dtype of the relevancy.
         masks: [S, H, W] boolean.
         thresholds: [S] float32 on the CPU, of the masks, on the rescaled relevancy.
+        instability: [S] float32 on the CPU, how much the masks depend on their thresholds
+            (``scoup.query.stable_threshold``).
     """
 
     smoothed: Tensor  # [S, H, W]
     masks: Tensor  # [S, H, W]
     thresholds: Tensor  # [S]
+    instability: Tensor  # [S]
 
 
 def level_masks(relevancy: Tensor, preset: QueryPreset, averaged: Tensor | None = None) -> LevelMasks:
@@ -114,30 +120,53 @@ def level_masks(relevancy: Tensor, preset: QueryPreset, averaged: Tensor | None 
         averaged: what ``averaged_relevancy`` gives for both, if it is known already.
     """
     averaged = averaged_relevancy(relevancy, preset) if averaged is None else averaged
-    if preset.threshold is None:
-        thresholds, _ = stable_thresholds((0.5 * (relevancy + averaged)).flatten(1))
-    else:
-        thresholds = torch.full((len(relevancy),), preset.threshold)
-    return LevelMasks(*smoothed_masks(relevancy, averaged, thresholds, preset.smoothing), thresholds)
+    thresholds, instability = stable_thresholds((0.5 * (relevancy + averaged)).flatten(1), preset.threshold)
+    smoothed, masks = smoothed_masks(relevancy, averaged, thresholds, preset.smoothing)
+    return LevelMasks(smoothed, masks, thresholds, instability)
 
 
 def choose_level(found: LevelMasks, choice: LevelChoice) -> int:
     """Position of the level that answers (protocols.md, LERF-OVS, step 4); the first of equals.
 
-    With "mask", a level with an empty mask is never chosen, unless all are empty: then the peak decides.
+    With "mask" and "evidence", a level with an empty mask is never chosen, unless all are empty: then the peak decides.
+
+    A part may outscore its whole: the head of a person is nearer to "person" than the whole is, clothes included. So
+    "evidence" adds to the mean relevancy in the mask what speaks for a thing of its own: ``-STABLE`` times the
+    logarithm of the mask's instability, and ``WHOLE`` times the largest share of a smaller mask of another level that
+    lies inside (docs/answers.md).
 
     Args:
         found: from ``level_masks``.
         choice: see ``QueryPreset``.
     """
-    return _chosen_level(*mask_sums(found.smoothed, found.masks), choice)
+    return _chosen_level(found, choice, *mask_sums(found.smoothed, found.masks))
 
 
-def _chosen_level(peaks: Tensor, areas: Tensor, sums: Tensor, choice: LevelChoice) -> int:
-    """``choose_level`` from what ``mask_sums`` gives."""
+def _chosen_level(found: LevelMasks, choice: LevelChoice, peaks: Tensor, areas: Tensor, sums: Tensor) -> int:
+    """``choose_level`` with what ``mask_sums`` gives."""
     if choice == "peak" or not areas.any():
         return int(peaks.argmax())
-    return int(torch.where(areas > 0, sums / areas, -torch.inf).argmax())
+    evidence = (sums / areas).cpu()
+    if choice == "evidence":
+        stability = -found.instability.double().clamp(min=LEAST_INSTABILITY).log()
+        evidence += STABLE * stability + WHOLE * _held(found.masks, areas)
+    return int(torch.where(areas.cpu() > 0, evidence, -torch.inf).argmax())
+
+
+def _held(masks: Tensor, areas: Tensor) -> Tensor:
+    """[S] float64: the largest share of a smaller mask of another level that lies in each mask; 0 where there is none.
+
+    Args:
+        masks: [S, H, W] boolean.
+        areas: [S] their pixels.
+    """
+    sizes = areas.tolist()
+    held = torch.zeros(len(masks), dtype=torch.float64)
+    for level, mask in enumerate(masks):
+        smaller = [other for other, size in enumerate(sizes) if 0 < size < sizes[level]]
+        shares = [int((masks[other] & mask).sum()) / sizes[other] for other in smaller]
+        held[level] = max(shares, default=0.0)
+    return held
 
 
 def mask_box(mask: Tensor) -> tuple[int, int, int, int] | None:

@@ -23,29 +23,33 @@ to the change."""
 _BINS = 100
 
 
-def stable_thresholds(values: Tensor) -> tuple[Tensor, Tensor]:
+def stable_thresholds(values: Tensor, fixed: float | None = None) -> tuple[Tensor, Tensor]:
     """The most stable threshold of each row, and how unstable the answer is there.
 
     Args:
         values: [S, M] relevancy of pixels or Gaussians, each row for itself.
+        fixed: take this threshold instead, and say how unstable the answer is there.
 
     Returns:
         thresholds [S] float32 on the rescaled relevancy (``rescale``), and [S] float32, the change of the logarithm of
         the area over the window there: 0 for a step, 2 and more for what fades away. Both on the CPU.
     """
-    found = [_stable(rescale(row)) for row in values]
+    found = [_stable(rescale(row), fixed) for row in values]
     thresholds, changes = zip(*found, strict=True) if found else ((), ())
     return torch.tensor(thresholds, dtype=torch.float32), torch.tensor(changes, dtype=torch.float32)
 
 
-def _stable(rescaled: Tensor) -> tuple[float, float]:
+def _stable(rescaled: Tensor, fixed: float | None) -> tuple[float, float]:
     """Of values [M] between 0 and 1."""
     if not rescaled.numel():
-        return CENTRE, 0.0
+        return CENTRE if fixed is None else fixed, 0.0
     counts = torch.histc(rescaled.float(), _BINS, 0, 1).double().cpu()
     above = counts.flip(0).cumsum(0).flip(0)  # values in bin b and further up
     area = above.clamp(min=1).log()
     half = round(WINDOW / 2 * _BINS)
+    if fixed is not None:
+        at = min(max(round(fixed * _BINS), half), _BINS - 1 - half)
+        return fixed, float(area[at - half] - area[at + half])
     bins = torch.arange(round(LOWEST * _BINS), round(HIGHEST * _BINS) + 1)
     change = area[bins - half] - area[bins + half]
     at = bins / _BINS

@@ -24,6 +24,9 @@ from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums, Rows
 
+NO_LOSS = 1e-5
+"""Of a codebook that holds the embeddings themselves (``scoup.coding.distinct``), whose codes say all there is."""
+
 
 @dataclass(frozen=True, eq=False)
 class RegionEmbeddings:
@@ -181,7 +184,7 @@ def learn_region_codes(
 def learn_codebook(rows: Tensor, settings: BuildSettings, progress: Progress = no_progress) -> Codebook:
     """Codebook of the embeddings [R, D] of one level, with the codes they vote with, by the settings of a build."""
     book = fit_codes(rows, **settings.of_fit, progress=progress)
-    if not settings.wide:
+    if not settings.wide or book.report.loss < NO_LOSS:
         return book
     return replace(book, codes=wide_codes(normalise_embeddings(rows), book.atoms, settings.k))
 

@@ -1,0 +1,253 @@
+"""Do the default's answers win? Ways of building a field and rules of reading an answer from it, on scenes that chose
+nothing.
+
+    python -m benchmarks.answers [--scenes kitchen-11 ... table-1 ...] [--cases clean wrong20] [--seeds 0 1 2]
+        [--ways dense paper sparse-64 k-sparse one-round default] [--epochs 4000] [--rows ROWS.json]
+        [--out docs/benchmarks/answers.json]
+
+Scenes are draws of the kitchen (``benchmarks.kitchen_draws``; "kitchen-11x2" has noise twice as strong) and procedural
+layouts; cases put faults into their regions (``scoup.synthetic.faults``). What chose the default, its threshold, level
+and constants: the kitchen as given, its draws 1 to 4 and 2x2 and 3x2, and table-0, shelves-0, hall-0 and yard-0, with
+codebook seeds 0 and 1. Those are not among the scenes by default; seeds are those of the codebook. Masks and embeddings
+are simulated everywhere: figures compare ways with each other and cannot be set against published ones.
+
+Every way is scored by the same rules:
+
+* peak: the protocol of LERF-OVS, threshold 0.6, the level with the largest relevancy;
+* mask: the same threshold, the level with the largest mean relevancy in its mask;
+* everyday: the same beside everyday words;
+* asked: as `scoup query` answers;
+* best level: as asked, with the best level for each pair, which no rule can know.
+
+With --rows the scores of single pairs are kept, and what is there is not run again.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+import torch
+import tyro
+
+from benchmarks.data import data_folder
+from benchmarks.voting_scenes import SceneSize, VotingScene, make_scene
+from scoup.base.errors import InputError, looked_up
+from scoup.baselines.fitted import FittedMethod
+from scoup.baselines.method import Method, MethodSettings
+from scoup.baselines.methods import METHODS
+from scoup.baselines.rasterised_scene import UpliftInputs
+from scoup.baselines.sparse import SparseUplift
+from scoup.bench import describe_environment, markdown
+from scoup.evaluate.metrics import bootstrap_interval, iou
+from scoup.io import write_text
+from scoup.models.words import with_everyday
+from scoup.query.presets import QUERY_PRESETS
+from scoup.query.segment import choose_level, level_masks
+from scoup.synthetic.faults import as_region_sums, perturbed
+from scoup.uplift.build_settings import BuildSettings
+
+DRAWS = tuple(f"kitchen-{seed}{noise}" for noise in ("", "x2") for seed in (11, 12, 13, 14, 15))
+LAYOUTS = ("table-1", "shelves-1", "hall-1", "yard-1")
+RULES = ("peak", "mask", "everyday", "asked", "best level")
+WAYS = {
+    "dense": METHODS["dense"],
+    "paper": METHODS["paper"],
+    "sparse-64": METHODS["sparse-64"],
+    "k-sparse": Method("k-sparse", SparseUplift(k=4, wide=False, effort="best")),
+    "one-round": Method("one-round", SparseUplift(rounds=1)),
+    "default": METHODS["sparse"],
+}
+"""By name; "k-sparse" is the default without wide codes, as it was before them, and "one-round" without the second."""
+SLOW = frozenset({"paper"})  # which takes a minute a level: the first seed alone
+COMPARED = (("default", "dense"), ("default", "paper"), ("default", "k-sparse"), ("default", "one-round"))
+
+
+@dataclass(frozen=True)
+class Arguments:
+    scenes: tuple[str, ...] = (*DRAWS, *LAYOUTS)
+    """Draws of the kitchen, and layouts of benchmarks.scenes with a seed."""
+    cases: tuple[str, ...] = ("clean",)
+    """Faults, see scoup.synthetic.faults."""
+    ways: tuple[str, ...] = ("dense", "sparse-64", "k-sparse", "one-round", "default")
+    """Names of WAYS; paper takes minutes a scene and seed."""
+    seeds: tuple[int, ...] = (2, 3, 4)
+    """Of the codebook; scores are means over them."""
+    epochs: int = 4000
+    """Of the Adam solver."""
+    rows: Path | None = None
+    """File in which the scores of single pairs are kept, and taken up again."""
+    out: Path | None = None
+    """Where the summary is written; replaced."""
+    data: Path = field(default_factory=data_folder)
+    """Folder that holds kitchen/ and clip/."""
+    size: SceneSize = field(default_factory=SceneSize)
+
+
+def main(arguments: Arguments) -> dict[str, Any]:
+    """Run what is missing, print the tables and write the summary."""
+    rows = _kept(arguments)
+    for name in arguments.ways:
+        looked_up("way", name, WAYS)
+    for name in arguments.scenes:
+        scene = None
+        for case in arguments.cases:
+            of_case = rows["scores"].setdefault(f"{name}/{case}", {})
+            missing = [way for way in arguments.ways if way not in of_case]
+            if not missing:
+                continue
+            scene = scene or make_scene(name, arguments.data, arguments.size)
+            rows["pairs"][name] = scene.pairs
+            for way, scores in run_case(scene, case, missing, arguments):
+                of_case[way] = scores
+                said = "  ".join(f"{rule} {mean(scores[rule]):.3f}" for rule in RULES)
+                print(f"{name:12} {case:9} {way:10} {said}", flush=True)
+                if arguments.rows is not None:
+                    write_text(arguments.rows, json.dumps(rows), overwrite=True)
+    found = summary(rows, arguments)
+    print(table(found))
+    if arguments.out is not None:
+        write_text(arguments.out, json.dumps(found, indent=1) + "\n", overwrite=True)
+    return found
+
+
+def _kept(arguments: Arguments) -> dict[str, Any]:
+    settings = {"seeds": list(arguments.seeds), "epochs": arguments.epochs, "size": asdict(arguments.size)}
+    if arguments.rows is None or not arguments.rows.exists():
+        return {"settings": settings, "pairs": {}, "scores": {}}
+    rows = json.loads(arguments.rows.read_text())
+    if rows["settings"] != settings:
+        raise InputError(f"{arguments.rows}: holds results of {rows['settings']}; name another --rows")
+    return rows
+
+
+def run_case(
+    scene: VotingScene, case: str, ways: Sequence[str], arguments: Arguments
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Per way: per rule the IoU of each pair, means over seeds, and what it took."""
+    levels = perturbed(scene.levels, case, 0, scene.shares)
+    inputs = UpliftInputs(as_region_sums(levels), [level.embeddings for level in levels])
+    for name in ways:
+        method, started = WAYS[name], time.perf_counter()
+        build = BuildSettings(epochs=arguments.epochs)
+        by_seed, size = [], 0.0
+        for seed in arguments.seeds if method.random and name not in SLOW else arguments.seeds[:1]:
+            fitted = method.uplift(inputs, MethodSettings(seed, build))
+            by_seed.append(score(scene, fitted))
+            size = fitted.bytes_per_gaussian
+        means = {
+            rule: [round(mean(each), 4) for each in zip(*(of[rule] for of in by_seed), strict=True)]
+            for rule in RULES
+        }
+        seconds = round(time.perf_counter() - started, 1)
+        yield name, {**means, "bytes_per_gaussian": size, "seconds": seconds}
+
+
+def score(scene: VotingScene, fitted: FittedMethod) -> dict[str, list[float]]:
+    """Per rule, the IoU of each (frame, label) pair."""
+    scores: dict[str, list[float]] = {rule: [] for rule in RULES}
+    everyday = with_everyday(scene.canonical, scene.everyday)
+    fixed, asked = QUERY_PRESETS["scoup"], QUERY_PRESETS["default"]
+    for frame, view in scene.frames:
+        queries = torch.stack([scene.queries[label] for label in frame.labels])
+        plain = fitted.relevancy(view, queries, scene.canonical)  # [S, Q, H, W]
+        beside = fitted.relevancy(view, queries, everyday)
+        for position, label in enumerate(frame.labels):
+            truth = frame.masks[label]
+            for rule, maps, preset, choice in (
+                ("peak", plain, fixed, "peak"),
+                ("mask", plain, fixed, "mask"),
+                ("everyday", beside, fixed, "mask"),
+                ("asked", beside, asked, asked.level_choice),
+            ):
+                found = level_masks(maps[:, position], preset)
+                scores[rule].append(iou(found.masks[choose_level(found, choice)], truth))
+                if rule == "asked":
+                    scores["best level"].append(max(iou(mask, truth) for mask in found.masks))
+    return scores
+
+
+def groups_of(scenes: Sequence[str]) -> dict[str, list[str]]:
+    """The scenes of each kind: clean draws of the kitchen, noisy ones, procedural layouts."""
+    kinds = {"kitchen draws": [], "kitchen draws, noise x 2": [], "procedural": []}
+    for name in scenes:
+        kitchen = name.startswith("kitchen")
+        kind = "procedural" if not kitchen else "kitchen draws, noise x 2" if "x" in name else "kitchen draws"
+        kinds[kind].append(name)
+    return {kind: names for kind, names in kinds.items() if names}
+
+
+def summary(rows: dict[str, Any], arguments: Arguments) -> dict[str, Any]:
+    """Means over scenes, and paired differences: queries are drawn, each scene counting alike."""
+    found: dict[str, Any] = {
+        "what": "benchmarks.answers: mIoU by way and rule; differences paired over queries with 95 % intervals",
+        "machine": describe_environment(),
+        "settings": rows["settings"],
+        "ways": {},
+        "scenes": {},
+        "differences": {},
+    }
+    sets = {
+        f"{kind}, {case}": [f"{name}/{case}" for name in names]
+        for case in arguments.cases
+        for kind, names in groups_of(arguments.scenes).items()
+    }
+    sets = {key: cells for key, cells in sets.items() if all(cell in rows["scores"] for cell in cells)}
+    if len(sets) > 1:
+        sets["all"] = [cell for cells in sets.values() for cell in cells]
+    for way in arguments.ways:
+        found["ways"][way] = {
+            key: {rule: round(mean(_mean(rows, cell, way, rule) for cell in cells), 4) for rule in RULES}
+            for key, cells in sets.items()
+        }
+        found["scenes"][way] = {
+            cell: {rule: round(_mean(rows, cell, way, rule), 4) for rule in RULES}
+            for cell in dict.fromkeys(cell for cells in sets.values() for cell in cells)
+        }
+    for first, second in COMPARED:
+        if {first, second} <= set(arguments.ways):
+            found["differences"][f"{first} - {second}"] = {
+                key: {rule: _difference(rows, cells, first, second, rule) for rule in RULES}
+                for key, cells in sets.items()
+            }
+    return found
+
+
+def _mean(rows: dict[str, Any], cell: str, way: str, rule: str) -> float:
+    return mean(rows["scores"][cell][way][rule])
+
+
+def _difference(
+    rows: dict[str, Any], cells: Sequence[str], first: str, second: str, rule: str
+) -> list[float]:
+    values, labels, scenes = [], [], []
+    for cell in cells:
+        both = (rows["scores"][cell][way][rule] for way in (first, second))
+        values += [a - b for a, b in zip(*both, strict=True)]
+        labels += [label for _, label in rows["pairs"][cell.split("/")[0]]]
+        scenes += [cell] * len(rows["pairs"][cell.split("/")[0]])
+    found = bootstrap_interval(values, labels, scenes=scenes)
+    return [round(value, 4) for value in (found.mean, found.low, found.high)]
+
+
+def table(found: dict[str, Any]) -> str:
+    """Markdown of a ``summary``."""
+    keys = list(next(iter(found["ways"].values())))
+    parts = []
+    for key in keys:
+        body = [[way, *(f"{of[key][rule]:.3f}" for rule in RULES)] for way, of in found["ways"].items()]
+        body += [
+            [name, *("{:+.3f} [{:+.3f}, {:+.3f}]".format(*of[key][rule]) for rule in RULES)]
+            for name, of in found["differences"].items()
+        ]
+        parts.append(f"\n{key}\n\n" + markdown(["way", *RULES], body))
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))
