@@ -8,50 +8,70 @@ changes least over a window, as maximally stable extremal regions are found in p
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
 from scoup.query.smoothing import rescale
 
-LOWEST, HIGHEST = 0.44, 0.84
-"""Thresholds considered, on the rescaled relevancy that the papers' thresholds are on."""
-WINDOW = 0.1
-"""Width of the window over which the change of area is taken."""
-CENTRE, PULL = 0.64, 0.05
-"""Of thresholds that are almost as stable, the one nearer to the centre is taken: its distance times the pull is added
-to the change."""
 _BINS = 100
 
 
-def stable_thresholds(values: Tensor, fixed: float | None = None) -> tuple[Tensor, Tensor]:
+@dataclass(frozen=True)
+class Stability:
+    """What counts as stable. All values are on the rescaled relevancy, which the papers' thresholds are on.
+
+    Attributes:
+        lowest, highest: thresholds considered.
+        window: width of the window over which the change of area is taken.
+        centre, pull: of thresholds that are almost as stable, the one nearer to the centre is taken: its distance times
+            the pull is added to the change.
+    """
+
+    lowest: float = 0.44
+    highest: float = 0.84
+    window: float = 0.1
+    centre: float = 0.64
+    pull: float = 0.05
+
+
+STABILITY = Stability()
+
+
+def stable_thresholds(
+    values: Tensor, fixed: float | None = None, stability: Stability = STABILITY
+) -> tuple[Tensor, Tensor]:
     """The most stable threshold of each row, and how unstable the answer is there.
 
     Args:
         values: [S, M] relevancy of pixels or Gaussians, each row for itself.
         fixed: take this threshold instead, and say how unstable the answer is there.
+        stability: what counts as stable.
 
     Returns:
         thresholds [S] float32 on the rescaled relevancy (``rescale``), and [S] float32, the change of the logarithm of
         the area over the window there: 0 for a step, 2 and more for what fades away. Both on the CPU.
     """
-    found = [_stable(rescale(row), fixed) for row in values]
+    found = [_stable(rescale(row), fixed, stability) for row in values]
     thresholds, changes = zip(*found, strict=True) if found else ((), ())
     return torch.tensor(thresholds, dtype=torch.float32), torch.tensor(changes, dtype=torch.float32)
 
 
-def _stable(rescaled: Tensor, fixed: float | None) -> tuple[float, float]:
+def _stable(rescaled: Tensor, fixed: float | None, stability: Stability) -> tuple[float, float]:
     """Of values [M] between 0 and 1."""
     if not rescaled.numel():
-        return CENTRE if fixed is None else fixed, 0.0
+        return stability.centre if fixed is None else fixed, 0.0
     counts = torch.histc(rescaled.float(), _BINS, 0, 1).double().cpu()
     above = counts.flip(0).cumsum(0).flip(0)  # values in bin b and further up
     area = above.clamp(min=1).log()
-    half = round(WINDOW / 2 * _BINS)
+    half = round(stability.window / 2 * _BINS)
     if fixed is not None:
         at = min(max(round(fixed * _BINS), half), _BINS - 1 - half)
         return fixed, float(area[at - half] - area[at + half])
-    bins = torch.arange(round(LOWEST * _BINS), round(HIGHEST * _BINS) + 1)
+    bins = torch.arange(round(stability.lowest * _BINS), round(stability.highest * _BINS) + 1)
+    bins = bins[(bins >= half) & (bins < _BINS - half)]
     change = area[bins - half] - area[bins + half]
     at = bins / _BINS
-    best = int((change + PULL * (at - CENTRE).abs()).argmin())
+    best = int((change + stability.pull * (at - stability.centre).abs()).argmin())
     return float(at[best]), float(change[best])
