@@ -82,6 +82,7 @@ def test_the_record_of_an_answer():
     assert answer["level"] in "sml"
     assert answer["pixel_level"] in "sml"
     assert 0 < answer["score"] < 1
+    assert 0.44 <= answer["threshold"] <= 0.84
     assert 0 < answer["pixel_score"] < 1
     x, y = answer["pixel"]
     assert 0 <= x < 40
@@ -128,6 +129,8 @@ def test_rules_and_thresholds_change_the_mask():
     ask = ("query", "f.scoup", "kettle", "--pictures", "none", "--overwrite")
     coverage = lambda *options: run_json(*ask, *options)["answers"][0]["coverage"]  # noqa: E731
     assert coverage("--threshold", "0.1") > coverage("--threshold", "0.9")
+    threshold = lambda *options: run_json(*ask, *options)["answers"][0]["threshold"]  # noqa: E731
+    assert (threshold("--threshold", "0.1"), threshold("--rule", "langsplat")) == (0.1, 0.4)
     assert coverage("--rule", "langsplatv2") != coverage()
     assert coverage("--rule", "langsplat") != coverage()
 

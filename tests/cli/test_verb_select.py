@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cli_support import QUICK, refused, run, run_json
+from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, read_ply_table, save_gaussians, write_ply_table
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -103,6 +104,18 @@ def test_thresholds_and_neighbours_change_the_choice():
     assert count("--threshold", "0.1") > count("--threshold", "0.9")
     assert count("--absolute", "--threshold", "0.5") > count("--absolute", "--threshold", "0.8")
     assert count("--neighbours", "10") != count()
+
+
+def test_the_threshold_is_said_and_without_one_is_the_most_stable():
+    ask = ("select", "f.scoup", "kettle", "mug", "--out", "a.ply", "--overwrite")
+    thresholds = lambda *options: run_json(*ask, *options)["thresholds"]  # noqa: E731
+    stable = thresholds()
+    assert list(stable) == ["kettle", "mug"]
+    assert all(0.44 <= threshold <= 0.84 for threshold in stable.values())
+    assert thresholds("--threshold", "0.55") == {"kettle": 0.55, "mug": 0.55}
+    assert thresholds("--absolute", "--always") == {"kettle": 0.6, "mug": 0.6}
+    field = LanguageField.load("f.scoup")
+    assert field.locate("mug").record()["threshold"] == stable["mug"]
 
 
 def test_nothing_to_write():

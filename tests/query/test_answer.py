@@ -55,28 +55,34 @@ def test_what_is_absent_gets_neither_mask_nor_point(queried: Queried) -> None:
         assert answer.z_score == pytest.approx(z_score, abs=1e-4)
         assert answer.presence == (answer.z_score is not None and answer.z_score >= middle)
         assert answer.score == pytest.approx(shape.score, abs=1e-5)
+        assert answer.threshold == shape.threshold
         if not answer.presence:
             assert (answer.point, answer.box, answer.coverage) == (None, None, 0.0)
             assert not answer.mask.any()
         record = json.loads(json.dumps(answer.record(), allow_nan=False))
         assert record["present"] == answer.presence
         assert record["z_score"] == pytest.approx(z_score, abs=1e-3)
+        assert record["threshold"] == pytest.approx(shape.threshold, abs=1e-3)
 
 
-def test_answers_of_a_scene(queried: Queried) -> None:
+@pytest.mark.parametrize("threshold", [0.5, None])
+def test_answers_of_a_scene(queried: Queried, threshold: float | None) -> None:
     field, texts = queried.field, queried.texts
-    found = list(select_each(field, texts.queries, texts.canonical, 0.5, 10))
+    found = list(select_each(field, texts.queries, texts.canonical, threshold, 10))
     scores = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
-    answers = answer_scene(field, texts, 0.5, 10)
-    judged = answer_scene(field, texts, 0.5, 10, present_from=sorted(scores)[5])
+    answers = answer_scene(field, texts, threshold, 10)
+    judged = answer_scene(field, texts, threshold, 10, present_from=sorted(scores)[5])
     assert sum(answer.presence for answer in judged) == 6
     for each, z_score, answer, other in zip(found, scores, answers, judged, strict=True):
         assert answer.mask.equal(each.mask)
         assert (answer.level, answer.score) == (field.levels[each.level], each.score)
+        assert answer.threshold == each.threshold
+        assert threshold in (None, answer.threshold)
         assert (answer.z_score, other.z_score) == (None, z_score)
         assert other.mask.equal(each.mask & other.presence)
         record = json.loads(json.dumps(other.record(), allow_nan=False))
         assert record["gaussians"] == int(other.mask.sum())
+        assert record["threshold"] == pytest.approx(each.threshold, abs=1e-3)
         assert record["present"] == other.presence
 
 
@@ -86,6 +92,7 @@ def test_records_hold_no_infinity() -> None:
     assert answer.record() == {
         "level": "s",
         "score": 0.5,
+        "threshold": None,
         "pixel": None,
         "pixel_level": "m",
         "pixel_score": 0.5,
@@ -95,7 +102,7 @@ def test_records_hold_no_infinity() -> None:
         "present": False,
     }
     record = SceneAnswer(nothing[0], nothing[0].float(), "s", -torch.inf).record()
-    assert record == {"gaussians": 0, "level": "s", "score": None}
+    assert record == {"gaussians": 0, "level": "s", "score": None, "threshold": None}
 
 
 def test_presence_needs_enough_words(queried: Queried) -> None:

@@ -204,6 +204,11 @@ def test_locate_and_label_are_their_functions(queried: Queried, table: dict[str,
     labels, same = field.label(words, always=True), label(field, texts)
     assert labels.ids.equal(same.ids)
     assert labels.names == tuple(words)
+    # Without a threshold, each text has its most stable one.
+    (located,), (answer,) = field.locate(words[:1], always=True), answer_scene(field, texts)[:1]
+    assert located.record() == location(field, answer).record()
+    assert located.answer.threshold == answer.threshold != 0.5
+    assert field.label(words, threshold=0.5, always=True).ids.equal(label(field, texts, 0.5).ids)
 
 
 def test_a_part_of_a_field_is_queried_alone(queried: Queried, table: dict[str, Tensor]) -> None:

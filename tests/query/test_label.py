@@ -14,10 +14,11 @@ from scoup.query.presence import scene_z_scores
 from scoup.query.select import select_each
 
 
-def test_labels_are_the_best_words_of_those_that_select(queried: Queried) -> None:
+@pytest.mark.parametrize("threshold", [0.3, None])
+def test_labels_are_the_best_words_of_those_that_select(queried: Queried, threshold: float | None) -> None:
     field, texts = queried.field, queried.texts
-    found = label(field, texts, threshold=0.3)
-    selections = list(select_each(field, texts.queries, texts.canonical, 0.3))
+    found = label(field, texts, threshold)
+    selections = list(select_each(field, texts.queries, texts.canonical, threshold))
     for row in range(len(field)):
         fitting = [number for number, each in enumerate(selections) if each.mask[row]]
         values = [float(selections[number].relevancy[row]) for number in fitting]

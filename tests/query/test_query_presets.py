@@ -16,9 +16,11 @@ def test_presets_by_name_and_data_set() -> None:
     assert next(iter(QUERY_PRESETS)) == "default"
     for dataset, thresholds in DATASET_THRESHOLDS.items():
         everyday, paper = query_preset("default", dataset), query_preset("scoup", dataset)
-        assert replace(everyday, name="scoup", level_choice="peak") == paper, thresholds
+        assert everyday == replace(paper, name="default", threshold=None, level_choice="mask"), thresholds
+        assert paper.threshold is not None
     assert query_preset("langsplatv2", "mipnerf360") == QueryPreset("langsplatv2", 29, "inside", 0.4, 7)
     assert query_preset("langsplat", threshold=0.1).threshold == 0.1
+    assert query_preset("default", threshold=0.1).threshold == 0.1
     with pytest.raises(UnknownNameError, match="scoup"):
         query_preset("skoup")
     with pytest.raises(UnknownNameError):

@@ -13,15 +13,17 @@ from query.box_means import literal_box_mean
 from scoup.base.errors import InputError
 from scoup.query.localize import localize
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
-from scoup.query.segment import choose_level, level_masks, main_parts, mask_box, segment
+from scoup.query.segment import LevelMasks, choose_level, level_masks, main_parts, mask_box, segment
 
 
-def literal_segment(relevancy: np.ndarray, preset: QueryPreset) -> tuple[np.ndarray, int, float]:
+def literal_segment(
+    relevancy: np.ndarray, preset: QueryPreset, thresholds: list[float]
+) -> tuple[np.ndarray, int, float]:
     answers = []
-    for level, image in enumerate(relevancy.astype(np.float64)):
+    for level, (image, threshold) in enumerate(zip(relevancy.astype(np.float64), thresholds, strict=True)):
         smoothed = 0.5 * (image + literal_box_mean(image, preset.kernel, preset.border))
         stretched = (smoothed - smoothed.min()) / (smoothed.max() - smoothed.min() + 1e-9)
-        mask = np.clip(2 * stretched - 1, 0, 1) > preset.threshold
+        mask = np.clip(2 * stretched - 1, 0, 1) > threshold
         mask = literal_box_mean(mask.astype(np.float64), preset.smoothing, "inside") > 0.5
         answers.append((mask, level, smoothed.max(), smoothed[mask].mean() if mask.any() else -np.inf))
     by_mask = preset.level_choice == "mask" and any(mask.any() for mask, *_ in answers)
@@ -40,8 +42,13 @@ def test_segment_equals_the_protocol_read_literally(
     # Coarse values, so that nothing lies within rounding of the threshold by chance of float32.
     relevancy = torch.randint(0, 256, (levels, *shape), generator=torch.Generator().manual_seed(seed)) / 256
     preset = QUERY_PRESETS[name]
-    mask, level, score = literal_segment(relevancy.numpy(), preset)
+    # The most stable ones have a literal reading of their own, in test_stable_threshold.py.
+    thresholds = level_masks(relevancy, preset).thresholds.tolist()
+    if preset.threshold is not None:
+        assert thresholds == pytest.approx([preset.threshold] * levels)
+    mask, level, score = literal_segment(relevancy.numpy(), preset, thresholds)
     found = segment(relevancy, preset)
+    assert found.threshold == thresholds[level]
     assert found.level == level
     assert found.score == pytest.approx(score, abs=1e-6)
     assert float((found.mask.numpy() != mask).mean()) == 0
@@ -56,10 +63,15 @@ def test_segment_finds_a_square_at_the_level_that_shows_it() -> None:
     relevancy[1, 20:40, 30:60] = 0.9
     relevancy[2, 5:30, 5:30] = 0.8
     found = segment(relevancy)
-    # At a straight edge the box is 4 / 7 inside: 0.786 of the range, just below the threshold's 0.8.
-    assert (found.level, mask_box(found.mask)) == (1, (31, 21, 59, 39))
+    # At a straight edge the box is 4, 5 and 6 sevenths inside: rescaled, the first three rows of the square have 0.571,
+    # 0.714 and 0.857, and no pixel lies between 0.735 and 0.857. There the area does not change at all.
+    assert found.threshold == pytest.approx(0.79)
+    assert (found.level, mask_box(found.mask)) == (1, (32, 22, 58, 38))
     assert found.mask[24:36, 34:56].all()
-    assert found.coverage == pytest.approx(18 * 28 / (60 * 80), rel=0.06)
+    assert found.coverage == pytest.approx(16 * 26 / (60 * 80), rel=0.06)
+    fixed = segment(relevancy, QUERY_PRESETS["scoup"])  # 0.571 is just below its threshold
+    assert (fixed.level, mask_box(fixed.mask)) == (1, (31, 21, 59, 39))
+    assert fixed.coverage == pytest.approx(18 * 28 / (60 * 80), rel=0.06)
 
 
 def two_levels() -> Tensor:
@@ -78,15 +90,15 @@ def test_the_level_by_its_peak_or_by_its_mask() -> None:
         segment(relevancy, QUERY_PRESETS["default"]),
     )
     assert (by_peak.level, by_mask.level, segment(relevancy).level) == (0, 1, 1)
-    smoothed, masks = level_masks(relevancy, QUERY_PRESETS["scoup"])
-    assert [float(level[mask].mean()) for level, mask in zip(smoothed, masks, strict=True)] == pytest.approx(
-        [0.845, 0.87], abs=0.01
-    )
-    assert by_mask.mask.equal(masks[1])
-    assert by_mask.smoothed.equal(smoothed[1])
+    found = level_masks(relevancy, QUERY_PRESETS["default"])
+    means = [float(level[mask].mean()) for level, mask in zip(found.smoothed, found.masks, strict=True)]
+    assert means == pytest.approx([0.845, 0.87], abs=0.01)
+    assert by_mask.mask.equal(found.masks[1])
+    assert by_mask.smoothed.equal(found.smoothed[1])
+    assert by_mask.threshold == float(found.thresholds[1])
     # The score is the largest smoothed relevancy of the level chosen, by either rule.
     assert by_mask.score == pytest.approx(0.88)
-    assert by_peak.score == pytest.approx(float(smoothed[0].max()))
+    assert by_peak.score == pytest.approx(float(found.smoothed[0].max()))
     assert (
         localize(relevancy, QUERY_PRESETS["default"]).level
         == localize(relevancy, QUERY_PRESETS["scoup"]).level
@@ -97,9 +109,9 @@ def test_levels_with_empty_masks_answer_only_if_all_are_empty() -> None:
     relevancy = two_levels()
     relevancy[0] = 0.5
     relevancy[0, 10, 10] = 1.0  # the majority of 7 x 7 pixels removes so small a mask
-    smoothed, masks = level_masks(relevancy, QUERY_PRESETS["default"])
-    assert [bool(mask.any()) for mask in masks] == [False, True]
-    assert choose_level(smoothed, masks, "mask") == 1
+    found = level_masks(relevancy, QUERY_PRESETS["default"])
+    assert [bool(mask.any()) for mask in found.masks] == [False, True]
+    assert choose_level(found, "mask") == 1
     nothing = torch.full((3, 20, 20), 0.5)
     nothing[1:, 10, 10] = 1.0
     found = segment(nothing, QUERY_PRESETS["default"])
@@ -109,11 +121,11 @@ def test_levels_with_empty_masks_answer_only_if_all_are_empty() -> None:
 @pytest.mark.parametrize("choice", ["peak", "mask"])
 def test_the_first_of_equal_levels_answers(choice) -> None:
     relevancy = two_levels()[[1, 1, 1]]
-    assert choose_level(*level_masks(relevancy, QUERY_PRESETS["scoup"]), choice) == 0
+    assert choose_level(level_masks(relevancy, QUERY_PRESETS["scoup"]), choice) == 0
     masks = torch.zeros(2, 4, 4, dtype=torch.bool)
     masks[0, 0, :3] = masks[1] = True
     # Means of different areas may be equal too.
-    assert choose_level(torch.full((2, 4, 4), 0.1), masks, choice) == 0
+    assert choose_level(LevelMasks(torch.full((2, 4, 4), 0.1), masks, torch.full((2,), 0.6)), choice) == 0
 
 
 def test_constant_maps_give_empty_masks_and_every_pixel_as_maximum() -> None:

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.query.neighbours import Neighbourhood
-from scoup.query.select import select
+from scoup.query.select import ABSOLUTE_THRESHOLD, select, select_by_relevancy, select_each
+from scoup.query.stable_threshold import stable_thresholds
 
 
 def fake_field(relevancy: Tensor, coded: Tensor, means: Tensor) -> SimpleNamespace:
@@ -29,7 +30,7 @@ def fake_field(relevancy: Tensor, coded: Tensor, means: Tensor) -> SimpleNamespa
     )
 
 
-def literal_select(relevancy, coded, means, threshold, neighbours, rescaled) -> list[bool]:
+def literal_values(relevancy, coded, means, neighbours) -> np.ndarray:
     levels, count = relevancy.shape
     values = relevancy.copy()
     if neighbours:
@@ -40,17 +41,41 @@ def literal_select(relevancy, coded, means, threshold, neighbours, rescaled) -> 
                 near = [relevancy[level, j] for j in others[:neighbours] if coded[level, j]]
                 if near:
                     values[level, i] = 0.5 * (relevancy[level, i] + np.mean(near))
+    return values
+
+
+def literal_select(relevancy, coded, means, threshold, neighbours, rescaled) -> list[bool]:
+    levels, count = relevancy.shape
+    values = literal_values(relevancy, coded, means, neighbours)
     peaks = [max((values[s, i] for i in range(count) if coded[s, i]), default=-np.inf) for s in range(levels)]
     level = int(np.argmax(peaks))
-    members = [i for i in range(count) if coded[level, i]]
-    chosen = [False] * count
-    low, high = (min(values[level, members]), max(values[level, members])) if members else (0, 0)
+    return literal_above(values[level], coded[level], threshold, rescaled)
+
+
+def literal_above(values, coded, threshold, rescaled=True) -> list[bool]:
+    members = [i for i in range(len(values)) if coded[i]]
+    chosen = [False] * len(values)
+    low, high = (min(values[members]), max(values[members])) if members else (0, 0)
     for i in members:
-        value = values[level, i]
+        value = values[i]
         if rescaled:
             value = np.clip(2 * (value - low) / (high - low + 1e-9) - 1, 0, 1)
         chosen[i] = bool(value > threshold)
     return chosen
+
+
+def literal_stable_select(relevancy, coded, means, neighbours) -> tuple[list[bool], int, float]:
+    """By the threshold at which each level changes least, and the largest mean of those selected."""
+    values = literal_values(relevancy, coded, means, neighbours)
+    answers = []
+    for level, (row, own) in enumerate(zip(values, coded, strict=True)):
+        threshold = float(stable_thresholds(torch.from_numpy(row[own])[None])[0])
+        chosen = literal_above(row, own, threshold)
+        mean = np.mean(row[chosen]) if any(chosen) else -np.inf
+        peak = max(row[own], default=-np.inf)
+        answers.append((chosen, level, threshold, mean, peak))
+    by_mean = any(any(chosen) for chosen, *_ in answers)
+    return max(answers, key=lambda answer: answer[3 if by_mean else 4])[:3]  # the first of equals
 
 
 @settings(max_examples=30)
@@ -68,6 +93,75 @@ def test_select_equals_loops(count: int, neighbours: int | None, rescaled: bool,
     assert chosen.tolist() == expected
 
 
+@settings(max_examples=40)
+@given(st.integers(1, 40), st.sampled_from([None, 1, 10]), st.floats(0, 1), st.integers(0, 2**31))
+def test_without_a_threshold_it_is_the_most_stable_one(
+    count: int, neighbours: int | None, share: float, seed: int
+) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    # In float64, where blending rounds nothing into another bin of the thresholds.
+    relevancy = torch.rand(3, count, generator=generator, dtype=torch.float64)
+    coded = torch.rand(3, count, generator=generator) < share
+    means = torch.randn(count, 3, generator=generator)
+    field = fake_field(relevancy, coded, means)
+    arguments = torch.ones(2), torch.zeros(4, 2)
+    (found,) = select_each(field, arguments[0][None], arguments[1], neighbours=neighbours)  # pyright: ignore
+    expected = literal_stable_select(relevancy.numpy(), coded.numpy(), means.double().numpy(), neighbours)
+    assert (found.mask.tolist(), found.level) == expected[:2]
+    assert found.threshold == pytest.approx(expected[2])
+    assert select(field, *arguments, neighbours=neighbours).equal(found.mask)  # pyright: ignore
+    own = found.relevancy[coded[found.level]]
+    assert found.score == (float(own.max()) if len(own) else -torch.inf)
+
+
+def test_the_level_by_its_peak_with_a_threshold_and_by_its_mean_without() -> None:
+    relevancy = torch.full((3, 20), 0.3)
+    relevancy[0, :8] = 0.8  # a few higher, most of them lower
+    relevancy[0, 0] = 0.9
+    relevancy[1, :8] = 0.85
+    coded = torch.ones(3, 20, dtype=torch.bool)
+    coded[2] = False
+    by_peak, by_mean = (
+        select_by_relevancy(relevancy, coded, threshold=0.6),
+        select_by_relevancy(relevancy, coded),
+    )
+    assert (by_peak.level, by_peak.threshold, by_mean.level) == (0, 0.6, 1)
+    assert by_peak.score == pytest.approx(0.9)
+    assert by_mean.score == pytest.approx(0.85)
+    assert by_mean.threshold == pytest.approx(0.64)
+    assert by_mean.mask.nonzero()[:, 0].tolist() == list(range(8))
+    # Levels alike: the first answers.
+    assert select_by_relevancy(relevancy[[1, 1]], coded[:2]).level == 0
+
+
+def test_the_threshold_of_a_level_knows_only_its_coded_gaussians() -> None:
+    relevancy = torch.cat([torch.full((30,), 0.5), torch.full((10,), 0.7), torch.full((5,), 0.99)])[None]
+    coded = torch.ones(1, 45, dtype=torch.bool)
+    coded[0, 40:] = False
+    found = select_by_relevancy(relevancy, coded)
+    assert found.mask.nonzero()[:, 0].tolist() == list(range(30, 40))
+    assert found.score == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize("threshold", [None, 0.0, 0.6])
+def test_nothing_is_selected_where_nothing_stands_out(threshold: float | None) -> None:
+    relevancy = torch.tensor([0.4, 0.6])[:, None].expand(2, 5)
+    found = select_by_relevancy(relevancy, torch.ones(2, 5, dtype=torch.bool), threshold=threshold)
+    assert (found.level, bool(found.mask.any())) == (1, False)
+    nobody = select_by_relevancy(relevancy, torch.zeros(2, 5, dtype=torch.bool), threshold=threshold)
+    assert (nobody.level, bool(nobody.mask.any()), nobody.score) == (0, False, -torch.inf)
+    empty = select_by_relevancy(torch.zeros(2, 0), torch.zeros(2, 0).bool(), threshold=threshold)
+    assert (empty.level, len(empty.mask), empty.score) == (0, 0, -torch.inf)
+
+
+def test_an_absolute_threshold_is_never_the_most_stable_one() -> None:
+    relevancy = torch.tensor([[0.2, 0.3, 0.55, 0.65]])
+    coded = torch.ones(1, 4, dtype=torch.bool)
+    found = select_by_relevancy(relevancy, coded, rescaled=False)
+    assert (found.mask.tolist(), found.threshold) == ([False, False, False, True], ABSOLUTE_THRESHOLD)
+    assert not select_by_relevancy(0.5 * relevancy, coded, rescaled=False).mask.any()
+
+
 def test_select_many_queries_and_refusals() -> None:
     field = fake_field(
         torch.tensor([[0.2, 0.9, 0.7]]), torch.tensor([[True, True, False]]), torch.zeros(3, 3)
@@ -78,6 +172,8 @@ def test_select_many_queries_and_refusals() -> None:
     assert select(field, queries[:0], torch.zeros(4, 2)).shape == (0, 3)  # pyright: ignore
     with pytest.raises(InputError):
         select(field, queries[0], torch.zeros(4, 2), neighbours=0)  # pyright: ignore
+    with pytest.raises(InputError, match="0 to 1"):
+        select(field, queries[0], torch.zeros(4, 2), 1.5)  # pyright: ignore
 
 
 def test_neighbours_at_one_place_and_not_finite() -> None:

@@ -25,6 +25,10 @@ from scoup.query.smoothing import (
 needs_core = pytest.mark.skipif(native_core() is None, reason=str(missing_reason()))
 shapes = st.tuples(st.integers(1, 3), st.integers(1, 40), st.integers(1, 40))
 sides = st.integers(1, 34)
+three_thresholds = st.tuples(*[st.floats(0, 1, width=32)] * 3)
+
+
+MAP = torch.zeros(1, 3, 4)
 
 
 def random_maps(shape: tuple[int, ...], seed: int, ugly: bool = False) -> Tensor:
@@ -59,12 +63,13 @@ def test_box_means(shape, kernel, border, seed, ugly) -> None:
 
 @needs_core
 @settings(max_examples=80)
-@given(shapes, sides, sides, st.floats(0, 1), st.integers(0, 2**31), st.booleans())
-def test_masks_and_their_sums(shape, kernel, smoothing, threshold, seed, ugly) -> None:
+@given(shapes, sides, sides, three_thresholds, st.integers(0, 2**31), st.booleans())
+def test_masks_and_their_sums(shape, kernel, smoothing, three, seed, ugly) -> None:
     maps = random_maps(shape, seed, ugly)
+    thresholds = torch.tensor(three[: len(maps)])
     averaged = box_mean(maps, kernel)
-    smoothed, masks = smoothed_masks(maps, averaged, threshold, smoothing)
-    expected = plain_smoothed_masks(maps, averaged, threshold, smoothing)
+    smoothed, masks = smoothed_masks(maps, averaged, thresholds, smoothing)
+    expected = plain_smoothed_masks(maps, averaged, thresholds, smoothing)
     assert_same(smoothed, expected[0])
     assert_same(masks, expected[1])
     peaks, areas, sums = mask_sums(smoothed, masks)
@@ -82,13 +87,13 @@ def test_every_instruction_set_says_the_same(name) -> None:
     if not core.use_isa(name):
         pytest.skip("this CPU or this build has no such instruction set")
     try:
-        maps = random_maps((3, 61, 47), 4)
+        maps, thresholds = random_maps((3, 61, 47), 4), torch.tensor([0.1, 0.3, 0.0])
         averaged = box_mean(maps, 7)
-        smoothed, masks = smoothed_masks(maps, averaged, 0.1, 5)
+        smoothed, masks = smoothed_masks(maps, averaged, thresholds, 5)
     finally:
         core.use_isa("best")
     assert_same(averaged, plain_box_mean(maps, 7))
-    assert_same(masks, plain_smoothed_masks(maps, averaged, 0.1, 5)[1])
+    assert_same(masks, plain_smoothed_masks(maps, averaged, thresholds, 5)[1])
     assert_same(smoothed, 0.5 * (maps + averaged))
 
 
@@ -132,8 +137,10 @@ def test_both_at_once_is_one_after_the_other(preset) -> None:
     [
         ("box_means", (torch.zeros(3, 4), 7, False), "maps must be"),
         ("box_means", (torch.zeros(1, 3, 4), 0, False), "kernel must be 1 to"),
-        ("level_masks", (torch.zeros(1, 3, 4), torch.zeros(1, 3, 5), 0.5, 7), "averaged must be"),
-        ("level_masks", (torch.zeros(1, 3, 4), torch.zeros(1, 3, 4), 0.5, 10**6), "smoothing must be"),
+        ("level_masks", (MAP, torch.zeros(1, 3, 5), torch.zeros(1), 7), "averaged must be"),
+        ("level_masks", (MAP, MAP, torch.zeros(2), 7), "thresholds must be"),
+        ("level_masks", (MAP, MAP, torch.zeros(1).double(), 7), "thresholds must be"),
+        ("level_masks", (MAP, MAP, torch.zeros(1), 10**6), "smoothing must be"),
         ("level_sums", (torch.zeros(1, 3, 4), torch.zeros(1, 3, 4)), "masks must be"),
     ],
 )

@@ -35,8 +35,9 @@ class Select(TextOptions):
     """The PLY or .scoup to write."""
     write: Literal["chosen", "rest", "ids"] = "chosen"
     """chosen: those found. rest: all others. ids: all, with a property `selected`: number of text, or 0 (PLY only)."""
-    threshold: float = 0.6
-    """A Gaussian is chosen above this, 0 to 1, once relevancy is rescaled over the scene."""
+    threshold: OptionalNumber = None
+    """A Gaussian is chosen above this, 0 to 1, once relevancy is rescaled over the scene. Default: where the answer
+    changes least; 0.6 with --absolute."""
     absolute: Flag = False
     """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases and everyday words."""
     presence: OptionalNumber = None
@@ -76,17 +77,21 @@ class Select(TextOptions):
             console.say(message)
         written = self._write(field, answers, absent)
         counts = {text: int(answer.mask.sum()) for text, answer in zip(self.texts, answers, strict=True)}
+        thresholds = {
+            text: answer.record()["threshold"] for text, answer in zip(self.texts, answers, strict=True)
+        }
         for text, count in counts.items():
             console.say(f"{text}: {count:,} of {counted(len(field), 'Gaussian')}")
         console.say(f"{self.out}: {counted(written, 'Gaussian')} written")
-        console.result({"out": self.out, "written": written, "chosen": counts, "gaussians": len(field)})
+        result = {"out": self.out, "written": written, "chosen": counts, "thresholds": thresholds}
+        console.result({**result, "gaussians": len(field)})
 
     def _check_options(self) -> None:
         from scoup.base.errors import InputError
         from scoup.io import check_output
 
         check_texts(self.texts)
-        if not 0 <= self.threshold <= 1:
+        if self.threshold is not None and not 0 <= self.threshold <= 1:
             raise InputError(f"--threshold must be 0 to 1, got {self.threshold}")
         if self.neighbours < 0:
             raise InputError(f"--neighbours must be 0 or more, got {self.neighbours}")

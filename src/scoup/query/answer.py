@@ -44,6 +44,7 @@ class Answer:
         view: name of the camera.
         render: gives the colours of the view, [H, W, 3] 0..1, for those who draw the answer; None if that is not known.
             It is lost with pickling.
+        threshold: of the mask, on the relevancy rescaled over the view; None if that is not known.
     """
 
     mask: Tensor  # [H, W]
@@ -61,6 +62,7 @@ class Answer:
     text: str = ""
     view: str = ""
     render: Callable[[], Tensor] | None = None
+    threshold: float | None = None
 
     def __repr__(self) -> str:
         found = f"point {self.point}, box {self.box}, level {self.level}, score {self.score:.2f}"
@@ -131,6 +133,7 @@ class Answer:
         return {
             "level": self.level,
             "score": round(self.score, 4),
+            "threshold": _threshold_record(self.threshold),
             "pixel": None if self.point is None else list(self.point),
             "pixel_level": self.point_level,
             "pixel_score": round(self.point_score, 4),
@@ -150,6 +153,8 @@ class SceneAnswer:
         level: name of the level chosen.
         score: the largest relevancy of a Gaussian at that level; minus infinity if none has a code.
         z_score, presence, text: as in ``Answer``.
+        threshold: the Gaussians that answer are above it, on the relevancy rescaled over the Gaussians with a code at
+            that level, or on the relevancy itself if that was wanted; None if that is not known.
     """
 
     mask: Tensor  # [N]
@@ -159,6 +164,7 @@ class SceneAnswer:
     z_score: float | None = None
     presence: bool = True
     text: str = ""
+    threshold: float | None = None
 
     def __repr__(self) -> str:
         found = f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians, level {self.level}, score {self.score:.2f}"
@@ -173,12 +179,17 @@ class SceneAnswer:
             "gaussians": int(self.mask.sum()),
             "level": self.level,
             "score": _rounded(self.score, 4),
+            "threshold": _threshold_record(self.threshold),
             **_presence_record(self.z_score, self.presence),
         }
 
 
 def _said(answer: Answer | SceneAnswer) -> str:
     return repr(answer.text) if answer.text else "a query"
+
+
+def _threshold_record(threshold: float | None) -> float | None:
+    return None if threshold is None else round(threshold, 3)
 
 
 def _presence_record(z_score: float | None, presence: bool) -> dict[str, Any]:

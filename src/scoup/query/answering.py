@@ -72,7 +72,7 @@ def answer_view(
 def answer_scene(
     field: QueriedField,
     texts: TextVectors,
-    threshold: float = 0.6,
+    threshold: float | None = None,
     neighbours: int | None = None,
     rescaled: bool = True,
     present_from: float | None = None,
@@ -102,7 +102,14 @@ def answer_scene(
         mask = each.mask.cpu() & presence
         answers.append(
             SceneAnswer(
-                mask, each.relevancy.cpu(), field.levels[each.level], each.score, z_score, presence, text
+                mask=mask,
+                relevancy=each.relevancy.cpu(),
+                level=field.levels[each.level],
+                score=each.score,
+                z_score=z_score,
+                presence=presence,
+                text=text,
+                threshold=each.threshold,
             )
         )
     return answers
@@ -133,6 +140,7 @@ def _answer(
         point_score=place.score,
         z_score=z_score,
         presence=presence,
+        threshold=shape.threshold,
     )
 
 

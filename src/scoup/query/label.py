@@ -63,7 +63,10 @@ class GaussianLabels:
 
 
 def label(
-    field: QueriedField, texts: TextVectors, threshold: float = 0.6, present_from: float | None = None
+    field: QueriedField,
+    texts: TextVectors,
+    threshold: float | None = None,
+    present_from: float | None = None,
 ) -> GaussianLabels:
     """The word that fits each Gaussian best, of several, or none.
 
@@ -73,7 +76,7 @@ def label(
     Args:
         field: to be queried.
         texts: the words, and what they are compared with.
-        threshold: see ``select``.
+        threshold: see ``select``; None: of each word the most stable one.
         present_from: the z-score from which a thing counts as present; None: presence is not judged.
 
     Raises:

@@ -180,7 +180,7 @@ class FieldQueries(QueriedField):
         texts: Texts,
         *,
         encoder: Encoder | None = None,
-        threshold: float = 0.6,
+        threshold: float | None = None,
         neighbours: int = 0,
         present_from: float | None = None,
         always: bool = False,
@@ -189,14 +189,15 @@ class FieldQueries(QueriedField):
 
         Args:
             texts, encoder, present_from, always: as for ``query``.
-            threshold: a Gaussian answers above this, once relevancy is rescaled over the scene.
+            threshold: a Gaussian answers above this, 0 to 1, once relevancy is rescaled over the scene; by default the
+                threshold at which the answer changes least (``scoup.query.stable_threshold``).
             neighbours: blend each Gaussian's relevancy with the mean of so many nearest neighbours; 0 is off.
 
         Returns:
             A location, or one for each of several texts or vectors. One whose ``position`` is None is not there.
 
         Raises:
-            InputError, UnknownNameError: the texts do not fit the field.
+            InputError, UnknownNameError: the texts do not fit the field, or a number is out of range.
         """
         vectors = self.text_vectors(texts, encoder)
         present_from = None if always else presence_threshold(vectors, present_from)
@@ -211,7 +212,7 @@ class FieldQueries(QueriedField):
         words: Texts,
         *,
         encoder: Encoder | None = None,
-        threshold: float = 0.6,
+        threshold: float | None = None,
         present_from: float | None = None,
         always: bool = False,
     ) -> GaussianLabels:
@@ -223,7 +224,7 @@ class FieldQueries(QueriedField):
             encoder, present_from, always: as for ``query``.
 
         Raises:
-            InputError, UnknownNameError: the words do not fit the field.
+            InputError, UnknownNameError: the words do not fit the field, or a number is out of range.
         """
         vectors = self.text_vectors(words, encoder)
         present_from = None if always else presence_threshold(vectors, present_from)

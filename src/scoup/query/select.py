@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -12,6 +13,11 @@ from scoup.base.errors import InputError
 from scoup.query.neighbours import Neighbourhood
 from scoup.query.queried_field import QueriedField
 from scoup.query.smoothing import rescale
+from scoup.query.stable_threshold import stable_thresholds
+
+ABSOLUTE_THRESHOLD = 0.6
+"""Threshold on the relevancy itself, where none is given. The most stable one nearly always selects something; who puts
+the threshold on the relevancy itself wants nothing to be selected where nothing is relevant enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,32 +29,38 @@ class Selection:
         relevancy: [N] float32 at the level chosen, blended with neighbours if that was wanted.
         level: position of the level chosen.
         score: the largest relevancy of a Gaussian with a code at that level; minus infinity if there is none.
+        threshold: the Gaussians of the mask are above it, once relevancy is rescaled over the Gaussians with a code at
+            that level; on the relevancy itself if that was wanted.
     """
 
     mask: Tensor  # [N]
     relevancy: Tensor  # [N]
     level: int
     score: float
+    threshold: float
 
 
 def select(
     field: QueriedField,
     queries: Tensor,  # [D] or [Q, D]
     canonical: Tensor,  # [P, D]
-    threshold: float = 0.6,
+    threshold: float | None = None,
     neighbours: int | None = None,
     rescaled: bool = True,
 ) -> Tensor:
     """The Gaussians that answer one or several queries.
 
-    Per query the level with the largest relevancy is chosen, after blending with neighbours if that is wanted.
-    Gaussians without a code at that level are never selected.
+    Per query one level answers, after blending with neighbours if that is wanted. With a threshold given, it is the
+    level with the largest relevancy, as in VALA-3D; otherwise that whose selected Gaussians have the largest mean
+    relevancy. Gaussians without a code at that level are never selected.
 
     Args:
         field: the language field; its geometry is needed only for ``neighbours``.
         queries: [D] or [Q, D] unit-norm text embeddings.
         canonical: [P, D] unit-norm embeddings of the canonical phrases.
-        threshold: a Gaussian is selected above this.
+        threshold: a Gaussian is selected above this, 0 to 1; None: of each level the threshold at which the number of
+            Gaussians above it changes least (``scoup.query.stable_threshold``), or, if ``rescaled`` is false,
+            ``ABSOLUTE_THRESHOLD`` and the level with the largest relevancy.
         neighbours: blend each Gaussian's relevancy half and half with the mean of so many nearest coded
             neighbours (10 in VALA-3D); None: do not.
         rescaled: stretch the relevancy of the level as ``rescale`` does before it meets the threshold, as in
@@ -71,14 +83,14 @@ def select_each(
     field: QueriedField,
     queries: Tensor,  # [Q, D]
     canonical: Tensor,  # [P, D]
-    threshold: float = 0.6,
+    threshold: float | None = None,
     neighbours: int | None = None,
     rescaled: bool = True,
 ) -> Iterator[Selection]:
     """``select`` query by query, with level and relevancy; arguments and errors as there."""
     if neighbours is not None and neighbours < 1:
         raise InputError(f"neighbours must be at least 1, got {neighbours}")
-    if not 0 <= threshold <= 1:
+    if threshold is not None and not 0 <= threshold <= 1:
         raise InputError(f"the threshold must be 0 to 1, got {threshold}")
     coded = (field.code_weights > 0).any(-1).T  # [S, N]
     around = Neighbourhood.of(field.gaussians.means, coded.any(0), neighbours) if neighbours else None
@@ -91,7 +103,7 @@ def select_by_relevancy(
     relevancy: Tensor,  # [S, N]
     coded: Tensor,  # [S, N]
     around: Neighbourhood | None = None,
-    threshold: float = 0.6,
+    threshold: float | None = None,
     rescaled: bool = True,
 ) -> Selection:
     """``select`` for one query from its relevancy, whatever that comes from.
@@ -105,10 +117,37 @@ def select_by_relevancy(
     values = relevancy if around is None else around.blend(relevancy, coded)
     masked = torch.where(coded, values, -torch.inf)
     peaks = masked.amax(1) if masked.shape[1] else masked.new_full((len(masked),), -torch.inf)
+    if threshold is None and rescaled:
+        return _most_stable(values, coded, peaks)
+    threshold = ABSOLUTE_THRESHOLD if threshold is None else threshold
     level = int(peaks.argmax())
-    mask = torch.zeros_like(coded[level])
-    members = coded[level]
+    mask = _above(values[level], coded[level], threshold, rescaled)
+    return Selection(mask, values[level], level, float(peaks[level]), float(threshold))
+
+
+def _most_stable(values: Tensor, coded: Tensor, peaks: Tensor) -> Selection:
+    """``select_by_relevancy`` with the most stable threshold of each level.
+
+    Args:
+        values: [S, N] relevancy.
+        coded: [S, N] boolean.
+        peaks: [S] the largest relevancy of a coded Gaussian, by which the level is chosen if none can be selected.
+    """
+    thresholds = torch.cat(
+        [stable_thresholds(row[own][None])[0] for row, own in zip(values, coded, strict=True)]
+    )
+    masks = [_above(*rows) for rows in zip(values, coded, thresholds.tolist(), strict=True)]
+    # In float64, so that levels alike to the last bit have equal means, and the first of them answers.
+    means = [float(row[mask].double().mean()) for row, mask in zip(values, masks, strict=True)]
+    chosen = [-math.inf if math.isnan(mean) else mean for mean in means]  # no mean without a Gaussian
+    level = chosen.index(max(chosen)) if max(chosen) > -math.inf else int(peaks.argmax())
+    return Selection(masks[level], values[level], level, float(peaks[level]), float(thresholds[level]))
+
+
+def _above(values: Tensor, members: Tensor, threshold: float, rescaled: bool = True) -> Tensor:
+    """[N] boolean: the members [N] whose value [N], rescaled over them if that is wanted, is above the threshold."""
+    mask = torch.zeros_like(members)
     if members.any():
-        candidates = values[level, members]
+        candidates = values[members]
         mask[members] = (rescale(candidates) if rescaled else candidates) > threshold
-    return Selection(mask, values[level], level, float(peaks[level]))
+    return mask

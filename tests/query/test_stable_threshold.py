@@ -1,0 +1,155 @@
+"""The threshold at which the answer changes least, against a slow reading of its rule."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from scoup.query.smoothing import rescale
+from scoup.query.stable_threshold import CENTRE, HIGHEST, LOWEST, PULL, WINDOW, stable_thresholds
+
+STEPS = range(44, 85)
+"""Hundredths of the thresholds considered."""
+GRID = 251
+"""Values of ``grid_values`` lie between 0 and this; a prime, so that no rescaled one is within rounding of a
+hundredth."""
+
+
+def areas_around(rescaled: list[float], step: int) -> tuple[int, int]:
+    """How many values are above the window's lower end, and above its upper end; at least 1."""
+    below, above = (step - 5) / 100, (step + 5) / 100
+    return max(1, sum(value >= below for value in rescaled)), max(
+        1, sum(value >= above for value in rescaled)
+    )
+
+
+def slow_costs(values: list[float]) -> dict[int, tuple[float, float]]:
+    """Of each threshold in hundredths: the change of the logarithm of the area, and that with the pull."""
+    low, high = min(values), max(values)
+    rescaled = [min(1.0, max(0.0, 2 * (value - low) / (high - low + 1e-9) - 1)) for value in values]
+    costs = {}
+    for step in STEPS:
+        larger, smaller = areas_around(rescaled, step)
+        change = math.log(larger) - math.log(smaller)
+        costs[step] = change, change + 0.05 * abs(step / 100 - 0.64)
+    return costs
+
+
+@st.composite
+def grid_values(draw: st.DrawFn) -> list[int]:
+    """Whole numbers from 0 to GRID, both of them among them; of several shapes, many of them alike."""
+    count, seed = draw(st.integers(0, 400)), draw(st.integers(0, 2**31))
+    generator = torch.Generator().manual_seed(seed)
+    shares = torch.rand(count, generator=generator) ** draw(st.sampled_from([0.3, 1, 3, 10]))
+    if draw(st.booleans()):
+        shares = (shares * draw(st.integers(1, 12))).round() / 12
+    return [0, GRID, *(shares.clamp(0, 1) * GRID).round().int().tolist()]
+
+
+def test_the_constants_are_those_of_the_rule_read_here() -> None:
+    assert (round(100 * LOWEST), round(100 * HIGHEST)) == (STEPS[0], STEPS[-1])
+    assert (WINDOW, CENTRE, PULL) == (0.1, 0.64, 0.05)
+
+
+@settings(max_examples=80)
+@given(grid_values(), st.sampled_from([torch.float32, torch.float64]))
+def test_it_is_the_slow_reading(values: list[int], dtype: torch.dtype) -> None:
+    row = torch.tensor(values, dtype=dtype) / GRID
+    costs = slow_costs([value / GRID for value in values])
+    (threshold,), (change,) = (found.tolist() for found in stable_thresholds(row[None]))
+    step = round(100 * threshold)
+    assert threshold == pytest.approx(step / 100, abs=1e-6)
+    assert change == pytest.approx(costs[step][0], abs=1e-5)
+    # Two thresholds as far from the centre may cost the same but for rounding.
+    assert costs[step][1] == pytest.approx(min(cost for _, cost in costs.values()), abs=1e-6)
+
+
+@settings(max_examples=40)
+@given(grid_values(), st.floats(0.05, 2), st.floats(-1, 1), st.sampled_from([torch.float32, torch.float64]))
+def test_scaling_and_shifting_relevancy_change_nothing(values, scale, shift, dtype) -> None:
+    row = torch.tensor(values, dtype=dtype)[None] / GRID
+    expected = stable_thresholds(row)
+    for found, same in zip(stable_thresholds(scale * row + shift), expected, strict=True):
+        assert found.equal(same)
+
+
+@settings(max_examples=40)
+@given(st.integers(1, 300), st.integers(1, 300), st.integers(0, 2**31))
+def test_of_two_modes_it_is_between_them(low_count: int, high_count: int, seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    low = 0.30 + 0.15 * torch.rand(low_count, generator=generator)
+    high = 0.75 + 0.05 * torch.rand(high_count, generator=generator)
+    row = torch.cat([torch.tensor([0.3, 0.8]), low, high])
+    thresholds, changes = stable_thresholds(row[None])
+    assert changes.tolist() == [0]
+    assert (rescale(row) > float(thresholds)).equal(row > 0.6)
+
+
+@settings(max_examples=40)
+@given(st.integers(39, 77), st.integers(12, 20))
+def test_it_is_in_the_only_gap(start: int, width: int) -> None:
+    end = min(start + width, 90)
+    every_bin = [(hundredth + 0.5) / 100 for hundredth in range(100)]
+    kept = torch.tensor([value for value in every_bin if not start <= 100 * value < end])
+    row = torch.cat([torch.tensor([-1.0]), kept.repeat(10), torch.ones(1)])  # rescaling changes none of them
+    thresholds, changes = stable_thresholds(row[None])
+    assert changes.tolist() == [0]
+    assert start + 5 <= round(100 * float(thresholds)) <= end - 5
+
+
+@pytest.mark.parametrize(("start", "expected"), [(39, 0.44), (79, 0.84)])
+def test_the_first_and_the_last_window_count(start: int, expected: float) -> None:
+    every_bin = [(hundredth + 0.5) / 100 for hundredth in range(100)]
+    kept = [value for value in every_bin if not start <= 100 * value < start + 10]
+    row = torch.tensor([-1.0, 1.0, *kept])
+    thresholds, changes = stable_thresholds(row[None])
+    assert float(thresholds) == pytest.approx(expected)
+    assert changes.tolist() == [0]
+
+
+def test_the_centre_wins_where_all_are_alike() -> None:
+    step = torch.tensor([0.0] * 9 + [1.0])
+    for row in (torch.full((7,), 0.5), torch.tensor([0.4]), torch.zeros(5), step):
+        thresholds, changes = stable_thresholds(row[None])
+        assert thresholds.tolist() == pytest.approx([CENTRE])
+        assert changes.tolist() == [0]
+
+
+def test_what_fades_away_is_unstable() -> None:
+    fading = torch.exp(-torch.linspace(0, 12, 5000)) * 0.4 + 0.5
+    step = torch.where(torch.arange(5000) < 400, 0.9, 0.5)
+    _, changes = stable_thresholds(torch.stack([fading, step, torch.linspace(0, 1, 5000) ** 40]))
+    assert changes[1] == 0
+    assert changes[0] > 0.1
+    assert changes[2] > 0.1
+
+
+def no_values() -> list[Tensor]:
+    numbers = [torch.nan, torch.inf, -torch.inf]
+    return [torch.zeros(3, 0), *(torch.tensor([[0.1, 0.2, number, 0.9]]) for number in numbers)]
+
+
+@pytest.mark.parametrize("values", no_values(), ids=["empty", "nan", "inf", "-inf"])
+def test_rows_without_meaning_have_the_centre(values: Tensor) -> None:
+    thresholds, changes = stable_thresholds(values)
+    assert thresholds.tolist() == pytest.approx([CENTRE] * len(values))
+    assert changes.tolist() == [0] * len(values)
+
+
+def test_rows_are_judged_each_for_itself_and_always_alike() -> None:
+    generator = torch.Generator().manual_seed(0)
+    values = torch.rand(4, 300, generator=generator) ** torch.tensor([[0.5], [1], [2], [6]])
+    thresholds, changes = stable_thresholds(values)
+    assert (thresholds.shape, thresholds.dtype, changes.dtype) == ((4,), torch.float32, torch.float32)
+    shuffled = values[:, torch.randperm(300, generator=generator)]
+    for found in (stable_thresholds(values), stable_thresholds(shuffled)):
+        assert found[0].equal(thresholds)
+        assert found[1].equal(changes)
+    alone = [stable_thresholds(row[None])[0] for row in values]
+    assert torch.cat(alone).equal(thresholds)
+    assert [len(found) for found in stable_thresholds(values[:0])] == [0, 0]
