@@ -40,10 +40,10 @@ def score(scene: VotingScene, fitted: FittedMethod) -> Scores:
         of_frame = fitted.relevancy(view, queries, scene.canonical)  # [S, Q, H, W]
         for position, label in enumerate(frame.labels):
             one = of_frame[:, position]
-            smoothed, masks = level_masks(one, PRESET)
-            ious = [iou(mask, frame.masks[label]) for mask in masks]
-            scores.peak.append(ious[choose_level(smoothed, masks, "peak")])
-            scores.mask.append(ious[choose_level(smoothed, masks, "mask")])
+            found = level_masks(one, PRESET)
+            ious = [iou(mask, frame.masks[label]) for mask in found.masks]
+            scores.peak.append(ious[choose_level(found, "peak")])
+            scores.mask.append(ious[choose_level(found, "mask")])
             scores.best.append(max(ious))
             scores.hit.append(float(any_inside(localize(one, PRESET).pixels, frame.boxes[label])))
     return scores

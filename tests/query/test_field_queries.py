@@ -224,7 +224,8 @@ def test_a_part_of_a_field_is_queried_alone(queried: Queried, table: dict[str, T
         assert field.select(same).code_weights.equal(part.code_weights)
     vectors = table["word 3"][None], field.text_encoder().canonical()
     whole = field.gaussian_relevancy(*vectors)
-    assert part.gaussian_relevancy(*vectors).equal(whole[..., mask])
+    # Some processors round the last numbers of a vector differently, and where they end depends on the count.
+    torch.testing.assert_close(part.gaussian_relevancy(*vectors), whole[..., mask], rtol=1e-6, atol=1e-6)
     answer = part.query("word 3")
     assert isinstance(answer, Answer)
     for bad in (mask[1:], torch.tensor([len(field)]), torch.tensor([-1]), torch.ones(3), mask[None]):

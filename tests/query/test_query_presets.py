@@ -16,7 +16,7 @@ def test_presets_by_name_and_data_set() -> None:
     assert next(iter(QUERY_PRESETS)) == "default"
     for dataset, thresholds in DATASET_THRESHOLDS.items():
         everyday, paper = query_preset("default", dataset), query_preset("scoup", dataset)
-        assert everyday == replace(paper, name="default", threshold=None, level_choice="mask"), thresholds
+        assert everyday == replace(paper, name="default", threshold=None, level_choice="evidence"), thresholds
         assert paper.threshold is not None
     assert query_preset("langsplatv2", "mipnerf360") == QueryPreset("langsplatv2", 29, "inside", 0.4, 7)
     assert query_preset("langsplat", threshold=0.1).threshold == 0.1

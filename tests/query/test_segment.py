@@ -118,14 +118,20 @@ def test_levels_with_empty_masks_answer_only_if_all_are_empty() -> None:
     assert (found.level, mask_box(found.mask)) == (1, None)
 
 
-@pytest.mark.parametrize("choice", ["peak", "mask"])
+@pytest.mark.parametrize("choice", ["peak", "mask", "evidence"])
 def test_the_first_of_equal_levels_answers(choice) -> None:
     relevancy = two_levels()[[1, 1, 1]]
     assert choose_level(level_masks(relevancy, QUERY_PRESETS["scoup"]), choice) == 0
     masks = torch.zeros(2, 4, 4, dtype=torch.bool)
     masks[0, 0, :3] = masks[1] = True
+    masks = masks if choice != "evidence" else masks[[1, 1]]  # by which the whole wins
     # Means of different areas may be equal too.
-    assert choose_level(LevelMasks(torch.full((2, 4, 4), 0.1), masks, torch.full((2,), 0.6)), choice) == 0
+    assert (
+        choose_level(
+            LevelMasks(torch.full((2, 4, 4), 0.1), masks, torch.full((2,), 0.6), torch.zeros(2)), choice
+        )
+        == 0
+    )
 
 
 def test_constant_maps_give_empty_masks_and_every_pixel_as_maximum() -> None:
@@ -217,3 +223,36 @@ def test_a_part_is_what_a_flood_reaches(shape: tuple[int, int], seed: int) -> No
         reached.add((row, column))
         waiting += [(row + i, column + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     assert {tuple(place) for place in found.nonzero().tolist()} == reached
+
+
+def nested_levels(part: float, whole: float) -> torch.Tensor:
+    """A part at the first level, and at the second the whole that holds it, with the relevancy given."""
+    relevancy = torch.full((2, 60, 90), 0.3)
+    relevancy[0, 22:34, 35:47] = part
+    relevancy[1, 20:45, 30:70] = whole
+    return relevancy
+
+
+def test_a_whole_that_holds_the_answer_of_another_level_is_preferred_by_evidence() -> None:
+    found = level_masks(nested_levels(0.60, 0.58), QUERY_PRESETS["default"])
+    assert choose_level(found, "mask") == 0
+    assert choose_level(found, "evidence") == 1
+    # But not one that is much less relevant.
+    far = level_masks(nested_levels(0.75, 0.55), QUERY_PRESETS["default"])
+    assert choose_level(far, "evidence") == 0
+    # Nor one that lies elsewhere.
+    apart = nested_levels(0.60, 0.58)
+    apart[0] = apart[0].roll(shifts=(24, 40), dims=(0, 1))
+    assert choose_level(level_masks(apart, QUERY_PRESETS["default"]), "evidence") == 0
+
+
+def test_a_stable_mask_is_preferred_by_evidence() -> None:
+    y, x = torch.meshgrid(torch.arange(60.0), torch.arange(90.0), indexing="ij")
+    relevancy = torch.full((2, 60, 90), 0.3)
+    relevancy[0] += 0.3 * torch.exp(-((x - 25) ** 2 + (y - 30) ** 2) / 300)  # fades away
+    relevancy[1, 25:40, 65:85] = 0.55
+    found = level_masks(relevancy, QUERY_PRESETS["default"])
+    assert found.instability[0] > 0.15 > 0.05 > found.instability[1]
+    means = [float(level[mask].mean()) for level, mask in zip(found.smoothed, found.masks, strict=True)]
+    assert means[0] > means[1]
+    assert (choose_level(found, "mask"), choose_level(found, "evidence")) == (0, 1)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from scoup.query.smoothing import rescale
-from scoup.query.stable_threshold import CENTRE, HIGHEST, LOWEST, PULL, WINDOW, stable_thresholds
+from scoup.query.stable_threshold import STABILITY, stable_thresholds
 
 STEPS = range(44, 85)
 """Hundredths of the thresholds considered."""
@@ -52,8 +52,8 @@ def grid_values(draw: st.DrawFn) -> list[int]:
 
 
 def test_the_constants_are_those_of_the_rule_read_here() -> None:
-    assert (round(100 * LOWEST), round(100 * HIGHEST)) == (STEPS[0], STEPS[-1])
-    assert (WINDOW, CENTRE, PULL) == (0.1, 0.64, 0.05)
+    assert (round(100 * STABILITY.lowest), round(100 * STABILITY.highest)) == (STEPS[0], STEPS[-1])
+    assert (STABILITY.window, STABILITY.centre, STABILITY.pull) == (0.1, 0.64, 0.05)
 
 
 @settings(max_examples=80)
@@ -116,7 +116,7 @@ def test_the_centre_wins_where_all_are_alike() -> None:
     step = torch.tensor([0.0] * 9 + [1.0])
     for row in (torch.full((7,), 0.5), torch.tensor([0.4]), torch.zeros(5), step):
         thresholds, changes = stable_thresholds(row[None])
-        assert thresholds.tolist() == pytest.approx([CENTRE])
+        assert thresholds.tolist() == pytest.approx([STABILITY.centre])
         assert changes.tolist() == [0]
 
 
@@ -137,7 +137,7 @@ def no_values() -> list[Tensor]:
 @pytest.mark.parametrize("values", no_values(), ids=["empty", "nan", "inf", "-inf"])
 def test_rows_without_meaning_have_the_centre(values: Tensor) -> None:
     thresholds, changes = stable_thresholds(values)
-    assert thresholds.tolist() == pytest.approx([CENTRE] * len(values))
+    assert thresholds.tolist() == pytest.approx([STABILITY.centre] * len(values))
     assert changes.tolist() == [0] * len(values)
 
 
