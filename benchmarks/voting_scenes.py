@@ -53,6 +53,7 @@ class VotingScene:
         gaussians: N of them.
         levels: region sums and embeddings, fine to coarse.
         frames: labelled frames with their views; of one size.
+        cameras: of the labelled frames.
         queries: label -> [D] unit text vector.
         canonical: [P, D].
         everyday: [B, D] unit vectors of everyday words, the labels among them.
@@ -66,6 +67,7 @@ class VotingScene:
     gaussians: Gaussians
     levels: list[LevelSums]
     frames: list[tuple[LabelledFrame, raster.Projection]]
+    cameras: list[Camera]
     queries: dict[str, Tensor]
     canonical: Tensor
     everyday: Tensor
@@ -174,6 +176,7 @@ def _prepared(
         gaussians,
         levels,
         [(frame, raster.project(gaussians, camera)) for frame, camera in frames],
+        [camera for _, camera in frames],
         {label: everyday[texts.words.index(label)] for label in _labels(frames)},
         texts.canonical,
         everyday,
