@@ -14,7 +14,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import mean
 
@@ -38,7 +38,7 @@ from scoup.evaluate.studies.study_scene import StudyScene
 from scoup.io import write_text
 from scoup.io.labels import match_frames, read_labels
 from scoup.query.presets import QUERY_PRESETS
-from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.build_settings import BUILD_PRESETS
 from scoup.uplift.rasterise import region_sums
 
 METHOD, ALL_ATOMS, DENSE = "top-4 vote", "no top-K", "dense 512-d"
@@ -93,8 +93,13 @@ def score_kitchen(arguments: Arguments, kitchen: Path, features: Path) -> dict:
     for seed in arguments.seeds:
         settings = MethodSettings(
             seed,
-            BuildSettings(
-                arguments.n_atoms, rounds=1, solver=arguments.solver, epochs=arguments.epochs, seed=seed
+            replace(
+                BUILD_PRESETS["paper"],
+                n_atoms=arguments.n_atoms,
+                solver=arguments.solver,
+                effort="best",
+                epochs=arguments.epochs,
+                seed=seed,
             ),
         )
         with timed(seconds, f"coding, seed {seed}"):

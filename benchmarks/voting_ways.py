@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from scoup.base.errors import looked_up
-from scoup.baselines.fitted import FittedField
-from scoup.baselines.method import Method, MethodSettings
+from scoup.baselines.method import Method
 from scoup.baselines.methods import METHODS
-from scoup.baselines.rasterised_scene import UpliftInputs
 from scoup.baselines.sparse import SparseUplift
 from scoup.query.presets import QUERY_PRESETS, LevelChoice
-from scoup.uplift.consensus import consensus_of
 
 
 class Way(NamedTuple):
@@ -21,22 +18,19 @@ class Way(NamedTuple):
     level_choice: LevelChoice = "peak"
 
 
-def uplift_after_consensus(inputs: UpliftInputs, settings: MethodSettings) -> FittedField:
-    """As "exact", after a consensus of the regions (``scoup.uplift.consensus``)."""
-    agreed = [consensus_of(inputs.sums.matrix(level), rows) for level, rows in enumerate(inputs.embeddings)]
-    return SparseUplift(n_atoms=64, rounds=1)(UpliftInputs(inputs.sums, agreed), settings)
+OF_BASE: dict[str, Any] = {"k": 4, "wide": False, "keep": 4, "effort": "best"}
+"""What all ways but the default are measured with, unless their names say otherwise."""
 
 
 def _sparse(name: str, n_atoms: int = 64, rounds: int = 1, **changes: Any) -> Method:
-    """The paper's sizes and vote with exact coding, but for some changes."""
-    return Method(name, SparseUplift(n_atoms=n_atoms, rounds=rounds, **changes))
+    """The paper's sizes, codes and vote with exact coding, but for some changes."""
+    return Method(name, SparseUplift(n_atoms=n_atoms, rounds=rounds, **{**OF_BASE, **changes}))
 
 
 DENSE, PAPER, EXACT = METHODS["dense"], METHODS["paper"], METHODS["sparse-64"]
 EXACT_128 = _sparse("exact-128", 128)
 TWO_ROUNDS = _sparse("exact-128-rounds", 128, 2)
 THREE_ROUNDS = _sparse("exact-128-rounds-3", 128, 3)
-CONSENSUS = Method("exact-consensus", uplift_after_consensus)
 WAYS: dict[str, Way] = {
     "dense": Way(DENSE),
     "dense-mask": Way(DENSE, "mask"),
@@ -65,11 +59,10 @@ WAYS: dict[str, Way] = {
     "exact-128-k1-keep-4-rounds-mask": Way(
         _sparse("exact-128-k1-keep-4-rounds", 128, 2, k=1, keep=4), "mask"
     ),
-    "exact-consensus": Way(CONSENSUS),
-    "exact-consensus-mask": Way(CONSENSUS, "mask"),
     "default": Way(METHODS["sparse"], QUERY_PRESETS["default"].level_choice),
 }
-"""By name. "paper" is the published method; "default" is what ``scoup build`` and ``scoup query`` do unasked."""
+"""By name. "paper" is the published method; "default" is what ``scoup build`` does
+unasked, with the level that ``scoup query`` chooses; the masks of all ways are cut at the paper's threshold."""
 
 COMPARISONS: dict[str, tuple[str, str]] = {
     "exact - paper": ("exact", "paper"),
@@ -86,7 +79,6 @@ COMPARISONS: dict[str, tuple[str, str]] = {
     "two rounds - one": ("exact-128-rounds", "exact-128"),
     "two rounds - one, mask": ("exact-128-rounds-mask", "exact-128-mask"),
     "three rounds - two, mask": ("exact-128-rounds-3-mask", "exact-128-rounds-mask"),
-    "consensus - none": ("exact-consensus", "exact"),
     "default - dense": ("default", "dense"),
     "default - dense-mask": ("default", "dense-mask"),
     "default - paper": ("default", "paper"),

@@ -37,7 +37,7 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> Things:
 
     folder = tmp_path_factory.mktemp("things")
     gaussians, cameras, regions = small_scene(60, views=2)
-    field = scoup.build(gaussians, cameras, regions, scoup.BuildSettings(n_atoms=4, effort="fast"))
+    field = scoup.build(gaussians, cameras, regions, scoup.BuildSettings(n_atoms=4, k=4))
     field.save(folder / "f.scoup")
     save_regions(regions, folder / "language_features")
     names = ["kettle", *CANONICAL_PHRASES]

@@ -103,7 +103,8 @@ class Scene:
         """``scoup.build``; ``stages`` gets seconds by stage, as the host sees them: the device may lag behind."""
         sizes, clock = self.stage.sizes, StageClock(self.stage.progress)
         n_atoms = sizes.n_atoms[0 if preset == "paper" else -1]
-        settings = build_settings(preset, n_atoms=n_atoms, k=sizes.k, solver="exact")
+        k = sizes.k if preset == "paper" else min(build_settings(preset).k, n_atoms)
+        settings = build_settings(preset, n_atoms=n_atoms, k=k, solver="exact")
         field = scoup.build(
             self.gaussians, Cameras(list(self.cameras)[:most_views]), self.regions, backend="triton", sums=sums,
             settings=dataclasses.replace(settings, raster_preset=PRESET), progress=clock,

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base.errors import UnknownNameError
 from scoup.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
 from scoup.baselines.fitted import FittedChannels, FittedField, code_cosines
 from scoup.baselines.method import MethodSettings
@@ -123,11 +123,9 @@ def test_the_autoencoder_decodes_what_was_rendered(scene: RasterisedScene) -> No
     assert torch.allclose(fitted.relevancy(projection, queries, canonical)[1], expected, atol=1e-5)
 
 
-def test_unknown_method_and_consensus(scene: RasterisedScene) -> None:
+def test_unknown_method() -> None:
     with pytest.raises(UnknownNameError, match="dense"):
         find_method("dens")
-    with pytest.raises(InputError, match="consensus"):
-        METHODS["sparse"].fit(scene, MethodSettings(build=BuildSettings(consensus=True)))
 
 
 def test_what_tables_and_documents_rely_on() -> None:

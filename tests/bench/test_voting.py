@@ -102,7 +102,8 @@ def test_scores_are_those_of_the_protocol(voting, tmp_path: Path) -> None:
     indices, weights = fitted.field.code_indices, fitted.field.code_weights
     codebook = fitted.field.codebook
     found = scores.score(scene, fitted)
-    for name, values in (("scoup", found.peak), ("default", found.mask)):
+    for choice, values in (("peak", found.peak), ("mask", found.mask)):
+        preset = replace(QUERY_PRESETS["scoup"], level_choice=choice)
         expected = []
         for frame, view in scene.frames:
             queries = torch.stack([scene.queries[label] for label in frame.labels])
@@ -110,7 +111,7 @@ def test_scores_are_those_of_the_protocol(voting, tmp_path: Path) -> None:
                 view, indices, weights, codebook, torch.cat([queries, scene.canonical])
             )
             maps = relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
-            expected += score_frame(frame, maps, QUERY_PRESETS[name])
+            expected += score_frame(frame, maps, preset)
         assert values == [pair.iou for pair in expected]
         assert found.hit == [pair.hit for pair in expected]
         assert scene.pairs == [(pair.frame, pair.label) for pair in expected]
@@ -143,7 +144,7 @@ def test_every_comparison_is_of_known_ways(voting) -> None:
     assert len({method.name for method in methods}) == len(methods)
     # No two methods do the same, but for the default and the one that is named after what it does today.
     builds = [effective(m) for m in methods if isinstance(m.uplift, SparseUplift)]
-    assert len(builds) == len(methods) - len({"dense", "exact-consensus"})
+    assert len(builds) == len(methods) - len({"dense"})
     doubled = {build for build in builds if builds.count(build) > 1}
     assert doubled <= {BUILD_PRESETS["default"]}
     assert len(builds) - len(set(builds)) <= 1
@@ -162,6 +163,7 @@ def test_ways_are_what_their_names_say(voting) -> None:
         assert build.n_atoms == next((size for size in (32, 128, 256) if f"-{size}" in name), 64)
         assert build.rounds == (3 if "rounds-3" in name else 2 if "rounds" in name else 1)
         assert build.k == next((k for k in (1, 2, 8) if f"-k{k}" in name), 4)
+        assert not build.wide
         assert build.keep == (0 if "no-top-k" in name else 4 if "keep-4" in name else build.k)
 
 
@@ -171,7 +173,7 @@ def test_the_default_way_is_what_build_and_query_do(voting, tmp_path: Path) -> N
     assert default.level_choice == QUERY_PRESETS["default"].level_choice
     assert effective(default.method) == BUILD_PRESETS["default"]
     assert effective(paper.method) == BUILD_PRESETS["paper"]
-    assert effective(paper.method) == BuildSettings(64, 4, 4, 1, False, "adam", epochs=4000)
+    assert effective(paper.method) == BuildSettings(64, 4, False, 4, 1, "adam", epochs=4000)
     assert paper.level_choice == "peak"
     arguments = tiny(voting, tmp_path / "voting.json")
     scene = voting().make_scene("table-0", arguments.data, arguments.size)

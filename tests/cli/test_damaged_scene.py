@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from cli_support import run, snapshot, write_scene
 
-BUILD = ("--solver", "adam", "--epochs", "2", "--n-atoms", "4", "--quiet", "--overwrite")
+BUILD = ("--solver", "adam", "--epochs", "2", "--n-atoms", "4", "--k", "4", "--quiet", "--overwrite")
 # Two views suffice, and the fewer the quicker.
 GONE = [f"{folder}/view_0{number}{end}" for number in (2, 3) for folder, end in
         (("images", ".png"), ("language_features", "_s.npy"), ("language_features", "_f.npy"))]  # fmt: skip

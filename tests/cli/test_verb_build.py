@@ -32,7 +32,7 @@ def test_the_main_path_says_what_it_did():
     field = LanguageField.load("scene.scoup")  # the default name
     assert field.geometry_path == Path("scene/point_cloud.ply").absolute()
     assert field.info.embedding_model == ""  # that of LangSplat has 512 dimensions
-    assert field.info.provenance["settings"]["k"] == 4
+    assert field.info.provenance["settings"]["k"] == 8
     assert field.cameras is not None
     assert field.cameras.names[0] == "view_00.png"
     assert len(field.gaussians) == 150
@@ -43,6 +43,22 @@ def test_the_usual_model_is_taken_for_embeddings_of_its_size():
         np.save(path, np.pad(np.load(path), ((0, 0), (0, 512 - 16))))
     assert run("build", "scene", *QUICK)[0] == 0
     assert LanguageField.load("scene.scoup").info.embedding_model == "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+
+
+def test_the_kind_of_codes_that_regions_vote_with():
+    for options, wide in (
+        ((), True),
+        (("--no-wide",), False),
+        (("--preset", "paper", "--epochs", "3"), False),
+    ):
+        run_json("build", "scene", *QUICK, "--out", "a.scoup", "--overwrite", *options)
+        assert LanguageField.load("a.scoup").info.provenance["settings"]["wide"] is wide
+    run_json(
+        *("build", "scene", *QUICK, "--out", "a.scoup", "--overwrite"),
+        *("--preset", "paper", "--epochs", "3", "--wide"),
+    )
+    assert LanguageField.load("a.scoup").info.provenance["settings"]["wide"] is True
+    assert "--wide and --no-wide" in refused("build", "scene", "--out", "b.scoup", "--wide", "--no-wide")
 
 
 def test_the_record_for_machines():

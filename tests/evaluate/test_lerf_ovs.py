@@ -14,6 +14,7 @@ from scoup.base.errors import FileFormatError, InputError, MissingFileError, Sco
 from scoup.evaluate.protocols.lerf_ovs import score_frame, score_scene
 from scoup.evaluate.scores import overall
 from scoup.io.labels import match_frames, read_frame, read_labels
+from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import segment
 from scoup.scene.cameras import Camera, Cameras
 
@@ -110,7 +111,7 @@ def test_iou_is_that_of_the_mask(tmp_path: Path) -> None:
     frame = read_frame(write_label(tmp_path / "f.json", [square("cup", 10, 10, 29, 29)]))
     relevancy = torch.zeros(1, 1, 40, 60)
     relevancy[0, 0, 10:30, 20:40] = 1
-    mask = segment(relevancy[:, 0]).mask
+    mask = segment(relevancy[:, 0], QUERY_PRESETS["scoup"]).mask
     (pair,) = score_frame(frame, relevancy)
     both = int((mask & frame.masks["cup"]).sum())
     assert both > 0

@@ -227,9 +227,14 @@ def test_presets():
     assert BUILD_PRESETS["default"] == BuildSettings()
     paper = BUILD_PRESETS["paper"]
     assert (paper.n_atoms, paper.k, paper.keep, paper.solver, paper.epochs) == (64, 4, 4, "adam", 4000)
-    assert (paper.rounds, paper.consensus) == (1, False)
-    assert build_settings("paper", k=2).keep == 2
+    assert (paper.rounds, paper.wide) == (1, False)
+    default = BUILD_PRESETS["default"]
+    assert (default.n_atoms, default.k, default.wide, default.keep) == (128, 8, True, 4)
+    assert (default.rounds, default.solver, default.effort) == (2, "exact", "fast")
+    assert build_settings("paper", k=2).keep == 4  # of a Gaussian, whatever a region's code has
     assert build_settings("paper", k=2, keep=0).keep == 0
+    assert build_settings(wide=False) == BuildSettings(wide=False)
+    assert build_settings("paper", wide=None).wide is False
     assert build_settings(seed=3) == BuildSettings(seed=3)
     with pytest.raises(UnknownNameError, match="paper"):
         build_settings("papers")

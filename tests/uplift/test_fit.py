@@ -199,7 +199,7 @@ def test_a_build_is_checked_before_the_work(tmp_path: Path, monkeypatch: pytest.
         for camera in cameras
     }
     regions = scoup.Regions.from_maps(maps)
-    settings = scoup.BuildSettings(n_atoms=1, k=1)
+    settings = scoup.BuildSettings(n_atoms=1, k=1, keep=1)
     field = scoup.build(gaussians, scoup.Cameras(cameras), regions, settings)
     wrong = scoup.Cameras(with_photographs_of(cameras, [*cameras[5:], *cameras[:5]]))
     assert bool(

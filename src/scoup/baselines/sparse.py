@@ -9,7 +9,6 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
 from scoup.baselines.fitted import FittedField
 from scoup.baselines.method import MethodSettings
 from scoup.baselines.rasterised_scene import Coder, Codes, UpliftInputs
@@ -26,13 +25,7 @@ Half = Literal["highest", "lowest"]
 
 
 def learn_codes(embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
-    """Codes of the regions of each level, as ``scoup.build`` learns them.
-
-    Raises:
-        InputError: the settings have consensus.
-    """
-    if settings.consensus:
-        raise InputError("consensus is not compared here; build without it")
+    """Codes of the regions of each level, as ``scoup.build`` learns them."""
     books = [learn_codebook(rows, settings) for rows in embeddings]
     return [book.codes for book in books], torch.stack([book.atoms for book in books])
 

@@ -37,7 +37,7 @@ class Build(ViewOptions):
 
     option_groups: ClassVar[OptionGroups] = {
         "scene": "gaussians raster_preset",
-        "coding": "n_atoms k consensus solver effort epochs tolerance",
+        "coding": "n_atoms k wide no_wide solver effort epochs tolerance",
         "vote": "keep rounds",
         "region sum": "keep_sums sums sums_weights least_weight",
         "output": "out weight_bits embed_geometry",
@@ -54,24 +54,28 @@ class Build(ViewOptions):
     the features say (those of scoup extract do), else, for embeddings of 512
     dimensions, laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
     preset: Literal["default", "paper"] = "default"
-    """default answers best (128 atoms, exact coding, two rounds of the vote); paper is the method as published (64
-    atoms, Adam, one round). Options of coding and vote, where given, override it."""
+    """default answers best (128 atoms, exact coding, wide codes, two rounds of the vote); paper is the method as
+    published (64 atoms, Adam, one round). Options of coding and vote, where given, override it."""
     n_atoms: OptionalInteger = None
     """Atoms in the codebook of each level (L). Default: the preset's."""
     k: OptionalInteger = None
     """Atoms in the code of a region (K). Default: the preset's."""
+    wide: Flag = False
+    """Let regions vote with the K largest of the weights that explain them by all atoms together. Default: the
+    preset's."""
+    no_wide: Flag = False
+    """Let regions vote with the K atoms that explain them best by themselves, as in the paper. Default: the
+    preset's."""
     keep: OptionalInteger = None
-    """Atoms each Gaussian keeps after the vote; 0 keeps all. Default: as many as K."""
+    """Atoms each Gaussian keeps after the vote; 0 keeps all. Default: the preset's."""
     rounds: OptionalInteger = None
     """Rounds of the vote; after the first, regions count by their cosine with the outcome of the round before.
     Default: the preset's."""
-    consensus: Flag = False
-    """Bring the embeddings of regions that share Gaussians closer together before coding."""
     solver: OptionalText = None
     """How codes are learned: exact, or adam as in the paper, which takes minutes where exact takes a second. Default:
     the preset's."""
     effort: OptionalText = None
-    """How long the exact solver searches: best, or fast in half the time. Default: best."""
+    """How long the exact solver searches: best, or fast in half the time. Default: the preset's."""
     epochs: OptionalInteger = None
     """Epochs of the adam solver; fewer are faster and a little worse. Default: the preset's."""
     tolerance: OptionalNumber = None
@@ -151,14 +155,17 @@ class Build(ViewOptions):
 
     def _settings(self, source: Path) -> BuildSettings:
         """The preset with the options given, for a splat."""
+        from scoup.base.errors import InputError
         from scoup.io import default_preset
         from scoup.uplift.build_settings import build_settings
 
+        if self.wide and self.no_wide:
+            raise InputError("--wide and --no-wide do not go together; give one of them")
         names = ("n_atoms", "k", "keep", "rounds", "solver", "effort", "epochs", "tolerance", "seed")
         return build_settings(
             self.preset,
             **{name: getattr(self, name) for name in names},
-            consensus=self.consensus or None,
+            wide=self.wide if self.wide or self.no_wide else None,
             raster_preset=default_preset(source) if self.raster_preset == "auto" else self.raster_preset,
         )
 

@@ -62,7 +62,8 @@ def plain_weights(
         gram: [L, L] of the atoms.
         sweeps, tolerance: see ``SWEEPS``.
     """
-    residual = similarities.T.contiguous()  # [L, R]
+    # A copy even where one row or atom leaves nothing to transpose.
+    residual = similarities.T.clone(memory_format=torch.contiguous_format)  # [L, R]
     weights = torch.zeros_like(residual)
     moving = torch.ones(residual.shape[1], dtype=torch.bool, device=residual.device)
     usable = (gram.diagonal() > 0).tolist()
@@ -73,7 +74,7 @@ def plain_weights(
                 continue
             better = (weights[atom] + residual[atom] / products[atom]).clamp(min=0)
             step = torch.where(moving, better - weights[atom], 0.0)
-            weights[atom] += step
+            weights[atom] = torch.where(moving, better, weights[atom])
             residual -= products[:, None] * step
             furthest = torch.maximum(furthest, step.abs())
         moving = moving & (furthest > tolerance)

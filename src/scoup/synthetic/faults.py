@@ -75,7 +75,7 @@ def level_sums(sums: RegionSums, regions: Regions) -> list[LevelSums]:
 
 
 def as_region_sums(levels: Sequence[LevelSums]) -> RegionSums:
-    """The inverse of ``level_sums``, as input to votes of several rounds and to the consensus. Regions must be sorted
+    """The inverse of ``level_sums``, as input to votes of several rounds. Regions must be sorted
     by view."""
     n_views = max(int(level.views.max(initial=-1)) for level in levels) + 1
     columns = [level.matrix.tocsc() for level in levels]

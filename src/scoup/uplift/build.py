@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 from scoup.base.arguments import check_arguments
@@ -18,7 +18,6 @@ from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
-from scoup.uplift.consensus import consensus
 from scoup.uplift.provenance import build_record
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums, exchanged
 from scoup.uplift.region_codes import RegionEmbeddings, inputs_digest, learn_region_codes
@@ -85,17 +84,11 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     if check_fit and not any(processes.gather(len(sums))):
         fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path, processes)
 
-    if settings.consensus:  # before coding; each process needs all sums
-        add_views(sums, gaussians, views, regions, backend, progress)
-        agreed = consensus(sums, embeddings.of_levels, embeddings.rows, progress=progress)
-        embeddings = replace(embeddings, of_levels=agreed)
     codes = learn_region_codes(sums, embeddings, settings, device, processes, progress)
     inputs = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
     del embeddings  # the vote needs the codes only
-    if not settings.consensus:
-        add_views(sums, gaussians, views, regions, backend, progress, processes)
-        sums = exchanged(sums, names, processes)
-    sums = sums.of_views(names, codes.rows)
+    add_views(sums, gaussians, views, regions, backend, progress, processes)
+    sums = exchanged(sums, names, processes).of_views(names, codes.rows)
 
     keep, atoms = settings.keep or None, codes.codebook.to(device)
     found = vote(sums, codes.codes, atoms, settings.rounds, keep, backend=backend, progress=progress)

@@ -25,8 +25,6 @@ class BuildSettings:
         keep: atoms kept for each Gaussian by the vote; 0 keeps all (no top-K step).
         rounds: of the vote, 1 or more. One is the paper's; in each further one regions count by their cosine with the
             outcome of the round before (``scoup.uplift.reweighting``).
-        consensus: give regions that the same Gaussians see similar embeddings before coding
-            (``scoup.uplift.consensus``).
         solver: how codes are learned, see ``fit_codes``.
         effort: of the "exact" solver, "fast" or "best".
         epochs: epochs of the "adam" solver.
@@ -40,7 +38,6 @@ class BuildSettings:
     wide: bool = True
     keep: int = 4
     rounds: int = 2
-    consensus: bool = False
     solver: str = "exact"
     effort: str = "fast"
     epochs: int = 4000

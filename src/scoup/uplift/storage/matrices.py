@@ -1,4 +1,4 @@
-"""Region sums as sparse matrices, for what is not the vote: consensus, dense uplift, studies."""
+"""Region sums as sparse matrices, for what is not the vote: dense uplift, studies."""
 
 from __future__ import annotations
 
