@@ -27,7 +27,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -153,20 +153,21 @@ def score(scene: VotingScene, fitted: FittedMethod) -> dict[str, list[float]]:
     scores: dict[str, list[float]] = {rule: [] for rule in RULES}
     everyday = with_everyday(scene.canonical, scene.everyday)
     fixed, asked = QUERY_PRESETS["scoup"], QUERY_PRESETS["default"]
+    by_mask = replace(fixed, level_choice="mask")
     for frame, view in scene.frames:
         queries = torch.stack([scene.queries[label] for label in frame.labels])
         plain = fitted.relevancy(view, queries, scene.canonical)  # [S, Q, H, W]
         beside = fitted.relevancy(view, queries, everyday)
         for position, label in enumerate(frame.labels):
             truth = frame.masks[label]
-            for rule, maps, preset, choice in (
-                ("peak", plain, fixed, "peak"),
-                ("mask", plain, fixed, "mask"),
-                ("everyday", beside, fixed, "mask"),
-                ("asked", beside, asked, asked.level_choice),
+            for rule, maps, preset in (
+                ("peak", plain, fixed),
+                ("mask", plain, by_mask),
+                ("everyday", beside, by_mask),
+                ("asked", beside, asked),
             ):
                 found = level_masks(maps[:, position], preset)
-                scores[rule].append(iou(found.masks[choose_level(found, choice)], truth))
+                scores[rule].append(iou(found.masks[choose_level(found, preset.level_choice)], truth))
                 if rule == "asked":
                     scores["best level"].append(max(iou(mask, truth) for mask in found.masks))
     return scores

@@ -204,7 +204,7 @@ def _kmeans(rows: Floats, count: int, rng: np.random.Generator, rounds: int = 12
     centres = rows[rng.permutation(len(rows))[:count]]
     nearest = np.zeros(len(rows), np.int64)
     for _ in range(rounds):
-        nearest = KDTree(centres).query(rows)[1]
+        nearest = np.asarray(KDTree(centres).query(rows)[1], np.int64)
         sizes = np.bincount(nearest, minlength=count)
         for axis in range(rows.shape[1]):
             sums = np.bincount(nearest, rows[:, axis], count)
