@@ -74,20 +74,20 @@ class Case:
 
     @cached_property
     def learned(self) -> tuple[SparseCodes, Tensor]:
-        """Codes of the regions and codebook, as the exact solver learns them."""
-        solution = solve_exact(self.rows, DEFAULT.n_atoms, DEFAULT.k, self.seed)
+        """Codes of 4 atoms of the regions and their codebook, as the exact solver learns them."""
+        solution = solve_exact(self.rows, DEFAULT.n_atoms, PAPER.k, self.seed)
         return solution.codes, solution.atoms
 
     @cached_property
     def default(self) -> tuple[SparseCodes, Tensor]:
         """The same of the default build."""
-        book = fit_codes(self.rows, **{**DEFAULT.of_codes, "seed": self.seed})
+        book = fit_codes(self.rows, **{**DEFAULT.of_fit, "seed": self.seed})
         return book.codes, book.atoms
 
     @cached_property
     def paper(self) -> tuple[SparseCodes, Tensor]:
         """The same of the paper's build."""
-        book = fit_codes(self.rows, **{**PAPER.of_codes, "epochs": self.epochs, "seed": self.seed})
+        book = fit_codes(self.rows, **{**PAPER.of_fit, "epochs": self.epochs, "seed": self.seed})
         return book.codes, book.atoms
 
     def one_hot(self) -> Voted:

@@ -51,14 +51,14 @@ class Query(TextOptions, CameraOptions):
     rule: Literal["default", "scoup", "langsplatv2", "langsplat"] = "default"
     """What turns relevancy into masks and points: sides of the boxes that smooth, threshold, choice of the level.
     scoup, langsplatv2 and langsplat are those systems' rules for LERF-OVS; default takes the boxes of scoup, the
-    threshold at which the answer changes least and the level whose mask is the most relevant on average, and compares
+    threshold at which the answer changes least and the level whose mask is relevant, stable and whole, and compares
     with everyday words, too."""
     threshold: OptionalNumber = None
     """A pixel is in the mask above this, 0 to 1, once relevancy is rescaled over the view. Default: the rule's; of
     the rule default, where the answer changes least."""
     presence: OptionalNumber = None
     """A text is in a view if its z-score is at least this: how many standard deviations what was found lies nearer to
-    it than to everyday words. Otherwise it gets an empty mask and no point there. Default: 2 with the rule default,
+    it than to everyday words. Otherwise it gets an empty mask and no point there. Default: 1.5 with the rule default,
     where the table of --text has 16 words or more; the systems' rules find something always."""
     always: Flag = False
     """Find something in every view, for any text."""
