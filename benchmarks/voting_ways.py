@@ -8,7 +8,7 @@ from scoup.base.errors import looked_up
 from scoup.baselines.method import Method
 from scoup.baselines.methods import METHODS
 from scoup.baselines.sparse import SparseUplift
-from scoup.query.presets import QUERY_PRESETS, LevelChoice
+from scoup.query.presets import LevelChoice
 
 
 class Way(NamedTuple):
@@ -59,10 +59,10 @@ WAYS: dict[str, Way] = {
     "exact-128-k1-keep-4-rounds-mask": Way(
         _sparse("exact-128-k1-keep-4-rounds", 128, 2, k=1, keep=4), "mask"
     ),
-    "default": Way(METHODS["sparse"], QUERY_PRESETS["default"].level_choice),
+    "default": Way(METHODS["sparse"], "mask"),
 }
 """By name. "paper" is the published method; "default" is what ``scoup build`` does
-unasked, with the level that ``scoup query`` chooses; the masks of all ways are cut at the paper's threshold."""
+unasked, with the level by its mask; the masks of all ways are cut at the paper's threshold."""
 
 COMPARISONS: dict[str, tuple[str, str]] = {
     "exact - paper": ("exact", "paper"),

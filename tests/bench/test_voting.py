@@ -170,7 +170,7 @@ def test_ways_are_what_their_names_say(voting) -> None:
 def test_the_default_way_is_what_build_and_query_do(voting, tmp_path: Path) -> None:
     ways = voting("_ways")
     default, paper = ways.WAYS["default"], ways.WAYS["paper"]
-    assert default.level_choice == QUERY_PRESETS["default"].level_choice
+    assert default.level_choice == "mask"
     assert effective(default.method) == BUILD_PRESETS["default"]
     assert effective(paper.method) == BUILD_PRESETS["paper"]
     assert effective(paper.method) == BuildSettings(64, 4, False, 4, 1, "adam", epochs=4000)

@@ -388,7 +388,7 @@ def test_a_field_without_cameras_or_geometry():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--k", "9"), "k (9) and keep (9) must not exceed the 8 atoms"),
+        (("--k", "9"), "k (9) and keep (4) must not exceed the 8 atoms"),
         (("--k", "0"), "k must be at least 1"),
         (("--n-atoms", "0"), "atoms"),
         (("--n-atoms", "70000"), "70000"),

@@ -91,8 +91,11 @@ def test_the_record_of_an_answer():
     assert mask.shape == (30, 40)
     assert set(np.unique(mask)) <= {0, 255}
     assert answer["coverage"] == pytest.approx((mask > 0).mean(), abs=1e-6)
-    rows, columns = np.nonzero(mask)
-    assert answer["box"] == [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+    # Around the main parts of the mask, whose pixels touch every side of it.
+    x0, y0, x1, y1 = answer["box"]
+    inside = mask[y0:y1, x0:x1] > 0
+    assert all(side.any() for side in (inside[0], inside[-1], inside[:, 0], inside[:, -1]))
+    assert 2 * inside.sum() > (mask > 0).sum()
     for kind in ("heat", "overlay"):
         with Image.open(answer["files"][kind]) as picture:
             assert picture.mode == "RGB"

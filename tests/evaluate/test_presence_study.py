@@ -147,8 +147,9 @@ def test_tables() -> None:
     assert record["auc"]["peak"][OUT_OF_VIEW] is None
     assert record["rules"]["the protocols' rule (paints always)"]["recall"] == 1
     assert record["questions"] == {PRESENT: 40, OUT_OF_VIEW: 0, ABSENT: 40}
-    fixed = record["scene_rules"]["z-score, 2 or more (the default)"]
-    assert (fixed["recall"], fixed["absent_refused"]) == (1, 0.5)
+    fixed = record["scene_rules"]["z-score, 1.5 or more (the default)"]
+    # Those of "b" but for the first, which is at the bound.
+    assert (fixed["recall"], fixed["absent_refused"]) == (1, 0.475)
     assert len(report.tables) == 3
 
 

@@ -17,7 +17,7 @@ from scoup.query.segment import LevelMasks, choose_level, level_masks, main_part
 
 
 def literal_segment(
-    relevancy: np.ndarray, preset: QueryPreset, thresholds: list[float]
+    relevancy: np.ndarray, preset: QueryPreset, thresholds: list[float], instability: list[float]
 ) -> tuple[np.ndarray, int, float]:
     answers = []
     for level, (image, threshold) in enumerate(zip(relevancy.astype(np.float64), thresholds, strict=True)):
@@ -26,8 +26,16 @@ def literal_segment(
         mask = np.clip(2 * stretched - 1, 0, 1) > threshold
         mask = literal_box_mean(mask.astype(np.float64), preset.smoothing, "inside") > 0.5
         answers.append((mask, level, smoothed.max(), smoothed[mask].mean() if mask.any() else -np.inf))
-    by_mask = preset.level_choice == "mask" and any(mask.any() for mask, *_ in answers)
-    mask, level, peak, _ = max(answers, key=lambda answer: answer[3 if by_mask else 2])  # the first of equals
+    evidence = []
+    for mask, level, peak, inside in answers:
+        if preset.level_choice == "evidence":
+            smaller = [other for other, *_ in answers if 0 < other.sum() < mask.sum()]
+            held = max(((other & mask).sum() / other.sum() for other in smaller), default=0)
+            inside += -0.08 * np.log(max(instability[level], 0.005)) + 0.05 * held
+        evidence.append(peak if preset.level_choice == "peak" else inside)
+    if not any(mask.any() for mask, *_ in answers):
+        evidence = [peak for _, _, peak, _ in answers]
+    mask, level, peak, _ = answers[int(np.argmax(evidence))]  # the first of equals
     return mask, level, peak
 
 
@@ -43,10 +51,13 @@ def test_segment_equals_the_protocol_read_literally(
     relevancy = torch.randint(0, 256, (levels, *shape), generator=torch.Generator().manual_seed(seed)) / 256
     preset = QUERY_PRESETS[name]
     # The most stable ones have a literal reading of their own, in test_stable_threshold.py.
-    thresholds = level_masks(relevancy, preset).thresholds.tolist()
+    of_levels = level_masks(relevancy, preset)
+    thresholds = of_levels.thresholds.tolist()
     if preset.threshold is not None:
         assert thresholds == pytest.approx([preset.threshold] * levels)
-    mask, level, score = literal_segment(relevancy.numpy(), preset, thresholds)
+    mask, level, score = literal_segment(
+        relevancy.numpy(), preset, thresholds, of_levels.instability.tolist()
+    )
     found = segment(relevancy, preset)
     assert found.threshold == thresholds[level]
     assert found.level == level

@@ -95,7 +95,11 @@ def test_scaled_embeddings_build_the_same_field() -> None:
         lambda name, level: regions.load_embeddings(name, level) * 7,
     )
     found = build(gaussians, cameras, scaled, settings_)
-    queries, canonical = torch.randn(4, expected.dim), torch.randn(2, expected.dim)
+    random = torch.Generator().manual_seed(0)
+    queries, canonical = (
+        torch.nn.functional.normalize(torch.randn(count, expected.dim, generator=random), dim=1)
+        for count in (4, 2)
+    )
     torch.testing.assert_close(
         found.gaussian_relevancy(queries, canonical),
         expected.gaussian_relevancy(queries, canonical),

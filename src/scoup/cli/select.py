@@ -42,8 +42,8 @@ class Select(TextOptions):
     """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases and everyday words."""
     presence: OptionalNumber = None
     """A text is in the scene if its z-score is at least this: how many standard deviations what was found lies nearer
-    to it than to everyday words. Otherwise nothing is chosen for it. Default: 1.5, where the table of --text has 16 words
-    or more."""
+    to it than to everyday words. Otherwise nothing is chosen for it. Default: 1.5, where the table of --text has 16
+    words or more."""
     always: Flag = False
     """Choose something for any text, unless the threshold is absolute."""
     neighbours: int = 0
