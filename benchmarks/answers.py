@@ -62,8 +62,14 @@ WAYS = {
     "k-sparse": Method("k-sparse", SparseUplift(k=4, wide=False, effort="best")),
     "one-round": Method("one-round", SparseUplift(rounds=1)),
     "default": METHODS["sparse"],
+    "wide-4": Method("wide-4", SparseUplift(k=4)),
+    "best-effort": Method("best-effort", SparseUplift(effort="best")),
+    "256-atoms": Method("256-atoms", SparseUplift(n_atoms=256)),
+    "keep-2": Method("keep-2", SparseUplift(keep=2)),
+    "keep-all": Method("keep-all", SparseUplift(keep=0)),
 }
-"""By name; "k-sparse" is the default without wide codes, as it was before them, and "one-round" without the second."""
+"""By name; "k-sparse" is the default without wide codes, as it was before them, "one-round" without the second, and the
+last five change one thing each."""
 SLOW = frozenset({"paper"})  # which takes a minute a level: the first seed alone
 COMPARED = (("default", "dense"), ("default", "paper"), ("default", "k-sparse"), ("default", "one-round"))
 
