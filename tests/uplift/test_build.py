@@ -236,6 +236,10 @@ def test_presets():
     assert build_settings(wide=False) == BuildSettings(wide=False)
     assert build_settings("paper", wide=None).wide is False
     assert build_settings(seed=3) == BuildSettings(seed=3)
+    few, two = build_settings(n_atoms=5), build_settings("paper", n_atoms=2)
+    assert [(each.n_atoms, each.k, each.keep) for each in (few, two)] == [(5, 5, 4), (2, 2, 2)]
+    with pytest.raises(InputError, match="must not exceed the 5 atoms"):
+        build_settings(n_atoms=5, k=8)
     with pytest.raises(UnknownNameError, match="paper"):
         build_settings("papers")
     with pytest.raises(InputError, match="at least one round"):

@@ -79,6 +79,8 @@ BUILD_PRESETS: dict[str, BuildSettings] = {
 def build_settings(settings: BuildSettings | str = "default", **changes: Any) -> BuildSettings:
     """Settings, or a preset by name, with some fields changed; None leaves a field as it is.
 
+    With fewer atoms than a code has, k and keep become as many, unless they are given.
+
     Raises:
         UnknownNameError: there is no such preset.
         InputError: the settings do not go together.
@@ -87,4 +89,8 @@ def build_settings(settings: BuildSettings | str = "default", **changes: Any) ->
         settings = looked_up("build preset", settings, BUILD_PRESETS)
     check_arguments("build_settings", settings=(settings, BuildSettings))
     changes = {name: value for name, value in changes.items() if value is not None}
+    # A small codebook is no error: codes are as long as it allows, unless they were given a length.
+    for name in ("k", "keep"):
+        if name not in changes and changes.get("n_atoms", 0) > 0:
+            changes[name] = min(getattr(settings, name), changes["n_atoms"])
     return dataclasses.replace(settings, **changes)
