@@ -13,6 +13,7 @@ from scoup import raster
 from scoup.base.errors import InputError
 from scoup.models.words import LEAST_WORDS
 from scoup.query.presence import (
+    PRESENT_FROM,
     mean_embedding,
     scene_z_scores,
     view_z_scores,
@@ -30,7 +31,7 @@ def test_z_scores_by_hand() -> None:
     )
     cosines = (embeddings @ words.T).double().numpy()
     own = (embeddings * queries).sum(1).double().numpy()
-    expected = (own - cosines.mean(1)) / cosines.std(1)
+    expected = np.minimum(own - cosines.mean(1), 2.3 * cosines.std(1) + own - cosines.max(1)) / cosines.std(1)
     assert z_scores(embeddings, queries, words).numpy() == pytest.approx(expected, abs=1e-5)
     # The length of an embedding says nothing.
     assert z_scores(embeddings * 37, queries, words).numpy() == pytest.approx(expected, abs=1e-5)
@@ -38,6 +39,22 @@ def test_z_scores_by_hand() -> None:
     own_among_them = z_scores(embeddings, queries, torch.cat([words, queries[:1]]))
     assert float(own_among_them[0]) == pytest.approx(expected[0], abs=1e-5)
     assert float(own_among_them[1]) != pytest.approx(expected[1], abs=1e-5)
+
+
+def test_a_word_that_fits_better_takes_what_was_found() -> None:
+    """Words at right angles: what was found is mostly a pot, and a little a toilet."""
+    words = torch.eye(24)
+    pot, toilet = words[0], words[1]
+    found = (0.9 * pot + 0.5 * toilet)[None]
+    lone = z_scores(found, toilet[None], words[2:])
+    beside = z_scores(found, toilet[None], words)
+    assert float(z_scores(found, pot[None], words)) > 2.3  # it leads
+    assert float(lone) > 2.3  # no word is a better one
+    # By the lag behind the pot, in deviations of the 23 cosines: the toilet is no word to compare itself with.
+    cosines = np.array([0.9, *[0.0] * 22]) / np.hypot(0.9, 0.5)
+    lag = (0.5 - 0.9) / np.hypot(0.9, 0.5) / cosines.std()
+    assert float(beside) == pytest.approx(2.3 + lag, abs=1e-4)
+    assert float(beside) < PRESENT_FROM < float(lone)
 
 
 def test_the_query_itself_scores_high_and_nothing_scores_minus_infinity() -> None:
