@@ -9,7 +9,6 @@ draws 1 to 3, table-0 and shelves-0, with codebook seed 0.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,14 +21,11 @@ from benchmarks.data import data_folder
 from benchmarks.voting_scenes import SceneSize, VotingScene, make_scene
 from scoup.baselines.method import MethodSettings
 from scoup.baselines.methods import METHODS
-from scoup.baselines.rasterised_scene import UpliftInputs
 from scoup.baselines.sparse import SparseUplift
-from scoup.bench import describe_environment, markdown
-from scoup.io import write_text
+from scoup.bench import describe_environment, markdown, write_json
 from scoup.models.words import with_everyday
 from scoup.query.presence import PRESENT_FROM, view_z_scores
 from scoup.query.segment import segment
-from scoup.synthetic.faults import as_region_sums
 
 PRESENT, OUT_OF_VIEW, ABSENT = "present", "out of view", "absent"
 BOUNDS = (0.5, 1.0, 1.25, PRESENT_FROM, 1.75, 2.0, 2.3)
@@ -77,7 +73,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         "scenes": scenes,
     }
     if arguments.out is not None:
-        write_text(arguments.out, json.dumps(record, indent=1) + "\n", overwrite=True)
+        write_json(arguments.out, record, overwrite=True)
     return record
 
 
@@ -90,7 +86,7 @@ def refused(asked: dict[str, list[float]], bound: float) -> dict[str, float]:
 
 def ask(scene: VotingScene, seed: int) -> dict[str, list[float]]:
     """The z-scores of all questions by their kind."""
-    inputs = UpliftInputs(as_region_sums(scene.levels), [level.embeddings for level in scene.levels])
+    inputs = scene.inputs()
     uplift = METHODS["sparse"].uplift
     assert isinstance(uplift, SparseUplift)
     field = uplift(inputs, MethodSettings(seed)).field

@@ -41,15 +41,13 @@ from scoup.base.errors import InputError, looked_up
 from scoup.baselines.fitted import FittedMethod
 from scoup.baselines.method import Method, MethodSettings
 from scoup.baselines.methods import METHODS
-from scoup.baselines.rasterised_scene import UpliftInputs
 from scoup.baselines.sparse import SparseUplift
-from scoup.bench import describe_environment, markdown
+from scoup.bench import describe_environment, markdown, write_json
 from scoup.evaluate.metrics import bootstrap_interval, iou
 from scoup.io import write_text
 from scoup.models.words import with_everyday
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import choose_level, level_masks
-from scoup.synthetic.faults import as_region_sums, perturbed
 from scoup.uplift.build_settings import BuildSettings
 
 DRAWS = tuple(f"kitchen-{seed}{noise}" for noise in ("", "x2") for seed in (11, 12, 13, 14, 15))
@@ -118,7 +116,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
     found = summary(rows, arguments)
     print(table(found))
     if arguments.out is not None:
-        write_text(arguments.out, json.dumps(found, indent=1) + "\n", overwrite=True)
+        write_json(arguments.out, found, overwrite=True)
     return found
 
 
@@ -136,8 +134,7 @@ def run_case(
     scene: VotingScene, case: str, ways: Sequence[str], arguments: Arguments
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Per way: per rule the IoU of each pair, means over seeds, and what it took."""
-    levels = perturbed(scene.levels, case, 0, scene.shares)
-    inputs = UpliftInputs(as_region_sums(levels), [level.embeddings for level in levels])
+    inputs = scene.inputs(case)
     for name in ways:
         method, started = WAYS[name], time.perf_counter()
         build = BuildSettings(epochs=arguments.epochs)

@@ -10,7 +10,6 @@ with everyday words.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import mean
@@ -23,13 +22,10 @@ from benchmarks.data import data_folder
 from benchmarks.voting_scenes import SceneSize, VotingScene, make_scene
 from scoup.baselines.fitted import FittedMethod
 from scoup.baselines.method import MethodSettings
-from scoup.baselines.rasterised_scene import UpliftInputs
-from scoup.bench import describe_environment, markdown
+from scoup.bench import describe_environment, markdown, write_json
 from scoup.evaluate.metrics import bootstrap_interval, iou
-from scoup.io import write_text
 from scoup.models.words import with_everyday
 from scoup.query.select import select_by_relevancy
-from scoup.synthetic.faults import as_region_sums
 
 RULES = ("0.6", "asked", "best level")
 
@@ -53,7 +49,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
     scores: dict[str, dict[str, dict[str, list[float]]]] = {way: {} for way in arguments.ways}
     for name in arguments.scenes:
         scene = make_scene(name, arguments.data, SceneSize())
-        inputs = UpliftInputs(as_region_sums(scene.levels), [level.embeddings for level in scene.levels])
+        inputs = scene.inputs()
         for way in arguments.ways:
             fitted = WAYS[way].uplift(inputs, MethodSettings(arguments.seed))
             scores[way][name] = score(scene, fitted)
@@ -77,7 +73,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         "scores": scores,
     }
     if arguments.out is not None:
-        write_text(arguments.out, json.dumps(record) + "\n", overwrite=True)
+        write_json(arguments.out, record, overwrite=True)
     return record
 
 

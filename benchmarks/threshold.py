@@ -10,7 +10,6 @@ The constants of ``scoup.query.stable_threshold`` were chosen on the scenes give
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,17 +24,14 @@ from benchmarks.data import data_folder
 from benchmarks.voting_scenes import SceneSize, make_scene
 from scoup.baselines.method import MethodSettings
 from scoup.baselines.methods import METHODS
-from scoup.baselines.rasterised_scene import UpliftInputs
-from scoup.bench import describe_environment, markdown
+from scoup.bench import describe_environment, markdown, write_json
 from scoup.evaluate.metrics import iou
-from scoup.io import write_text
 from scoup.models.words import with_everyday
 from scoup.query.localize import averaged_relevancy
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import LevelMasks, choose_level
 from scoup.query.smoothing import rescale, smoothed_masks
 from scoup.query.stable_threshold import Stability, stable_thresholds
-from scoup.synthetic.faults import as_region_sums
 
 Rule = Callable[[Tensor], Tensor]
 """Thresholds [S] of smoothed relevancy [S, M]."""
@@ -117,14 +113,14 @@ def main(arguments: Arguments) -> dict[str, Any]:
         "rules": found,
     }
     if arguments.out is not None:
-        write_text(arguments.out, json.dumps(record, indent=1) + "\n", overwrite=True)
+        write_json(arguments.out, record, overwrite=True)
     return record
 
 
 def score(name: str, arguments: Arguments) -> dict[str, list[list[float]]]:
     """Per rule and pair, the IoU by mask and of the best level."""
     scene = make_scene(name, arguments.data, SceneSize())
-    inputs = UpliftInputs(as_region_sums(scene.levels), [level.embeddings for level in scene.levels])
+    inputs = scene.inputs()
     fitted = METHODS["sparse"].uplift(inputs, MethodSettings(arguments.seed))
     canonical, preset = with_everyday(scene.canonical, scene.everyday), QUERY_PRESETS["default"]
     found: dict[str, list[list[float]]] = {rule: [] for rule in RULES}

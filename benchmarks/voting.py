@@ -33,7 +33,6 @@ from benchmarks.voting_ways import WAYS, find_way
 from scoup.baselines.method import Method, MethodSettings
 from scoup.baselines.rasterised_scene import UpliftInputs
 from scoup.io import write_text
-from scoup.synthetic.faults import LevelSums, as_region_sums, perturbed
 from scoup.uplift.build_settings import BuildSettings
 
 SCENES = ("kitchen", "table-0", "shelves-0", "hall-0", "yard-0")
@@ -87,8 +86,8 @@ def main(arguments: Arguments) -> Results:
         for case, missing in left.items():
             if not missing:
                 continue
-            levels = perturbed(scene.levels, case, arguments.draw, scene.shares)
-            for method, entry in run_case(scene, levels, missing, arguments.seeds, arguments.epochs):
+            inputs = scene.inputs(case, arguments.draw)
+            for method, entry in run_case(scene, inputs, missing, arguments.seeds, arguments.epochs):
                 results.put(name, case, method.name, scene.pairs, entry)
                 print(
                     f"{name:10} {case:16} {method.name:27} peak {_mean(entry.peak):.3f} mask {_mean(entry.mask):.3f} "
@@ -104,13 +103,12 @@ def main(arguments: Arguments) -> Results:
 
 def run_case(
     scene: VotingScene,
-    levels: Sequence[LevelSums],
+    inputs: UpliftInputs,
     methods: Sequence[Method],
     seeds: Sequence[int],
     epochs: int,
 ) -> Iterator[tuple[Method, Entry]]:
     """Every method on one scene with its faults; methods that differ in the vote only share their codes."""
-    inputs = UpliftInputs(as_region_sums(levels), [level.embeddings for level in levels])
     for method in methods:
         started = time.perf_counter()
         scores, size = [], 0.0

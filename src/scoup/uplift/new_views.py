@@ -98,12 +98,12 @@ def code_view(
         learn_atoms(r[coded.badly_explained], atoms, k, new_atoms)
         for r, atoms, coded in zip(rows, codebook, encoded, strict=True)
     ]
-    codes = [coded.codes for coded in encoded]
-    if any(len(atoms) for atoms in new):
+    codes, grown = [coded.codes for coded in encoded], any(len(atoms) for atoms in new)
+    if grown:
         codebook = append_atoms(codebook, new)
-        codes = [encode(r, atoms, k) for r, atoms in zip(rows, codebook, strict=True)]
-    if wide:
-        codes = [wide_codes(r, atoms, k) for r, atoms in zip(rows, codebook, strict=True)]
+    if grown or wide:
+        coder = wide_codes if wide else encode
+        codes = [coder(r, atoms, k) for r, atoms in zip(rows, codebook, strict=True)]
     badly_explained = sum(int(coded.badly_explained.sum()) for coded in encoded)
     return CodedView(
         codes,
