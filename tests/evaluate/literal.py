@@ -31,7 +31,9 @@ def mirror(place: int, size: int) -> int:
     return place
 
 
-def masks(levels: np.ndarray, kernel: int, border: str, threshold: float, smoothing: int):
+def masks(
+    levels: np.ndarray, kernel: int, border: str, threshold: float, smoothing: int, vote: str = "inside"
+):
     """Per level h' and mask, steps 1 to 3."""
     smoothed, found = [], []
     for h in levels.astype(np.float64):
@@ -39,11 +41,28 @@ def masks(levels: np.ndarray, kernel: int, border: str, threshold: float, smooth
         n = (h2 - h2.min()) / (h2.max() - h2.min() + 1e-9)
         n = np.clip(2 * n - 1, 0, 1)
         mask = n > threshold
-        if smoothing > 1:
+        if vote == "but last":
+            mask = langsplat_smooth(mask)
+        elif smoothing > 1:
             mask = box(mask.astype(float), smoothing, "inside") > 0.5
         smoothed.append(h2)
         found.append(mask)
     return np.stack(smoothed), np.stack(found)
+
+
+def langsplat_smooth(mask: np.ndarray) -> np.ndarray:
+    """The most frequent value (the smaller of two) in a window of 7 x 7 that ends before the last row and column."""
+    height, width = mask.shape
+    out = np.zeros((height, width), bool)
+    for y in range(height):
+        for x in range(width):
+            ones, zeros = 0, 0
+            for v in range(max(0, y - 3), min(y + 4, height - 1)):
+                for u in range(max(0, x - 3), min(x + 4, width - 1)):
+                    ones += bool(mask[v, u])
+                    zeros += not mask[v, u]
+            out[y, x] = ones > zeros
+    return out
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:
@@ -54,9 +73,9 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
     return both / either if either else 1.0
 
 
-def lerf_ovs(levels, truth, boxes, kernel, border, threshold, smoothing) -> tuple[float, int, bool]:
+def lerf_ovs(levels, truth, boxes, kernel, border, threshold, smoothing, vote) -> tuple[float, int, bool]:
     """(IoU, level of the mask, hit)."""
-    smoothed, found = masks(levels, kernel, border, threshold, smoothing)
+    smoothed, found = masks(levels, kernel, border, threshold, smoothing, vote)
     level = int(np.argmax([h.max() for h in smoothed]))
     averaged = [box(h.astype(np.float64), kernel, border) for h in levels]
     best = int(np.argmax([h.max() for h in averaged]))

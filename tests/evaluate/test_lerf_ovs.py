@@ -33,7 +33,7 @@ def write_label(path: Path, objects: list[dict], width: int = 60, height: int = 
     return path
 
 
-def test_polygons_are_rounded_filled_and_united(tmp_path: Path) -> None:
+def test_polygons_are_cut_to_whole_pixels_filled_and_united(tmp_path: Path) -> None:
     path = write_label(
         tmp_path / "frame_00041.json",
         [square("cup", 10.4, 5.6, 19.6, 9.4), square("pot", 0, 0, 59, 39), square("cup", 30, 20, 34, 22)],
@@ -41,12 +41,35 @@ def test_polygons_are_rounded_filled_and_united(tmp_path: Path) -> None:
     frame = read_frame(path)
     assert (frame.name, frame.width, frame.height, frame.labels) == ("frame_00041", 60, 40, ("cup", "pot"))
     expected = torch.zeros(40, 60, dtype=torch.bool)
-    expected[6:10, 10:21] = True
+    expected[5:10, 10:20] = True  # int32 of 10.4, 5.6, 19.6, 9.4; whole pixels towards zero
     expected[20:23, 30:35] = True
     assert frame.masks["cup"].equal(expected)
     assert frame.masks["pot"].all()
     assert frame.boxes["cup"].shape == (2, 4)
     assert frame.boxes["cup"][1].tolist() == [30, 20, 34, 22]
+
+
+def test_polygons_are_painted_as_opencv_paints_them(tmp_path: Path) -> None:
+    """Rows of ``cv2.fillPoly`` for this triangle: the pixels that its edges cross are inside."""
+    triangle = square("cup", 0, 0, 20, 20)
+    triangle["segmentation"] = [[2.9, 2.0], [15.0, 5.7], [9.4, 17.0]]
+    (mask,) = read_frame(write_label(tmp_path / "a.json", [triangle])).masks.values()
+    spans = {
+        2: (2, 4),
+        3: (2, 8),
+        4: (3, 12),
+        5: (3, 15),
+        6: (4, 14),
+        7: (4, 14),
+        8: (5, 13),
+        9: (5, 13),
+        10: (6, 12),
+    }
+    spans |= {11: (6, 12), 12: (7, 11), 13: (7, 11), 14: (8, 10), 15: (8, 10), 16: (9, 9), 17: (9, 9)}
+    expected = torch.zeros(40, 60, dtype=torch.bool)
+    for row, (first, last) in spans.items():
+        expected[row, first : last + 1] = True
+    assert mask.equal(expected)
 
 
 def test_odd_polygons(tmp_path: Path) -> None:

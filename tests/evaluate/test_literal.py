@@ -65,7 +65,7 @@ def check_lerf_ovs(levels: np.ndarray, frame: LabelledFrame, system: str) -> Non
     preset = query_preset(system, "lerf-ovs")
     (pair,) = lerf_ovs.score_frame(frame, torch.from_numpy(levels)[:, None], preset)
     truth, boxes = frame.masks["cup"].numpy(), frame.boxes["cup"].tolist()
-    rules = preset.kernel, preset.border, preset.threshold, preset.smoothing
+    rules = preset.kernel, preset.border, preset.threshold, preset.smoothing, preset.smoothing_border
     iou, level, hit = literal.lerf_ovs(levels, truth, boxes, *rules)
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, hit)
 
@@ -148,14 +148,15 @@ def test_truth_is_resized_by_nearest_neighbour(size: tuple[int, int]) -> None:
 def test_presets_are_those_of_the_protocols() -> None:
     """Box, threshold, mask smoothing and level rule, as docs/protocols.md states them."""
     rows = {
-        ("lerf-ovs", "scoup"): (7, "inside", 0.6, 7, "peak"),
-        ("lerf-ovs", "langsplatv2"): (29, "inside", 0.4, 7, "peak"),
-        ("lerf-ovs", "langsplat"): (30, "reflect", 0.4, 1, "peak"),
+        ("lerf-ovs", "scoup"): (7, "inside", 0.6, 7, "inside", "peak"),
+        ("lerf-ovs", "langsplatv2"): (29, "inside", 0.4, 7, "inside", "peak"),
+        ("lerf-ovs", "langsplat"): (30, "reflect", 0.4, 7, "but last", "peak"),
     }
     for (data_set, system), expected in rows.items():
         preset = query_preset(system, data_set)
         assert (
-            preset.kernel, preset.border, preset.threshold, preset.smoothing, preset.level_choice
+            preset.kernel, preset.border, preset.threshold, preset.smoothing, preset.smoothing_border,
+            preset.level_choice,
         ) == expected  # fmt: skip
     assert threed_ovs.preset().level_choice == mipnerf360.preset().level_choice == "mask"
     assert (threed_ovs.preset("langsplatv2").kernel, threed_ovs.preset("langsplatv2").threshold) == (29, 0.25)

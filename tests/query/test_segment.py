@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from evaluate.literal import langsplat_smooth
 from query.box_means import literal_box_mean
 from scoup.base.errors import InputError
 from scoup.query.localize import localize
@@ -24,7 +25,10 @@ def literal_segment(
         smoothed = 0.5 * (image + literal_box_mean(image, preset.kernel, preset.border))
         stretched = (smoothed - smoothed.min()) / (smoothed.max() - smoothed.min() + 1e-9)
         mask = np.clip(2 * stretched - 1, 0, 1) > threshold
-        mask = literal_box_mean(mask.astype(np.float64), preset.smoothing, "inside") > 0.5
+        if preset.smoothing_border == "but last":
+            mask = langsplat_smooth(mask)
+        else:
+            mask = literal_box_mean(mask.astype(np.float64), preset.smoothing, "inside") > 0.5
         answers.append((mask, level, smoothed.max(), smoothed[mask].mean() if mask.any() else -np.inf))
     evidence = []
     for mask, level, peak, inside in answers:

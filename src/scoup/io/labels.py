@@ -81,7 +81,7 @@ def read_labels(folder: str | Path) -> list[LabelledFrame]:
 
 
 def read_frame(path: str | Path) -> LabelledFrame:
-    """One label file. Polygon corners are rounded to whole pixels and filled, edges included.
+    """One label file. Polygon corners are cut to whole pixels (towards zero) and filled, edges included.
 
     Raises:
         MissingFileError: there is no such file.
@@ -104,7 +104,9 @@ def read_frame(path: str | Path) -> LabelledFrame:
     for position, item in enumerate(objects):
         label, corners, box = _object(path, item, f"object {position}")
         canvas = canvases.setdefault(label, Image.new("1", (width, height)))
-        ImageDraw.Draw(canvas).polygon(corners, fill=1, outline=1)
+        painter = ImageDraw.Draw(canvas)
+        painter.polygon(corners, fill=1)
+        painter.line([*corners, corners[0]], fill=1)  # an outline of the fill's colour is not drawn
         boxes.setdefault(label, []).append(box)
     return LabelledFrame(
         path.stem,
@@ -157,14 +159,14 @@ def _object(path: Path, item: Any, what: str) -> tuple[str, list[tuple[int, int]
     if not isinstance(polygon, list) or not polygon:
         raise FileFormatError(path, f"{what} ({item['category']!r}) has no polygon", _REMEDY)
     corners = [_numbers(path, corner, 2, f"a corner of {what}") for corner in polygon]
-    rounded = [(round(x), round(y)) for x, y in corners]
+    whole = [(int(x), int(y)) for x, y in corners]
     # Two corners are a line and one is a point; the painter wants three.
-    rounded += rounded[-1:] * (3 - len(rounded))
+    whole += whole[-1:] * (3 - len(whole))
     if item.get("bbox") is None:
         xs, ys = zip(*corners, strict=True)
-        return item["category"], rounded, [min(xs), min(ys), max(xs), max(ys)]
+        return item["category"], whole, [min(xs), min(ys), max(xs), max(ys)]
     x1, y1, x2, y2 = _numbers(path, item["bbox"], 4, f"the box of {what}")
-    return item["category"], rounded, [min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)]
+    return item["category"], whole, [min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)]
 
 
 def _numbers(path: Path, value: Any, count: int, what: str) -> list[float]:

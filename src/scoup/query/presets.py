@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.query.smoothing import Border
+from scoup.query.smoothing import Border, VoteBorder
 
 LevelChoice = Literal["peak", "mask", "evidence"]
 
@@ -23,6 +23,8 @@ class QueryPreset:
         threshold: a pixel belongs to the mask if its rescaled relevancy is above this; None: of each map the threshold
             at which the area changes least (``scoup.query.stable_threshold``).
         smoothing: side of the box that smooths the mask by majority; 1 leaves it alone.
+        smoothing_border: which pixels of that box have a vote. "inside": those inside the image; "but last": those
+            inside it but for its last row and column, as LangSplat's code has it.
         level_choice: which level answers. "peak": the level with the largest smoothed relevancy, as in the papers'
             protocol for LERF-OVS; "mask": the level whose own mask has the largest mean of smoothed relevancy;
             "evidence": that mean, and how stable the mask is and whether it holds another level's
@@ -38,6 +40,7 @@ class QueryPreset:
     threshold: float | None
     smoothing: int
     level_choice: LevelChoice = "peak"
+    smoothing_border: VoteBorder = "inside"
 
     def __post_init__(self) -> None:
         if self.kernel < 1 or self.smoothing < 1:
@@ -56,7 +59,9 @@ QUERY_PRESETS: dict[str, QueryPreset] = {
     ),
     "scoup": QueryPreset("scoup", kernel=7, border="inside", threshold=0.6, smoothing=7),
     "langsplatv2": QueryPreset("langsplatv2", kernel=29, border="inside", threshold=0.4, smoothing=7),
-    "langsplat": QueryPreset("langsplat", kernel=30, border="reflect", threshold=0.4, smoothing=1),
+    "langsplat": QueryPreset(
+        "langsplat", kernel=30, border="reflect", threshold=0.4, smoothing=7, smoothing_border="but last"
+    ),
 }
 """Presets by name: "default" for everyday use, the others by the rules of the systems of their names for LERF-OVS."""
 

@@ -121,7 +121,9 @@ def level_masks(relevancy: Tensor, preset: QueryPreset, averaged: Tensor | None 
     """
     averaged = averaged_relevancy(relevancy, preset) if averaged is None else averaged
     thresholds, instability = stable_thresholds((0.5 * (relevancy + averaged)).flatten(1), preset.threshold)
-    smoothed, masks = smoothed_masks(relevancy, averaged, thresholds, preset.smoothing)
+    smoothed, masks = smoothed_masks(
+        relevancy, averaged, thresholds, preset.smoothing, preset.smoothing_border
+    )
     return LevelMasks(smoothed, masks, thresholds, instability)
 
 

@@ -15,6 +15,7 @@ from torch import Tensor
 from scoup.base.native import native_core
 
 Border = Literal["inside", "reflect"]
+VoteBorder = Literal["inside", "but last"]
 
 
 def box_mean(maps: Tensor, kernel: int, border: Border = "inside") -> Tensor:
@@ -47,7 +48,7 @@ def plain_box_mean(maps: Tensor, kernel: int, border: Border = "inside") -> Tens
 
 
 def smoothed_masks(
-    relevancy: Tensor, averaged: Tensor, thresholds: Tensor, smoothing: int
+    relevancy: Tensor, averaged: Tensor, thresholds: Tensor, smoothing: int, border: VoteBorder = "inside"
 ) -> tuple[Tensor, Tensor]:
     """Smoothed relevancy, and the majority of the pixels above the threshold once it is rescaled.
 
@@ -56,10 +57,15 @@ def smoothed_masks(
         averaged: [S, H, W] its ``box_mean``.
         thresholds: [S] float32 on the CPU, of each level, on the rescaled relevancy.
         smoothing: side in pixels of the box in which the majority decides; 1 leaves the mask alone.
+        border: "inside": all pixels of the box inside the image have a vote; "but last": the last row and column of
+            the image have none (``majority_but_last``).
 
     Returns:
         smoothed relevancy [S, H, W], dtype of ``relevancy``, and masks [S, H, W] boolean.
     """
+    if border == "but last":
+        smoothed, above = smoothed_masks(relevancy, averaged, thresholds, 1)
+        return smoothed, majority_but_last(above, smoothing)
     core = _core_for(relevancy, smoothing)
     if core is None or averaged.dtype != relevancy.dtype:
         return plain_smoothed_masks(relevancy, averaged, thresholds, smoothing)
@@ -77,6 +83,19 @@ def plain_smoothed_masks(
         [rescale(level) > threshold for level, threshold in zip(smoothed, thresholds.tolist(), strict=True)]
     )
     return smoothed, plain_box_mean(above.float(), smoothing) > 0.5
+
+
+def majority_but_last(masks: Tensor, side: int) -> Tensor:
+    """[S, H, W] boolean: whether most pixels of the box around each pixel are true, where those of the last row and
+    column of the image have no vote (``smooth`` in LangSplat's ``eval/utils.py``). A tie, or no pixel with a vote: no.
+
+    Args:
+        masks: [S, H, W] boolean.
+        side: of the box, in pixels.
+    """
+    voters = torch.zeros(masks.shape[-2:], device=masks.device)
+    voters[:-1, :-1] = 1
+    return 2 * box_mean(masks * voters, side) > box_mean(voters, side)
 
 
 def mask_sums(smoothed: Tensor, masks: Tensor) -> tuple[Tensor, Tensor, Tensor]:
