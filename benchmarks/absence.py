@@ -17,8 +17,8 @@ import numpy as np
 import torch
 import tyro
 
+from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.data import data_folder
-from benchmarks.voting_scenes import SceneSize, VotingScene, make_scene
 from scoup.baselines.method import MethodSettings
 from scoup.baselines.methods import METHODS
 from scoup.baselines.sparse import SparseUplift
@@ -84,7 +84,7 @@ def refused(asked: dict[str, list[float]], bound: float) -> dict[str, float]:
     }
 
 
-def ask(scene: VotingScene, seed: int) -> dict[str, list[float]]:
+def ask(scene: AnswerScene, seed: int) -> dict[str, list[float]]:
     """The z-scores of all questions by their kind."""
     inputs = scene.inputs()
     uplift = METHODS["sparse"].uplift

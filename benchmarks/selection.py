@@ -17,9 +17,9 @@ from typing import Any
 
 import tyro
 
+from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.answers import WAYS
 from benchmarks.data import data_folder
-from benchmarks.voting_scenes import SceneSize, VotingScene, make_scene
 from scoup.baselines.fitted import FittedMethod
 from scoup.baselines.method import MethodSettings
 from scoup.bench import describe_environment, markdown, write_json
@@ -77,7 +77,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
     return record
 
 
-def score(scene: VotingScene, fitted: FittedMethod) -> dict[str, list[float]]:
+def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
     """Per rule, the IoU of each text whose Gaussians are known."""
     canonical, coded = with_everyday(scene.canonical, scene.everyday), fitted.coded()
     found: dict[str, list[float]] = {rule: [] for rule in RULES}

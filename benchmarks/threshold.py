@@ -20,8 +20,8 @@ import torch
 import tyro
 from torch import Tensor
 
+from benchmarks.answer_scenes import SceneSize, make_scene
 from benchmarks.data import data_folder
-from benchmarks.voting_scenes import SceneSize, make_scene
 from scoup.baselines.method import MethodSettings
 from scoup.baselines.methods import METHODS
 from scoup.bench import describe_environment, markdown, write_json

@@ -1,4 +1,4 @@
-"""The scenes of benchmarks/voting.py, each rasterised once: what is coded, what is asked, and the truth."""
+"""The scenes of the studies of answers, each rasterised once: what is coded, what is asked, and the truth."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class SceneSize:
 
 
 @dataclass(frozen=True, eq=False)
-class VotingScene:
+class AnswerScene:
     """A scene ready to be coded and asked.
 
     Attributes:
@@ -88,7 +88,7 @@ class VotingScene:
         return UpliftInputs(as_region_sums(levels), [level.embeddings for level in levels])
 
 
-def make_scene(name: str, data: Path, size: SceneSize) -> VotingScene:
+def make_scene(name: str, data: Path, size: SceneSize) -> AnswerScene:
     """A scene by name: "kitchen" as given, one of its draws such as "kitchen-3", or "kitchen-3x2" with noise
     twice as strong (``benchmarks.kitchen_draws``), or a
     layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
@@ -121,7 +121,7 @@ def make_scene(name: str, data: Path, size: SceneSize) -> VotingScene:
     return _prepared(name, demo.gaussians, demo.building, demo.regions, frames, texts, members)
 
 
-def _kitchen(data: Path, scale: float) -> VotingScene:
+def _kitchen(data: Path, scale: float) -> AnswerScene:
     kitchen = data / "kitchen"
     gaussians = scoup.load_gaussians(kitchen / "scene" / "model.splat")
     cameras = scoup.load_cameras(kitchen)
@@ -136,7 +136,7 @@ def _kitchen(data: Path, scale: float) -> VotingScene:
         return _prepared("kitchen", gaussians, cameras, regions, frames, _texts(data, truth), members)
 
 
-def _kitchen_draw(data: Path, seed: int, noise: float, scale: float) -> VotingScene:
+def _kitchen_draw(data: Path, seed: int, noise: float, scale: float) -> AnswerScene:
     truth = Truth.open(data, scale)
     draw = make_draw(truth, seed, noise)
     texts = _texts(data, truth)
@@ -174,10 +174,10 @@ def _prepared(
     frames: list[tuple[LabelledFrame, Camera]],
     texts: Texts,
     members: dict[str, Tensor],
-) -> VotingScene:
+) -> AnswerScene:
     levels = level_sums(region_sums(gaussians, cameras, regions), regions)
     everyday = torch.nn.functional.normalize(texts.everyday, dim=1)
-    return VotingScene(
+    return AnswerScene(
         name,
         gaussians,
         levels,

@@ -1,0 +1,106 @@
+"""benchmarks/answers.py on a tiny scene: scores are those of the protocol, and the pairs kept give all figures."""
+
+from __future__ import annotations
+
+import functools
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from benchmarks import answers
+from benchmarks.answer_scenes import SceneSize, make_scene
+
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.baselines.method import DEFAULTS
+from scoup.baselines.sparse import SparseUplift
+from scoup.evaluate.metrics import bootstrap_interval
+from scoup.evaluate.protocols.lerf_ovs import score_frame
+from scoup.query.presets import QUERY_PRESETS
+from scoup.uplift.build_settings import BUILD_PRESETS
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_scene():
+    with pytest.MonkeyPatch.context() as patch:
+        # The scene is the same for all tests, and takes longer to make than to be asked.
+        patch.setattr(answers, "make_scene", functools.cache(make_scene))
+        yield
+
+
+def tiny(**changes: Any) -> answers.Arguments:
+    size = SceneSize(2500, 64, 48, n_building=4, n_held_out=2)
+    given: dict[str, Any] = {
+        "scenes": ("table-0",),
+        "ways": ("dense", "default"),
+        "seeds": (0, 1),
+        "size": size,
+    }
+    return answers.Arguments(**{**given, "epochs": 3, **changes})
+
+
+def test_scores_are_those_of_the_protocol() -> None:
+    arguments = tiny()
+    scene = answers.make_scene("table-0", arguments.data, arguments.size)
+    fitted = answers.WAYS["default"].uplift(scene.inputs(), DEFAULTS)
+    found = answers.score(scene, fitted)
+    for rule, choice in (("peak", "peak"), ("mask", "mask")):
+        preset = replace(QUERY_PRESETS["scoup"], level_choice=choice)
+        expected = []
+        for frame, view in scene.frames:
+            queries = torch.stack([scene.queries[label] for label in frame.labels])
+            expected += score_frame(frame, fitted.relevancy(view, queries, scene.canonical), preset)
+        assert found[rule] == [pair.iou for pair in expected]
+        assert found["localisation"] == [float(bool(pair.hit)) for pair in expected]
+        assert scene.pairs == [(pair.frame, pair.label) for pair in expected]
+    assert all(best >= asked for best, asked in zip(found["best level"], found["asked"], strict=True))
+
+
+def test_kept_pairs_give_the_means_and_differences(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, rows = tmp_path / "answers.json", tmp_path / "rows.json"
+    answers.main(tiny(ways=("dense",), cases=("clean", "wrong20"), rows=rows))
+    before = json.loads(rows.read_text())["scores"]
+    answers.main(tiny(cases=("clean", "wrong20"), rows=rows, out=out))
+    printed, kept = capsys.readouterr().out, json.loads(out.read_text())
+    assert printed.count("table-0      wrong20   dense") == 1  # what was there was not run again
+    cells = {f"table-0/{case}": kept["scores"][f"table-0/{case}"] for case in ("clean", "wrong20")}
+    assert all(cells[cell]["dense"] == before[cell]["dense"] for cell in cells)
+    labels = [label for _, label in kept["pairs"]["table-0"]]
+    for rule in answers.RULES:
+        one, other = (cells["table-0/clean"][way][rule] for way in ("default", "dense"))
+        shown = kept["ways"]["default"]["procedural, clean"][rule]
+        assert shown == pytest.approx(sum(one) / len(one), abs=1e-4)
+        expected = bootstrap_interval(
+            [a - b for a, b in zip(one, other, strict=True)], labels, scenes=["a"] * len(one)
+        )
+        assert kept["differences"]["default - dense"]["procedural, clean"][rule] == [
+            pytest.approx(value, abs=1e-4) for value in (expected.mean, expected.low, expected.high)
+        ]
+    assert set(kept["ways"]["dense"]) == {"procedural, clean", "procedural, wrong20", "all"}
+
+
+def test_what_cannot_be(tmp_path: Path) -> None:
+    rows = tmp_path / "rows.json"
+    rows.write_text(json.dumps({"settings": {"seeds": [9]}, "pairs": {}, "scores": {}}))
+    with pytest.raises(InputError, match="another --rows"):
+        answers.main(tiny(rows=rows))
+    with pytest.raises(UnknownNameError, match="defalt"):
+        answers.main(tiny(ways=("defalt",)))
+
+
+def test_ways_are_what_their_names_say() -> None:
+    def build_of(name: str):
+        uplift = answers.WAYS[name].uplift
+        assert isinstance(uplift, SparseUplift)
+        return replace(DEFAULTS.build, **uplift.changes)
+
+    default = BUILD_PRESETS["default"]
+    assert (build_of("default"), build_of("paper")) == (default, BUILD_PRESETS["paper"])
+    assert build_of("one-round") == replace(default, rounds=1)
+    assert build_of("three-rounds") == replace(default, rounds=3)
+    assert build_of("two-atoms") == replace(default, k=2, wide=False, keep=2)
+    assert {name for pair in answers.COMPARED for name in pair} <= set(answers.WAYS)
