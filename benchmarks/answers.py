@@ -40,6 +40,7 @@ import tyro
 from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.data import data_folder
 from scoup.base.errors import InputError, looked_up
+from scoup.base.records import record_text
 from scoup.baselines.fitted import FittedMethod
 from scoup.baselines.method import Method, MethodSettings
 from scoup.baselines.methods import METHODS
@@ -132,7 +133,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
     found = summary(rows, arguments)
     print(table(found))
     if arguments.out is not None:
-        write_text(arguments.out, json.dumps(found, separators=(",", ":")) + "\n", overwrite=True)
+        write_text(arguments.out, record_text(found) + "\n", overwrite=True)
     return found
 
 

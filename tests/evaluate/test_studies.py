@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
+from statistics import fmean
+from typing import Any
 
 import pytest
 import torch
@@ -64,11 +67,25 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[StudyScene]:
     return [make_study_scene(seed, tmp_path_factory.mktemp(f"scene{seed}")) for seed in (0, 1)]
 
 
-def check_report(report: StudyReport, folder: Path) -> None:
-    """All of it can be written, and nothing is empty."""
+def check_report(report: StudyReport, folder: Path) -> dict[str, Any]:
+    """All of it can be written, and nothing is empty; the JSON, which holds the tables too."""
     assert all(table.rows for table in report.tables)
     written = report.write(folder)
     assert len(written) == 3 + (len(report.plots) if can_draw() else 0)
+    record = json.loads((folder / f"{report.stem}.json").read_text())
+    assert [table["rows"] for table in record["tables"]] == [
+        [list(row) for row in t.rows] for t in report.tables
+    ]
+    return record
+
+
+def check_pairs(record: dict[str, Any], ious: list[float], miou: float) -> None:
+    """The pairs that a record keeps give its mean, each scene counting alike."""
+    by_scene: dict[str, list[float]] = {}
+    for (scene, _, label), iou in zip(record["pairs"], ious, strict=True):
+        assert label in LABELS
+        by_scene.setdefault(scene, []).append(iou)
+    assert fmean(map(fmean, by_scene.values())) == pytest.approx(miou, abs=1e-3)
 
 
 def test_comparison(scenes: list[StudyScene], tmp_path: Path) -> None:
@@ -85,7 +102,10 @@ def test_comparison(scenes: list[StudyScene], tmp_path: Path) -> None:
     assert len(report.tables) == 3
     assert report.record["methods"]["dense"]["bytes_per_gaussian"] == 3 * 16 * 4
     assert report.record["seed"] == 0
-    check_report(report, tmp_path)
+    record = check_report(report, tmp_path)
+    for row in record["methods"].values():
+        check_pairs(record, row["iou"], row["miou"])
+        check_pairs(record, row["selection_iou"], row["selection_miou"])
 
 
 def test_each_method_of_a_comparison_learns_its_own_codes(scenes: list[StudyScene]) -> None:
@@ -110,7 +130,10 @@ def test_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
     assert results["level by peak"].by_seed() == base.by_seed()
     report = ablation_report(list(results.values()), "lerf-ovs 2D", {})
     assert list(report.record["rows"]) == [row.name for row in rows]
-    check_report(report, tmp_path)
+    record = check_report(report, tmp_path)
+    for row in record["rows"].values():
+        check_pairs(record, row["iou"], row["miou"])
+        assert row["minus_base"][0] == pytest.approx(row["miou"] - base.interval().mean)
 
 
 @pytest.mark.slow
@@ -154,4 +177,4 @@ def test_presence(scenes: list[StudyScene], tmp_path: Path) -> None:
     questions = [question for scene in scenes for question in query_scene(scene, absent, SETTINGS.build)]
     assert len(questions) == 2 * (2 * 4 + 4)
     assert {len(question.signals) for question in questions if question.frame} == {7}
-    check_report(presence_report(questions), tmp_path)
+    check_report(presence_report(questions, {"seed": 0}), tmp_path)

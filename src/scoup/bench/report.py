@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from scoup.base.records import record_text
 from scoup.bench.measure import Timing
 from scoup.io import write_text
 
@@ -136,7 +136,7 @@ def write_json(path: str | Path, record: dict[str, Any], overwrite: bool = False
     Raises:
         OutputExistsError: the file is there and ``overwrite`` is false.
     """
-    write_text(path, json.dumps(record, indent=1, allow_nan=False) + "\n", overwrite)
+    write_text(path, record_text(record) + "\n", overwrite)
 
 
 def _threads(count: int) -> str:

@@ -34,6 +34,16 @@ class PairScore:
     pixel: tuple[int, int] | None
 
 
+def kept_pairs(scores: Sequence[SceneScore]) -> list[list[str]]:
+    """[scene, frame, label] of all pairs, in order; for JSON."""
+    return [[scene.scene, pair.frame, pair.label] for scene in scores for pair in scene.pairs]
+
+
+def kept_ious(ious: Iterable[float]) -> list[float]:
+    """IoU of all pairs for JSON: three decimals."""
+    return [round(value, 3) for value in ious]
+
+
 @dataclass(frozen=True)
 class SceneScore:
     """All pairs of a scene, with ``miou`` and ``accuracy`` as plain means over them, 0..1.

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from scoup.base.atomic import atomic_file
+from scoup.base.records import record_text
 from scoup.base.staging import check_outputs, staged
 
 CAVEATS = (
@@ -85,7 +85,7 @@ def write_tables(
     page = "\n".join([f"# {title}\n", *(table.markdown() for table in tables), *shown])
     texts = {
         f"{stem}.md": page,
-        f"{stem}.json": json.dumps(record, indent=1, allow_nan=False) + "\n",
+        f"{stem}.json": record_text(record) + "\n",
         f"{stem}.tex": "\n".join(table.latex() for table in tables),
     }
     check_outputs(folder, list(texts), overwrite)

@@ -68,6 +68,7 @@ class Presence(StudyOptions):
 
     def run(self, console: Console) -> None:
         """Query, judge, write."""
+        from scoup.bench.environment import describe_environment
         from scoup.evaluate.label_vectors import encode_words
         from scoup.evaluate.studies.presence import absent_words, query_scene
         from scoup.evaluate.studies.presence_scores import presence_report
@@ -87,7 +88,8 @@ class Presence(StudyOptions):
                 for scene, words in zip(scenes, absent, strict=True)
                 for question in query_scene(scene, words, settings, progress=progress)
             ]
-        report = presence_report(questions)
+        described = {"seed": self.seed, "environment": describe_environment()}
+        report = presence_report(questions, described)
         self.write(console, report)
         for verb, bound in report.record["bounds"].items():
             console.say(f"separates best on these scenes: scoup {verb} --presence {bound:.2f}")

@@ -104,6 +104,7 @@ class Consistency(StudyOptions):
         from dataclasses import replace
 
         from scoup.baselines.autoencoder import LANGSPLAT
+        from scoup.bench.environment import describe_environment
         from scoup.evaluate.studies.consistency import consistency_report, run_consistency
         from scoup.uplift.build_settings import build_settings
 
@@ -112,4 +113,10 @@ class Consistency(StudyOptions):
         scenes = self.open_study(console, "consistency")
         with console.progress() as progress:
             results, sources = run_consistency(scenes, settings, autoencoder, self.seed, progress)
-        self.write(console, consistency_report(results, sources, {"epochs": self.epochs}))
+        described = {
+            "preset": self.preset_name,
+            "seed": self.seed,
+            "epochs": self.epochs,
+            "environment": describe_environment(),
+        }
+        self.write(console, consistency_report(results, sources, described))

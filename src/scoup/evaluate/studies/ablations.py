@@ -12,7 +12,7 @@ from scoup.baselines.method import MethodSettings
 from scoup.evaluate.metrics import Interval, bootstrap_interval
 from scoup.evaluate.plots import IntervalPlot
 from scoup.evaluate.published import ABLATIONS as PUBLISHED
-from scoup.evaluate.scores import SceneScore
+from scoup.evaluate.scores import SceneScore, kept_ious, kept_pairs
 from scoup.evaluate.studies.ablation_rows import Ablation
 from scoup.evaluate.studies.study_report import StudyReport
 from scoup.evaluate.studies.study_scene import StudyScene
@@ -147,10 +147,13 @@ def ablation_plot(results: Sequence[AblationResult], protocol: str) -> IntervalP
 def ablation_record(results: Sequence[AblationResult]) -> dict[str, Any]:
     """For JSON."""
     record = {}
+    base = next(result for result in results if result.ablation.is_base)
     for result in results:
-        interval = result.interval()
+        interval, minus_base = result.interval(), difference(result, base)
         record[result.ablation.name] = {
             "group": result.ablation.group,
+            "iou": kept_ious(result.pair_means()[0]),
+            "minus_base": [minus_base.mean, *minus_base.ends],
             "miou": interval.mean,
             "miou_interval": interval.ends,
             "miou_by_seed": result.by_seed(),
@@ -164,6 +167,7 @@ def ablation_report(
     results: Sequence[AblationResult], protocol: str, settings: dict[str, Any]
 ) -> StudyReport:
     """Table, plot and record; ``settings`` go into the record."""
-    record = {"protocol": protocol, **settings, "rows": ablation_record(results)}
+    pairs = kept_pairs(next(iter(results[0].scores.values())))
+    record = {"protocol": protocol, **settings, "pairs": pairs, "rows": ablation_record(results)}
     plots = {"ablations.png": ablation_plot(results, protocol)}
     return StudyReport("ablations", "Ablations", ablation_tables(results, protocol), record, plots)

@@ -14,7 +14,14 @@ from scoup.base.progress import Progress, no_progress
 from scoup.baselines.fitted import FittedMethod
 from scoup.baselines.method import DEFAULTS, Method, MethodSettings
 from scoup.evaluate.metrics import Interval, bootstrap_interval
-from scoup.evaluate.scores import SceneScore, accuracy_interval, miou_interval, overall
+from scoup.evaluate.scores import (
+    SceneScore,
+    accuracy_interval,
+    kept_ious,
+    kept_pairs,
+    miou_interval,
+    overall,
+)
 from scoup.evaluate.studies.study_report import StudyReport
 from scoup.evaluate.studies.study_scene import StudyScene
 from scoup.evaluate.tables import CAVEATS, Table
@@ -196,6 +203,8 @@ def comparison_record(results: Sequence[MethodResult]) -> dict[str, Any]:
         interval = miou_interval([result.score for result in own])
         selected = [result.selected for result in own if result.selected is not None]
         record[name] = {
+            "iou": kept_ious(pair.iou for result in own for pair in result.score.pairs),
+            "selection_iou": kept_ious(pair.iou for score in selected for pair in score.pairs),
             "miou": miou,
             "miou_interval": interval.ends,
             "accuracy": accuracy,
@@ -226,6 +235,7 @@ def comparison_report(
     record = {
         "protocol": protocol,
         **settings,
+        "pairs": kept_pairs([result.score for result in by_method(results)[first]]),
         "methods": comparison_record(results),
         "follows": {method.name: [method.system, method.follows, method.departs] for method in methods},
     }

@@ -16,7 +16,7 @@ from scoup.base.progress import Progress, no_progress
 from scoup.baselines.method import DEFAULTS, Method, MethodSettings
 from scoup.baselines.rasterised_scene import UpliftInputs
 from scoup.evaluate.plots import Curve, CurvePlot
-from scoup.evaluate.scores import SceneScore, miou_interval
+from scoup.evaluate.scores import SceneScore, kept_ious, kept_pairs, miou_interval
 from scoup.evaluate.studies.comparison import paired_difference
 from scoup.evaluate.studies.study_report import StudyReport
 from scoup.evaluate.studies.study_scene import StudyScene
@@ -224,6 +224,7 @@ def curve_record(points: Sequence[CurvePoint]) -> list[dict[str, Any]]:
                 "fault": point.fault,
                 "strength": point.strength,
                 "method": point.method,
+                "iou": kept_ious(pair.iou for score in point.scores for pair in score.pairs),
                 "miou": interval.mean,
                 "miou_interval": interval.ends,
                 "scenes": {score.scene: score.miou for score in point.scores},
@@ -236,6 +237,11 @@ def curve_report(
     points: Sequence[CurvePoint], faults: Sequence[FaultScale], protocol: str, settings: dict[str, Any]
 ) -> StudyReport:
     """Tables, plots and record; ``settings`` go into the record."""
-    record = {"protocol": protocol, **settings, "points": curve_record(points)}
+    record = {
+        "protocol": protocol,
+        **settings,
+        "pairs": kept_pairs(points[0].scores),
+        "points": curve_record(points),
+    }
     plots = {f"curve_{fault.name}.png": curve_plot(points, fault, protocol) for fault in faults}
     return StudyReport("curves", "Accuracy and faults", curve_tables(points, faults, protocol), record, plots)

@@ -99,8 +99,9 @@ def held_out_answers(questions: Sequence[Question], signal: str) -> np.ndarray:
     return said
 
 
-def presence_report(questions: Sequence[Question]) -> StudyReport:
-    """Tables of the signals one by one, of rules in views and of rules in whole scenes; the record of all."""
+def presence_report(questions: Sequence[Question], settings: dict[str, Any]) -> StudyReport:
+    """Tables of the signals one by one, of rules in views and of rules in whole scenes; the record of all, with the
+    ``settings``."""
     in_views = [question for question in questions if question.frame]
     of_scenes = [question for question in questions if not question.frame]
     first, by_signal = _signal_table(in_views)
@@ -120,11 +121,13 @@ def presence_report(questions: Sequence[Question]) -> StudyReport:
         for name, part in (("query", in_views), ("select", of_scenes))
     }
     record = {
+        **settings,
         "questions": {kind: sum(q.kind == kind for q in in_views) for kind in (PRESENT, OUT_OF_VIEW, ABSENT)},
         "auc": by_signal,
         "rules": of_rules,
         "scene_rules": in_scene,
         "bounds": bounds,
+        "z_scores": [[q.scene, q.frame, q.word, q.kind, round(q.signals[0], 3)] for q in questions],
     }
     return StudyReport("presence", "Presence", [first, second, third], record)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ class StudyReport:
         stem: of the file names.
         title: of the page.
         tables: in order.
-        record: for JSON; no NaN.
+        record: for JSON, which gets the tables too; no NaN.
         plots: by file name.
     """
 
@@ -36,4 +36,5 @@ class StudyReport:
             OutputExistsError: a table is there and ``overwrite`` is false.
         """
         plots = {name: png(plot) for name, plot in self.plots.items()} if can_draw() else {}
-        return write_tables(self.tables, folder, self.stem, self.title, self.record, overwrite, plots)
+        record = {**self.record, "tables": [asdict(table) for table in self.tables]}
+        return write_tables(self.tables, folder, self.stem, self.title, record, overwrite, plots)

@@ -1,0 +1,25 @@
+"""Records of measurements as JSON that people can read too."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+
+def record_text(record: Mapping[str, Any], depth: int = 1) -> str:
+    """JSON with a line for each entry of a mapping; a list, however long, stays on one.
+
+    Args:
+        record: what ``json.dumps`` takes, with strings as keys; no NaN.
+        depth: of the indentation.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    lines = []
+    for key, value in record.items():
+        nested = isinstance(value, Mapping) and value
+        text = record_text(value, depth + 1) if nested else json.dumps(value, allow_nan=False)
+        lines.append(f"{' ' * depth}{json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n" + " " * (depth - 1) + "}"

@@ -1,0 +1,32 @@
+"""Records as JSON."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scoup.base.records import record_text
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=20,
+)
+
+
+@given(st.dictionaries(st.text(), values))
+def test_what_is_written_is_read_again(record: dict) -> None:
+    assert json.loads(record_text(record)) == json.loads(json.dumps(record))
+
+
+def test_lists_stay_on_a_line() -> None:
+    record = {"a": {"b": [1, [2, "3, {"]], "c": {}}, "d": None}
+    assert record_text(record) == '{\n "a": {\n  "b": [1, [2, "3, {"]],\n  "c": {}\n },\n "d": null\n}'
+
+
+def test_no_nan() -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        record_text({"a": {"b": [float("nan")]}})
