@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 import scoup
-from benchmarks.kitchen import make_features
+from benchmarks.data import make_features
 from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.scenes import find_layout
 from scoup import raster

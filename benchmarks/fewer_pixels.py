@@ -19,8 +19,7 @@ import tyro
 from torch import Tensor
 
 import scoup
-from benchmarks.data import data_folder
-from benchmarks.kitchen import make_features
+from benchmarks.data import data_folder, make_features
 from scoup.bench import Stopwatch
 from scoup.io import write_text
 from scoup.scene.cameras import Camera, Cameras

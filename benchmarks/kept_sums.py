@@ -23,8 +23,7 @@ import torch
 import tyro
 
 import scoup
-from benchmarks.data import data_folder
-from benchmarks.kitchen import make_features
+from benchmarks.data import data_folder, make_features
 from benchmarks.raster import report
 from scoup.bench import (
     describe_environment,

@@ -35,8 +35,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import scoup
-from benchmarks.data import data_folder
-from benchmarks.kitchen import make_features
+from benchmarks.data import data_folder, make_features
 from scoup import raster
 from scoup.bench import markdown
 from scoup.io.labels import LabelledFrame

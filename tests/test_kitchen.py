@@ -1,4 +1,4 @@
-"""The real path on real geometry, small: convert, build, ask, score (see benchmarks/kitchen.py for the figures)."""
+"""The real path on real geometry, small: convert, build, ask, score."""
 
 from __future__ import annotations
 
