@@ -21,7 +21,7 @@ def print_tables(record: Record) -> None:
         f"{settings['first_seed']} to {settings['first_seed'] + settings['repeats'] - 1}, interleaved\n{record['data']}"
     )
     print_exact(sizes)
-    print_compared(sizes)
+    print(f"\n{compared_table(sizes)}")
     print_qualities(sizes)
     print(f"\n{record['seconds']:.0f} s for all of this; extrapolated:")
     for line in record["extrapolated"]:
@@ -71,7 +71,7 @@ def print_exact(sizes: list[Record]) -> None:
             )
 
 
-def print_compared(sizes: list[Record]) -> None:
+def compared_table(sizes: list[Record]) -> str:
     """What the others take, and how many times as long as the exact solver that is."""
     headers = ["regions", "form", "least, ms", "median, ms", "of", "whole fit, s", "times fast", "times best"]
     body = []
@@ -94,7 +94,7 @@ def print_compared(sizes: list[Record]) -> None:
                 f"{whole / size['exact'][preset]['seconds']['median']:.0f}" for preset in ("fast", "best")
             ]
             body.append(cells)
-    print(f"\n{markdown(headers, body, left=2)}")
+    return markdown(headers, body, left=2)
 
 
 def print_qualities(sizes: list[Record]) -> None:

@@ -8,7 +8,6 @@ paint, whose strongest atom is the same. Codes come from the "exact" solver, onc
 
 from __future__ import annotations
 
-import json
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,8 +19,7 @@ from torch import Tensor
 
 import scoup
 from benchmarks.data import data_folder, make_features
-from scoup.bench import Stopwatch
-from scoup.io import write_text
+from scoup.bench import Stopwatch, describe_environment, write_json
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -68,7 +66,7 @@ def main(arguments: Arguments) -> dict[str, dict[str, float]]:
         shares = " | ".join(f"{row[f'agreement {level}']:.3f}" for level in regions.levels)
         print(f"| {name} | {row['relative time']:.2f} | {shares} |")
     if arguments.out is not None:
-        write_text(arguments.out, json.dumps(found, indent=1), overwrite=True)
+        write_json(arguments.out, {"environment": describe_environment(), **found}, overwrite=True)
     return found
 
 

@@ -8,7 +8,6 @@ dense 512-d uplift; cosines by the Gram shortcut against decoding a 512-d featur
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,8 +18,7 @@ import tyro
 from torch import Tensor
 
 from scoup import raster
-from scoup.bench import Task, time_tasks
-from scoup.io import write_text
+from scoup.bench import Task, describe_environment, time_tasks, write_json
 from scoup.raster import reference
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
@@ -87,7 +85,13 @@ def main(arguments: Arguments) -> dict[str, float]:
         for other in others:
             print(f"{shortcut}: {medians[other] / medians[shortcut]:.1f} x faster than {other}")
     if arguments.out is not None:
-        write_text(arguments.out, json.dumps(medians, indent=1), overwrite=True)
+        ratios = {name: value / medians["colour render"] for name, value in medians.items()}
+        found = {
+            "environment": describe_environment(),
+            "seconds": medians,
+            "relative to the colour render": ratios,
+        }
+        write_json(arguments.out, found, overwrite=True)
     return medians
 
 

@@ -1,0 +1,180 @@
+"""Tables of the documents, made from the records kept in docs/benchmarks.
+
+    python -m benchmarks.documents [--check]
+
+What lies in a document between ``<!-- table: NAME -->`` and ``<!-- end of table -->`` is what ``TABLES[NAME]`` gives
+today; the command puts it there. With --check nothing is written, and documents that say something else are named.
+Numbers elsewhere are held against the records by tests/test_documents.py.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from benchmarks.coding_tables import compared_table
+from scoup.bench import markdown
+
+ROOT = Path(__file__).resolve().parents[1]
+RECORDS = ROOT / "docs" / "benchmarks"
+DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+BLOCK = re.compile(r"(<!-- table: (.+?) -->\n).*?(\n<!-- end of table -->)", re.DOTALL)
+RULES = ("peak", "mask", "everyday", "asked", "best level", "localisation")
+CLEAN, NOISE, LAYOUTS = "kitchen draws, clean", "kitchen draws, noise x 2, clean", "procedural, clean"
+
+
+@cache
+def record(name: str) -> dict[str, Any]:
+    """One of the records."""
+    return json.loads((RECORDS / f"{name}.json").read_text())
+
+
+def interval(values: Sequence[float], digits: int = 3) -> str:
+    """A difference with its interval."""
+    return "{0:+.{d}f} [{1:+.{d}f}, {2:+.{d}f}]".format(*values, d=digits)
+
+
+def readme() -> str:
+    """Ours beside others, by the protocol and as users ask."""
+    found = record("answers")
+    names = {
+        "default": "`scoup build`",
+        "paper": "`scoup build --preset paper`",
+        "dense": "dense 512-d uplift",
+    }
+    sizes = {"default": "36", "paper": "36", "dense": "6144"}
+    parts = []
+    for rule, title in (("peak", "by the protocol"), ("asked", "as `scoup query` answers")):
+        for way, name in names.items():
+            figures = [f"{found['ways'][way][key][rule]:.3f}" for key in (CLEAN, NOISE, LAYOUTS)]
+            parts.append([title, name, *figures, sizes[way]])
+        for other in ("dense", "paper"):
+            of_sets = found["differences"][f"default - {other}"]
+            parts.append(
+                [
+                    title,
+                    f"default - {other}",
+                    *(interval(of_sets[key][rule]) for key in (CLEAN, NOISE, LAYOUTS)),
+                    "",
+                ]
+            )
+    headers = [
+        "read",
+        "field",
+        "kitchen, 5 draws",
+        "noise doubled, 3 draws",
+        "procedural, 2 scenes",
+        "bytes a Gaussian",
+    ]
+    return markdown(headers, parts)
+
+
+def answers(name: str, key: str) -> str:
+    """Every way by every rule, then the differences."""
+    found = record(name)
+    rows = [[way, *(f"{of[key][rule]:.3f}" for rule in RULES)] for way, of in found["ways"].items()]
+    rows += [
+        [pair, *(interval(of[key][rule]) for rule in RULES)] for pair, of in found["differences"].items()
+    ]
+    return markdown(["way", *RULES], rows)
+
+
+def study(name: str, number: int) -> str:
+    """A table of ``scoup eval`` as it was written."""
+    table = record(name)["tables"][number]
+    return markdown(table["headers"], table["rows"])
+
+
+def faults() -> str:
+    """Every way under each fault by the protocol and as asked, then the differences."""
+    found = record("answers_faults")
+    keys = [key for key in next(iter(found["ways"].values())) if key != "all"]
+    rows = [
+        [way, *(f"{of[key]['peak']:.3f} / {of[key]['asked']:.3f}" for key in keys)]
+        for way, of in found["ways"].items()
+    ]
+    rows += [
+        [f"{pair}, {rule}", *(interval(of[key][rule]) for key in keys)]
+        for pair, of in found["differences"].items()
+        for rule in ("peak", "asked")
+    ]
+    return markdown(["peak / asked", *keys], rows)
+
+
+def consistency() -> str:
+    """The means over scenes and levels."""
+    table = record("eval-consistency")["tables"][0]
+    rows = [[row[0], row[4], *row[6:]] for row in table["rows"] if row[1] == "all"]
+    return markdown(["features", "matched", "of different points", "difference"], rows)
+
+
+def reference() -> str:
+    """Stages of the plain torch rasteriser, relative to a colour render."""
+    ratios = record("reference")["relative to the colour render"]
+    return markdown(["stage", "relative"], [[name, f"{ratio:.2f}"] for name, ratio in ratios.items()])
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "readme": readme,
+    "answers on draws of the kitchen": lambda: answers("answers", CLEAN),
+    "answers under noise": lambda: answers("answers", NOISE),
+    "answers on procedural scenes": lambda: answers("answers", LAYOUTS),
+    "answers on all scenes": lambda: answers("answers", "all"),
+    "answers under faults": faults,
+    "presence signals": lambda: study("eval-presence", 0),
+    "presence in a view": lambda: study("eval-presence", 1),
+    "presence in a scene": lambda: study("eval-presence", 2),
+    "baselines": lambda: study("eval-baselines", 0),
+    "baselines, differences": lambda: study("eval-baselines", 1),
+    "baselines, 3D selection": lambda: study("eval-baselines", 2),
+    "baselines on the kitchen": lambda: study("eval-baselines-kitchen", 0),
+    "baselines on the kitchen, differences": lambda: study("eval-baselines-kitchen", 1),
+    "baselines on the kitchen, 3D selection": lambda: study("eval-baselines-kitchen", 2),
+    **{
+        f"curves, {fault}": partial(study, "eval-curves", number)
+        for number, fault in enumerate(("masks", "missing", "noise", "wrong", "views"))
+    },
+    "ablations": lambda: study("eval-ablations", 0),
+    "consistency": consistency,
+    "reference": reference,
+    "coding, compared": lambda: compared_table(record("coding")["sizes"]),
+}
+"""By name."""
+
+
+def made(text: str) -> str:
+    """A document with its tables made anew."""
+    return BLOCK.sub(lambda found: found[1] + TABLES[found[2]]().strip() + found[3], text)
+
+
+@dataclass(frozen=True)
+class Arguments:
+    check: bool = False
+    """Write nothing; name the documents that say something else than the records, and exit with 1."""
+
+
+def main(arguments: Arguments) -> list[Path]:
+    """Make the tables; returns the documents that change."""
+    changed = []
+    for path in DOCUMENTS:
+        before = path.read_text(encoding="utf-8")
+        after = made(before)
+        if after != before:
+            changed.append(path)
+            print(path.relative_to(ROOT))
+            if not arguments.check:
+                path.write_text(after, encoding="utf-8")
+    return changed
+
+
+if __name__ == "__main__":
+    arguments = tyro.cli(Arguments, description=__doc__)
+    sys.exit(int(bool(main(arguments)) and arguments.check))

@@ -1,0 +1,128 @@
+"""The documents say what the records say: tables made from them are up to date, and other figures are found in them."""
+
+from __future__ import annotations
+
+import json
+import re
+from bisect import bisect_left
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from benchmarks import documents
+
+MEASURED = [
+    path
+    for path in documents.DOCUMENTS
+    if path.stem in ("README", "answers", "benchmarks", "evaluation", "claims")
+]
+NUMBER = re.compile(r"(?<![\w.,/-])[-+~]?(\d{1,3}(?:,\d{3})+|\d+)(\.\d+)?(?![\w/.]*\d)")
+SCALES = (1.0, 100.0, 1000.0, 1e-3, 1e-6, 1e-9)
+"""As stored; percent; milliseconds; kilo, mega and giga."""
+
+
+LONG = 60
+
+
+def sections(path: Path) -> Iterator[tuple[str, str]]:
+    """Heading and text of each section of a document, without code."""
+    text = re.sub(
+        r"```.*?```",
+        lambda block: "".join(re.findall(r"\S+\.json", block[0])),
+        path.read_text(),
+        flags=re.DOTALL,
+    )
+    parts = re.split(r"^(#+ .*)$", text, flags=re.MULTILINE)
+    yield from zip(["", *parts[1::2]], parts[::2], strict=True)
+
+
+def records_of(text: str) -> list[str]:
+    """Names of the records that a section names."""
+    names = sorted(set(re.findall(r"benchmarks/([\w-]+)\.json", text)))
+    return [name for name in names if (documents.RECORDS / f"{name}.json").is_file()]
+
+
+def numbers_in(value: Any) -> Iterator[float]:
+    """Every number of a record, those in its strings and keys included, but not the long lists of single scores, among
+    which any number is found."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from numbers_in(key)
+            yield from numbers_in(inner)
+    elif isinstance(value, list) and len(value) <= LONG:
+        for inner in value:
+            yield from numbers_in(inner)
+    elif isinstance(value, str):
+        yield from (float(found[0].replace(",", "")) for found in re.findall(r"(\d[\d,]*\.?\d*)()", value))
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield float(value)
+
+
+def figures(text: str) -> list[str]:
+    """Numbers with decimals of a text, links and inline code left out, and all of three digits or more in tables."""
+    text = re.sub(r"\]\(.*?\)|`[^`]*`|https?://\S+", "", text)
+    found = []
+    for line in text.splitlines():
+        for whole, decimals in NUMBER.findall(line):
+            if decimals or (line.startswith("|") and len(whole) > 2):
+                found.append(whole.replace(",", "") + decimals)
+    return found
+
+
+def is_in(figure: str, known: list[float]) -> bool:
+    """Whether a number rounds to a figure, as it is stored or by one of ``SCALES``; signs do not count."""
+    decimals = len(figure.partition(".")[2])
+    for scale in SCALES:
+        wanted, tolerance = float(figure) / scale, 0.5000001 * 10**-decimals / scale
+        place = bisect_left(known, wanted - tolerance)
+        if place < len(known) and known[place] <= wanted + tolerance:
+            return True
+    return False
+
+
+def test_tables_are_up_to_date() -> None:
+    assert documents.main(documents.Arguments(check=True)) == []
+
+
+@pytest.mark.parametrize("path", MEASURED, ids=lambda path: path.stem)
+def test_figures_are_in_the_records_that_their_section_names(path: Path) -> None:
+    constants = json.loads((Path(__file__).parent / "constants_in_documents.json").read_text())[path.name]
+    lost = {}
+    for heading, text in sections(path):
+        known = sorted(
+            abs(number) for name in records_of(text) for number in numbers_in(documents.record(name))
+        )
+        missing = [
+            each
+            for each in figures(text)
+            if not is_in(each, known) and each not in constants.get(heading, [])
+        ]
+        if missing:
+            lost[heading] = (records_of(text), missing)
+    assert not lost
+
+
+def test_records_are_of_clean_commits() -> None:
+    for path in sorted(documents.RECORDS.glob("*.json")):
+        text = path.read_text()
+        assert "with changes" not in text, path.name
+        assert re.search(r'"commit": ?"[0-9a-f]{12}"', text), path.name
+
+
+def test_every_record_is_named_by_a_document() -> None:
+    said = {name for path in documents.DOCUMENTS for name in records_of(path.read_text())}
+    said |= {name for path in MEASURED for name in re.findall(r"([\w-]+)\.json", path.read_text())}
+    assert {path.stem for path in documents.RECORDS.glob("*.json")} <= said
+
+
+def test_a_figure_that_is_not_in_a_record_is_found() -> None:
+    known = sorted([0.8164, 12.0, 1030.0])
+    assert figures("| `0.5` | 0.816 | +81.6 [1,030, x] |\n0.82 and 12 [a](b-0.3.md)") == [
+        "0.816",
+        "81.6",
+        "1030",
+        "0.82",
+    ]
+    assert [is_in(each, known) for each in ("0.816", "81.6", "0.82", "1030", "1.03")] == [True] * 5
+    assert not any(is_in(each, known) for each in ("0.817", "0.815", "81.7", "0.9", "13.0"))
