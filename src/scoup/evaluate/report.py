@@ -45,12 +45,19 @@ class Report:
 
     @property
     def published(self) -> tuple[Published, ...]:
-        """Rows that may stand beside ours."""
-        return PUBLISHED.get(self.protocol, ()) if self.comparable else ()
+        """Rows that may stand beside ours: those of a protocol, where some tell of every scene here."""
+        rows = PUBLISHED.get(self.protocol, ())
+        known = {scene for row in rows for scene in row.by_scene}
+        return rows if self.comparable and {scene.scene for scene in self.scenes} <= known else ()
+
+    @property
+    def footnotes(self) -> dict[str, int]:
+        """Where the published rows are from, and their protocol where it differs -> number of the footnote."""
+        return {note: n for n, note in enumerate(dict.fromkeys(row.note for row in self.published), 1)}
 
 
 def overall_table(report: Report) -> Table:
-    """Ours with its intervals, then the published rows, marked as such. Scores in percent."""
+    """Ours with its intervals, then the published rows, marked as such and by a footnote each. Scores in percent."""
     localizes = all(scene.localizes for scene in report.scenes)
     headers = ["system", "source", "mIoU", "95 % interval"]
     headers += ["localisation", "95 % interval"] if localizes else []
@@ -59,12 +66,13 @@ def overall_table(report: Report) -> Table:
     row += found.percent() if found is not None else []
     rows = [tuple(row)]
     for other in report.published:
-        cells = [other.system, "published", _figure(other.miou), "-"]
+        cells = [other.system, _mark(report, other), _figure(other.miou), "-"]
         cells += [_figure(other.accuracy), "-"] if localizes else []
         rows.append(tuple(cells))
     notes = [*report.notes, *CAVEATS]
     if report.published:
         notes.append("Published rows are as the papers report them; none was measured here.")
+        notes += [f"[{number}] {note}." for note, number in report.footnotes.items()]
     elif PUBLISHED.get(report.protocol):
         notes.append("The scenes are not those of the published data set: published figures are left out.")
     count = sum(len(scene.pairs) for scene in report.scenes)
@@ -75,23 +83,41 @@ def overall_table(report: Report) -> Table:
 
 
 def scene_table(report: Report) -> Table:
-    """One row a scene, with what the papers report for it."""
+    """One row a scene."""
     localizes = all(scene.localizes for scene in report.scenes)
-    published = [other for other in report.published if other.by_scene]
     headers = ["scene", "pairs", "mIoU", "95 % interval"]
     headers += ["localisation", "95 % interval"] if localizes else []
-    headers += [f"{other.system}, published" for other in published]
     rows = []
     for scene in report.scenes:
         cells = [scene.scene, str(len(scene.pairs)), *miou_interval([scene]).percent()]
         found = accuracy_interval([scene])
         cells += found.percent() if found is not None else []
-        for other in published:
-            miou, accuracy = other.by_scene.get(scene.scene, (None, None))
-            figures = [miou, accuracy] if localizes else [miou]
-            cells.append(" / ".join(_figure(value) for value in figures))
         rows.append(tuple(cells))
     return Table(f"{report.protocol}: by scene", tuple(headers), tuple(rows))
+
+
+def published_table(report: Report) -> Table:
+    """What the papers report for the scenes here, below our own; footnotes as in the overall table."""
+    localizes = all(scene.localizes for scene in report.scenes)
+    ours = [
+        " / ".join(_percent(share) for share in (scene.miou, scene.accuracy)[: 1 + localizes])
+        for scene in report.scenes
+    ]
+    rows = [(OURS, "measured", *ours)]
+    for other in report.published:
+        if other.by_scene:
+            found = [other.by_scene.get(scene.scene, (None, None)) for scene in report.scenes]
+            rows.append((other.system, _mark(report, other), *(_figures(each, localizes) for each in found)))
+    title = f"{report.protocol}: published, by scene, mIoU" + (" / localisation" if localizes else "")
+    return Table(title, ("system", "source", *(scene.scene for scene in report.scenes)), tuple(rows))
+
+
+def _mark(report: Report, row: Published) -> str:
+    return f"published [{report.footnotes[row.note]}]"
+
+
+def _figures(both: tuple[float | None, float | None], localizes: bool) -> str:
+    return " / ".join(_figure(value) for value in (both if localizes else both[:1]))
 
 
 def query_table(report: Report, levels: Sequence[str] = ()) -> Table:
@@ -159,7 +185,7 @@ def report_record(report: Report) -> dict[str, Any]:
             }
             for scene in report.scenes
         },
-        "published_percent": [asdict(other) for other in report.published],
+        "published_percent": [asdict(other) | {"footnote": other.note} for other in report.published],
         "caveats": list(CAVEATS),
     }
 
@@ -185,7 +211,8 @@ def write_report(
     Raises:
         OutputExistsError: one is there and ``overwrite`` is false.
     """
-    tables = [overall_table(report), scene_table(report), query_table(report, levels)]
+    of_papers = [published_table(report)] if report.published else []
+    tables = [overall_table(report), scene_table(report), *of_papers, query_table(report, levels)]
     record = report_record(report)
     write_tables(tables, folder, stem, f"{report.protocol}, rules of {report.system}", record, overwrite)
     return record

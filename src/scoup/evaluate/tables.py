@@ -48,12 +48,14 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def latex(self) -> str:
-        """A ``table`` of booktabs."""
+        """A ``table`` of booktabs, with the notes in small print below."""
         columns = "l" + "r" * (len(self.headers) - 1)
         lines = [r"\begin{table}", r"\centering", rf"\caption{{{_escaped(self.title)}}}"]
         lines += [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", _latex_line(self.headers), r"\midrule"]
         lines += [_latex_line(row) for row in self.rows]
-        lines += [r"\bottomrule", r"\end{tabular}", *(rf"% {note}" for note in self.notes), r"\end{table}"]
+        lines += [r"\bottomrule", r"\end{tabular}"]
+        lines += [rf"\par\footnotesize {_escaped(note)}" for note in self.notes]
+        lines.append(r"\end{table}")
         return "\n".join(lines) + "\n"
 
 
