@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 import torch
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.baselines.autoencoder import AutoencoderSettings
+from scoup.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
+from scoup.coding import fit_codes
 from scoup.evaluate.studies.consistency import (
     ConsistencyResult,
     consistency,
@@ -15,7 +19,7 @@ from scoup.evaluate.studies.consistency import (
     consistency_table,
     gap_differences,
 )
-from scoup.evaluate.studies.matches import Matches, dominant_gaussians
+from scoup.evaluate.studies.matches import Matches, dominant_gaussians, tracked_points
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions
@@ -71,6 +75,86 @@ def test_regions_that_share_a_code_are_alike() -> None:
     assert by_kind["sparse codes"] == pytest.approx(by_kind["raw"], abs=0.02)
 
 
+def test_each_kind_of_feature_is_compared_between_the_observations_of_a_point() -> None:
+    """Three upright stripes, each seen in two views; six embeddings.
+
+    Four atoms, one a region, cannot tell six embeddings apart, nor can three numbers and a small network: what is
+    decoded differs from the embeddings. The cosines of the three pairs differ too, so none may be mixed up.
+    """
+    rows = unit(torch.randn(6, 16, generator=torch.Generator().manual_seed(1)))
+    labels = torch.arange(40)[None].expand(30, 40).div(14, rounding_mode="floor").int()
+    cameras = Cameras([make_camera(name="a.png"), make_camera(name="b.png")])
+    maps = {
+        name: {"m": RegionMap(labels.contiguous(), of_view)}
+        for name, of_view in (("a.png", rows[:3]), ("b.png", rows[3:]))
+    }
+    columns = (3, 20, 35)
+    points = [[("a.png", column), ("b.png", column + 40)] for column in columns]
+    settings = BuildSettings(n_atoms=4, k=1, keep=1, effort="fast", wide=False)
+    network_settings = replace(QUICK, epochs=60, learning_rate=0.01)
+    regions = Regions.from_maps(maps)
+    results = consistency(
+        "s", Matches("by hand", points), cameras, regions, settings, network_settings, seed=3
+    )
+    network = fit_autoencoder(rows, network_settings, 3)
+    book = fit_codes(rows, n_atoms=4, k=1, effort="fast", seed=3)
+    decoded = {
+        "raw": rows,
+        "autoencoder": network.decode(network.encode(rows)),
+        "sparse codes": unit(book.codes.to_dense() @ book.atoms),
+    }
+    by_kind = {result.features: result for result in results}
+    cosines = {kind: (values[:3] * values[3:]).sum(1) for kind, values in decoded.items()}
+    for kind, expected in cosines.items():
+        assert by_kind[kind].cosines == pytest.approx(expected.tolist(), abs=1e-4), kind
+        assert len({round(cosine, 1) for cosine in expected.tolist()}) == 3
+        assert kind == "raw" or (expected - cosines["raw"]).abs().max() > 0.1
+
+
+def test_unmatched_is_what_is_left_when_partners_are_exchanged() -> None:
+    """Each of 40 columns is a region of its own, all at right angles: alike where matched, else not."""
+    rows = torch.eye(40)
+    labels = torch.arange(40, dtype=torch.int32)[None].expand(30, 40).contiguous()
+    cameras = Cameras([make_camera(name="a.png"), make_camera(name="b.png")])
+    maps = {name: {"m": RegionMap(labels, rows)} for name in ("a.png", "b.png")}
+    points = [[("a.png", column), ("b.png", column)] for column in range(40)]
+    settings = BuildSettings(n_atoms=40, k=1, keep=1, effort="fast")
+    results = consistency("s", Matches("by hand", points), cameras, Regions.from_maps(maps), settings, QUICK)
+    for kind in ("raw", "sparse codes"):
+        (result,) = (each for each in results if each.features == kind)
+        assert result.cosines == pytest.approx([1.0] * 40, abs=1e-3)
+        assert result.unmatched < 0.2
+
+
+def test_points_of_a_model_are_observed_where_they_project_to(tmp_path: Path) -> None:
+    """And only in the images of their own track."""
+    cameras = Cameras([make_camera(name=f"{name}.png", seed=seed) for seed, name in enumerate("abc")])
+    positions = torch.tensor([[0.1, -0.2, 4.3], [-0.3, 0.1, 5.2]])
+    (tmp_path / "points3D.txt").write_text(
+        "".join(
+            f"{number} {x} {y} {z} 0 0 0 0.1 {track}\n"
+            for number, ((x, y, z), track) in enumerate(
+                zip(positions.tolist(), ("1 0 2 0", "2 0 3 0"), strict=True), 1
+            )
+        )
+    )
+    (tmp_path / "images.txt").write_text(
+        "".join(f"{n} 1 0 0 0 0 0 0 1 {camera.name}\n1 1 -1\n" for n, camera in enumerate(cameras, 1))
+    )
+    matches = tracked_points(tmp_path, cameras)
+    assert matches is not None
+    expected = []
+    for position, names in zip(positions, (("a.png", "b.png"), ("b.png", "c.png")), strict=True):
+        point = []
+        for name in names:
+            camera = cameras[name]
+            x, y, z = (camera.viewmat[:3, :3].float() @ position + camera.viewmat[:3, 3].float()).tolist()
+            column, row = int(camera.fx * x / z + camera.cx), int(camera.fy * y / z + camera.cy)
+            point.append((name, row * camera.width + column))
+        expected.append(point)
+    assert matches.points == expected
+
+
 def test_the_plot_shows_the_difference_that_counts() -> None:
     """Features that are all alike have the highest cosine of all, and the smallest gap."""
     cosines = {"raw": (0.8, 0.6), "autoencoder": (0.99, 0.99), "sparse codes": (0.9, 0.8)}
@@ -121,6 +205,16 @@ def test_gaussians_match_where_they_dominate() -> None:
     assert found.points[0] == [("a.png", centre), ("b.png", centre)]
     weights = raster.render_channels(raster.project(scene, cameras[0]), torch.eye(3))[0][15, 20]
     assert weights[0] > 0.5 > weights[1]
+
+
+def test_each_gaussian_is_a_point_of_its_own() -> None:
+    means = torch.tensor([[-1.0, 0.0, 4.0], [1.0, 0.5, 4.0]])
+    scene = Gaussians(
+        means, torch.tensor([[1.0, 0, 0, 0]] * 2), torch.full((2, 3), 0.2), torch.full((2,), 0.9), torch.zeros(2, 1, 3)
+    )  # fmt: skip
+    found = dominant_gaussians(scene, [make_camera(name="a.png"), make_camera(name="b.png")])
+    pixels = [15 * 40 + 11, (15 + 4) * 40 + 29]  # 36 / 4 pixels aside, 39.6 / 8 below
+    assert found.points == [[("a.png", pixel), ("b.png", pixel)] for pixel in pixels]
 
 
 def test_scene_of_random_regions() -> None:

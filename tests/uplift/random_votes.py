@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +11,9 @@ import torch
 from torch import Tensor
 
 from raster.parity import beyond
+from scoup.raster import ViewSums
 from scoup.scene.codes import SparseCodes, stable_products
+from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET, pack
 from scoup.uplift.vote import VotedEntries
@@ -36,6 +39,23 @@ class Sizes:
     entries: int = 400
     halves: bool = False
     without: int | None = None
+
+
+def usual_deviation() -> tuple[RegionSums, list[SparseCodes], Tensor, list[float]]:
+    """Sums, codes and codebook of one Gaussian, and its weights after a second round, worked out by hand.
+
+    Of its three regions, of one atom each, the first paints three times as much and is what the first round finds, if
+    that hands on one atom. The others are at right angles to it: they deviate by 1, which is the median, so each
+    counts exp(-3) in the second round.
+    """
+    sums = RegionSums("", torch.arange(1), ["m"])
+    regions = torch.arange(3)
+    view = ViewSums.of_triplets(regions * 0, regions * 0, regions, torch.tensor([3.0, 1.0, 1.0]), 1)
+    sums.append("v", view)
+    sums.rows = [{"v": slice(0, 3)}]
+    unusual = math.exp(-3)
+    expected = [part / (3 + 2 * unusual) for part in (3, unusual, unusual)]
+    return sums, [SparseCodes.from_dense(torch.eye(3), 1)], torch.eye(3)[None], expected
 
 
 def random_vote(sizes: Sizes, seed: int) -> dict[str, Any]:

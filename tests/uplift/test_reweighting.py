@@ -10,8 +10,9 @@ from scoup.base.errors import InputError
 from scoup.raster import ViewSums
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.reweighting import LEAST_DEVIATION, SAMPLED_VIEWS, SHARPNESS, sampled, sharpness_from
+from scoup.uplift.reweighting import SAMPLED_VIEWS, sampled, sharpness_from
 from scoup.uplift.vote import vote
+from uplift.random_votes import usual_deviation
 
 pytestmark = pytest.mark.parametrize("backend", ["native", "reference"])
 
@@ -66,7 +67,7 @@ def test_the_second_round_is_what_the_equations_say(backend):
     cosines = torch.nn.functional.normalize(first @ C, dim=1) @ torch.nn.functional.normalize(W @ C, dim=1).T
     cosines[~first.any(1)] = 1
     deviations = (1 - cosines)[weight > 0]
-    sharpness = SHARPNESS / deviations.median().clamp(min=LEAST_DEVIATION)
+    sharpness = 3 / deviations.median().clamp(min=1e-3)
     assert found.sharpness is not None
     assert float(found.sharpness[0]) == pytest.approx(float(sharpness), rel=1e-4)
     factors = torch.exp(sharpness * (cosines - 1).clamp(max=0)).clamp(min=1e-6)
@@ -86,7 +87,16 @@ def test_a_gaussian_keeps_a_code_however_odd_its_regions_are(backend):
 
 def test_sharpness_is_set_by_the_usual_deviation(backend):
     found = sharpness_from([torch.tensor([0.1, 0.2, 0.9]), torch.zeros(0), torch.zeros(5)])
-    assert found.tolist() == pytest.approx([SHARPNESS / 0.2, SHARPNESS, SHARPNESS / LEAST_DEVIATION])
+    assert found.tolist() == pytest.approx([3 / 0.2, 3, 3 / 1e-3])
+
+
+def test_what_deviates_as_usual_counts_exp_of_minus_three(backend):
+    sums, codes, codebook, expected = usual_deviation()
+    found = vote(sums, codes, codebook, 2, 3, keep_between=1, backend=backend)
+    assert found.sharpness is not None
+    assert found.sharpness.tolist() == pytest.approx([3])
+    assert found.indices[0, 0, 0] == 0
+    assert found.weights[0, 0].tolist() == pytest.approx(expected, rel=1e-5)
 
 
 def test_sampled_views_are_spread(backend):

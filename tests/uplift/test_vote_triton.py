@@ -35,6 +35,10 @@ def test_agrees_with_the_reference(interpreted, sizes, keep):
     interpreted(triton_checks.check_vote, sizes, keep, 1)
 
 
+def test_what_deviates_as_usual_counts_exp_of_minus_three(interpreted):
+    interpreted(triton_checks.check_usual_deviation)
+
+
 def test_few_at_a_time(interpreted):
     interpreted(triton_checks.check_few_at_a_time)
 

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+import importlib
+from unittest.mock import patch
+
 import pytest
 import torch
 
 from scoup.base.errors import InputError
-from uplift.random_votes import Sizes, buckets_of, check_rounds, damaged, random_vote
+from uplift.random_votes import Sizes, buckets_of, check_rounds, damaged, random_vote, usual_deviation
 
 
 def check_vote(sizes: Sizes, keep: int, seed: int, device: str) -> None:
     from scoup.uplift.vote_backends.triton import Vote
 
     check_rounds(Vote, sizes, keep, seed, device)
+
+
+def check_usual_deviation(device: str) -> None:
+    """The example worked out by hand, through the rounds as a build runs them."""
+    from scoup.uplift.vote_backends import triton as vote_triton
+
+    sums, codes, codebook, expected = usual_deviation()
+    rounds = importlib.import_module("scoup.uplift.vote")
+    with patch.object(rounds, "load_backend", lambda *_: ("triton", vote_triton)):
+        found = rounds.vote(sums, codes, codebook.to(device), 2, 3, keep_between=1)
+    assert found.weights[0, 0].tolist() == pytest.approx(expected, rel=1e-5)
 
 
 def check_few_at_a_time(device: str) -> None:

@@ -1,0 +1,156 @@
+"""Protocols compare with the four canonical phrases and nothing else, however many other words there are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.baselines.autoencoder import AutoencoderSettings
+from scoup.baselines.fitted import FittedField, FittedMethod
+from scoup.baselines.method import MethodSettings
+from scoup.baselines.methods import find_method
+from scoup.baselines.rasterised_scene import RasterisedScene
+from scoup.evaluate import scoring
+from scoup.evaluate.data_sets import LabelledScene, find_data_set
+from scoup.evaluate.label_vectors import encode_labels
+from scoup.evaluate.predictions import PredictionCache
+from scoup.evaluate.scoring import predict, score_selection
+from scoup.evaluate.studies.ablation_rows import BASE, Ablation, find_ablations
+from scoup.evaluate.studies.ablations import run_ablations
+from scoup.evaluate.studies.comparison import compare
+from scoup.evaluate.studies.study_scene import StudyScene
+from scoup.io.labels import LabelledFrame
+from scoup.models.word_table import save_table
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.query.presets import QUERY_PRESETS
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
+from support import small_scene, unit
+
+BUILD = BuildSettings(n_atoms=8, k=2, effort="fast")
+PRESET = QUERY_PRESETS["scoup"]
+WORDS = ("cup", "pot", *(f"word {number}" for number in range(30)))
+
+
+@dataclass(eq=False)
+class Recorder:
+    """A ``FittedMethod`` that keeps what it was compared with."""
+
+    fitted: FittedMethod
+    given: list[Tensor] = field(default_factory=list)
+
+    @property
+    def bytes_per_gaussian(self) -> float:
+        return self.fitted.bytes_per_gaussian
+
+    @property
+    def shared_bytes(self) -> float:
+        return self.fitted.shared_bytes
+
+    def relevancy(
+        self,
+        projection: raster.Projection,
+        queries: Tensor,
+        canonical: Tensor,
+        size: tuple[int, int] | None = None,
+    ) -> Tensor:
+        self.given.append(canonical)
+        return self.fitted.relevancy(projection, queries, canonical, size)
+
+    def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
+        self.given.append(canonical)
+        return self.fitted.gaussian_relevancy(queries, canonical)
+
+    def coded(self) -> Tensor:
+        return self.fitted.coded()
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Tensor]:
+    """A word table with thirty everyday words, and the vectors [4, D] of its canonical phrases."""
+    words = (*WORDS, *CANONICAL_PHRASES)
+    vectors = unit(torch.randn(len(words), 16, generator=torch.Generator().manual_seed(4)))
+    path = tmp_path_factory.mktemp("words") / "text.npz"
+    save_table(path, words, vectors)
+    return path, vectors[-4:]
+
+
+@pytest.fixture(scope="module")
+def scene(table: tuple[Path, Tensor], tmp_path_factory: pytest.TempPathFactory) -> StudyScene:
+    gaussians, cameras, regions = small_scene(120)
+    frames = []
+    for camera in list(cameras)[:2]:
+        found = regions.load(camera.name, "m").labels
+        masks = {"cup": found == 0, "pot": found == 1}
+        boxes = {label: torch.tensor([[0.0, 0.0, 39.0, 29.0]]) for label in masks}
+        frames.append((LabelledFrame(camera.name, 40, 30, masks, boxes), camera))
+    folder = tmp_path_factory.mktemp("scene")
+    labelled = LabelledScene(find_data_set("lerf-ovs"), "s", folder, folder, folder, cameras, frames)
+    vectors = encode_labels(labelled, str(table[0]))
+    return StudyScene(labelled, vectors, RasterisedScene(gaussians, cameras, regions))
+
+
+def check(given: list[Tensor], canonical: Tensor) -> None:
+    assert given
+    for each in given:
+        torch.testing.assert_close(each, canonical, atol=1e-6, rtol=0)
+
+
+def test_labels_are_read_with_four_phrases(scene: StudyScene, table: tuple[Path, Tensor]) -> None:
+    check([scene.vectors.canonical], table[1])
+    assert len(scene.vectors.everyday) == len(WORDS)
+    assert len(scene.vectors.with_everyday().canonical) == 5  # there are enough words for a fifth
+
+
+def test_evaluation(
+    scene: StudyScene, table: tuple[Path, Tensor], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Of fields, in 2D and by selection."""
+    rasterised = scene.rasterised
+    built = build(rasterised.gaussians, rasterised.cameras, rasterised.regions, settings=BUILD)
+    recorder = Recorder(FittedField(built))
+    monkeypatch.setattr(scoring, "FittedField", lambda _: recorder)
+    maps = list(predict(scene.labelled, scene.vectors, built, "digest", PredictionCache(None)))
+    assert len(maps) == len(recorder.given) == 2
+    score_selection(scene.labelled, scene.vectors, recorder, rasterised.gaussians, "inria")
+    assert len(recorder.given) == 4
+    check(recorder.given, table[1])
+    for frame, found in maps:
+        camera = rasterised.cameras[frame.name]
+        expected = built.relevancy(camera, scene.vectors.of(frame.labels), table[1])
+        torch.testing.assert_close(found.float(), expected, atol=2e-3, rtol=0)
+
+
+@pytest.mark.parametrize("name", ["sparse", "dense", "centre-pixel", "top-contributors", "autoencoder"])
+def test_comparison_of_methods(scene: StudyScene, table: tuple[Path, Tensor], name: str) -> None:
+    method, recorders = find_method(name), []
+
+    def uplift(inputs, settings):
+        recorders.append(Recorder(method.uplift(inputs, settings)))
+        return recorders[-1]
+
+    settings = MethodSettings(build=BUILD, autoencoder=AutoencoderSettings(epochs=1))
+    compare([scene], [replace(method, uplift=uplift)], PRESET, settings, selection=True)
+    check(recorders[0].given, table[1])
+
+
+def test_ablations(scene: StudyScene, table: tuple[Path, Tensor]) -> None:
+    """But for the one row that is about everyday words."""
+    recorders = []
+
+    def uplift(inputs, settings):
+        recorders.append(Recorder(BASE.uplift(inputs, settings)))
+        return recorders[-1]
+
+    method = replace(BASE, uplift=uplift)
+    rows = [replace(each, method=method) for each in find_ablations(["levels"]) if each.method is BASE]
+    settings = (PRESET, (0,), 2)
+    run_ablations([scene], rows, *settings)
+    check(recorders[0].given, table[1])
+    run_ablations([scene], [Ablation("beside everyday words", "phrases", method, "everyday")], *settings)
+    assert {len(each) for each in recorders[1].given} == {5}
