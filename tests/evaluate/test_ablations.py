@@ -15,6 +15,11 @@ def test_rules_of_rows() -> None:
     preset = QUERY_PRESETS["scoup"]
     rules = {each.name: each.scoring_rule(preset) for each in ABLATIONS}
     assert [name for name, rule in rules.items() if rule.everyday] == ["beside everyday words"]
+    assert [name for name, rule in rules.items() if rule.coded] == [
+        "without the 50 % of highest entropy, dropped from blending",
+        "without the 50 % of lowest entropy, dropped from blending",
+        "none without a code in blending",
+    ]
     assert rules["level by mask"].preset.level_choice == "mask"
     assert rules["only level m"].levels == ("m",)
     assert rules["beside everyday words"].preset == preset

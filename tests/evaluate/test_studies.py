@@ -11,7 +11,10 @@ from typing import Any
 import pytest
 import torch
 
+from scoup import raster
+from scoup.base.errors import InputError
 from scoup.baselines.autoencoder import AutoencoderSettings
+from scoup.baselines.fitted import FittedField
 from scoup.baselines.method import MethodSettings
 from scoup.baselines.methods import find_method
 from scoup.baselines.rasterised_scene import RasterisedScene
@@ -29,6 +32,7 @@ from scoup.evaluate.studies.study_scene import ScoringRule, StudyScene
 from scoup.io.labels import LabelledFrame
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.text_vectors import TextVectors
+from scoup.scene.codes import SparseCodes
 from scoup.uplift.build_settings import BuildSettings
 from support import small_scene, unit
 
@@ -150,6 +154,37 @@ def test_rules_choose_levels(scenes: list[StudyScene]) -> None:
     peaks = [max(scores[level].pairs[0].score for level in rules), scores["all"].pairs[0].score]
     assert peaks[0] == peaks[1]
     assert scores["all"].pairs == scene.score(fitted, PRESET).pairs
+
+
+def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -> None:
+    """Each level is drawn from the Gaussians with a code alone; drawn with the others, these hide some of it."""
+    scene = scenes[0]
+    row = next(each for each in ABLATIONS if each.name.endswith("highest entropy, dropped from blending"))
+    fitted = row.method.fit(scene.rasterised, SETTINGS)
+    rules = {"kept": ScoringRule(PRESET), "dropped": row.scoring_rule(PRESET)}
+    assert isinstance(fitted, FittedField)
+    gaussians, codebook = scene.rasterised.gaussians, fitted.field.codebook
+    for (frame, maps), (_, camera) in zip(
+        scene.maps(fitted, rules.values()), scene.labelled.frames, strict=True
+    ):
+        queries, canonical = scene.vectors.of(frame.labels), scene.vectors.canonical
+        for level, coded in enumerate(fitted.coded()):
+            assert 0 < int(coded.sum()) < len(gaussians)
+            indices, weights = (
+                part[coded, level] for part in (fitted.field.code_indices, fitted.field.code_weights)
+            )
+            codes = SparseCodes(indices, weights.float(), codebook.shape[1])
+            projection = raster.project(gaussians.select(coded), camera)
+            image = raster.render_channels(projection, codes.to_dense() @ codebook[level])[0]
+            cosines = unit(image) @ torch.cat([queries, canonical]).T
+            expected = torch.sigmoid(10 * (cosines[..., :2, None] - cosines[..., None, 2:])).amin(-1)
+            expected[image.abs().sum(-1) == 0] = 0.5
+            torch.testing.assert_close(maps[False, True][level], expected.permute(2, 0, 1), atol=2e-3, rtol=0)
+            assert not torch.allclose(maps[False, False][level], maps[False, True][level], atol=1e-2)
+    scores = scene.scores(fitted, rules)
+    assert scores["kept"].pairs != scores["dropped"].pairs
+    with pytest.raises(InputError, match="sparse codes"):
+        scene.scores(find_method("dense").fit(scene.rasterised), rules)
 
 
 def test_curves(scenes: list[StudyScene], tmp_path: Path) -> None:

@@ -28,14 +28,15 @@ class Ablation:
         name, group: for people.
         method: what is fitted; rows that differ in the rule only share it.
         rule: how the level is chosen: as the protocol does; by "peak", by "mask"; or only one level may answer; or,
-            with "everyday", everyday words are compared with too and the level is chosen as the protocol does.
+            with "everyday", everyday words are compared with too and the level is chosen as the protocol does; with
+            "coded", only the Gaussians that have a code are drawn, and the level is chosen as the protocol does.
         published: name of the paper's row that changes the same, if any.
     """
 
     name: str
     group: str
     method: Method
-    rule: Literal["protocol", "peak", "mask", "s", "m", "l", "everyday"] = "protocol"
+    rule: Literal["protocol", "peak", "mask", "s", "m", "l", "everyday", "coded"] = "protocol"
     published: str = ""
 
     @property
@@ -49,6 +50,8 @@ class Ablation:
             return ScoringRule(preset)
         if self.rule == "everyday":
             return ScoringRule(preset, everyday=True)
+        if self.rule == "coded":
+            return ScoringRule(preset, coded=True)
         if self.rule in ("peak", "mask"):
             return ScoringRule(replace(preset, level_choice=self.rule))
         return ScoringRule(preset, (self.rule,))
@@ -72,6 +75,10 @@ def _changed(
 
 
 _CALM, _TORN = "without the 50 % of highest entropy", "without the 50 % of lowest entropy"
+_WITHOUT = (
+    _changed(_CALM, "entropy", dropped="highest", published=_CALM),
+    _changed(_TORN, "entropy", dropped="lowest", published=_TORN),
+)
 ABLATIONS: tuple[Ablation, ...] = (
     Ablation("base: L=64, K=4, top-K", "vote", BASE, published="top-K (L=64, K=4)"),
     Ablation("dense uplift", "vote", METHODS["dense"], published="dense uplift"),
@@ -82,8 +89,9 @@ ABLATIONS: tuple[Ablation, ...] = (
     _changed("L=128", "atoms", published="L=128", n_atoms=128),
     _changed("K=2", "non-zeros", published="K=2", k=2, keep=2),
     _changed("K=8", "non-zeros", published="K=8", k=8, keep=8),
-    _changed(_CALM, "entropy", dropped="highest", published=_CALM),
-    _changed(_TORN, "entropy", dropped="lowest", published=_TORN),
+    *_WITHOUT,
+    *(replace(each, name=f"{each.name}, dropped from blending", rule="coded") for each in _WITHOUT),
+    Ablation("none without a code in blending", "entropy", BASE, "coded"),
     _changed("Adam", "solver and start", AdamCoder()),
     _changed("Adam, from random regions", "solver and start", AdamCoder("random regions")),
     _changed("Adam, from random directions", "solver and start", AdamCoder("random directions")),

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from torch import Tensor
 
 from scoup import raster
-from scoup.baselines.fitted import FittedMethod
+from scoup.base.errors import InputError
+from scoup.baselines.fitted import FittedField, FittedMethod
 from scoup.baselines.rasterised_scene import RasterisedScene
 from scoup.evaluate.data_sets import LabelledScene
 from scoup.evaluate.scores import SceneScore
 from scoup.evaluate.scoring import score_maps, score_selection
+from scoup.evaluate.studies.coded_gaussians import relevancy_of_coded
 from scoup.io import default_preset, load_gaussians, load_regions
 from scoup.io.labels import LabelledFrame
 from scoup.models.words import with_everyday
@@ -28,11 +30,18 @@ class ScoringRule:
         preset: constants and choice of the level.
         levels: names of those that may answer; None leaves that to the protocol.
         everyday: compare with everyday words too (``scoup.models.words``), which no protocol does.
+        coded: draw only the Gaussians that have a code (``coded_gaussians``); of sparse codes only.
     """
 
     preset: QueryPreset
     levels: tuple[str, ...] | None = None
     everyday: bool = False
+    coded: bool = False
+
+    @property
+    def kind(self) -> tuple[bool, bool]:
+        """Rules of one kind share maps."""
+        return self.everyday, self.coded
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,29 +63,40 @@ class StudyScene:
         return self.labelled.name
 
     def maps(
-        self, fitted: FittedMethod, canonical: Sequence[Tensor]
-    ) -> Iterator[tuple[LabelledFrame, list[Tensor]]]:
-        """Each labelled frame with its relevancy [S, Q, H, W] for each set of canonical vectors [P, D]."""
+        self, fitted: FittedMethod, rules: Iterable[ScoringRule]
+    ) -> Iterator[tuple[LabelledFrame, dict[tuple[bool, bool], Tensor]]]:
+        """Each labelled frame with its relevancy [S, Q, H, W] for each kind of rule."""
+        kinds = sorted({rule.kind for rule in rules})
+        plain, scene = self.vectors.canonical, self.rasterised
+        phrases = {False: plain, True: with_everyday(plain, self.vectors.everyday)}
         for frame, camera in self.labelled.frames:
-            projection = raster.project(self.rasterised.gaussians, camera, self.rasterised.raster_preset)
+            projection = raster.project(scene.gaussians, camera, scene.raster_preset)
             size = self.labelled.map_size(frame, camera)
-            queries = self.vectors.of(frame.labels)
-            yield frame, [fitted.relevancy(projection, queries, each, size) for each in canonical]
+            queries, found = self.vectors.of(frame.labels), {}
+            for everyday, coded in kinds:
+                canonical = phrases[everyday]
+                if coded:
+                    if not isinstance(fitted, FittedField):
+                        raise InputError(
+                            "only a method of sparse codes has Gaussians without a code to leave out"
+                        )
+                    maps = relevancy_of_coded(fitted, scene.gaussians, camera, queries, canonical, size)
+                else:
+                    maps = fitted.relevancy(projection, queries, canonical, size)
+                found[everyday, coded] = maps
+            yield frame, found
 
     def score(self, fitted: FittedMethod, preset: QueryPreset) -> SceneScore:
         """The score by the protocol."""
         return self.scores(fitted, {"": ScoringRule(preset)})[""]
 
     def scores(self, fitted: FittedMethod, rules: Mapping[str, ScoringRule]) -> dict[str, SceneScore]:
-        """Scores by the name of the rule. Maps are made once a frame, and once more with everyday words."""
+        """Scores by the name of the rule. Maps are made once a frame for each kind of rule."""
         pairs: dict[str, list] = {name: [] for name in rules}
         protocol = ""
-        kinds = sorted({rule.everyday for rule in rules.values()})
-        plain = self.vectors.canonical
-        compared = [with_everyday(plain, self.vectors.everyday) if everyday else plain for everyday in kinds]
-        for frame, maps in self.maps(fitted, compared):
+        for frame, maps in self.maps(fitted, rules.values()):
             for name, rule in rules.items():
-                part = self._score(frame, maps[kinds.index(rule.everyday)], rule)
+                part = self._score(frame, maps[rule.kind], rule)
                 pairs[name].extend(part.pairs)
                 protocol = part.protocol
         return {
