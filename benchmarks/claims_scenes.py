@@ -1,0 +1,86 @@
+"""Two claims of the paper on synthetic scenes with their truth: what the entropy of votes tells, what glass does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from scoup.baselines.rasterised_scene import RasterisedScene
+from scoup.evaluate.data_sets import DATA_SETS, LabelledScene
+from scoup.evaluate.scores import PairScore
+from scoup.evaluate.studies.ablation_rows import BASE, find_ablations
+from scoup.evaluate.studies.ablations import ablation_record, run_ablations
+from scoup.evaluate.studies.study_scene import StudyScene
+from scoup.query.presets import QUERY_PRESETS
+from scoup.query.text_vectors import TextVectors
+from scoup.scene.gaussians import Gaussians
+from scoup.synthetic.scene import DemoScene
+
+OBJECTS = ("m",)  # the level whose names are queried
+PRESET = QUERY_PRESETS["scoup"]
+
+
+def study_scene(demo: DemoScene, gaussians: Gaussians) -> StudyScene:
+    """A demo scene with its Gaussians or others, labelled in the views held out; nothing is written."""
+    found = [(demo.labelled_frame(camera.name, OBJECTS), camera) for camera in demo.held_out]
+    frames = [(frame, camera) for frame, camera in found if frame.labels]
+    nowhere = Path()
+    labelled = LabelledScene(
+        DATA_SETS["lerf-ovs"], demo.layout.name, nowhere, nowhere, nowhere, demo.held_out, frames
+    )
+    labels, canonical = labelled.labels, demo.canonical
+    vectors = TextVectors(tuple(labels), demo.text_vectors(labels), canonical, canonical[:0])
+    return StudyScene(labelled, vectors, RasterisedScene(gaussians, demo.building, demo.regions))
+
+
+def entropy_rows(demo: DemoScene) -> dict[str, Any]:
+    """mIoU of the rows of the entropy ablation: the half of a sort loses its codes, or is dropped from blending too."""
+    scene = study_scene(demo, demo.gaussians)
+    return ablation_record(run_ablations([scene], find_ablations(["entropy"]), PRESET, (0,)))
+
+
+def members(demo: DemoScene, name: str) -> Tensor:
+    """[N] boolean: the Gaussians that lie on an object."""
+    of_objects = demo.parts.at_level(demo.part_of_gaussian.numpy(), "m")
+    return torch.from_numpy(of_objects == demo.parts.names("m").index(name))
+
+
+def as_glass(gaussians: Gaussians, chosen: Tensor, share: float) -> Gaussians:
+    """The Gaussians with the opacity of those chosen [N] multiplied by ``share``."""
+    return replace(gaussians, opacities=torch.where(chosen, share * gaussians.opacities, gaussians.opacities))
+
+
+def glass_rows(demo: DemoScene, things: int, share: float) -> list[dict[str, Any]]:
+    """mIoU and localisation of things before and after their opacity is multiplied by ``share``, one thing at a time,
+    and of all other things of the scene. The masks and embeddings of the regions stay as they are.
+
+    Args:
+        demo: the scene.
+        things: how many of its objects, those in most views first.
+        share: of the opacity.
+    """
+    whole = study_scene(demo, demo.gaussians)
+    before = whole.score(BASE.fit(whole.rasterised), PRESET).pairs
+    labels = [pair.label for pair in before]
+    rows = []
+    for name in sorted(set(labels), key=lambda label: (-labels.count(label), label))[:things]:
+        scene = study_scene(demo, as_glass(demo.gaussians, members(demo, name), share))
+        after = scene.score(BASE.fit(scene.rasterised), PRESET).pairs
+        row: dict[str, Any] = {"thing": name, "views": labels.count(name)}
+        for which, pairs in (("before", before), ("after", after)):
+            own = [pair for pair in pairs if pair.label == name]
+            others = [pair for pair in pairs if pair.label != name]
+            row[which] = _scores(own) | {f"others_{key}": value for key, value in _scores(others).items()}
+        rows.append(row)
+    return rows
+
+
+def _scores(pairs: list[PairScore]) -> dict[str, float | None]:
+    if not pairs:
+        return {"miou": None, "accuracy": None}
+    return {"miou": mean(pair.iou for pair in pairs), "accuracy": mean(bool(pair.hit) for pair in pairs)}
