@@ -153,9 +153,9 @@ def _uplift_record(
         )
         body.append([str(dim), *cells])
     print(
-        f"\nuplift of all views and levels: sparse codes {sparse:.3f} s, of which rasterising {rasterising:.3f} s and the "
-        f"vote {sparse - rasterising:.3f} s;\nturning sums into sparse matrices, for dense features, {matrices:.3f} s\n"
+        f"\nuplift of all views and levels: sparse codes {sparse:.3f} s ({rasterising:.3f} s of it rasterising);"
     )
+    print(f"turning sums into sparse matrices, for dense features, {matrices:.3f} s\n")
     headers = ["D", "products, s", "dense in all, s", "of sparse", "by pixel, s, estimated", "of sparse"]
     print(markdown(headers, body))
     raw = {f"{name} {dim}".removesuffix(" 0"): timing.record() for (name, dim), timing in timings.items()}
