@@ -80,7 +80,10 @@ _LIGHTSPLAT = Origin("LightSplat (arXiv 2603.24146)", "LightSplat", _PAPER_NOTES
 _RELAGS = Origin("ReLaGS (arXiv 2603.17605)", "ReLaGS", _PAPER_NOTES + "CVPR2026/3d_vision")
 _CCL = Origin("CCL-LGS (arXiv 2505.20469)", "CCL-LGS", _NOTES)
 _LANGSPLAT = Origin("LangSplat (arXiv 2312.16084)", read_in=_NOTES)
-_V2 = Origin("LangSplatV2 (arXiv 2507.07136)", read_in=_NOTES)
+_V2 = Origin(
+    "LangSplatV2 (arXiv 2507.07136)",
+    read_in=f"{_NOTES}, which give LangSplat other figures than its own paper does",
+)
 _UNKNOWN = "kernel and threshold not stated where it was read"
 _NEWER = f"newer system; {_UNKNOWN}"
 _CLUSTERS = "newer system; clusters of Gaussians are chosen and drawn, rules of masks not stated"
@@ -153,7 +156,7 @@ PUBLISHED: dict[str, tuple[Published, ...]] = {
             64.98,
             None,
             {},
-            replace(_OPENGAFF, by="", read_in="wizwand.com/paper/69fd6e145497b3b670c89409"),
+            replace(_OPENGAFF_3D, by="", read_in="wizwand.com/paper/69fd6e145497b3b670c89409"),
             _NEWER,
         ),
         Published(
