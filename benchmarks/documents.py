@@ -21,6 +21,7 @@ from typing import Any
 import tyro
 
 from benchmarks.coding_tables import compared_table
+from benchmarks.documents_claims import claims_table
 from scoup.bench import markdown
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -144,6 +145,7 @@ TABLES: dict[str, Callable[[], str]] = {
     },
     "ablations": lambda: study("eval-ablations", 0),
     "consistency": consistency,
+    "claims": lambda: claims_table(record),
     "reference": reference,
     "coding, compared": lambda: compared_table(record("coding")["sizes"]),
 }
