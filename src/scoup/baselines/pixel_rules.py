@@ -2,8 +2,8 @@
 
 Dense and sparse uplift count every pixel by its blending weight (``AllPixels``). Other systems count fewer: the pixel
 at the projected centre of a Gaussian (``CentrePixel``), the same where the Gaussian is visible
-(``VisibleCentrePixel``), or only the Gaussians that paint most of a pixel (``TopContributors``). Every rule gives
-region sums of the same form, so that all that comes after can be shared.
+(``VisibleCentrePixel``, ``VisibleInView``), or only the Gaussians that paint most of a pixel (``TopContributors``).
+Every rule gives region sums of the same form, so that all that comes after can be shared.
 
 The blending weights come from the rasteriser's contract: region sums of a map in which every pixel is a region of its
 own.
@@ -12,7 +12,7 @@ own.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -23,7 +23,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
-from scoup.raster import ViewSums
+from scoup.raster.view_sums import ViewSums, merge
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions
@@ -50,6 +50,15 @@ class PixelWeights:
     def kept(self, chosen: np.ndarray) -> PixelWeights:
         """The pairs [T] boolean alone."""
         return PixelWeights(self.gaussian[chosen], self.pixel[chosen], self.weight[chosen])
+
+    @classmethod
+    def joined(cls, parts: Sequence[PixelWeights]) -> PixelWeights:
+        """The pairs of all parts, one part after the other."""
+        return cls(
+            np.concatenate([part.gaussian for part in parts]),
+            np.concatenate([part.pixel for part in parts]),
+            np.concatenate([part.weight for part in parts]),
+        )
 
 
 class PixelRule(Hashable, Protocol):
@@ -97,6 +106,10 @@ class PairRule(ABC):
         """The pairs of a band of rows that count; ``centres`` [N] int64 is the pixel under the centre of each Gaussian,
         -1 for none."""
 
+    def of_view(self, pairs: PixelWeights) -> PixelWeights:
+        """The pairs of a whole view that count, of those that count in its bands; all of them by default."""
+        return pairs
+
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
@@ -135,6 +148,43 @@ class VisibleCentrePixel(PairRule):
 
 
 @dataclass(frozen=True)
+class VisibleInView(PairRule):
+    """The pixel under the centre, for the Gaussians that are seen best in a view by their weights there: the gate of
+    VALA's public code (``GaussianModel.accumulate_gaussian_feature_per_view_robust``). Their paper describes a gate for
+    each ray (arXiv 2509.05515); the code has one for the view.
+
+    Of n Gaussians that paint the pixel under their centre, the heaviest count: as many as make up ``coverage`` of the
+    sum of these weights, as have the weight ``least``, at most n / 2 (but at least one), and no more than are heavier
+    than ``clear`` or than the quantile ``quantile``, whichever lets more pass.
+
+    Attributes:
+        coverage, least: the constants that VALA publishes for LERF (0.9 and 0.01 for ScanNet).
+        clear, quantile: fixed in that code.
+    """
+
+    coverage: float = 0.75
+    least: float = 0.13
+    clear: float = 0.15
+    quantile: float = 0.85
+
+    def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
+        return pairs.kept(centres[pairs.gaussian] == pairs.pixel)
+
+    def of_view(self, pairs: PixelWeights) -> PixelWeights:
+        count = len(pairs.weight)
+        if not count:
+            return pairs
+        order = np.lexsort((pairs.gaussian, -pairs.weight))
+        weight = pairs.weight[order].astype(np.float64)
+        covering = int((np.cumsum(weight) - weight < self.coverage * weight.sum()).sum())
+        first = max(1, min(covering, int((weight >= self.least).sum()), count // 2))
+        passing = max((weight > self.clear).sum(), (weight > np.quantile(weight, self.quantile)).sum())
+        chosen = np.zeros(count, bool)
+        chosen[order[: min(first, int(passing))]] = True
+        return pairs.kept(chosen)
+
+
+@dataclass(frozen=True)
 class TopContributors(PairRule):
     """For each pixel the Gaussians that paint most of it (Dr. Splat).
 
@@ -170,12 +220,8 @@ def gathered_sums(
         labels = regions.load_labels(camera.name, camera.width, camera.height)
         projection = raster.project(gaussians, camera, raster_preset, backend)
         centres = centre_pixels(gaussians, camera)
-        parts = [_of_regions(rule(pairs, centres), labels) for pairs in pixel_weights(projection)]
-        gaussian, level, region, weight = (
-            torch.from_numpy(np.concatenate(each)) for each in zip(*parts, strict=True)
-        )
-        found = ViewSums.of_triplets(gaussian, level, region, weight, len(labels))
-        sums.append(camera.name, found, camera)
+        kept = PixelWeights.joined([rule(pairs, centres) for pairs in pixel_weights(projection)])
+        sums.append(camera.name, _view_sums(rule.of_view(kept), labels), camera)
         progress("gather", len(sums), len(chosen))
     sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
     return sums
@@ -226,18 +272,16 @@ def centre_pixels(gaussians: Gaussians, camera: Camera) -> np.ndarray:
 
 def _strongest_first(pairs: PixelWeights) -> tuple[np.ndarray, np.ndarray]:
     """Order of the pairs by pixel, then falling weight, then Gaussian; and where in it a new pixel begins."""
-    order = np.lexsort((pairs.gaussian, -pairs.weight, pairs.pixel))
+    # One key: positive floats are in the order of their bits. Stable, as pairs are sorted by Gaussian.
+    bits = pairs.weight.astype(np.float32).view(np.int32).astype(np.int64)
+    order = np.argsort((pairs.pixel.astype(np.int64) << 32) - bits, kind="stable")
     return order, np.diff(pairs.pixel[order], prepend=-1) != 0
 
 
-def _of_regions(pairs: PixelWeights, labels: Tensor) -> tuple[np.ndarray, ...]:
-    """(gaussian, level, region, weight) of the pairs whose pixels have a region."""
-    gaussians, levels, found, weights = [], [], [], []
-    for level, of_level in enumerate(labels.reshape(len(labels), -1).numpy()):
-        region = of_level[pairs.pixel].astype(np.int64)
-        has = region >= 0
-        gaussians.append(pairs.gaussian[has])
-        levels.append(np.full(int(has.sum()), level))
-        found.append(region[has])
-        weights.append(pairs.weight[has])
-    return tuple(np.concatenate(parts) for parts in (gaussians, levels, found, weights))
+def _view_sums(pairs: PixelWeights, labels: Tensor) -> ViewSums:
+    """The pairs whose pixels have a region, summed over the pixels of each combination of regions."""
+    combined = raster.combine(labels)
+    combination = combined.map.flatten()[torch.from_numpy(pairs.pixel)]
+    there = combination >= 0
+    gaussian, weight = (torch.from_numpy(part)[there] for part in (pairs.gaussian, pairs.weight))
+    return ViewSums(*merge(gaussian, combination[there], weight, max(1, len(combined.table))), combined.table)
