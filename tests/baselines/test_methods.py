@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -12,11 +13,14 @@ from scoup import raster
 from scoup.base.errors import UnknownNameError
 from scoup.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
 from scoup.baselines.fitted import FittedChannels, FittedField, code_cosines
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.methods import COMPARED, METHODS, find_method
+from scoup.baselines.joint_codes import JointSettings
+from scoup.baselines.method import Method, MethodSettings
+from scoup.baselines.methods import COMPARED, METHODS, SLOW, find_method
 from scoup.baselines.rasterised_scene import RasterisedScene
+from scoup.baselines.trained import AutoencodedUplift, QuantisedUplift
 from scoup.field.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
+from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 from support import small_scene, unit
@@ -24,6 +28,7 @@ from support import small_scene, unit
 SETTINGS = MethodSettings(
     build=BuildSettings(n_atoms=8, effort="fast", epochs=5),
     autoencoder=AutoencoderSettings(epochs=2, encoder=(8, 3), decoder=(8,)),
+    joint=JointSettings(iterations=3, n_atoms=8, width=20),
 )
 
 
@@ -123,6 +128,66 @@ def test_the_autoencoder_decodes_what_was_rendered(scene: RasterisedScene) -> No
     assert torch.allclose(fitted.relevancy(projection, queries, canonical)[1], expected, atol=1e-5)
 
 
+def test_the_three_numbers_of_a_gaussian_are_the_mean_of_those_of_its_regions(scene: RasterisedScene) -> None:
+    """Row by row, through the network's layers: codes in another order, or of other rows, are not these."""
+    inputs = scene.inputs()
+    fitted = METHODS["autoencoder"].fit(scene, SETTINGS)
+    assert isinstance(fitted, FittedChannels)
+    network = fit_autoencoder(torch.cat(list(inputs.embeddings)), SETTINGS.autoencoder, 0)
+    for level, embeddings in enumerate(inputs.embeddings):
+        with torch.no_grad():
+            codes = torch.stack([unit(network.encoder(row[None]))[0] for row in embeddings])
+        expected = torch.from_numpy(inputs.sums.matrix(level).toarray()) @ codes
+        assert torch.allclose(fitted.channels[level], unit(expected), atol=1e-4)
+
+
+def test_a_trained_autoencoder_gives_back_what_a_gaussian_shows(scene: RasterisedScene) -> None:
+    """With few things to tell apart, what is decoded from a Gaussian's three numbers is the embedding of its thing, and
+    asking for that thing finds it."""
+    things = unit(torch.randn(4, 16, generator=torch.Generator().manual_seed(5)))
+    plain = scene.regions
+
+    def load(view: str, level: str) -> RegionMap:
+        labels = plain.load(view, level).labels
+        return RegionMap(torch.where(labels >= 0, labels % 4, -1).int(), things)
+
+    four = scene.with_regions(Regions(plain.levels, plain.view_names, load))
+    schedule = AutoencoderSettings(epochs=300, batch=16, learning_rate=1e-2, encoder=(16, 3), decoder=(16,))
+    fitted = METHODS["autoencoder"].fit(four, replace(SETTINGS, autoencoder=schedule))
+    mostly = torch.from_numpy(four.region_sums().matrix(1).toarray()).view(60, -1, 4).sum(1)
+    own = mostly / mostly.sum(1, keepdim=True).clamp(min=1e-9)
+    sure = (own.max(1).values > 0.7) & fitted.coded()[1]
+    assert sure.sum() >= 5
+    found = fitted.gaussian_relevancy(things, unit(torch.randn(3, 16)))[1]  # [Q, N]
+    assert torch.equal(found[:, sure].argmax(0), own[sure].argmax(1))
+
+
+def test_the_autoencoder_can_take_the_steps_of_a_larger_scene(scene: RasterisedScene) -> None:
+    """54 regions are a batch; 300 are five of 64: two epochs make ten steps."""
+    steps: list[int] = []
+
+    def count(stage: str, done: int, total: int) -> None:
+        steps.append(total)
+
+    larger = Method("larger", AutoencodedUplift(300))
+    for method, expected in ((METHODS["autoencoder"], 2), (larger, 10)):
+        steps.clear()
+        method.fit(scene, replace(SETTINGS, progress=count))
+        assert set(steps) == {expected}
+    lerf = METHODS["autoencoder-lerf"].uplift
+    assert isinstance(lerf, AutoencodedUplift)
+    assert lerf.scene_rows == 60_000
+
+
+def test_parts_of_a_quantised_feature(scene: RasterisedScene) -> None:
+    sizes = [
+        Method("", QuantisedUplift(parts)).fit(scene, SETTINGS).bytes_per_gaussian for parts in (4, 7, 64)
+    ]
+    assert sizes == [3 * 4, 3 * 4, 3 * 16]  # the largest divisor of 16 that is not more
+    for name, parts in (("top-contributors", 64), ("top-45-contributors", 128)):
+        assert METHODS[name].uplift == QuantisedUplift(parts)
+
+
 def test_unknown_method() -> None:
     with pytest.raises(UnknownNameError, match="dense"):
         find_method("dens")
@@ -132,3 +197,14 @@ def test_what_tables_and_documents_rely_on() -> None:
     assert next(iter(METHODS)) == COMPARED[0] == "sparse"
     systems = {method.system for method in METHODS.values()}
     assert systems >= {"LUDVIG", "Occam's LGS", "VALA", "Dr. Splat", "LangSplat"}
+    assert any("LangSplatV2" in system for system in systems)
+    assert "paper" in COMPARED
+    assert set(METHODS) - set(COMPARED) == {"sparse-all", "autoencoder-lerf", "joint-codes"}
+    assert set(METHODS) >= SLOW
+
+
+def test_the_table_of_methods_names_each_once() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "evaluation.md").read_text()
+    section = text.split("## Methods compared")[1].split("\n## ")[0]
+    named = [line.split("`")[1] for line in section.splitlines() if line.startswith("| `")]
+    assert sorted(named) == sorted(METHODS)

@@ -61,6 +61,15 @@ class AutoencoderSettings:
 
 
 LANGSPLAT = AutoencoderSettings()
+LERF_ROWS = 60_000
+"""Embeddings of a scene of LERF, as we assume: 200 views of 300 regions, the size of ``benchmarks.lerf_sized``. We know
+of no published count; with LangSplat's fourth level, which we do not use, there would be more."""
+
+
+def epochs_of_scene(settings: AutoencoderSettings, rows: int, scene_rows: int = LERF_ROWS) -> int:
+    """Epochs over ``rows`` rows that make as many steps as ``settings.epochs`` do over ``scene_rows``, rounded up."""
+    steps = settings.epochs * _n_batches(scene_rows, settings.batch)
+    return -(-steps // _n_batches(rows, settings.batch))
 
 
 @dataclass(frozen=True)
@@ -210,7 +219,7 @@ def _trained(
 ) -> nn.Sequential:
     """The network as it was after the best of the last epochs."""
     optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-    total = settings.epochs * sum(1 for _ in _batches(torch.arange(len(rows)), settings.batch))
+    total = settings.epochs * _n_batches(len(rows), settings.batch)
     best, kept, done = -2.0, network, 0
     progress("autoencoder", 0, total)
     for epoch in range(settings.epochs):
@@ -229,6 +238,10 @@ def _trained(
             if cosine > best:
                 best, kept = cosine, copy.deepcopy(network)
     return kept
+
+
+def _n_batches(rows: int, size: int) -> int:
+    return sum(1 for _ in _batches(torch.arange(max(1, rows)), size))
 
 
 def _batches(order: Tensor, size: int) -> Iterator[Tensor]:

@@ -29,6 +29,17 @@ def dense_features(sums: RegionSums, rows: Tensor, level: int) -> Tensor:
     return torch.nn.functional.normalize(summed, dim=1)
 
 
+def mean_features(sums: RegionSums, rows: Tensor, level: int) -> Tensor:
+    """[N, C] float32 weighted means of one level, as long as they come out: sum of e F / sum of e over the pixels with
+    a region (the paper's Eq. 3). The more the regions of a Gaussian disagree, the shorter. Zero rows where nothing
+    painted; arguments as of ``dense_features``.
+    """
+    matrix = sums.matrix(level)
+    painted = torch.from_numpy(matrix.sum(1))
+    summed = torch.from_numpy(matrix @ rows.cpu().numpy())
+    return torch.where(painted[:, None] > 0, summed / painted[:, None], 0.0)
+
+
 def weighted_means(sums: RegionSums, rows: Sequence[Tensor]) -> list[Tensor]:
     """``dense_features`` of every level, of rows [R, C] each."""
     return [dense_features(sums, of_level, level) for level, of_level in enumerate(rows)]
@@ -36,6 +47,16 @@ def weighted_means(sums: RegionSums, rows: Sequence[Tensor]) -> list[Tensor]:
 
 def dense_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
     """The weighted mean of embeddings of each Gaussian, scaled to unit norm."""
-    features = weighted_means(inputs.sums, inputs.embeddings)
+    return fitted_embeddings(weighted_means(inputs.sums, inputs.embeddings))
+
+
+def dense_mean_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
+    """The weighted mean of embeddings of each Gaussian, not rescaled."""
+    rows = enumerate(inputs.embeddings)
+    return fitted_embeddings([mean_features(inputs.sums, of_level, level) for level, of_level in rows])
+
+
+def fitted_embeddings(features: Sequence[Tensor]) -> FittedChannels:
+    """Gaussians that each keep an embedding [N, D] a level, as floats."""
     size = 4.0 * sum(rows.shape[1] for rows in features)
     return FittedChannels(features, [embedding_cosines] * len(features), size)

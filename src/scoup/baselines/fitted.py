@@ -15,9 +15,11 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import relevancy
 from scoup.scene.codes import cosines_from_codes
+from scoup.uplift.region_sums import RegionSums
 
 ROWS_AT_A_TIME = 1 << 15  # pixels or Gaussians compared together
 
@@ -150,6 +152,14 @@ class FittedField:
     def coded(self) -> Tensor:
         """See ``FittedMethod``."""
         return self.field.code_weights.any(-1).T
+
+
+def fitted_field(
+    sums: RegionSums, indices: Tensor, weights: Tensor, codebook: Tensor, all_kept: bool = False
+) -> FittedField:
+    """Codes [N, S, K] over a codebook [S, L, D], as a field of the scene that the sums are of."""
+    info = FieldInfo(sums.levels, "", sums.fingerprint, sums.n_gaussians, sums.raster_preset)
+    return FittedField(LanguageField(indices, weights, codebook, info), all_kept)
 
 
 def _of_images(

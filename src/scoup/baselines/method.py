@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from scoup.base.progress import Progress, no_progress
 from scoup.baselines.autoencoder import LANGSPLAT, AutoencoderSettings
 from scoup.baselines.fitted import FittedMethod
+from scoup.baselines.joint_codes import LANGSPLATV2, JointSettings
 from scoup.baselines.pixel_rules import ALL_PIXELS, PixelRule
 from scoup.baselines.rasterised_scene import RasterisedScene, UpliftInputs
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
@@ -25,15 +26,15 @@ class MethodSettings:
     Attributes:
         seed: of all that is random.
         build: of the sparse codes; methods may change some of it.
-        quantised_parts: bytes of a quantised feature; 0 takes 64, or the largest divisor of D below.
         autoencoder: schedule of LangSplat's network.
-        progress: called while the network is trained.
+        joint: schedule of codes learned through renderings (LangSplatV2).
+        progress: called while either is trained.
     """
 
     seed: int = 0
     build: BuildSettings = BUILD_PRESETS["default"]
-    quantised_parts: int = 0
     autoencoder: AutoencoderSettings = LANGSPLAT
+    joint: JointSettings = LANGSPLATV2
     progress: Progress = no_progress
 
 

@@ -38,11 +38,13 @@ class UpliftInputs:
         sums: region sums.
         embeddings: per level [R, D], of the regions of these sums.
         kept_codes: codes learned so far, by the coder and settings.
+        scene: with the regions of these sums alone, for methods that render; None where only sums are at hand.
     """
 
     sums: RegionSums
     embeddings: Sequence[Tensor]
     kept_codes: dict[tuple[Coder, BuildSettings], Codes] = field(default_factory=dict)
+    scene: RasterisedScene | None = None
 
     def codes(self, coder: Coder, settings: BuildSettings) -> Codes:
         """Codes of the embeddings, learned once for all settings that differ in the vote only."""
@@ -114,7 +116,8 @@ class RasterisedScene:
         if views != 1:
             rows = [regions.embeddings(level)[1] for level in regions.levels]
             sums = sums.of_views([name for name in sums.views if name in regions], rows)
-        return UpliftInputs(sums, self._embeddings[views], self._codes.setdefault(views, {}))
+        scene = self if views == 1 else self.with_regions(regions)
+        return UpliftInputs(sums, self._embeddings[views], self._codes.setdefault(views, {}), scene)
 
     def forget_codes(self) -> None:
         """Drop the codes learned so far: the next method learns its own."""

@@ -9,12 +9,10 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from scoup.baselines.fitted import FittedField
+from scoup.baselines.fitted import FittedField, fitted_field
 from scoup.baselines.method import MethodSettings
 from scoup.baselines.rasterised_scene import Coder, Codes, UpliftInputs
 from scoup.coding.adam import AdamSettings, solve_adam
-from scoup.field.artefact import FieldInfo
-from scoup.field.language_field import LanguageField
 from scoup.scene.directions import normalise_embeddings
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_codes import learn_codebook
@@ -87,9 +85,7 @@ class SparseUplift:
         if self.dropped is not None:
             whole, _ = vote_codes(inputs, build, self.coder, all_kept=True)
             found = without_half(found, whole, self.dropped)
-        sums = inputs.sums
-        info = FieldInfo(sums.levels, "", sums.fingerprint, sums.n_gaussians, sums.raster_preset)
-        return FittedField(LanguageField(found.indices, found.weights, codebook, info), not build.keep)
+        return fitted_field(inputs.sums, found.indices, found.weights, codebook, not build.keep)
 
 
 def vote_codes(

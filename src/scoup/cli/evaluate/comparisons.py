@@ -13,17 +13,21 @@ from scoup.cli.options import Flag
 @dataclass(frozen=True, kw_only=True)
 class Baselines(StudyOptions):
     """Compare the method with dense uplift, centre pixels (Occam's LGS), visible centre pixels (VALA), top contributors
-    with product quantisation (Dr. Splat) and LangSplat's autoencoder, on the same regions and with the same queries.
+    with product quantisation (Dr. Splat), LangSplat's autoencoder and, by name, codes learned through renderings
+    (LangSplatV2), on the same regions and with the same queries.
 
     Accuracy, time, memory and storage of each; docs/evaluation.md says what each follows and where it departs.
     """
 
     methods: Names = ()
-    """Methods to run; repeat it for several. Default: all but paper (Adam, slow) and sparse-all."""
+    """Methods to run; repeat it for several. Default: all but sparse-all, autoencoder-lerf and
+    joint-codes; the last two take minutes."""
     seed: int = 0
     """Seed of all that is random."""
     epochs: int = 100
     """Epochs of the autoencoder; LangSplat's own is 100."""
+    iterations: int = 10_000
+    """Steps of joint-codes at each level; LangSplatV2's own is 10000."""
     selection: Flag = False
     """Also score by the 3D-selection protocol, in a table of its own."""
 
@@ -32,13 +36,18 @@ class Baselines(StudyOptions):
         from dataclasses import replace
 
         from scoup.baselines.autoencoder import LANGSPLAT
+        from scoup.baselines.joint_codes import LANGSPLATV2
         from scoup.baselines.method import MethodSettings
         from scoup.baselines.methods import COMPARED, find_method
         from scoup.bench.environment import describe_environment
         from scoup.evaluate.studies.comparison import compare, comparison_report
 
         methods = [find_method(name) for name in self.methods or COMPARED]
-        settings = MethodSettings(self.seed, autoencoder=replace(LANGSPLAT, epochs=self.epochs))
+        settings = MethodSettings(
+            self.seed,
+            autoencoder=replace(LANGSPLAT, epochs=self.epochs),
+            joint=replace(LANGSPLATV2, iterations=self.iterations),
+        )
         scenes = self.open_study(console, "baselines")
         with console.progress() as progress:
             results = compare(scenes, methods, self.preset(), settings, self.selection, progress)
@@ -46,6 +55,7 @@ class Baselines(StudyOptions):
             "rules": self.rules,
             "seed": self.seed,
             "epochs": self.epochs,
+            "iterations": self.iterations,
             "environment": describe_environment(),
         }
         self.write(console, comparison_report(results, methods, described))

@@ -53,7 +53,8 @@ class Curves(StudyOptions):
     faults: Names = ()
     """What to put in: masks, missing, noise, wrong, views; repeat it for several. Default: all."""
     methods: Names = ()
-    """Methods as in `scoup eval baselines`; repeat it for several. Default: as there, without the slow autoencoder."""
+    """Methods as in `scoup eval baselines`; repeat it for several. Default: as there, without those that
+    take minutes (paper, autoencoder)."""
     seed: int = 0
     """Seed of the methods."""
     draw: int = 0
@@ -67,12 +68,12 @@ class Curves(StudyOptions):
 
         from scoup.baselines.autoencoder import LANGSPLAT
         from scoup.baselines.method import MethodSettings
-        from scoup.baselines.methods import COMPARED, find_method
+        from scoup.baselines.methods import COMPARED, SLOW, find_method
         from scoup.bench.environment import describe_environment
         from scoup.evaluate.studies.curves import FAULT_SCALES, curve_report, find_fault, run_curves
 
         faults = [find_fault(name) for name in self.faults or FAULT_SCALES]
-        names = self.methods or tuple(name for name in COMPARED if name != "autoencoder")
+        names = self.methods or tuple(name for name in COMPARED if name not in SLOW)
         methods = [find_method(name) for name in names]
         settings = MethodSettings(self.seed, autoencoder=replace(LANGSPLAT, epochs=self.epochs))
         scenes = self.open_study(console, "curves")

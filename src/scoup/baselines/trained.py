@@ -1,0 +1,101 @@
+"""Methods that learn for a scene: LangSplat's autoencoder, quantised features, codes learned through renderings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.baselines.autoencoder import LERF_ROWS, epochs_of_scene, fit_autoencoder
+from scoup.baselines.dense import weighted_means
+from scoup.baselines.fitted import FittedChannels, FittedField, embedding_cosines, fitted_field
+from scoup.baselines.joint_codes import JointCodes, fit_joint_codes
+from scoup.baselines.method import MethodSettings
+from scoup.baselines.product_quantisation import fit_product_quantiser
+from scoup.baselines.rasterised_scene import UpliftInputs
+from scoup.baselines.view_weights import weights_of_views
+
+
+@dataclass(frozen=True)
+class QuantisedUplift:
+    """Dense features stored as product-quantised codes, and compared in their decoded form.
+
+    Attributes:
+        parts: M, bytes of a feature; where D is no multiple of it, the largest divisor of D below.
+    """
+
+    parts: int = 64
+
+    def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
+        """See ``Uplift``."""
+        features = []
+        dim = inputs.embeddings[0].shape[1]
+        parts = next(n for n in range(min(self.parts, dim), 0, -1) if dim % n == 0)
+        shared = 0.0
+        for level, rows in enumerate(weighted_means(inputs.sums, inputs.embeddings)):
+            quantiser = fit_product_quantiser(inputs.embeddings[level], parts, settings.seed)
+            known = rows.any(1)
+            features.append(torch.zeros_like(rows))
+            features[-1][known] = quantiser.decode(quantiser.encode(rows[known]))
+            shared += 4.0 * quantiser.centroids.size
+        return FittedChannels(
+            features, [embedding_cosines] * len(features), float(parts * len(features)), shared
+        )
+
+
+@dataclass(frozen=True)
+class AutoencodedUplift:
+    """The weighted mean of three numbers a region; a network decodes what is rendered of them into embeddings.
+
+    Attributes:
+        scene_rows: the network takes as many steps as it would over so many embeddings; 0: over those of the scene.
+    """
+
+    scene_rows: int = 0
+
+    def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
+        """See ``Uplift``."""
+        rows = torch.cat(list(inputs.embeddings))
+        schedule = settings.autoencoder
+        if self.scene_rows:
+            schedule = replace(schedule, epochs=epochs_of_scene(schedule, len(rows), self.scene_rows))
+        network = fit_autoencoder(rows, schedule, settings.seed, settings.progress)
+        codes = weighted_means(inputs.sums, [network.encode(of_level) for of_level in inputs.embeddings])
+
+        def cosines(rows: Tensor, queries: Tensor) -> Tensor:
+            return network.decode(rows) @ queries.T
+
+        shared = 4.0 * sum(parameter.numel() for parameter in network.decoder.parameters())
+        return FittedChannels(codes, [cosines] * len(codes), 4.0 * network.code_size * len(codes), shared)
+
+
+LERF_AUTOENCODER = AutoencodedUplift(LERF_ROWS)
+
+
+def learn_joint_codes(inputs: UpliftInputs, settings: MethodSettings) -> JointCodes:
+    """Codebook and codes learned through renderings of the scene.
+
+    Raises:
+        InputError: the inputs are sums without their scene.
+    """
+    sums, scene = inputs.sums, inputs.scene
+    if scene is None or sums.rows is None:
+        raise InputError("codes learned through renderings need the scene, not its region sums alone")
+    views = weights_of_views(scene, settings.joint.width)
+    return fit_joint_codes(
+        views,
+        inputs.embeddings,
+        sums.rows,
+        sums.n_gaussians,
+        settings.joint,
+        settings.seed,
+        settings.progress,
+    )
+
+
+def joint_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedField:
+    """``learn_joint_codes``, as a field."""
+    found = learn_joint_codes(inputs, settings)
+    return fitted_field(inputs.sums, found.indices, found.weights, found.codebook)

@@ -1,0 +1,62 @@
+"""VALA's way of putting views together: a streaming weighted geometric median in the space of directions.
+
+View by view, each Gaussian moves its direction g towards the view's f, across g alone, by the view's share w of the
+weight W so far, and is scaled to unit norm again:
+
+    W <- W + w,    g <- normalise(g + (w / W) (f - (f . g) g)).
+
+From VALA's public code (``GaussianModel.accumulate_gaussian_feature_per_view_robust``), which calls that a median in
+cosine space (paper: arXiv 2509.05515). The first view gives g = f. The outcome depends on the order of the views.
+"""
+
+from __future__ import annotations
+
+import torch
+from scipy.sparse import csr_array
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.baselines.dense import fitted_embeddings
+from scoup.baselines.fitted import FittedChannels
+from scoup.baselines.method import MethodSettings
+from scoup.baselines.rasterised_scene import UpliftInputs
+from scoup.scene.directions import normalise_embeddings
+from scoup.uplift.region_sums import RegionSums
+
+
+def streaming_median(sums: RegionSums, embeddings: Tensor, level: int) -> Tensor:
+    """[N, D] float32 unit rows, zero where nothing was seen.
+
+    Args:
+        sums: region sums; a Gaussian with several regions in a view enters with their weighted mean.
+        embeddings: [R, D] of the regions of the level, any norm.
+        level: position of the level.
+
+    Raises:
+        InputError: the rows of the views are not known.
+    """
+    if sums.rows is None:
+        raise InputError("the rows of each view are not known (RegionSums.of_views)")
+    unit = normalise_embeddings(embeddings.cpu())
+    found = torch.zeros(sums.n_gaussians, unit.shape[1])
+    total = torch.zeros(sums.n_gaussians, 1)
+    for view, rows in sums.rows[level].items():
+        gaussian, region, weight = sums.triplets(view, level)
+        of_view = csr_array(
+            (weight, (gaussian, region)), shape=(sums.n_gaussians, rows.stop - rows.start), dtype="float32"
+        )
+        seen = torch.from_numpy(of_view.sum(1) > 0).nonzero()[:, 0]
+        painted = of_view[seen.numpy()]
+        towards = torch.nn.functional.normalize(torch.from_numpy(painted @ unit[rows].numpy()), dim=1)
+        share = torch.from_numpy(painted.sum(1))[:, None]
+        total[seen] += share
+        before = found[seen]
+        across = towards - (towards * before).sum(1, keepdim=True) * before
+        found[seen] = torch.nn.functional.normalize(before + share / total[seen] * across, dim=1)
+    return found
+
+
+def median_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
+    """The streaming median of embeddings of each Gaussian."""
+    rows = enumerate(inputs.embeddings)
+    return fitted_embeddings([streaming_median(inputs.sums, of_level, level) for level, of_level in rows])
