@@ -21,7 +21,7 @@ class Baselines(StudyOptions):
 
     methods: Names = ()
     """Methods to run; repeat it for several. Default: all but sparse-all, autoencoder-lerf and
-    joint-codes; the last two take minutes."""
+    joint-codes; the last two take tens of minutes a scene."""
     seed: int = 0
     """Seed of all that is random."""
     epochs: int = 100
