@@ -72,7 +72,7 @@ def weights_of_views(scene: RasterisedScene, width: int) -> list[ViewWeights]:
 
 def rendered(view: ViewWeights, channels: Tensor) -> Tensor:
     """[P, C] float32: the channels [M, C] of the view's members as its pixels show them; differentiable."""
-    return _Rendered.apply(channels, view.weights)  # type: ignore[no-any-return]
+    return _Rendered.apply(channels, view.weights)
 
 
 def _view(name: str, pairs: list[PixelWeights], labels: Tensor) -> ViewWeights:
