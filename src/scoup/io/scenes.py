@@ -20,6 +20,7 @@ from scoup.io.reading import Distorted
 from scoup.io.splats.gsplat_checkpoint import read_gsplat_checkpoint
 from scoup.io.splats.other_formats import READ, other_format
 from scoup.io.splats.ply import read_ply, write_ply
+from scoup.io.splats.scenesplat import is_scenesplat, read_scenesplat
 from scoup.io.splats.splat import read_splat, write_splat
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
@@ -48,8 +49,8 @@ def load_gaussians(path: str | Path) -> Gaussians:
 
     Args:
         path: a PLY of 3D Gaussian Splatting, a .splat file, a gsplat checkpoint (.pt) or its ``ckpts``
-            folder, the output folder of Inria's code (its last iteration is taken), or a folder with one
-            such file.
+            folder, the output folder of Inria's code (its last iteration is taken), a folder with SceneSplat's
+            arrays (coord.npy and so on), or a folder with one such file.
 
     Raises:
         MissingFileError: there is nothing of the kind.
@@ -60,7 +61,9 @@ def load_gaussians(path: str | Path) -> Gaussians:
     """
     check_arguments("load_gaussians", path=(path, PATH))
     path = find_gaussians(path)
-    if path.is_dir() or path.suffix.lower() in _CHECKPOINTS:
+    if is_scenesplat(path):
+        gaussians = read_scenesplat(path)
+    elif path.is_dir() or path.suffix.lower() in _CHECKPOINTS:
         gaussians = read_gsplat_checkpoint(path)
     elif path.suffix.lower() == ".splat":
         gaussians = read_splat(path)
@@ -91,13 +94,14 @@ def save_gaussians(gaussians: Gaussians, path: str | Path, overwrite: bool = Fal
 
 
 def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:
-    """The rasteriser preset of a splat: "gsplat" for checkpoints of its trainer, otherwise "inria"."""
+    """The rasteriser preset of a splat: "gsplat" for checkpoints of its trainer and for SceneSplat's arrays, which were
+    trained with it, otherwise "inria"."""
     path = find_gaussians(path)
     return "gsplat" if path.is_dir() or path.suffix.lower() in _CHECKPOINTS else "inria"
 
 
 def find_gaussians(path: str | Path) -> Path:
-    """The file (or checkpoint folder) that ``load_gaussians`` reads for ``path``.
+    """The file (or folder of checkpoints or arrays) that ``load_gaussians`` reads for ``path``.
 
     Raises:
         MissingFileError: there is none, or a folder holds several.
@@ -116,6 +120,8 @@ def find_gaussians(path: str | Path) -> Path:
         )
     if path.name == "point_cloud" or (path / "point_cloud").is_dir():
         return latest_point_cloud(path)
+    if is_scenesplat(path):
+        return path
     if (path / "ckpts").is_dir() or any(path.glob("ckpt_*_rank*.pt")):
         return path
     # Inria's code copies the sparse points beside its cameras as input.ply.

@@ -1,0 +1,113 @@
+"""Points with the number of a class each: ScanNet's labelled meshes, and SceneSplat's arrays (docs/formats.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.counts import listed
+from scoup.base.errors import FileFormatError
+from scoup.io.npy import open_npy
+from scoup.io.reading import existing_file
+from scoup.io.splats.ply import PlyTable, read_ply_table, write_ply_table
+
+_MAX_LABEL = 1 << 31
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledPoints:
+    """Points of a scan.
+
+    Attributes:
+        positions: [P, 3] float32.
+        labels: [P] int64 number of the class; what stands for none depends on the data set.
+    """
+
+    positions: Tensor  # [P, 3]
+    labels: Tensor  # [P]
+
+
+def read_labelled_ply(path: str | Path) -> LabelledPoints:
+    """The vertices of a PLY with a ``label``, such as ScanNet's ``<scene>_vh_clean_2.labels.ply``.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is no PLY file or cut short, has no labels, or holds values that are none.
+    """
+    path = existing_file(path, "a PLY file of labelled points")
+    table = read_ply_table(path)
+    missing = [name for name in ("x", "y", "z", "label") if name not in table.names]
+    if missing:
+        raise FileFormatError(
+            path,
+            f"its vertices have no {', '.join(missing)} (but {listed(table.names, 5)})",
+            "give the labelled mesh, <scene>_vh_clean_2.labels.ply",
+        )
+    positions = _finite(path, table.columns(("x", "y", "z")))
+    labels = _whole(path, table.columns(("label",), np.float64)[:, 0])
+    return LabelledPoints(torch.from_numpy(positions), torch.from_numpy(labels))
+
+
+def write_labelled_ply(points: LabelledPoints, path: str | Path, overwrite: bool = False) -> None:
+    """Write vertices as ScanNet does: x, y, z, colour and alpha (grey here), label; without faces.
+
+    Raises:
+        OutputExistsError: the file is there and ``overwrite`` is false.
+    """
+    colors = [(name, "u1") for name in ("red", "green", "blue", "alpha")]
+    kinds = [*((name, "<f4") for name in "xyz"), *colors, ("label", "<u2")]
+    rows = np.zeros(len(points.labels), dtype=kinds)
+    for column, name in enumerate("xyz"):
+        rows[name] = points.positions[:, column].numpy()
+    for name, _ in colors:
+        rows[name] = 255 if name == "alpha" else 128
+    rows["label"] = points.labels.numpy()
+    write_ply_table(PlyTable(Path("<memory>"), rows), path, overwrite)
+
+
+def read_labelled_npy(coordinates: str | Path, labels: str | Path) -> LabelledPoints:
+    """Points and their classes from two .npy files, as SceneSplat's preprocessing leaves them.
+
+    Args:
+        coordinates: [P, 3].
+        labels: [P], or [P, M] with several classes a point, of which the first counts.
+
+    Raises:
+        MissingFileError: one is not there.
+        FileFormatError: one holds no plain numbers or is cut short, or they do not belong together.
+    """
+    coordinates, labels = Path(coordinates), Path(labels)
+    positions = open_npy(coordinates, "coordinates of points")
+    if positions.ndim != 2 or positions.shape[1] != 3:
+        raise FileFormatError(
+            coordinates, f"is {list(positions.shape)}, expected [points, 3]", "give coord.npy"
+        )
+    numbers = open_npy(labels, "classes of points")
+    if numbers.ndim not in (1, 2) or len(numbers) != len(positions) or 0 in numbers.shape[1:]:
+        raise FileFormatError(
+            labels,
+            f"is {list(numbers.shape)}, but {coordinates.name} has {len(positions)} points",
+            "both are of one preprocessing",
+        )
+    first = numbers if numbers.ndim == 1 else numbers[:, 0]
+    with np.errstate(all="ignore"):
+        places = _finite(coordinates, np.array(positions, dtype=np.float32))
+    classes = _whole(labels, np.array(first, dtype=np.float64))
+    return LabelledPoints(torch.from_numpy(places), torch.from_numpy(classes))
+
+
+def _finite(path: Path, positions: np.ndarray) -> np.ndarray:
+    if not np.isfinite(positions).all():
+        raise FileFormatError(path, "has points whose coordinates are not finite", "preprocess it again")
+    return positions
+
+
+def _whole(path: Path, labels: np.ndarray) -> np.ndarray:
+    """[P] float64 as int64."""
+    if not (np.isfinite(labels) & (labels == np.round(labels)) & (np.abs(labels) < _MAX_LABEL)).all():
+        raise FileFormatError(path, "has labels that are no whole numbers", "give the numbers of classes")
+    return labels.astype(np.int64)

@@ -1,0 +1,125 @@
+"""Labelled points from PLY and .npy files, and what is wrong with others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
+from scoup.io.labelled_points import (
+    LabelledPoints,
+    read_labelled_npy,
+    read_labelled_ply,
+    write_labelled_ply,
+)
+
+HEADER = """ply
+format {encoding} 1.0
+element vertex {count}
+property float x
+property float y
+property float z
+property uchar red
+property uchar green
+property uchar blue
+property uchar alpha
+property ushort label
+element face 1
+property list uchar int vertex_indices
+end_header
+"""
+
+
+def test_a_mesh_as_scannet_writes_it(tmp_path: Path) -> None:
+    kinds = [*((name, "<f4") for name in "xyz"), *((name, "u1") for name in "rgba"), ("label", "<u2")]
+    rows = np.zeros(2, dtype=kinds)
+    rows["x"], rows["label"] = [1.5, -2], [40, 5]
+    face = bytes([3]) + np.array([0, 1, 0], "<i4").tobytes()
+    header = HEADER.format(encoding="binary_little_endian", count=2).encode()
+    (tmp_path / "a.ply").write_bytes(header + rows.tobytes() + face)
+    points = read_labelled_ply(tmp_path / "a.ply")
+    assert points.positions.tolist() == [[1.5, 0, 0], [-2, 0, 0]]
+    assert points.labels.tolist() == [40, 5]
+    assert points.labels.dtype == torch.int64
+
+
+def test_a_mesh_in_text(tmp_path: Path) -> None:
+    header = HEADER.format(encoding="ascii", count=1)
+    (tmp_path / "a.ply").write_text(header + "1 2 3 0 0 0 255 7\n3 0 0 0\n")
+    points = read_labelled_ply(tmp_path / "a.ply")
+    assert (points.positions.tolist(), points.labels.tolist()) == ([[1, 2, 3]], [7])
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    points = LabelledPoints(torch.rand(5, 3, generator=torch.Generator().manual_seed(0)), torch.arange(5) * 9)
+    write_labelled_ply(points, tmp_path / "a.ply")
+    found = read_labelled_ply(tmp_path / "a.ply")
+    assert found.positions.equal(points.positions)
+    assert found.labels.equal(points.labels)
+    with pytest.raises(OutputExistsError):
+        write_labelled_ply(points, tmp_path / "a.ply")
+
+
+def test_other_meshes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match="labelled points was expected"):
+        read_labelled_ply(tmp_path / "a.ply")
+    unlabelled = HEADER.format(encoding="ascii", count=1).replace("property ushort label\n", "")
+    (tmp_path / "a.ply").write_text(unlabelled + "1 2 3 0 0 0 255\n3 0 0 0\n")
+    with pytest.raises(FileFormatError, match=r"no label \(but x, y, z, red.*_vh_clean_2.labels.ply"):
+        read_labelled_ply(tmp_path / "a.ply")
+    halves = HEADER.format(encoding="ascii", count=1).replace("ushort label", "float label")
+    (tmp_path / "a.ply").write_text(halves + "1 2 3 0 0 0 255 7.5\n3 0 0 0\n")
+    with pytest.raises(FileFormatError, match="no whole numbers"):
+        read_labelled_ply(tmp_path / "a.ply")
+    (tmp_path / "a.ply").write_text(
+        HEADER.format(encoding="ascii", count=1) + "1 nan 3 0 0 0 255 7\n3 0 0 0\n"
+    )
+    with pytest.raises(FileFormatError, match="not finite"):
+        read_labelled_ply(tmp_path / "a.ply")
+    binary = HEADER.format(encoding="binary_little_endian", count=1_000_000_000).encode()
+    (tmp_path / "a.ply").write_bytes(binary + b"\0" * 100)
+    with pytest.raises(FileFormatError, match="cut short"):
+        read_labelled_ply(tmp_path / "a.ply")
+
+
+def save(folder: Path, coordinates: np.ndarray, labels: np.ndarray) -> tuple[Path, Path]:
+    np.save(folder / "coord.npy", coordinates)
+    np.save(folder / "segment.npy", labels)
+    return folder / "coord.npy", folder / "segment.npy"
+
+
+def test_arrays(tmp_path: Path) -> None:
+    points = read_labelled_npy(*save(tmp_path, np.ones((2, 3)), np.array([[4, 1], [-1, -1]], np.int16)))
+    assert points.positions.dtype == torch.float32
+    assert points.labels.tolist() == [4, -1]
+
+
+@pytest.mark.parametrize(
+    ("coordinates", "labels", "problem"),
+    [
+        (np.ones((2, 4)), np.ones(2), r"coord.npy: is \[2, 4\], expected \[points, 3\]"),
+        (np.ones((2, 3)), np.ones(3), r"segment.npy: is \[3\], but coord.npy has 2 points"),
+        (np.ones((2, 3)), np.ones((2, 0)), "but coord.npy has 2 points"),
+        (np.full((2, 3), np.inf), np.ones(2), "not finite"),
+        (np.ones((2, 3)), np.array([0.5, 1]), "no whole numbers"),
+        (np.ones((2, 3)), np.array([np.nan, 1]), "no whole numbers"),
+        (np.ones((2, 3)), np.array([{}, {}]), "does not hold plain numbers"),
+    ],
+)
+def test_other_arrays_are_refused(
+    tmp_path: Path, coordinates: np.ndarray, labels: np.ndarray, problem: str
+) -> None:
+    with pytest.raises(FileFormatError, match=problem):
+        read_labelled_npy(*save(tmp_path, coordinates, labels))
+
+
+def test_a_missing_or_short_array_is_refused(tmp_path: Path) -> None:
+    coordinates, labels = save(tmp_path, np.ones((20, 3)), np.ones(20))
+    with pytest.raises(MissingFileError):
+        read_labelled_npy(coordinates, tmp_path / "absent.npy")
+    labels.write_bytes(labels.read_bytes()[:-8])
+    with pytest.raises(FileFormatError, match="cut short"):
+        read_labelled_npy(coordinates, labels)
