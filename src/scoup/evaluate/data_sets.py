@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from scoup.base.errors import InputError, MissingFileError, UnknownNameError, looked_up
-from scoup.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
+from scoup.evaluate.protocols import lerf_ovs, mipnerf360, ref_lerf, threed_ovs
 from scoup.io import find_gaussians, load_cameras
 from scoup.io.labels import LabelledFrame, match_frames, read_labels
 from scoup.io.regions.views import FOLDER_NAME
@@ -54,7 +55,36 @@ DATA_SETS: dict[str, DataSet] = {
         ("scoup", "langsplatv2"),
         at_label_size=True,
     ),
+    "ref-lerf": DataSet(
+        "ref-lerf",
+        ref_lerf.PROTOCOL,
+        ("ramen", "figurines", "teatime", "waldo_kitchen"),
+        ("scoup", "langsplatv2", "langsplat"),
+    ),
 }
+
+
+class SceneFiles(Protocol):
+    """What of a scene its field is built from, whatever scores it; the splat and the features are not read yet.
+
+    Attributes:
+        name: of its folder.
+        folder: the scene.
+        splat: file or folder of the trained Gaussians.
+        features: folder of the region features.
+        cameras: all of them.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def folder(self) -> Path: ...
+    @property
+    def splat(self) -> Path: ...
+    @property
+    def features(self) -> Path: ...
+    @property
+    def cameras(self) -> Cameras: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +133,13 @@ class Places:
         gaussians: the trained splat. Default: the one in the scene's folder.
         features: region features. Default: ``language_features`` in the scene's folder.
         images: photographs. Default: as ``load_cameras`` finds them.
+        cameras: what ``load_cameras`` takes. Default: the scene's folder.
     """
 
     gaussians: str | None = None
     features: str | None = None
     images: str | None = None
+    cameras: str | None = None
 
 
 def find_data_set(name: str) -> DataSet:
@@ -129,6 +161,7 @@ def data_set_preset(data_set: DataSet, system: str) -> QueryPreset:
         "lerf-ovs": query_preset,
         "3d-ovs": threed_ovs.preset,
         "mipnerf360": mipnerf360.preset,
+        "ref-lerf": query_preset,
     }
     if system not in data_set.systems:
         raise UnknownNameError(f"system with a rule for {data_set.name}", system, data_set.systems)
@@ -171,6 +204,25 @@ def open_scene(
         InputError: labels and cameras are of different scenes, or no label is in sight.
     """
     folder = root / name
+    splat, features, cameras = find_parts(folder, name, places, undistort)
+    labels = _labels(data_set, root, name)
+    if data_set.name == "3d-ovs":
+        frames = threed_ovs.united(threed_ovs.read_segmentations(folder), name)
+    elif data_set.name == "ref-lerf":
+        frames = ref_lerf.read_frames(folder)
+    else:
+        frames = [frame for frame in read_labels(labels) if frame.labels]
+    if not frames:
+        raise InputError(f"{labels}: there are no labels to score")
+    return LabelledScene(data_set, name, folder, splat, features, cameras, match_frames(frames, cameras))
+
+
+def find_parts(folder: Path, name: str, places: Places, undistort: bool) -> tuple[Path, Path, Cameras]:
+    """The splat and the features of a scene, and its cameras, which are read.
+
+    Raises:
+        MissingFileError: one is not there.
+    """
     splat = _placed(places.gaussians, name) or folder
     try:
         splat = find_gaussians(splat)
@@ -183,18 +235,14 @@ def open_scene(
         raise MissingFileError(
             features, problem, 'say where they are with --features, for example "f/{scene}"'
         )
-    cameras = load_cameras(folder, _placed(places.images, name), None, "undistort" if undistort else "refuse")
-    labels = _labels(data_set, root, name)
-    if data_set.name == "3d-ovs":
-        frames = threed_ovs.united(threed_ovs.read_segmentations(folder), name)
-    else:
-        frames = [frame for frame in read_labels(labels) if frame.labels]
-    if not frames:
-        raise InputError(f"{labels}: there are no labels to score")
-    return LabelledScene(data_set, name, folder, splat, features, cameras, match_frames(frames, cameras))
+    home = _placed(places.cameras, name) or folder
+    cameras = load_cameras(home, _placed(places.images, name), None, "undistort" if undistort else "refuse")
+    return splat, features, cameras
 
 
 def _labels(data_set: DataSet, root: Path, name: str) -> Path:
+    if data_set.name == "ref-lerf":
+        return ref_lerf.sentence_folder(root / name)
     return root / name / "segmentations" if data_set.name == "3d-ovs" else root / "label" / name
 
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.evaluate.data_sets import LabelledScene
+from scoup.evaluate.data_sets import LabelledScene, SceneFiles
 from scoup.models.text import TextEncoder
 from scoup.query.text_vectors import TextVectors
 
 
-def text_source(root: Path, scene: LabelledScene, wanted: str | None, default: str) -> str:
+def text_source(root: Path, scene: SceneFiles, wanted: str | None, default: str) -> str:
     """The table or model that turns labels into vectors: the one wanted, or ``text.npz`` of the scene or of the data
     set, or ``default``."""
     if wanted is not None:

@@ -13,9 +13,9 @@ from scoup.base.errors import InputError
 from scoup.base.locks import locked_file
 from scoup.base.progress import Progress, no_progress
 from scoup.baselines.fitted import FittedField, FittedMethod
-from scoup.evaluate.data_sets import DataSet, LabelledScene
+from scoup.evaluate.data_sets import DataSet, LabelledScene, SceneFiles
 from scoup.evaluate.predictions import PredictionCache, prediction_key
-from scoup.evaluate.protocols import lerf_ovs, mipnerf360, selection, threed_ovs
+from scoup.evaluate.protocols import lerf_ovs, mipnerf360, ref_lerf, selection, threed_ovs
 from scoup.evaluate.scores import SceneScore
 from scoup.field.language_field import LanguageField
 from scoup.io import default_preset, load_gaussians, load_regions
@@ -32,7 +32,7 @@ from scoup.uplift.checkpoint import checkpoint, continued
 
 
 def build_field(
-    scene: LabelledScene,
+    scene: SceneFiles,
     path: Path,
     settings: BuildSettings,
     model: str = "",
@@ -138,6 +138,8 @@ def score_maps(
         return threed_ovs.score_scene(scene, maps, preset, levels)
     if data_set.name == "mipnerf360":
         return mipnerf360.score_scene(scene, maps, preset)
+    if data_set.name == "ref-lerf":
+        return ref_lerf.score_scene(scene, maps, preset)
     return lerf_ovs.score_scene(scene, maps, preset)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from scoup.cli.evaluate.comparisons import Baselines, Presence
-from scoup.cli.evaluate.data_sets import LerfOvs, MipNerf360, ThreeDOvs
+from scoup.cli.evaluate.data_sets import LerfOvs, MipNerf360, RefLerf, ThreeDOvs
+from scoup.cli.evaluate.point_labels import ScanNet, SceneSplat
 from scoup.cli.evaluate.studies import Ablations, Consistency, Curves
 from scoup.cli.evaluate.synthetic import Synthetic
 from scoup.cli.parsing import Family
@@ -17,6 +18,9 @@ EVAL = Family(
         "lerf-ovs": LerfOvs,
         "3d-ovs": ThreeDOvs,
         "mipnerf360": MipNerf360,
+        "ref-lerf": RefLerf,
+        "scannet": ScanNet,
+        "scenesplat": SceneSplat,
         "baselines": Baselines,
         "ablations": Ablations,
         "curves": Curves,

@@ -1,4 +1,4 @@
-"""scoup eval lerf-ovs, 3d-ovs, mipnerf360: one data set by its own protocol."""
+"""scoup eval lerf-ovs, 3d-ovs, mipnerf360, ref-lerf: one data set by its own protocol."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ class Scored(DataSetOptions):
     }
 
     rules: Rules = "scoup"
-    """Whose constants turn relevancy into masks and points; langsplat names none but for LERF-OVS."""
+    """Whose constants turn relevancy into masks and points; langsplat names none but for LERF-OVS, whose rules Ref-LERF
+    takes."""
     preset: Literal["default", "paper"] = "default"
     """How fields are built: default answers best, paper is the method as published (Adam, slow)."""
     n_atoms: OptionalInteger = None
@@ -104,3 +105,11 @@ class MipNerf360(Scored):
     protocol."""
 
     data_set_name: ClassVar[str] = "mipnerf360"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefLerf(Scored):
+    """Score Ref-LERF (figurines, ramen, teatime, waldo_kitchen): masks of what sentences refer to, with the rules of
+    LERF-OVS."""
+
+    data_set_name: ClassVar[str] = "ref-lerf"

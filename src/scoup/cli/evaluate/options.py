@@ -88,7 +88,7 @@ class StudyOptions(DataSetOptions):
 
     option_groups: ClassVar[OptionGroups] = {"data set": "data_set"}
 
-    data_set: Literal["lerf-ovs", "3d-ovs", "mipnerf360"] = "lerf-ovs"
+    data_set: Literal["lerf-ovs", "3d-ovs", "mipnerf360", "ref-lerf"] = "lerf-ovs"
     """Layout of ROOT, and whose protocol scores."""
     rules: Rules = "scoup"
     """Whose constants turn relevancy into masks and points."""

@@ -10,17 +10,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.evaluate.metrics import iou
 from scoup.evaluate.protocols.lerf_ovs import maps_by_label
 from scoup.evaluate.scores import PairScore, SceneScore, scene_score
+from scoup.io.images import read_mask
 from scoup.io.labels import LabelledFrame
-from scoup.io.reading import MAX_IMAGE_SIDE
 from scoup.query.presets import QueryPreset, query_preset
 from scoup.query.segment import segment
 from scoup.scene.regions import LEVELS
@@ -70,7 +68,7 @@ def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
         for name in classes:
             path = frame / f"{name}.png"
             if path.is_file():
-                masks[name] = _read_mask(path)
+                masks[name] = torch.from_numpy(read_mask(path, WHITE))
             else:
                 lacking += 1
         if not masks:
@@ -175,17 +173,3 @@ def _read_classes(path: Path) -> list[str]:
         problem = "names a class twice" if classes else "names no class"
         raise FileFormatError(path, problem, "one class a line is expected")
     return classes
-
-
-def _read_mask(path: Path) -> Tensor:
-    """[H, W] boolean."""
-    try:
-        with Image.open(path) as picture:
-            if max(picture.size) > MAX_IMAGE_SIDE:
-                raise FileFormatError(path, f"the size {picture.size} is not a possible image size", _REMEDY)
-            levels = np.asarray(picture.convert("L"))
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(path, f"cannot be read as an image ({error})", "the file is damaged") from error
-    return torch.from_numpy(levels > WHITE)

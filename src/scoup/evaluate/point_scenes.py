@@ -1,0 +1,158 @@
+"""The data sets of the point-level protocols: their scenes below a folder, and the true classes of points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from torch import Tensor
+
+from scoup.base.errors import InputError, MissingFileError, UnknownNameError, looked_up
+from scoup.evaluate.data_sets import Places, find_parts
+from scoup.evaluate.protocols import scannet, scenesplat
+from scoup.evaluate.protocols.point_labels import NO_CLASS, ClassList
+from scoup.io.labelled_points import LabelledPoints, read_labelled_ply
+from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import Gaussians
+
+SPLAT = "point_cloud.ply"
+"""The splat of a scene if it lies in its folder, where other PLY files may lie too."""
+
+
+@dataclass(frozen=True)
+class PointDataSet:
+    """A data set whose points have classes.
+
+    Attributes:
+        name: as on the command line.
+        protocol: as tables name it.
+        class_lists: by name; the truth follows from the list.
+        scenes: of the published data set, where it names them.
+        pooled: whether points of all scenes are counted together; else figures are means over scenes.
+    """
+
+    name: str
+    protocol: str
+    class_lists: Mapping[str, ClassList]
+    scenes: tuple[str, ...]
+    pooled: bool
+
+
+POINT_DATA_SETS = {
+    "scannet": PointDataSet("scannet", scannet.PROTOCOL, scannet.CLASS_LISTS, scannet.SCENES, False),
+    "scenesplat": PointDataSet("scenesplat", scenesplat.PROTOCOL, scenesplat.CLASS_LISTS, (), True),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class PointScene:
+    """A scene of a point-level data set, as ``scoup.evaluate.data_sets.SceneFiles``; the truth is not read yet."""
+
+    data_set: PointDataSet
+    name: str
+    folder: Path
+    splat: Path
+    features: Path
+    cameras: Cameras
+
+    def truth(self, classes: ClassList, gaussians: Gaussians) -> PointTruth:
+        """The true classes of the scene's points.
+
+        Raises:
+            MissingFileError, FileFormatError: the files of the truth are not there or damaged.
+            InputError: they do not fit the Gaussians, or no point has a class.
+        """
+        if self.data_set.name == "scannet":
+            path = scannet.labels_path(self.folder)
+            found = scannet.gaussian_truth(gaussians, read_labelled_ply(path), classes, str(path))
+            truth = PointTruth(found, None)
+        else:
+            points = scenesplat.read_truth(self.folder, classes)
+            truth = PointTruth(points.labels, points)
+        if not bool((truth.classes != NO_CLASS).any()):
+            raise InputError(f"{self.folder}: none of its points is of a class of {classes.name}")
+        return truth
+
+
+@dataclass(frozen=True, eq=False)
+class PointTruth:
+    """True classes.
+
+    Attributes:
+        classes: [P] int64; ``NO_CLASS`` for points that do not count.
+        points: the points, which take the classes of Gaussians near them; None where point i is Gaussian i.
+    """
+
+    classes: Tensor
+    points: LabelledPoints | None
+
+    def answers(self, gaussians: Gaussians, given: Tensor, n_classes: int, neighbours: int) -> Tensor:
+        """[P] int64 classes of the points from those given to the Gaussians [N].
+
+        Raises:
+            InputError: no Gaussian has a class.
+        """
+        if self.points is None:
+            return given.cpu()
+        return scenesplat.nearest_classes(
+            gaussians.means, given, self.points.positions, n_classes, neighbours
+        )
+
+
+def find_point_data_set(name: str) -> PointDataSet:
+    """A data set by name.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    return looked_up("point-level data set", name, POINT_DATA_SETS)
+
+
+def find_class_list(data_set: PointDataSet, name: str) -> ClassList:
+    """A list of classes by name.
+
+    Raises:
+        UnknownNameError: the data set has none of that name.
+    """
+    return looked_up(f"list of classes of {data_set.name}", name, data_set.class_lists)
+
+
+def find_point_scenes(data_set: PointDataSet, root: Path, wanted: Sequence[str] = ()) -> list[str]:
+    """Names of the scenes below ``root`` whose points have classes: those wanted, or all, the published ones first.
+
+    Raises:
+        MissingFileError: there is no such folder, or no such scene in it.
+        UnknownNameError: a scene wanted is not there.
+    """
+    if not root.is_dir():
+        raise MissingFileError(
+            root, f"there is no such folder (a {data_set.name} data set was expected)", "check the path"
+        )
+    if data_set.name == "scannet":
+        names = sorted(path.name for path in root.iterdir() if scannet.labels_path(path).is_file())
+        expected = scannet.labels_path(Path("SCENE"))
+    else:
+        names = scenesplat.scene_names(root)
+        expected = Path(scenesplat.SPLITS[0]) / "SCENE" / scenesplat.COORDINATES
+    if not names:
+        raise MissingFileError(root, f"holds no labelled scene: no {expected}", "check the path")
+    for name in wanted:
+        if name not in names:
+            raise UnknownNameError("labelled scene", name, names, str(root))
+    known = [name for name in data_set.scenes if name in names]
+    return list(dict.fromkeys(wanted or [*known, *names]))
+
+
+def open_point_scene(
+    data_set: PointDataSet, root: Path, name: str, places: Places, undistort: bool = False
+) -> PointScene:
+    """Read the cameras of a scene, and find its splat and features.
+
+    Raises:
+        MissingFileError: something is not there.
+    """
+    folder = root / name if data_set.name == "scannet" else scenesplat.scene_folder(root, name)
+    if places.gaussians is None and (folder / SPLAT).is_file():
+        places = replace(places, gaussians=str(folder / SPLAT))
+    return PointScene(data_set, name, folder, *find_parts(folder, name, places, undistort))

@@ -1,0 +1,182 @@
+"""Classes of points: the class a field gives each Gaussian, and how classes given are scored against the true ones.
+
+Shared by the point-level protocols (``scannet``, ``scenesplat``; docs/protocols.md). All of it counts points: a class
+that the truth lacks has no score, whatever was given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.baselines.fitted import FittedMethod
+from scoup.evaluate.metrics import Interval
+from scoup.query.text_vectors import TextVectors
+
+NO_CLASS = -1
+"""In truths: a point that does not count. In answers: a point that was given no class."""
+QUERIES_AT_A_TIME = 16  # relevancy of all Gaussians to so many classes is in memory together
+
+
+@dataclass(frozen=True)
+class ClassList:
+    """The classes of a benchmark, in the order of their numbers.
+
+    Attributes:
+        name: as on the command line.
+        classes: what the truth numbers from 0.
+        excluded: classes that foreground means leave out; they are queried and counted all the same.
+        prompt: the text of a class, with {} for its name.
+        described: texts in place of those of the prompt, and the number of the class that each stands for.
+        file: stem of the file that holds the truth, where the layout has several.
+    """
+
+    name: str
+    classes: tuple[str, ...]
+    excluded: frozenset[str] = frozenset()
+    prompt: str = "{}"
+    described: tuple[tuple[str, int], ...] = ()
+    file: str = ""
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """What is queried."""
+        return tuple(text for text, _ in self._queried)
+
+    def of_texts(self, positions: Tensor) -> Tensor:
+        """Numbers of classes from positions of texts (``label_gaussians``); ``NO_CLASS`` stays."""
+        numbers = torch.tensor([*(number for _, number in self._queried), NO_CLASS], device=positions.device)
+        return numbers[positions]  # NO_CLASS is -1, the last
+
+    @property
+    def _queried(self) -> tuple[tuple[str, int], ...]:
+        return self.described or tuple(
+            (self.prompt.format(name), number) for number, name in enumerate(self.classes)
+        )
+
+    @property
+    def foreground(self) -> Tensor:
+        """[C] boolean: the classes that are not excluded."""
+        return torch.tensor([name not in self.excluded for name in self.classes])
+
+
+def label_gaussians(
+    fitted: FittedMethod, vectors: TextVectors, texts: Sequence[str], level: int | None = None
+) -> Tensor:
+    """[N] int64 position of the text that fits each Gaussian best; ``NO_CLASS`` where nothing is known of it.
+
+    At one level this is the argmax of the cosine, as in the protocols: relevancy grows with the cosine, and the
+    canonical phrases are the same for all texts. *Choice*: of several levels, each Gaussian is answered by the one
+    where a text leads the canonical phrases by most, which is its largest relevancy. Nothing is smoothed, and nothing
+    is judged absent. Of equals the first text is taken.
+
+    Args:
+        fitted: what a method made of a scene.
+        vectors: of the texts.
+        texts: Q >= 1, one a class.
+        level: the position of the only level that answers; None for all.
+
+    Raises:
+        InputError: there is no such level.
+    """
+    coded = fitted.coded()
+    if level is not None and not 0 <= level < len(coded):
+        raise InputError(f"there is no level {level} among {len(coded)}")
+    rows = slice(None) if level is None else slice(level, level + 1)
+    coded = coded[rows]
+    best = torch.full(coded.shape[1:], -torch.inf, device=coded.device)
+    found = torch.full(coded.shape[1:], NO_CLASS, dtype=torch.int64, device=coded.device)
+    for start in range(0, len(texts), QUERIES_AT_A_TIME):
+        queries = vectors.of(texts[start : start + QUERIES_AT_A_TIME])
+        relevancy = fitted.gaussian_relevancy(queries, vectors.canonical)[rows].to(coded.device)
+        # A Gaussian without a code at a level has a relevancy of 0.5 there, which says nothing.
+        values, positions = relevancy.masked_fill(~coded[:, None], -torch.inf).amax(0).max(0)
+        better = values > best
+        best = torch.where(better, values, best)
+        found[better] = positions[better] + start
+    return found
+
+
+def confusion_matrix(truth: Tensor, given: Tensor, n_classes: int) -> Tensor:
+    """[C, C + 1] int64: how many points of each true class (row) were given each class; last column: none.
+
+    Args:
+        truth: [P] int64; points of ``NO_CLASS`` do not count.
+        given: [P] int64.
+        n_classes: C.
+
+    Raises:
+        InputError: shapes differ, or a number is none of a class.
+    """
+    if truth.shape != given.shape or truth.dim() != 1:
+        raise InputError(f"{list(truth.shape)} true classes and {list(given.shape)} given; one each a point")
+    for numbers in (truth, given):
+        if len(numbers) and not NO_CLASS <= int(numbers.min()) <= int(numbers.max()) < n_classes:
+            raise InputError(
+                f"classes are numbered {NO_CLASS} to {n_classes - 1}, not {int(numbers.min())} to "
+                f"{int(numbers.max())}"
+            )
+    counted = truth != NO_CLASS
+    columns = torch.where(given == NO_CLASS, n_classes, given)
+    cells = truth[counted] * (n_classes + 1) + columns[counted]
+    return torch.bincount(cells, minlength=n_classes * (n_classes + 1)).view(n_classes, n_classes + 1)
+
+
+def class_totals(matrix: Tensor) -> Tensor:
+    """[3, C] float64 of a confusion matrix [C, C + 1]: for each class the points that were found, that truly have it,
+    and that were given it. Those of scenes may be added."""
+    square = matrix[:, :-1].double()
+    return torch.stack([square.diagonal(), matrix.double().sum(1), square.sum(0)])
+
+
+def class_ious(totals: Tensor) -> Tensor:
+    """[..., C] intersection over union of each class from totals [..., 3, C]; NaN where no point truly has it."""
+    found, true, given = totals.unbind(-2)
+    return torch.where(true > 0, found / (true + given - found), torch.nan)
+
+
+def class_accuracies(totals: Tensor) -> Tensor:
+    """[..., C] share of each class's points that were found; NaN where there are none."""
+    found, true, _ = totals.unbind(-2)
+    return torch.where(true > 0, found / true, torch.nan)
+
+
+def class_mean(values: Tensor, counted: Tensor | None = None) -> Tensor:
+    """[...] mean of [..., C] over the classes that have a value, and of these over those ``counted`` ([C] boolean);
+    NaN where there is none."""
+    return (values if counted is None else values[..., counted]).nanmean(-1)
+
+
+def frequency_weighted_iou(totals: Tensor) -> Tensor:
+    """[...] mean of the classes' IoU, weighted by their shares of the points."""
+    true = totals[..., 1, :]
+    return (class_ious(totals).nan_to_num() * true).sum(-1) / true.sum(-1)
+
+
+def overall_accuracy(totals: Tensor) -> Tensor:
+    """[...] share of all points that were given their class."""
+    return totals[..., 0, :].sum(-1) / totals[..., 1, :].sum(-1)
+
+
+def drawn_totals(totals: Tensor, samples: int = 2000, seed: int = 0) -> Tensor:
+    """[samples, 3, C] totals over T scenes drawn with replacement from totals [T, 3, C]."""
+    generator = torch.Generator().manual_seed(seed)
+    draws = torch.randint(len(totals), (samples, len(totals)), generator=generator)
+    counts = torch.zeros(samples, len(totals), dtype=totals.dtype).scatter_add_(
+        1, draws, torch.ones(draws.shape, dtype=totals.dtype)
+    )
+    return torch.einsum("bt,tkc->bkc", counts, totals)
+
+
+def interval_of(value: Tensor, drawn: Tensor, confidence: float = 0.95) -> Interval:
+    """A score with the percentiles of what draws gave it; draws without a value (NaN) do not count."""
+    drawn = drawn[~drawn.isnan()]
+    if not len(drawn):
+        return Interval(float(value), torch.nan, torch.nan)
+    ends = torch.tensor([(1 - confidence) / 2, (1 + confidence) / 2], dtype=drawn.dtype)
+    low, high = drawn.quantile(ends).tolist()
+    return Interval(float(value), low, high)

@@ -1,0 +1,78 @@
+"""The point-level protocol of ScanNet: every Gaussian is a point of the scan, and is given one of 19, 15 or 10 classes.
+
+Read from OpenGaussian's ``scripts/eval_scannet.py`` (yanmin-wu/OpenGaussian, as in its copy anihcsam/OpenGaussian):
+the scenes, the numbers of the classes among the 40 of NYU, their names as texts, Gaussians whose opacity is below 0.1
+left out with the points of other classes, mIoU and mAcc of a scene over the classes that it has. Gaussians keep the
+positions and the order of the scan's points while they are trained, so Gaussian i has the label of point i.
+
+*Choices* where the script does not apply or is silent: figures are means over scenes; a Gaussian without a code is
+given no class and counts as missed (the script gives clusters without features the first class); see
+``point_labels.label_gaussians`` for the level.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from scoup.base.counts import counted
+from scoup.base.errors import InputError
+from scoup.evaluate.protocols.point_labels import NO_CLASS, ClassList
+from scoup.io.class_names import NYU40
+from scoup.io.labelled_points import LabelledPoints
+from scoup.scene.gaussians import Gaussians
+
+PROTOCOL = "ScanNet points"
+SCENES = (
+    "scene0000_00", "scene0062_00", "scene0070_00", "scene0097_00", "scene0140_00",
+    "scene0200_00", "scene0347_00", "scene0400_00", "scene0590_00", "scene0645_00",
+)  # fmt: skip
+NUMBERS = {
+    "19": (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 24, 28, 33, 34, 36),
+    "15": (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 33, 34),
+    "10": (1, 2, 4, 5, 6, 7, 8, 9, 10, 33),
+}
+"""Of the classes among the 40, by the name of the list."""
+CLASS_LISTS = {name: ClassList(name, tuple(NYU40[n] for n in numbers)) for name, numbers in NUMBERS.items()}
+LEAST_OPACITY = 0.1
+FARTHEST = 1e-3  # metres between a Gaussian and its point: positions are frozen, and files hold float32
+
+
+def labels_path(folder: Path) -> Path:
+    """The labelled points of a scene, as ScanNet names them."""
+    return folder / f"{folder.name}_vh_clean_2.labels.ply"
+
+
+def gaussian_truth(gaussians: Gaussians, points: LabelledPoints, classes: ClassList, where: str) -> Tensor:
+    """[N] int64 true class of each Gaussian, ``NO_CLASS`` for those that do not count.
+
+    Args:
+        gaussians: N, at the points.
+        points: N, with numbers of NYU's 40 classes.
+        classes: one of ``CLASS_LISTS``.
+        where: the points are from, for errors.
+
+    Raises:
+        InputError: the Gaussians are not at the points.
+    """
+    remedy = (
+        "the protocol needs a splat that starts from these points and is trained with their positions frozen and "
+        "without densification (scoup eval scenesplat scores other splats, by their nearest Gaussians)"
+    )
+    if len(gaussians) != len(points.labels):
+        raise InputError(
+            f"{where}: has {counted(len(points.labels), 'point')}, the splat "
+            f"{counted(len(gaussians), 'Gaussian')}; {remedy}"
+        )
+    apart = (gaussians.means.cpu() - points.positions).norm(dim=1)
+    if len(apart) and not float(apart.max()) <= FARTHEST:
+        position = int(apart.argmax())
+        raise InputError(
+            f"{where}: Gaussian {position} is {float(apart[position]):.3g} m from its point; {remedy}"
+        )
+    truth = torch.full(points.labels.shape, NO_CLASS, dtype=torch.int64)
+    for position, number in enumerate(NUMBERS[classes.name]):
+        truth[points.labels == number] = position
+    return truth.masked_fill(gaussians.opacities.cpu() < LEAST_OPACITY, NO_CLASS)

@@ -1,0 +1,177 @@
+"""Classes of points: counting and scores against numbers worked out by hand, and the class a Gaussian is given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.evaluate.protocols.point_labels import (
+    NO_CLASS,
+    ClassList,
+    class_accuracies,
+    class_ious,
+    class_mean,
+    class_totals,
+    confusion_matrix,
+    drawn_totals,
+    frequency_weighted_iou,
+    interval_of,
+    label_gaussians,
+    overall_accuracy,
+)
+from scoup.query.text_vectors import TextVectors
+from scoup.raster import Projection
+
+#                    three of class 0      two of 1  one of 3   two that do not count
+TRUTH = torch.tensor([0, 0, 0, 1, 1, 3, NO_CLASS, NO_CLASS])
+GIVEN = torch.tensor([0, 0, 1, 1, NO_CLASS, 2, 0, 3])
+
+
+def test_points_are_counted_by_hand() -> None:
+    matrix = confusion_matrix(TRUTH, GIVEN, 4)
+    assert matrix.tolist() == [
+        [2, 1, 0, 0, 0],
+        [0, 1, 0, 0, 1],
+        [0, 0, 0, 0, 0],
+        [0, 0, 1, 0, 0],
+    ]
+    # found, truly there, given; the two points that do not count are in none of them
+    assert class_totals(matrix).tolist() == [[2, 1, 0, 0], [3, 2, 0, 1], [2, 2, 1, 0]]
+
+
+def test_scores_by_hand() -> None:
+    totals = class_totals(confusion_matrix(TRUTH, GIVEN, 4))
+    # 0: 2 of 3 + 2 - 2; 1: 1 of 2 + 2 - 1; 2: not in the truth; 3: 0 of 1
+    assert class_ious(totals).tolist() == pytest.approx([2 / 3, 1 / 3, float("nan"), 0], nan_ok=True)
+    assert class_accuracies(totals).tolist() == pytest.approx([2 / 3, 1 / 2, float("nan"), 0], nan_ok=True)
+    assert float(class_mean(class_ious(totals))) == pytest.approx(1 / 3)
+    assert float(class_mean(class_accuracies(totals))) == pytest.approx((2 / 3 + 1 / 2) / 3)
+    foreground = torch.tensor([False, True, True, True])
+    assert float(class_mean(class_ious(totals), foreground)) == pytest.approx((1 / 3 + 0) / 2)
+    assert float(frequency_weighted_iou(totals)) == pytest.approx(3 / 6 * 2 / 3 + 2 / 6 * 1 / 3)
+    assert float(overall_accuracy(totals)) == pytest.approx(3 / 6)
+
+
+def test_the_mean_over_no_class_is_none() -> None:
+    assert class_mean(torch.tensor([torch.nan, 0.5]), torch.tensor([True, False])).isnan()
+
+
+def test_right_answers_score_one_and_wrong_ones_nothing() -> None:
+    truth = torch.tensor([0, 1, 1, 2])
+    right = class_totals(confusion_matrix(truth, truth, 3))
+    wrong = class_totals(confusion_matrix(truth, (truth + 1) % 3, 3))
+    assert class_ious(right).tolist() == [1, 1, 1]
+    assert class_ious(wrong).tolist() == [0, 0, 0]
+    assert float(frequency_weighted_iou(right)) == 1
+
+
+def test_scores_of_several_totals_at_once() -> None:
+    matrices = [confusion_matrix(TRUTH, given, 4) for given in (GIVEN, TRUTH)]
+    both = torch.stack([class_totals(matrix) for matrix in matrices])
+    for score in (frequency_weighted_iou, overall_accuracy):
+        assert score(both).tolist() == pytest.approx([float(score(totals)) for totals in both])
+    assert class_ious(both)[0].nan_to_num(-1).equal(class_ious(both[0]).nan_to_num(-1))
+
+
+def test_drawn_scenes_are_counted_whole() -> None:
+    totals = torch.zeros(3, 3, 2, dtype=torch.float64)
+    totals[:, 1, 0] = torch.tensor([1.0, 10.0, 100.0])
+    drawn = drawn_totals(totals, samples=200)[:, 1, 0]
+    possible = {a + b + c for a in (1, 10, 100) for b in (1, 10, 100) for c in (1, 10, 100)}
+    assert {int(value) for value in drawn} == possible
+    assert drawn.equal(drawn_totals(totals, samples=200)[:, 1, 0])
+
+
+def test_draws_without_a_value_do_not_count() -> None:
+    drawn = torch.tensor([0.0, 1.0, torch.nan] * 50, dtype=torch.float64)
+    found = interval_of(torch.tensor(0.5), drawn)
+    assert (found.mean, found.low, found.high) == (0.5, 0.0, 1.0)
+    nothing = interval_of(torch.tensor(torch.nan), torch.full((3,), torch.nan))
+    assert nothing.low != nothing.low
+
+
+def test_numbers_that_are_no_class_are_refused() -> None:
+    with pytest.raises(InputError, match="-1 to 3, not 0 to 4"):
+        confusion_matrix(TRUTH, torch.full_like(TRUTH, 4).clamp(min=0).index_fill(0, torch.tensor([0]), 0), 4)
+    with pytest.raises(InputError, match="one each a point"):
+        confusion_matrix(TRUTH, GIVEN[:3], 4)
+
+
+def test_texts_of_classes() -> None:
+    named = ClassList("two", ("wall", "tree"), frozenset({"wall"}), "this is a {}")
+    assert named.texts == ("this is a wall", "this is a tree")
+    assert named.foreground.tolist() == [False, True]
+    assert named.of_texts(torch.tensor([1, NO_CLASS, 0])).tolist() == [1, NO_CLASS, 0]
+    described = ClassList("two", ("road", "tree"), described=(("a road", 0), ("a tree", 1), ("a car", 0)))
+    assert described.texts == ("a road", "a tree", "a car")
+    assert described.of_texts(torch.tensor([2, 1, NO_CLASS])).tolist() == [0, 1, NO_CLASS]
+
+
+@dataclass(frozen=True)
+class Known:
+    """A fitted method of known relevancy [S, Q, N]."""
+
+    known: Tensor
+    codes: Tensor
+    bytes_per_gaussian: float = 0.0
+    shared_bytes: float = 0.0
+
+    def relevancy(
+        self,
+        projection: Projection,
+        queries: Tensor,
+        canonical: Tensor,
+        size: tuple[int, int] | None = None,
+    ) -> Tensor:
+        raise AssertionError("nothing is rendered")
+
+    def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
+        return self.known[:, queries[:, 0].long()]
+
+    def coded(self) -> Tensor:
+        return self.codes
+
+
+def known(n_texts: int, relevancy: Tensor, codes: Tensor) -> tuple[Known, TextVectors, list[str]]:
+    texts = [str(number) for number in range(n_texts)]
+    numbers = torch.arange(n_texts).float()[:, None]
+    return Known(relevancy, codes), TextVectors(tuple(texts), numbers, numbers, numbers), texts
+
+
+def test_a_gaussian_takes_the_most_relevant_class_of_all_its_levels() -> None:
+    relevancy = torch.tensor(
+        [
+            #  Gaussians: 0     1     2     3
+            [[0.30, 0.90, 0.20, 0.6], [0.40, 0.10, 0.20, 0.6]],  # level 0, classes 0 and 1
+            [[0.35, 0.20, 0.50, 0.6], [0.20, 0.95, 0.50, 0.6]],  # level 1
+        ]
+    )
+    # Gaussian 2 has no code at level 1, where its relevancy is a draw; Gaussian 3 has none at all.
+    codes = torch.tensor([[True, True, True, False], [True, True, False, False]])
+    fitted, vectors, texts = known(2, relevancy, codes)
+    assert label_gaussians(fitted, vectors, texts).tolist() == [1, 1, 0, NO_CLASS]
+    assert label_gaussians(fitted, vectors, texts, level=1).tolist() == [0, 1, NO_CLASS, NO_CLASS]
+    with pytest.raises(InputError, match="no level 2"):
+        label_gaussians(fitted, vectors, texts, level=2)
+
+
+def test_many_classes_are_queried_in_parts() -> None:
+    generator = torch.Generator().manual_seed(0)
+    relevancy = torch.rand(3, 50, 40, generator=generator)
+    fitted, vectors, texts = known(50, relevancy, torch.ones(3, 40, dtype=torch.bool))
+    assert label_gaussians(fitted, vectors, texts).equal(relevancy.amax(0).argmax(0))
+
+
+def test_relevancy_and_cosine_have_the_same_argmax_at_a_level() -> None:
+    from scoup.field.relevancy import relevancy
+
+    generator = torch.Generator().manual_seed(1)
+    cosines = torch.rand(1, 30, 500, generator=generator) * 0.1 + 0.2
+    canonical = torch.rand(1, 4, 500, generator=generator) * 0.1 + 0.2
+    found = relevancy(cosines, canonical)
+    fitted, vectors, texts = known(30, found, torch.ones(1, 500, dtype=torch.bool))
+    assert label_gaussians(fitted, vectors, texts).equal(cosines[0].argmax(0))

@@ -1,0 +1,80 @@
+"""ScanNet's point-level protocol: numbers of classes, frozen positions, points that do not count."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from scoup.base.errors import InputError
+from scoup.evaluate.protocols import scannet
+from scoup.evaluate.protocols.point_labels import NO_CLASS
+from scoup.io.class_names import NYU40
+from scoup.io.labelled_points import LabelledPoints
+from scoup.scene.gaussians import Gaussians
+
+CLASSES = scannet.CLASS_LISTS
+
+
+def splat(positions: torch.Tensor, opacities: torch.Tensor | None = None) -> Gaussians:
+    count = len(positions)
+    quats = torch.tensor([1.0, 0, 0, 0]).expand(count, 4).contiguous()
+    opacities = torch.full((count,), 0.9) if opacities is None else opacities
+    return Gaussians(positions, quats, torch.full((count, 3), 0.01), opacities, torch.zeros(count, 1, 3))
+
+
+def test_classes_are_those_of_the_published_script() -> None:
+    assert len(NYU40) == 41
+    assert (NYU40[1], NYU40[5], NYU40[28], NYU40[40]) == ("wall", "chair", "showercurtain", "otherprop")
+    assert CLASSES["19"].classes == (
+        "wall", "floor", "cabinet", "bed", "chair", "sofa", "table", "door", "window", "bookshelf", "picture",
+        "counter", "desk", "curtain", "refrigerator", "showercurtain", "toilet", "sink", "bathtub",
+    )  # fmt: skip
+    gone = {"picture", "refrigerator", "showercurtain", "bathtub"}
+    assert CLASSES["15"].classes == tuple(name for name in CLASSES["19"].classes if name not in gone)
+    assert CLASSES["10"].classes == (
+        "wall", "floor", "bed", "chair", "sofa", "table", "door", "window", "bookshelf", "toilet"
+    )  # fmt: skip
+    assert all(not classes.excluded for classes in CLASSES.values())
+    assert CLASSES["19"].texts == CLASSES["19"].classes
+    assert len(scannet.SCENES) == 10
+    assert scannet.labels_path(Path("x/scene0000_00")) == Path(
+        "x/scene0000_00/scene0000_00_vh_clean_2.labels.ply"
+    )
+
+
+def test_labels_become_positions_in_the_list() -> None:
+    #                       wall floor cabinet sofa toilet otherprop none beyond
+    labels = torch.tensor([1, 2, 3, 6, 33, 40, 0, 99])
+    positions = torch.rand(8, 3, generator=torch.Generator().manual_seed(0))
+    points = LabelledPoints(positions, labels)
+    for name, expected in {
+        "19": [0, 1, 2, 5, 16, NO_CLASS, NO_CLASS, NO_CLASS],
+        "15": [0, 1, 2, 5, 13, NO_CLASS, NO_CLASS, NO_CLASS],
+        "10": [0, 1, NO_CLASS, 4, 9, NO_CLASS, NO_CLASS, NO_CLASS],
+    }.items():
+        assert scannet.gaussian_truth(splat(positions), points, CLASSES[name], "x").tolist() == expected
+
+
+def test_faint_gaussians_do_not_count() -> None:
+    positions = torch.rand(3, 3, generator=torch.Generator().manual_seed(0))
+    points = LabelledPoints(positions, torch.tensor([1, 1, 1]))
+    faint = splat(positions, torch.tensor([0.0999, 0.1, 0.5]))
+    assert scannet.gaussian_truth(faint, points, CLASSES["19"], "x").tolist() == [NO_CLASS, 0, 0]
+
+
+def test_splats_of_other_points_are_refused() -> None:
+    positions = torch.rand(4, 3, generator=torch.Generator().manual_seed(0))
+    points = LabelledPoints(positions, torch.ones(4, dtype=torch.int64))
+    with pytest.raises(InputError, match=r"a.ply: has 4 points, the splat 3 Gaussians; .*frozen"):
+        scannet.gaussian_truth(splat(positions[:3]), points, CLASSES["19"], "a.ply")
+    moved = positions + torch.tensor([0.0, 0, 1, 0])[:, None] * 0.01
+    with pytest.raises(InputError, match=r"Gaussian 2 is .* m from its point"):
+        scannet.gaussian_truth(splat(moved), points, CLASSES["19"], "a.ply")
+    with pytest.raises(InputError, match="from its point"):
+        scannet.gaussian_truth(splat(positions.flip(0)), points, CLASSES["19"], "a.ply")
+    with pytest.raises(InputError, match="from its point"):
+        scannet.gaussian_truth(
+            splat(positions.index_fill(0, torch.tensor([1]), torch.nan)), points, CLASSES["19"], "a.ply"
+        )
