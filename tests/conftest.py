@@ -51,9 +51,9 @@ def synthetic_data_sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     layouts = [LAYOUTS["table"], LAYOUTS["shelves"]]
     size = DataSetSize(n_gaussians=4000, width=96, height=72, n_views=6, n_labelled=2)
     folder = tmp_path_factory.mktemp("data_sets")
-    with pytest.MonkeyPatch.context() as patch:  # the same scenes are written three times
+    with pytest.MonkeyPatch.context() as patch:  # the same scenes are written for each of them
         patch.setattr("scoup.synthetic.data_sets.make_demo_scene", functools.cache(make_demo_scene))
-        for name in ("lerf-ovs", "3d-ovs"):
+        for name in ("lerf-ovs", "3d-ovs", "ref-lerf", "scannet", "scenesplat"):
             write_data_set(name, folder / name, layouts, size)
         half = dataclasses.replace(size, label_scale=0.5)
         write_data_set("mipnerf360", folder / "mipnerf360", layouts, half)

@@ -22,7 +22,7 @@ from scoup.synthetic.data_sets import DataSetSize, write_data_set
 from synthetic.small_scenes import one_light
 
 
-@pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360"])
+@pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360", "ref-lerf"])
 def test_synthetic_data_sets_are_complete(synthetic_data_sets: Path, name: str) -> None:
     root = synthetic_data_sets / name
     data_set = find_data_set(name)
@@ -101,7 +101,7 @@ def test_the_script_writes_a_scene_of_each_layout(tmp_path: Path, capsys: pytest
 
 def test_refusals(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="data set"):
-        write_data_set("scannet", tmp_path)
+        write_data_set("scanet", tmp_path)
     with pytest.raises(UnknownNameError, match="table"):
         find_layout("tabel")
     with pytest.raises(InputError, match="labelled views"):

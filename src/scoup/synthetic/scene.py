@@ -8,7 +8,7 @@ the method takes part in any of it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -179,3 +179,11 @@ def make_demo_scene(
         words,
         layout,
     )
+
+
+def with_texts(scene: DemoScene, vectors: Mapping[str, np.ndarray]) -> DemoScene:
+    """The scene with more words; those that it has already keep their vectors."""
+    words = scene.words
+    new = {text: vector for text, vector in vectors.items() if text not in words.texts}
+    texts, rows = (*words.texts, *new), np.concatenate([words.vectors, np.stack(list(new.values()))])
+    return replace(scene, words=replace(words, texts=texts, vectors=rows))

@@ -1,0 +1,61 @@
+"""Sentences that refer to the things of a synthetic scene, with their masks, in the layout of Ref-LERF.
+
+Every object of a frame has two sentences: "the NAME", and "the NAME next to the OTHER", where OTHER is the object
+nearest to it. Nothing understands them: the vector of a sentence is the mean of those of the names in it, the thing
+itself counting twice.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from scoup.io import save_png, write_text
+from scoup.synthetic.scene import DemoScene, with_texts
+from scoup.synthetic.words import unit
+
+
+def write_referring_truth(scene: DemoScene, tested: Collection[str], folder: Path) -> DemoScene:
+    """Write ``json/test_json`` and ``json/train_json`` with the sentences of each view, and ``gt_mask`` with its masks.
+
+    Args:
+        scene: to be written.
+        tested: names of the views of ``test_json``.
+        folder: of the scene.
+
+    Returns:
+        The scene with vectors of all sentences.
+    """
+    beside = nearest_objects(scene)
+    vectors: dict[str, np.ndarray] = {}
+    for camera in scene.building:
+        frame = scene.labelled_frame(camera.name, ("m",))
+        objects = []
+        for name, mask in frame.masks.items():
+            sentences = [f"the {name}", f"the {name} next to the {beside[name]}"]
+            own, other = scene.words.vector(name), scene.words.vector(beside[name])
+            vectors |= {sentences[0]: own, sentences[1]: unit(2 * own + other)}
+            picture = f"{frame.name}/{name}.png"
+            save_png(mask, folder / "gt_mask" / picture)
+            objects.append({"category": name, "segmentation": picture, "sentence": sentences})
+        split = "test_json" if camera.name in tested else "train_json"
+        write_text(folder / "json" / split / f"{frame.name}.json", json.dumps({"object": objects}) + "\n")
+    return with_texts(scene, vectors)
+
+
+def nearest_objects(scene: DemoScene) -> dict[str, str]:
+    """For each object of a scene the other one whose middle (the median of its Gaussians) is nearest."""
+    of_gaussian = torch.from_numpy(scene.parts.at_level(scene.part_of_gaussian.numpy(), "m"))
+    names = [name for number, name in enumerate(scene.parts.objects) if bool((of_gaussian == number).any())]
+    middles = torch.stack(
+        [
+            scene.gaussians.means[of_gaussian == scene.parts.objects.index(name)].double().median(0).values
+            for name in names
+        ]
+    )
+    distances = torch.cdist(middles, middles).fill_diagonal_(torch.inf)
+    return {name: names[int(row.argmin())] for name, row in zip(names, distances, strict=True)}

@@ -1,0 +1,215 @@
+"""The point-level protocols from data sets on disk to tables: true classes score one, a field's answers much, those of
+a shuffled field little."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError, MissingFileError, UnknownNameError
+from scoup.baselines.fitted import FittedField
+from scoup.baselines.methods import find_method
+from scoup.evaluate.data_sets import Places
+from scoup.evaluate.label_vectors import encode_words, text_source
+from scoup.evaluate.point_evaluation import (
+    PointSettings,
+    count_points,
+    counts_of,
+    evaluate_point_scene,
+    read_truths,
+)
+from scoup.evaluate.point_report import PointReport, write_point_report
+from scoup.evaluate.point_scenes import (
+    PointScene,
+    find_class_list,
+    find_point_data_set,
+    find_point_scenes,
+    open_point_scene,
+)
+from scoup.evaluate.protocols.point_labels import NO_CLASS, class_ious, class_mean, class_totals
+from scoup.evaluate.report import OURS
+from scoup.field.language_field import LanguageField
+from scoup.io import load_gaussians
+from scoup.io.labelled_points import LabelledPoints, write_labelled_ply
+from scoup.query.text_vectors import TextVectors
+from scoup.raster import Projection
+from scoup.uplift.build_settings import build_settings
+
+LISTS = {"scannet": ("19", "10"), "scenesplat": ("scannet20", "scannet200")}
+
+
+def settings_of(name: str, methods: tuple[str, ...] = ()) -> PointSettings:
+    data_set = find_point_data_set(name)
+    return PointSettings(
+        data_set,
+        tuple(find_class_list(data_set, classes) for classes in LISTS[name]),
+        build_settings("default", n_atoms=32),
+        tuple(find_method(method) for method in methods),
+    )
+
+
+def opened(root: Path, name: str, scene: str = "table") -> tuple[PointScene, TextVectors, PointSettings]:
+    settings = settings_of(name)
+    found = open_point_scene(settings.data_set, root, scene, Places())
+    vectors = encode_words(settings.texts, text_source(root, found, None, "none"), "a class")
+    return found, vectors, settings
+
+
+@dataclass(frozen=True)
+class Oracle:
+    """Knows the class of every Gaussian [N] and is asked for the classes by their texts' vectors."""
+
+    classes: Tensor
+    queries: Tensor
+    bytes_per_gaussian: float = 0.0
+    shared_bytes: float = 0.0
+
+    def relevancy(
+        self,
+        projection: Projection,
+        queries: Tensor,
+        canonical: Tensor,
+        size: tuple[int, int] | None = None,
+    ) -> Tensor:
+        raise AssertionError("nothing is rendered")
+
+    def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
+        # Texts of one vector are one thing: what is asked for is compared, not counted.
+        wanted = self.queries[self.classes.clamp(min=0)]
+        return (queries @ wanted.T)[None]
+
+    def coded(self) -> Tensor:
+        return (self.classes != NO_CLASS)[None]
+
+
+@pytest.mark.parametrize("name", ["scannet", "scenesplat"])
+def test_true_classes_score_one(synthetic_data_sets: Path, name: str) -> None:
+    scene, vectors, settings = opened(synthetic_data_sets / name, name)
+    gaussians = load_gaussians(scene.splat)
+    for classes in settings.class_lists:
+        if name == "scannet":
+            truth = scene.truth(classes, gaussians).classes
+        else:
+            folder = synthetic_data_sets / name / "val" / "table"
+            truth = torch.from_numpy(np.load(folder / f"{classes.file}.npy").astype(np.int64))
+        oracle = Oracle(truth, vectors.of(classes.texts))
+        only = replace(settings, class_lists=(classes,))
+        counts = count_points(read_truths(scene, gaussians, only), gaussians, {OURS: oracle}, vectors, only)
+        miou = float(class_mean(class_ious(class_totals(counts[classes.name][OURS]))))
+        # A point of a scan that is nearest to a Gaussian of another thing, or of a class that is not counted.
+        assert miou == 1 if name == "scannet" else miou > 0.9
+
+
+@pytest.mark.parametrize("name", ["scannet", "scenesplat"])
+def test_a_field_answers_better_than_a_shuffled_one(
+    synthetic_data_sets: Path, tmp_path: Path, name: str
+) -> None:
+    scene, vectors, settings = opened(synthetic_data_sets / name, name)
+    counts = evaluate_point_scene(scene, vectors, tmp_path, settings)
+    field = LanguageField.load(tmp_path / "fields" / "table.scoup", load_gaussians(scene.splat))
+    order = torch.randperm(len(field), generator=torch.Generator().manual_seed(0))
+    shuffled = LanguageField(
+        field.code_indices[order], field.code_weights[order], field.codebook, field.info, field.gaussians
+    )
+    truths = read_truths(scene, field.gaussians, settings)
+    mixed = count_points(truths, field.gaussians, {OURS: FittedField(shuffled)}, vectors, settings)
+    for classes in settings.class_lists:
+        ours, chance = (
+            float(class_mean(class_ious(class_totals(found[classes.name][OURS]))))
+            for found in (counts, mixed)
+        )
+        assert ours > 0.3
+        assert ours > chance + 0.2
+    # The same again reads the field that is there; other settings are refused.
+    again = evaluate_point_scene(scene, vectors, tmp_path, settings)
+    assert all(again[key][OURS].equal(counts[key][OURS]) for key in counts)
+    with pytest.raises(InputError, match="other settings"):
+        evaluate_point_scene(scene, vectors, tmp_path, replace(settings, build=build_settings(n_atoms=8)))
+    with pytest.raises(InputError, match="no level 'x'"):
+        evaluate_point_scene(scene, vectors, tmp_path, replace(settings, level="x"))
+
+
+def test_tables_of_several_scenes_and_methods(synthetic_data_sets: Path, tmp_path: Path) -> None:
+    settings = settings_of("scenesplat", ("dense",))
+    root = synthetic_data_sets / "scenesplat"
+    names = find_point_scenes(settings.data_set, root)
+    assert names == ["shelves", "table"]
+    counts = []
+    for name in names:
+        scene, vectors, _ = opened(root, "scenesplat", name)
+        counts.append(evaluate_point_scene(scene, vectors, tmp_path, settings))
+    classes = settings.class_lists[0]
+    report = PointReport(settings.data_set, classes, tuple(names), counts_of(counts, classes))
+    record = write_point_report(report, tmp_path, "all")
+    assert json.loads((tmp_path / "all.json").read_text()) == record
+    assert list(record["systems"]) == [OURS, "dense"]
+    ours = record["systems"][OURS]
+    # The one matrix of both scenes, without walls and floors.
+    both = sum(torch.tensor(ours["confusion"][name]) for name in names)
+    assert isinstance(both, Tensor)
+    ious = class_ious(class_totals(both))
+    assert ours["overall"]["f-mIoU"] == pytest.approx(float(ious[2:].nanmean()))
+    assert ours["overall"]["mIoU"] == pytest.approx(float(ious.nanmean()))
+    assert ours["overall"]["f-mIoU"] != ours["overall"]["mIoU"]
+    low, high = ours["intervals"]["f-mIoU"]
+    assert low <= ours["overall"]["f-mIoU"] <= high
+    shown = {each["class"]: each for each in ours["classes"]}
+    assert {"wall", "floor"} < set(shown)
+    assert "bed" not in shown
+    text = (tmp_path / "all.md").read_text()
+    assert "f: foreground, without ceiling, floor, wall." in text
+    assert "| dense |" in text
+    assert f"| wall | {shown['wall']['scenes']} |" in text
+    assert "f-mIoU" in (tmp_path / "all.tex").read_text()
+
+
+def test_means_over_scenes_by_hand(tmp_path: Path) -> None:
+    data_set = find_point_data_set("scannet")
+    classes = find_class_list(data_set, "10")
+    good, bad = (torch.zeros(10, 11, dtype=torch.int64) for _ in range(2))
+    good[0, 0] = 1000
+    bad[0, 1], bad[1, 1] = 1, 1  # of class 0 nothing, of class 1 half
+    report = PointReport(data_set, classes, ("a", "b"), {OURS: [good, bad]})
+    record = write_point_report(report, tmp_path, "two")
+    overall = record["systems"][OURS]["overall"]
+    assert overall["mIoU"] == pytest.approx((1 + (0 + 0.5) / 2) / 2)
+    assert overall["mAcc"] == pytest.approx((1 + (0 + 1) / 2) / 2)
+    assert record["systems"][OURS]["scenes"]["b"]["mIoU"] == pytest.approx(0.25)
+    assert record["systems"][OURS]["intervals"]["mIoU"] == pytest.approx([0.25, 1])
+    one = replace(report, scenes=("b",), matrices={OURS: [bad]})
+    record = write_point_report(one, tmp_path, "one")
+    assert record["systems"][OURS]["intervals"]["mIoU"] is None
+
+
+def test_scenes_that_are_not_there(synthetic_data_sets: Path, tmp_path: Path) -> None:
+    data_set = find_point_data_set("scannet")
+    with pytest.raises(MissingFileError, match="no such folder"):
+        find_point_scenes(data_set, tmp_path / "absent")
+    with pytest.raises(MissingFileError, match=r"no SCENE/SCENE_vh_clean_2\.labels\.ply"):
+        find_point_scenes(data_set, tmp_path)
+    with pytest.raises(MissingFileError, match=r"no val/SCENE/coord\.npy"):
+        find_point_scenes(find_point_data_set("scenesplat"), tmp_path)
+    with pytest.raises(UnknownNameError, match="tabel"):
+        find_point_scenes(data_set, synthetic_data_sets / "scannet", ["tabel"])
+    with pytest.raises(UnknownNameError, match="list of classes"):
+        find_class_list(data_set, "20")
+    with pytest.raises(UnknownNameError, match="data set"):
+        find_point_data_set("scanet")
+    with pytest.raises(InputError, match="at least 1"):
+        replace(settings_of("scenesplat"), neighbours=0)
+
+
+def test_points_of_no_class_at_all(synthetic_data_sets: Path, tmp_path: Path) -> None:
+    scene, _, settings = opened(synthetic_data_sets / "scannet", "scannet")
+    gaussians = load_gaussians(scene.splat)
+    folder = tmp_path / "table"
+    labels = torch.full((len(gaussians),), 40)
+    write_labelled_ply(LabelledPoints(gaussians.means, labels), folder / "table_vh_clean_2.labels.ply")
+    with pytest.raises(InputError, match="none of its points is of a class of 19"):
+        replace(scene, folder=folder).truth(settings.class_lists[0], gaussians)
