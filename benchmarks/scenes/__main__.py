@@ -22,7 +22,9 @@ from scoup.synthetic.data_sets import DataSetSize, write_data_set
 
 @dataclass(frozen=True)
 class Arguments:
-    data_set: tyro.conf.Positional[Literal["lerf-ovs", "3d-ovs", "mipnerf360"]]
+    data_set: tyro.conf.Positional[
+        Literal["lerf-ovs", "3d-ovs", "mipnerf360", "ref-lerf", "scannet", "scenesplat"]
+    ]
     """The layout of the files."""
     root: tyro.conf.Positional[Path]
     """Folder to write into."""

@@ -20,7 +20,6 @@ from scoup.evaluate.label_vectors import encode_words, text_source
 from scoup.evaluate.point_evaluation import (
     PointSettings,
     count_points,
-    counts_of,
     evaluate_point_scene,
     read_truths,
 )
@@ -140,12 +139,15 @@ def test_tables_of_several_scenes_and_methods(synthetic_data_sets: Path, tmp_pat
     root = synthetic_data_sets / "scenesplat"
     names = find_point_scenes(settings.data_set, root)
     assert names == ["shelves", "table"]
-    counts = []
+    counts = {}
     for name in names:
         scene, vectors, _ = opened(root, "scenesplat", name)
-        counts.append(evaluate_point_scene(scene, vectors, tmp_path, settings))
+        counts[name] = evaluate_point_scene(scene, vectors, tmp_path, settings)
     classes = settings.class_lists[0]
-    report = PointReport(settings.data_set, classes, tuple(names), counts_of(counts, classes))
+    report = PointReport.of(settings.data_set, classes, {**counts, "yard": {}})
+    assert report.scenes == ("shelves", "table")
+    with pytest.raises(InputError, match=r"none of the scenes \(yard\) has points of a class of scannet20"):
+        PointReport.of(settings.data_set, classes, {"yard": {}})
     record = write_point_report(report, tmp_path, "all")
     assert json.loads((tmp_path / "all.json").read_text()) == record
     assert list(record["systems"]) == [OURS, "dense"]
@@ -163,6 +165,7 @@ def test_tables_of_several_scenes_and_methods(synthetic_data_sets: Path, tmp_pat
     assert {"wall", "floor"} < set(shown)
     assert "bed" not in shown
     text = (tmp_path / "all.md").read_text()
+    assert "Left out, without points of these classes: yard." in text
     assert "f: foreground, without ceiling, floor, wall." in text
     assert "| dense |" in text
     assert f"| wall | {shown['wall']['scenes']} |" in text
@@ -205,11 +208,14 @@ def test_scenes_that_are_not_there(synthetic_data_sets: Path, tmp_path: Path) ->
         replace(settings_of("scenesplat"), neighbours=0)
 
 
-def test_points_of_no_class_at_all(synthetic_data_sets: Path, tmp_path: Path) -> None:
-    scene, _, settings = opened(synthetic_data_sets / "scannet", "scannet")
+def test_a_scene_without_points_of_a_class_is_left_out(synthetic_data_sets: Path, tmp_path: Path) -> None:
+    scene, vectors, settings = opened(synthetic_data_sets / "scannet", "scannet")
     gaussians = load_gaussians(scene.splat)
     folder = tmp_path / "table"
     labels = torch.full((len(gaussians),), 40)
     write_labelled_ply(LabelledPoints(gaussians.means, labels), folder / "table_vh_clean_2.labels.ply")
-    with pytest.raises(InputError, match="none of its points is of a class of 19"):
-        replace(scene, folder=folder).truth(settings.class_lists[0], gaussians)
+    said: list[str] = []
+    bare = replace(scene, folder=folder)
+    assert evaluate_point_scene(bare, vectors, tmp_path, settings, say=said.append) == {}
+    assert said == ["table: none of its points is of a class that is scored; left out"]
+    assert not (tmp_path / "fields").exists()

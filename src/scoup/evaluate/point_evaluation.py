@@ -3,7 +3,7 @@ are counted."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,11 +82,17 @@ def evaluate_point_scene(
 
     Raises:
         InputError: truth and Gaussians do not fit, or there is no such level.
+
+    Returns:
+        Nothing for lists of classes that none of the scene's points is of.
     """
     path = out / "fields" / f"{scene.name}.scoup"
     device, source = settings.device, vectors.source
     # Before the work of a build: what is wrong with the truth is known at once.
     truths = read_truths(scene, load_gaussians(scene.splat), settings)
+    if not any(truth.counts for truth in truths.values()):
+        say(f"{scene.name}: none of its points is of a class that is scored; left out")
+        return {}
     field = build_field(scene, path, settings.build, source, settings.rebuild, device, progress, say)
     level = None if settings.level is None else field.level_index(settings.level)
     fitted: dict[str, FittedMethod] = {OURS: FittedField(field)}
@@ -116,21 +122,17 @@ def count_points(
     settings: PointSettings,
     level: int | None = None,
 ) -> Counts:
-    """The confusion matrices of what methods made of a scene.
+    """The confusion matrices of what methods made of a scene, by the lists of classes that it has points of.
 
     Raises:
         InputError: there is no such level, or no Gaussian has a class.
     """
-    counts: Counts = {classes.name: {} for classes in settings.class_lists}
-    for classes in settings.class_lists:
+    scored = [classes for classes in settings.class_lists if truths[classes.name].counts]
+    counts: Counts = {classes.name: {} for classes in scored}
+    for classes in scored:
         truth, size = truths[classes.name], len(classes.classes)
         for name, method in fitted.items():
             given = classes.of_texts(label_gaussians(method, vectors, classes.texts, level))
             answers = truth.answers(gaussians, given, size, settings.neighbours)
             counts[classes.name][name] = confusion_matrix(truth.classes, answers, size)
     return counts
-
-
-def counts_of(scenes: Sequence[Counts], classes: ClassList) -> dict[str, list[Tensor]]:
-    """System -> confusion matrix of each scene, for one list of classes."""
-    return {name: [scene[classes.name][name] for scene in scenes] for name in scenes[0][classes.name]}

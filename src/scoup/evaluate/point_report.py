@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base.counts import counted
+from scoup.base.counts import counted, listed
+from scoup.base.errors import InputError
 from scoup.evaluate.metrics import Interval
 from scoup.evaluate.point_scenes import PointDataSet
 from scoup.evaluate.protocols.point_labels import (
@@ -49,6 +50,30 @@ class PointReport:
     matrices: dict[str, list[Tensor]]
     settings: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        data_set: PointDataSet,
+        classes: ClassList,
+        scenes: Mapping[str, Mapping[str, Mapping[str, Tensor]]],
+        settings: dict[str, Any] | None = None,
+    ) -> PointReport:
+        """The report on what ``evaluate_point_scene`` gave for scenes, by name; those without points are left out.
+
+        Raises:
+            InputError: no scene has points of these classes.
+        """
+        found = {name: counts[classes.name] for name, counts in scenes.items() if classes.name in counts}
+        if not found:
+            raise InputError(
+                f"none of the scenes ({listed(list(scenes))}) has points of a class of {classes.name}"
+            )
+        systems = next(iter(found.values()))
+        matrices = {system: [of_scene[system] for of_scene in found.values()] for system in systems}
+        left = [name for name in scenes if name not in found]
+        notes = (f"Left out, without points of these classes: {', '.join(left)}.",) if left else ()
+        return cls(data_set, classes, tuple(found), matrices, settings or {}, notes)
 
     @property
     def scores(self) -> dict[str, Score]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from torch import Tensor
 
-from scoup.base.errors import InputError, MissingFileError, UnknownNameError, looked_up
+from scoup.base.errors import MissingFileError, UnknownNameError, looked_up
 from scoup.evaluate.data_sets import Places, find_parts
 from scoup.evaluate.protocols import scannet, scenesplat
 from scoup.evaluate.protocols.point_labels import NO_CLASS, ClassList
@@ -61,18 +61,14 @@ class PointScene:
 
         Raises:
             MissingFileError, FileFormatError: the files of the truth are not there or damaged.
-            InputError: they do not fit the Gaussians, or no point has a class.
+            InputError: they do not fit the Gaussians.
         """
         if self.data_set.name == "scannet":
             path = scannet.labels_path(self.folder)
             found = scannet.gaussian_truth(gaussians, read_labelled_ply(path), classes, str(path))
-            truth = PointTruth(found, None)
-        else:
-            points = scenesplat.read_truth(self.folder, classes)
-            truth = PointTruth(points.labels, points)
-        if not bool((truth.classes != NO_CLASS).any()):
-            raise InputError(f"{self.folder}: none of its points is of a class of {classes.name}")
-        return truth
+            return PointTruth(found, None)
+        points = scenesplat.read_truth(self.folder, classes)
+        return PointTruth(points.labels, points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +82,11 @@ class PointTruth:
 
     classes: Tensor
     points: LabelledPoints | None
+
+    @property
+    def counts(self) -> bool:
+        """Whether any point has a class."""
+        return bool((self.classes != NO_CLASS).any())
 
     def answers(self, gaussians: Gaussians, given: Tensor, n_classes: int, neighbours: int) -> Tensor:
         """[P] int64 classes of the points from those given to the Gaussians [N].

@@ -82,14 +82,14 @@ class PointScored(DataSetOptions):
                 check_output(out / f"{self.data_set_name}_{classes.name}{suffix}", self.overwrite)
         names, vectors = self.scene_names(settings.data_set), _Vectors(self, settings)
         console.kept = lambda: f"fields so far are kept in {out}, run the same command again to continue"
-        counts: list[Counts] = []
+        counts: dict[str, Counts] = {}
         with console.progress() as progress:
             for name in names:
                 scene = self.open_scene(settings.data_set, name)
-                counts.append(
-                    evaluate_point_scene(scene, vectors.of(scene), out, settings, progress, console.say)
+                counts[name] = evaluate_point_scene(
+                    scene, vectors.of(scene), out, settings, progress, console.say
                 )
-        self.write(console, settings, names, counts, out)
+        self.write(console, settings, counts, out)
 
     def scene_names(self, data_set: PointDataSet) -> list[str]:
         """Names of the scenes to score."""
@@ -105,12 +105,9 @@ class PointScored(DataSetOptions):
         places = Places(self.gaussians, self.features, self.images, self.cameras)
         return open_point_scene(data_set, self.root, name, places, self.undistort)
 
-    def write(
-        self, console: Console, settings: PointSettings, names: list[str], counts: list[Counts], out: Path
-    ) -> None:
+    def write(self, console: Console, settings: PointSettings, counts: dict[str, Counts], out: Path) -> None:
         """Write and show the reports."""
         from scoup.base.version import VERSION
-        from scoup.evaluate.point_evaluation import counts_of
         from scoup.evaluate.point_report import PointReport, overall_table, write_point_report
 
         described = {
@@ -120,11 +117,12 @@ class PointScored(DataSetOptions):
             "neighbours": settings.neighbours,
             "root": str(self.root),
         }
+        reports = [
+            PointReport.of(settings.data_set, classes, counts, described) for classes in settings.class_lists
+        ]
         records = {}
-        for classes in settings.class_lists:
-            matrices = counts_of(counts, classes)
-            report = PointReport(settings.data_set, classes, tuple(names), matrices, described)
-            stem = f"{self.data_set_name}_{classes.name}"
+        for report in reports:
+            stem = f"{self.data_set_name}_{report.classes.name}"
             records[stem] = write_point_report(report, out, stem, self.overwrite)
             console.say("\n" + overall_table(report).markdown())
         console.say(f"{out}: tables (.md, .json, .tex), fields")
