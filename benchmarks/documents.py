@@ -14,7 +14,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +123,32 @@ def reference() -> str:
     return markdown(["stage", "relative"], [[name, f"{ratio:.2f}"] for name, ratio in ratios.items()])
 
 
+def lerf_sized() -> str:
+    """Stages of a whole build, as shares of it."""
+    found = record("lerf_sized")
+    stages = {"coding": 0.0, "region sums": 0.0, "vote": 0.0, "all else": 0.0}
+    for name, seconds in found["seconds"].items():
+        stage = next((stage for stage in stages if stage in name), "all else")
+        stages[stage] += seconds
+    total, settings = found["total_s"], found["settings"]
+    rows = [[name, f"{100 * seconds / total:.0f} %"] for name, seconds in stages.items()]
+    rows.append([f"all, {settings['threads']} threads, of a minute", f"{total / 60:.2f}"])
+    rows.append(["peak memory, GB", f"{found['peak_memory_bytes'] / 1e9:.2f}"])
+    return markdown(["stage", "share of the time"], rows)
+
+
+def lerf_sized_beside() -> str:
+    """A whole build now and before, by turns in one run."""
+    rows = []
+    for name, threads in (("lerf_sized_beside", 2), ("lerf_sized_beside_1", 1)):
+        for figure, of_figure in record(name)["figures"].items():
+            unit, scale = ("s", 1.0) if figure == "total_s" else ("GB", 1e-9)
+            cells = [f"{scale * of_figure[when]:.1f} {unit}" for when in ("before", "now")]
+            title = "whole build" if unit == "s" else "peak memory"
+            rows.append([f"{title}, {threads} threads", *cells, f"{of_figure['ratio']:.2f}"])
+    return markdown(["", "before", "now", "now / before"], rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "readme": readme,
     "answers on draws of the kitchen": lambda: answers("answers", CLEAN),
@@ -139,14 +165,13 @@ TABLES: dict[str, Callable[[], str]] = {
     "baselines on the kitchen": lambda: study("eval-baselines-kitchen", 0),
     "baselines on the kitchen, differences": lambda: study("eval-baselines-kitchen", 1),
     "baselines on the kitchen, 3D selection": lambda: study("eval-baselines-kitchen", 2),
-    **{
-        f"curves, {fault}": partial(study, "eval-curves", number)
-        for number, fault in enumerate(("masks", "missing", "noise", "wrong", "views"))
-    },
     "ablations": lambda: study("eval-ablations", 0),
+    "ablations, entropy": lambda: study("eval-ablations-entropy", 0),
     "consistency": consistency,
     "claims": lambda: claims_table(record),
     "reference": reference,
+    "lerf sized": lerf_sized,
+    "lerf sized beside": lerf_sized_beside,
     "coding, compared": lambda: compared_table(record("coding")["sizes"]),
 }
 """By name."""
@@ -154,7 +179,7 @@ TABLES: dict[str, Callable[[], str]] = {
 
 def made(text: str) -> str:
     """A document with its tables made anew."""
-    return BLOCK.sub(lambda found: found[1] + TABLES[found[2]]().strip() + found[3], text)
+    return BLOCK.sub(lambda found: found[1] + re.sub(" +", " ", TABLES[found[2]]().strip()) + found[3], text)
 
 
 @dataclass(frozen=True)

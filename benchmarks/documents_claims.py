@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from statistics import mean
 from typing import Any
 
 from scoup.bench import markdown
@@ -89,13 +90,12 @@ def _settings(record: Records) -> list[list[str]]:
 
 
 def _features(record: Records) -> list[list[str]]:
-    means: dict[str, list[float]] = {}
-    results = record("eval-consistency")["results"]
-    for each in results:
-        means.setdefault(each["features"], []).append(each["cosine"])
-    raw, sparse, network = (
-        sum(means[name]) / len(means[name]) for name in ("raw", "sparse codes", "autoencoder")
-    )
+    cosines: dict[str, list[float]] = {}
+    for each in record("eval-consistency")["results"]:
+        cosines.setdefault(each["features"], []).append(each["cosine"])
+    raw, sparse, network = (mean(cosines[name]) for name in ("raw", "sparse codes", "autoencoder"))
+    above = [one > other for one, other in zip(cosines["sparse codes"], cosines["raw"], strict=True)]
+    below = [one < other for one, other in zip(cosines["autoencoder"], cosines["raw"], strict=True)]
     glass = record("claims")["glass"]
     before, after, others = (
         sum(row[when][key] for row in glass) / len(glass)
@@ -106,14 +106,14 @@ def _features(record: Records) -> list[list[str]]:
         [
             "decoded sparse codes are more alike across views than raw embeddings (cosine)",
             "yes",
-            f"{sparse:.3f} against {raw:.3f}",
-            _verdict([sparse > raw]),
+            f"{sparse:.3f} against {raw:.3f}; in {sum(above)} of {len(above)} scenes and levels",
+            _verdict(above),
         ],
         [
             "autoencoder features are less alike than raw ones",
             "yes",
-            f"{network:.3f} against {raw:.3f}",
-            _verdict([network < raw]),
+            f"{network:.3f} against {raw:.3f}; in {sum(below)} of {len(below)}",
+            _verdict(below),
         ],
         [
             "transparent things get weak codes (mIoU of a thing whose opacity is cut to a tenth)",
