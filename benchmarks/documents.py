@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
 import tyro
@@ -23,6 +24,7 @@ import tyro
 from benchmarks.coding_tables import compared_table
 from benchmarks.documents_claims import claims_table
 from scoup.bench import markdown
+from scoup.evaluate.metrics import bootstrap_interval
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = ROOT / "docs" / "benchmarks"
@@ -123,6 +125,79 @@ def reference() -> str:
     return markdown(["stage", "relative"], [[name, f"{ratio:.2f}"] for name, ratio in ratios.items()])
 
 
+def thresholds() -> str:
+    """mIoU by mask and of the best level, means over scenes, and by mask on each."""
+    rules = record("threshold")["rules"]
+    scenes = list(next(iter(rules.values())))
+    rows = [
+        [
+            rule,
+            *(f"{mean(of[name][kind] for name in scenes):.3f}" for kind in (0, 1)),
+            *(f"{of[name][0]:.3f}" for name in scenes),
+        ]
+        for rule, of in rules.items()
+    ]
+    return markdown(["threshold", "mask", "best level", *scenes], rows)
+
+
+def selections() -> str:
+    """IoU of the Gaussians selected, by way and rule."""
+    scores = record("selection")["scores"]
+    rows = []
+    for way, of in scores.items():
+        for rule in next(iter(of.values())):
+            means = [mean(of_scene[rule]) for of_scene in of.values()]
+            rows.append([way, rule, f"{mean(means):.3f}", *(f"{each:.3f}" for each in means)])
+    gains = [b - a for of in scores["default"].values() for a, b in zip(of["0.6"], of["asked"], strict=True)]
+    found = bootstrap_interval(gains, list(map(str, range(len(gains)))))
+    rows.append(["default", "asked - 0.6, over texts", interval((found.mean, *found.ends))])
+    scenes = list(scores["default"])
+    return markdown(
+        ["way", "rule", "mean", *scenes], [[*row, *[""] * (len(scenes) + 3 - len(row))] for row in rows]
+    )
+
+
+def absence() -> str:
+    """Shares of questions refused, by scene, and their means over kinds of scenes."""
+    found = record("absence")
+    kinds = ("present", "out of view", "absent")
+    bounds = (f"from {found['bound']:g}", "from 2")
+    rows = []
+    for name, of in found["scenes"].items():
+        asked = " / ".join(str(of["questions"][kind]) for kind in kinds)
+        shares = [", ".join(f"{of[bound][kind]:.3f}" for kind in kinds) for bound in bounds]
+        rows.append([name, asked, *shares])
+    for title, kitchen in (("mean, kitchen", True), ("mean, procedural", False)):
+        own = [of for name, of in found["scenes"].items() if name.startswith("kitchen") == kitchen]
+        shares = [
+            ", ".join(f"{mean(of[bound][kind] for of in own):.3f}" for kind in kinds) for bound in bounds
+        ]
+        rows.append([title, "", *shares])
+    headers = [
+        "scene",
+        "questions: present / out of view / absent",
+        f"refused, {bounds[0]}",
+        f"refused, {bounds[1]}",
+    ]
+    return markdown(headers, rows)
+
+
+def points(name: str, metric: str) -> str:
+    """Scores of points by class: every system with its interval."""
+    systems = record(name)["systems"]
+    rows = [
+        [
+            system,
+            f"{100 * of['overall'][metric]:.1f}",
+            "{:.1f} to {:.1f}".format(*(100 * end for end in of["intervals"][metric])),
+        ]
+        for system, of in systems.items()
+    ]
+    return markdown(
+        [f"{record(name)['protocol']}, {len(record(name)['classes'])} classes", metric, "95 % interval"], rows
+    )
+
+
 def lerf_sized() -> str:
     """Stages of a whole build, as shares of it."""
     found = record("lerf_sized")
@@ -162,13 +237,15 @@ TABLES: dict[str, Callable[[], str]] = {
     "baselines": lambda: study("eval-baselines", 0),
     "baselines, differences": lambda: study("eval-baselines", 1),
     "baselines, 3D selection": lambda: study("eval-baselines", 2),
-    "baselines on the kitchen": lambda: study("eval-baselines-kitchen", 0),
-    "baselines on the kitchen, differences": lambda: study("eval-baselines-kitchen", 1),
-    "baselines on the kitchen, 3D selection": lambda: study("eval-baselines-kitchen", 2),
     "ablations": lambda: study("eval-ablations", 0),
     "ablations, entropy": lambda: study("eval-ablations-entropy", 0),
     "consistency": consistency,
     "claims": lambda: claims_table(record),
+    "thresholds": thresholds,
+    "selections": selections,
+    "absence": absence,
+    "scannet": lambda: points("eval-scannet", "mIoU"),
+    "scenesplat": lambda: points("eval-scenesplat", "f-mIoU"),
     "reference": reference,
     "lerf sized": lerf_sized,
     "lerf sized beside": lerf_sized_beside,

@@ -23,6 +23,7 @@ SCALES = (1.0, 100.0, 1000.0, 1e-3, 1e-6, 1e-9)
 
 
 LONG = 60
+"""Entries of a list of single scores."""
 
 
 def sections(path: Path) -> Iterator[tuple[str, str]]:
@@ -50,7 +51,7 @@ def numbers_in(value: Any) -> Iterator[float]:
         for key, inner in value.items():
             yield from numbers_in(key)
             yield from numbers_in(inner)
-    elif isinstance(value, list) and len(value) <= LONG:
+    elif isinstance(value, list) and (len(value) <= LONG or isinstance(value[0], dict)):
         for inner in value:
             yield from numbers_in(inner)
     elif isinstance(value, str):
@@ -60,7 +61,9 @@ def numbers_in(value: Any) -> Iterator[float]:
 
 
 def figures(text: str) -> list[str]:
-    """Numbers with decimals of a text, links and inline code left out, and all of three digits or more in tables."""
+    """Numbers with decimals of a text, and all of three digits or more in tables; tables made from records, links and
+    inline code are left out."""
+    text = documents.BLOCK.sub("", text)
     text = re.sub(r"\]\(.*?\)|`[^`]*`|https?://\S+", "", text)
     found = []
     for line in text.splitlines():

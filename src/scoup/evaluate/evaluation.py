@@ -10,7 +10,6 @@ from typing import Any
 from torch import Tensor
 
 from scoup.base.progress import Progress, no_progress
-from scoup.base.version import VERSION
 from scoup.baselines.fitted import FittedField
 from scoup.evaluate.data_sets import DataSet, LabelledScene, data_set_preset
 from scoup.evaluate.failures import failure_sheet
@@ -121,7 +120,7 @@ def evaluate_scene(
 def write_reports(
     evaluations: Sequence[SceneEvaluation],
     out: Path,
-    root: Path,
+    described: dict[str, Any],
     settings: EvaluationSettings,
     overwrite: bool = False,
 ) -> dict[str, dict[str, Any]]:
@@ -130,11 +129,11 @@ def write_reports(
     Args:
         evaluations: of the scenes.
         out: folder.
-        root: of the data set, for the record.
+        described: what else goes into the records: the data set, the machine.
         settings: as of the scenes.
         overwrite: replace what is there.
     """
-    shared = {"software": f"scoup {VERSION}", "build": asdict(settings.build), "root": str(root)}
+    shared = {**described, "build": asdict(settings.build)}
     published = settings.data_set.scenes
     scores = tuple(each.score for each in evaluations)
     reports = {settings.stem: Report(scores[0].protocol, settings.rules, scores, published, shared)}

@@ -43,6 +43,7 @@ class Scored(DataSetOptions):
 
     def run(self, console: Console) -> None:
         """Build what is missing, predict, score, write."""
+        from scoup.bench.environment import describe_environment
         from scoup.evaluate.data_sets import find_data_set
         from scoup.evaluate.evaluation import EvaluationSettings, evaluate_scene, write_reports
         from scoup.uplift.build_settings import build_settings
@@ -65,7 +66,8 @@ class Scored(DataSetOptions):
                 evaluate_scene(scene, self.text_source(scene), out, settings, progress, console.say)
                 for scene in scenes
             ]
-        records = write_reports(evaluations, out, self.root, settings, self.overwrite)
+        described = {"environment": describe_environment(), "root": str(self.root)}
+        records = write_reports(evaluations, out, described, settings, self.overwrite)
         for stem in records:
             for table in (out / f"{stem}.md").read_text().split("## ")[1:3]:
                 console.say("\n" + table.strip())

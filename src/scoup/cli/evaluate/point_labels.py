@@ -107,11 +107,11 @@ class PointScored(DataSetOptions):
 
     def write(self, console: Console, settings: PointSettings, counts: dict[str, Counts], out: Path) -> None:
         """Write and show the reports."""
-        from scoup.base.version import VERSION
+        from scoup.bench.environment import describe_environment
         from scoup.evaluate.point_report import PointReport, overall_table, write_point_report
 
         described = {
-            "software": f"scoup {VERSION}",
+            "environment": describe_environment(),
             "build": asdict(settings.build),
             "level": self.level,
             "neighbours": settings.neighbours,
