@@ -29,7 +29,7 @@ from scoup.evaluate.metrics import bootstrap_interval
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = ROOT / "docs" / "benchmarks"
 DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-BLOCK = re.compile(r"(<!-- table: (.+?) -->\n).*?(\n<!-- end of table -->)", re.DOTALL)
+BLOCK = re.compile(r"(<!-- table: ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 RULES = ("peak", "mask", "everyday", "asked", "best level", "localisation")
 CLEAN, NOISE, LAYOUTS = "kitchen draws, clean", "kitchen draws, noise x 2, clean", "procedural, clean"
 
@@ -182,6 +182,29 @@ def absence() -> str:
     return markdown(headers, rows)
 
 
+def joint() -> str:
+    """Codes learned through renderings beside the others: CPU seconds, scores, and ratios."""
+    found = record("joint")
+    times = found["published"]["cpu_s"]["times"]
+    rows = []
+    for name, of in found["methods"].items():
+        ratio = f"{times[name]:.0f}" if name in times else ""
+        figures = [f"{100 * of['miou']:.1f}", f"{100 * of['localisation']:.1f}", f"{of['cpu_s']:.1f}"]
+        rows.append([name, *figures, f"{of['peak_bytes'] / 1e6:.0f}", ratio])
+    last = f"times as long: joint-codes, {found['published']['iterations']:,} steps (extrapolated)"
+    return markdown(["method", "mIoU", "localisation", "CPU seconds", "peak memory, MB", last], rows)
+
+
+def fewer_pixels() -> str:
+    """Time and agreement with all pixels and views, by variant."""
+    rows = [
+        [name, *(f"{value:.2f}" if key == "relative time" else f"{value:.3f}" for key, value in of.items())]
+        for name, of in record("fewer_pixels").items()
+        if name != "environment"
+    ]
+    return markdown(["variant", "time relative to all", *(f"agreement {level}" for level in "sml")], rows)
+
+
 def points(name: str, metric: str) -> str:
     """Scores of points by class: every system with its interval."""
     systems = record(name)["systems"]
@@ -246,6 +269,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "absence": absence,
     "scannet": lambda: points("eval-scannet", "mIoU"),
     "scenesplat": lambda: points("eval-scenesplat", "f-mIoU"),
+    "joint": joint,
+    "fewer pixels": fewer_pixels,
     "reference": reference,
     "lerf sized": lerf_sized,
     "lerf sized beside": lerf_sized_beside,
@@ -255,8 +280,14 @@ TABLES: dict[str, Callable[[], str]] = {
 
 
 def made(text: str) -> str:
-    """A document with its tables made anew."""
-    return BLOCK.sub(lambda found: found[1] + re.sub(" +", " ", TABLES[found[2]]().strip()) + found[3], text)
+    """A document with its tables made anew, without what aligns their columns."""
+
+    def block(found: re.Match[str]) -> str:
+        return (
+            found[1] + re.sub("-{4,}", "---", re.sub(" +", " ", TABLES[found[2]]().strip())) + "\n" + found[3]
+        )
+
+    return BLOCK.sub(block, text)
 
 
 @dataclass(frozen=True)

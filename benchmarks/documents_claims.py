@@ -104,7 +104,7 @@ def _features(record: Records) -> list[list[str]]:
     unchanged = sum(row["before"]["others_miou"] for row in glass) / len(glass)
     return [
         [
-            "decoded sparse codes are more alike across views than raw embeddings (cosine)",
+            "decoded sparse codes are more alike across views than raw embeddings (cosine; the default's codes)",
             "yes",
             f"{sparse:.3f} against {raw:.3f}; in {sum(above)} of {len(above)} scenes and levels",
             _verdict(above),
