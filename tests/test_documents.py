@@ -84,6 +84,21 @@ def is_in(figure: str, known: list[float]) -> bool:
     return False
 
 
+def test_every_table_stands_once() -> None:
+    named = [name for path in documents.DOCUMENTS for _, name, _ in documents.BLOCK.findall(path.read_text())]
+    assert sorted(named) == sorted(documents.TABLES)
+
+
+def test_what_stands_between_tables_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(documents, "TABLES", {"one": lambda: "| a   |\n| ------ |", "two": lambda: "| b |"})
+    empty = (
+        "<!-- table: one -->\n<!-- end of table -->\nwords\n<!-- table: two -->\nold\n<!-- end of table -->\n"
+    )
+    full = documents.made(empty)
+    assert full == empty.replace("one -->\n", "one -->\n| a |\n| --- |\n").replace("old", "| b |")
+    assert documents.made(full) == full
+
+
 def test_tables_are_up_to_date() -> None:
     assert documents.main(documents.Arguments(check=True)) == []
 
