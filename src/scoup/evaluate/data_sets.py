@@ -175,22 +175,48 @@ def find_scenes(data_set: DataSet, root: Path, wanted: Sequence[str] = ()) -> li
         MissingFileError: there is no such folder, or no labelled scene in it.
         UnknownNameError: a scene wanted is not there.
     """
-    if not root.is_dir():
-        raise MissingFileError(
-            root, f"there is no such folder (a {data_set.name} data set was expected)", "check the path"
-        )
+    check_root(root, data_set.name)
     names = sorted(
         path.name for path in root.iterdir() if path.is_dir() and _labels(data_set, root, path.name).is_dir()
     )
-    if not names:
-        expected = _labels(data_set, root, "SCENE").relative_to(root)
+    expected = f"folder SCENE with {_labels(data_set, root, 'SCENE').relative_to(root)}"
+    return chosen_scenes(root, names, wanted, data_set.scenes, expected)
+
+
+def check_root(root: Path, data_set: str) -> None:
+    """Refuse what is no folder.
+
+    Raises:
+        MissingFileError: there is no such folder.
+    """
+    if not root.is_dir():
         raise MissingFileError(
-            root, f"holds no labelled scene: no folder SCENE with {expected}", "check the path"
+            root, f"there is no such folder (a {data_set} data set was expected)", "check the path"
         )
+
+
+def chosen_scenes(
+    root: Path, names: Sequence[str], wanted: Sequence[str], published: Sequence[str], expected: str
+) -> list[str]:
+    """The scenes wanted of those found, or all, the published ones first.
+
+    Args:
+        root: where they are, for errors.
+        names: found there.
+        wanted: by the user; none for all.
+        published: of the published data set.
+        expected: what makes a scene, for errors.
+
+    Raises:
+        MissingFileError: none was found.
+        UnknownNameError: a scene wanted is not there.
+    """
+    if not names:
+        raise MissingFileError(root, f"holds no labelled scene: no {expected}", "check the path")
     for name in wanted:
         if name not in names:
             raise UnknownNameError("labelled scene", name, names, str(root))
-    known = [name for name in data_set.scenes if name in names]
+    known = [name for name in published if name in names]
     return list(dict.fromkeys(wanted or [*known, *names]))
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from torch import Tensor
 
-from scoup.base.errors import MissingFileError, UnknownNameError, looked_up
-from scoup.evaluate.data_sets import Places, find_parts
+from scoup.base.errors import looked_up
+from scoup.evaluate.data_sets import Places, check_root, chosen_scenes, find_parts
 from scoup.evaluate.protocols import scannet, scenesplat
 from scoup.evaluate.protocols.point_labels import NO_CLASS, ClassList
 from scoup.io.labelled_points import LabelledPoints, read_labelled_ply
@@ -126,23 +126,14 @@ def find_point_scenes(data_set: PointDataSet, root: Path, wanted: Sequence[str] 
         MissingFileError: there is no such folder, or no such scene in it.
         UnknownNameError: a scene wanted is not there.
     """
-    if not root.is_dir():
-        raise MissingFileError(
-            root, f"there is no such folder (a {data_set.name} data set was expected)", "check the path"
-        )
+    check_root(root, data_set.name)
     if data_set.name == "scannet":
         names = sorted(path.name for path in root.iterdir() if scannet.labels_path(path).is_file())
         expected = scannet.labels_path(Path("SCENE"))
     else:
         names = scenesplat.scene_names(root)
         expected = Path(scenesplat.SPLITS[0]) / "SCENE" / scenesplat.COORDINATES
-    if not names:
-        raise MissingFileError(root, f"holds no labelled scene: no {expected}", "check the path")
-    for name in wanted:
-        if name not in names:
-            raise UnknownNameError("labelled scene", name, names, str(root))
-    known = [name for name in data_set.scenes if name in names]
-    return list(dict.fromkeys(wanted or [*known, *names]))
+    return chosen_scenes(root, names, wanted, data_set.scenes, str(expected))
 
 
 def open_point_scene(
