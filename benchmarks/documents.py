@@ -262,6 +262,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "baselines, 3D selection": lambda: study("eval-baselines", 2),
     "ablations": lambda: study("eval-ablations", 0),
     "ablations, entropy": lambda: study("eval-ablations-entropy", 0),
+    "ablations, Adam": lambda: study("eval-ablations-adam", 0),
+    "autoencoder": lambda: study("eval-autoencoder", 0),
     "consistency": consistency,
     "claims": lambda: claims_table(record),
     "thresholds": thresholds,
