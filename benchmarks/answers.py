@@ -265,16 +265,18 @@ def _difference(
 
 def table(found: dict[str, Any]) -> str:
     """Markdown of a ``summary``."""
-    keys = list(next(iter(found["ways"].values())))
-    parts = []
-    for key in keys:
-        body = [[way, *(f"{of[key][rule]:.3f}" for rule in RULES)] for way, of in found["ways"].items()]
-        body += [
-            [name, *("{:+.3f} [{:+.3f}, {:+.3f}]".format(*of[key][rule]) for rule in RULES)]
-            for name, of in found["differences"].items()
-        ]
-        parts.append(f"\n{key}\n\n" + markdown(["way", *RULES], body))
-    return "\n".join(parts)
+    keys = next(iter(found["ways"].values()))
+    return "\n".join(f"\n{key}\n\n" + table_of(found, key) for key in keys)
+
+
+def table_of(found: dict[str, Any], key: str) -> str:
+    """Markdown of one set of scenes of a ``summary``: every way by every rule, then the differences."""
+    body = [[way, *(f"{of[key][rule]:.3f}" for rule in RULES)] for way, of in found["ways"].items()]
+    body += [
+        [name, *("{:+.3f} [{:+.3f}, {:+.3f}]".format(*of[key][rule]) for rule in RULES)]
+        for name, of in found["differences"].items()
+    ]
+    return markdown(["way", *RULES], body)
 
 
 if __name__ == "__main__":

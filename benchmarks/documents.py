@@ -21,17 +21,15 @@ from typing import Any
 
 import tyro
 
+from benchmarks import answers, selection, threshold
 from benchmarks.coding_tables import compared_table
-from benchmarks.documents_claims import claims_table
+from benchmarks.documents_claims import CLEAN, LAYOUTS, NOISE, claims_table
 from scoup.bench import markdown
-from scoup.evaluate.metrics import bootstrap_interval
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = ROOT / "docs" / "benchmarks"
 DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 BLOCK = re.compile(r"(<!-- table: ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
-RULES = ("peak", "mask", "everyday", "asked", "best level", "localisation")
-CLEAN, NOISE, LAYOUTS = "kitchen draws, clean", "kitchen draws, noise x 2, clean", "procedural, clean"
 
 
 @cache
@@ -40,9 +38,9 @@ def record(name: str) -> dict[str, Any]:
     return json.loads((RECORDS / f"{name}.json").read_text())
 
 
-def interval(values: Sequence[float], digits: int = 3) -> str:
+def interval(values: Sequence[float]) -> str:
     """A difference with its interval."""
-    return "{0:+.{d}f} [{1:+.{d}f}, {2:+.{d}f}]".format(*values, d=digits)
+    return "{:+.3f} [{:+.3f}, {:+.3f}]".format(*values)
 
 
 def readme() -> str:
@@ -80,16 +78,6 @@ def readme() -> str:
     return markdown(headers, parts)
 
 
-def answers(name: str, key: str) -> str:
-    """Every way by every rule, then the differences."""
-    found = record(name)
-    rows = [[way, *(f"{of[key][rule]:.3f}" for rule in RULES)] for way, of in found["ways"].items()]
-    rows += [
-        [pair, *(interval(of[key][rule]) for rule in RULES)] for pair, of in found["differences"].items()
-    ]
-    return markdown(["way", *RULES], rows)
-
-
 def study(name: str, number: int) -> str:
     """A table of ``scoup eval`` as it was written."""
     table = record(name)["tables"][number]
@@ -123,38 +111,6 @@ def reference() -> str:
     """Stages of the plain torch rasteriser, relative to a colour render."""
     ratios = record("reference")["relative to the colour render"]
     return markdown(["stage", "relative"], [[name, f"{ratio:.2f}"] for name, ratio in ratios.items()])
-
-
-def thresholds() -> str:
-    """mIoU by mask and of the best level, means over scenes, and by mask on each."""
-    rules = record("threshold")["rules"]
-    scenes = list(next(iter(rules.values())))
-    rows = [
-        [
-            rule,
-            *(f"{mean(of[name][kind] for name in scenes):.3f}" for kind in (0, 1)),
-            *(f"{of[name][0]:.3f}" for name in scenes),
-        ]
-        for rule, of in rules.items()
-    ]
-    return markdown(["threshold", "mask", "best level", *scenes], rows)
-
-
-def selections() -> str:
-    """IoU of the Gaussians selected, by way and rule."""
-    scores = record("selection")["scores"]
-    rows = []
-    for way, of in scores.items():
-        for rule in next(iter(of.values())):
-            means = [mean(of_scene[rule]) for of_scene in of.values()]
-            rows.append([way, rule, f"{mean(means):.3f}", *(f"{each:.3f}" for each in means)])
-    gains = [b - a for of in scores["default"].values() for a, b in zip(of["0.6"], of["asked"], strict=True)]
-    found = bootstrap_interval(gains, list(map(str, range(len(gains)))))
-    rows.append(["default", "asked - 0.6, over texts", interval((found.mean, *found.ends))])
-    scenes = list(scores["default"])
-    return markdown(
-        ["way", "rule", "mean", *scenes], [[*row, *[""] * (len(scenes) + 3 - len(row))] for row in rows]
-    )
 
 
 def absence() -> str:
@@ -249,10 +205,10 @@ def lerf_sized_beside() -> str:
 
 TABLES: dict[str, Callable[[], str]] = {
     "readme": readme,
-    "answers on draws of the kitchen": lambda: answers("answers", CLEAN),
-    "answers under noise": lambda: answers("answers", NOISE),
-    "answers on procedural scenes": lambda: answers("answers", LAYOUTS),
-    "answers on all scenes": lambda: answers("answers", "all"),
+    "answers on draws of the kitchen": lambda: answers.table_of(record("answers"), CLEAN),
+    "answers under noise": lambda: answers.table_of(record("answers"), NOISE),
+    "answers on procedural scenes": lambda: answers.table_of(record("answers"), LAYOUTS),
+    "answers on all scenes": lambda: answers.table_of(record("answers"), "all"),
     "answers under faults": faults,
     "presence signals": lambda: study("eval-presence", 0),
     "presence in a view": lambda: study("eval-presence", 1),
@@ -266,8 +222,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "autoencoder": lambda: study("eval-autoencoder", 0),
     "consistency": consistency,
     "claims": lambda: claims_table(record),
-    "thresholds": thresholds,
-    "selections": selections,
+    "thresholds": lambda: threshold.table(record("threshold")["rules"]),
+    "selections": lambda: selection.table(record("selection")["scores"]),
     "absence": absence,
     "scannet": lambda: points("eval-scannet", "mIoU"),
     "scenesplat": lambda: points("eval-scenesplat", "f-mIoU"),

@@ -53,19 +53,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         for way in arguments.ways:
             fitted = WAYS[way].uplift(inputs, MethodSettings(arguments.seed))
             scores[way][name] = score(scene, fitted)
-    body = [
-        [
-            way,
-            rule,
-            f"{mean(mean(of[name][rule]) for name in of):.3f}",
-            *(f"{mean(of[name][rule]):.3f}" for name in of),
-        ]
-        for way, of in scores.items()
-        for rule in RULES
-    ]
-    print(markdown(["way", "rule", "mean", *arguments.scenes], body))
-    gains = [b - a for of in scores["default"].values() for a, b in zip(of["0.6"], of["asked"], strict=True)]
-    print(f"default, asked - 0.6, over texts: {bootstrap_interval(gains, list(map(str, range(len(gains)))))}")
+    print(table(scores))
     record = {
         "what": "benchmarks.selection: IoU of Gaussians, per scene, way and rule",
         "machine": describe_environment(),
@@ -75,6 +63,21 @@ def main(arguments: Arguments) -> dict[str, Any]:
     if arguments.out is not None:
         write_json(arguments.out, record, overwrite=True)
     return record
+
+
+def table(scores: dict[str, dict[str, dict[str, list[float]]]]) -> str:
+    """Means by way, rule and scene, and what the default gains as asked, over texts."""
+    scenes = list(scores["default"])
+    body = []
+    for way, of in scores.items():
+        for rule in RULES:
+            means = [mean(of[name][rule]) for name in scenes]
+            body.append([way, rule, f"{mean(means):.3f}", *(f"{each:.3f}" for each in means)])
+    gains = [b - a for of in scores["default"].values() for a, b in zip(of["0.6"], of["asked"], strict=True)]
+    found = bootstrap_interval(gains, list(map(str, range(len(gains)))))
+    told = "{:+.3f} [{:+.3f}, {:+.3f}]".format(found.mean, *found.ends)
+    body.append(["default", "asked - 0.6, over texts", told, *[""] * len(scenes)])
+    return markdown(["way", "rule", "mean", *scenes], body)
 
 
 def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:

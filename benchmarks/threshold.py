@@ -97,15 +97,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         }
         for rule, of_rule in scores.items()
     }
-    body = [
-        [
-            rule,
-            *(f"{mean(values[kind] for values in of_rule.values()):.3f}" for kind in (0, 1)),
-            *(f"{values[0]:.3f}" for values in of_rule.values()),
-        ]
-        for rule, of_rule in found.items()
-    ]
-    print(markdown(["threshold", "mask", "best level", *arguments.scenes], body))
+    print(table(found))
     record = {
         "what": "benchmarks.threshold: mIoU by mask and by the best level, per scene",
         "machine": describe_environment(),
@@ -115,6 +107,20 @@ def main(arguments: Arguments) -> dict[str, Any]:
     if arguments.out is not None:
         write_json(arguments.out, record, overwrite=True)
     return record
+
+
+def table(found: dict[str, dict[str, list[float]]]) -> str:
+    """Means over scenes by mask and of the best level, and by mask on each scene."""
+    scenes = list(next(iter(found.values())))
+    body = [
+        [
+            rule,
+            *(f"{mean(of_rule[name][kind] for name in scenes):.3f}" for kind in (0, 1)),
+            *(f"{of_rule[name][0]:.3f}" for name in scenes),
+        ]
+        for rule, of_rule in found.items()
+    ]
+    return markdown(["threshold", "mask", "best level", *scenes], body)
 
 
 def score(name: str, arguments: Arguments) -> dict[str, list[list[float]]]:
