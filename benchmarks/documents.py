@@ -21,7 +21,7 @@ from typing import Any
 
 import tyro
 
-from benchmarks import answers, selection, threshold
+from benchmarks import answers, fewer_pixels, selection, threshold
 from benchmarks.coding_tables import compared_table
 from benchmarks.documents_claims import CLEAN, LAYOUTS, NOISE, claims_table
 from scoup.bench import markdown
@@ -151,14 +151,10 @@ def joint() -> str:
     return markdown(["method", "mIoU", "localisation", "CPU seconds", "peak memory, MB", last], rows)
 
 
-def fewer_pixels() -> str:
+def fewer() -> str:
     """Time and agreement with all pixels and views, by variant."""
-    rows = [
-        [name, *(f"{value:.2f}" if key == "relative time" else f"{value:.3f}" for key, value in of.items())]
-        for name, of in record("fewer_pixels").items()
-        if name != "environment"
-    ]
-    return markdown(["variant", "time relative to all", *(f"agreement {level}" for level in "sml")], rows)
+    found = record("fewer_pixels")
+    return fewer_pixels.table({name: of for name, of in found.items() if name != "environment"})
 
 
 def points(name: str, metric: str) -> str:
@@ -228,7 +224,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "scannet": lambda: points("eval-scannet", "mIoU"),
     "scenesplat": lambda: points("eval-scenesplat", "f-mIoU"),
     "joint": joint,
-    "fewer pixels": fewer_pixels,
+    "fewer pixels": fewer,
     "reference": reference,
     "lerf sized": lerf_sized,
     "lerf sized beside": lerf_sized_beside,

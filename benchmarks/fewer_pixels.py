@@ -19,7 +19,7 @@ from torch import Tensor
 
 import scoup
 from benchmarks.data import data_folder, make_features
-from scoup.bench import Stopwatch, describe_environment, write_json
+from scoup.bench import Stopwatch, describe_environment, markdown, write_json
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -60,14 +60,20 @@ def main(arguments: Arguments) -> dict[str, dict[str, float]]:
         cameras = scoup.load_cameras(kitchen)
         regions = scoup.load_regions(features, cameras)
         found = measure(arguments, gaussians, list(cameras), regions)
-    print("| variant | time relative to all | " + " | ".join(f"agreement {s}" for s in regions.levels) + " |")
-    print("|---|---|" + "---|" * len(regions.levels))
-    for name, row in found.items():
-        shares = " | ".join(f"{row[f'agreement {level}']:.3f}" for level in regions.levels)
-        print(f"| {name} | {row['relative time']:.2f} | {shares} |")
+    print(table(found))
     if arguments.out is not None:
         write_json(arguments.out, {"environment": describe_environment(), **found}, overwrite=True)
     return found
+
+
+def table(found: dict[str, dict[str, float]]) -> str:
+    """Time and agreement by variant."""
+    agreements = [key for key in next(iter(found.values())) if key.startswith("agreement")]
+    body = [
+        [name, f"{row['relative time']:.2f}", *(f"{row[key]:.3f}" for key in agreements)]
+        for name, row in found.items()
+    ]
+    return markdown(["variant", "time relative to all", *agreements], body)
 
 
 def measure(
