@@ -12,7 +12,7 @@ from benchmarks.gpu.stage import Row, Runs, Stage, project
 from scoup import raster
 from scoup.bench import Workload
 from scoup.bench.stages import region_sums_of_a_view, vote_of_a_view
-from scoup.field.relevancy import relevancy
+from scoup.query.relevancy import relevancy
 from scoup.synthetic.random_scene import clip_like
 
 RGB = "gsplat: RGB"

@@ -11,7 +11,7 @@ from scoup.baselines.methods import METHODS
 from scoup.baselines.rasterised_scene import RasterisedScene
 from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
-from scoup.field.relevancy import relevancy
+from scoup.query.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.rasterise import region_sums
 from support import small_scene, unit

@@ -18,7 +18,7 @@ from scoup.baselines.method import Method, MethodSettings
 from scoup.baselines.methods import COMPARED, METHODS, SLOW, find_method
 from scoup.baselines.rasterised_scene import RasterisedScene
 from scoup.baselines.trained import AutoencodedUplift, QuantisedUplift
-from scoup.field.relevancy import relevancy
+from scoup.query.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import build

@@ -9,7 +9,7 @@ from scoup import raster
 from scoup.base.errors import InputError
 from scoup.baselines.fitted import FittedChannels, FittedField, embedding_cosines, resized_image
 from scoup.evaluate.protocols import mipnerf360
-from scoup.field.relevancy import relevancy
+from scoup.query.relevancy import relevancy
 from scoup.io.labels import LabelledFrame
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.build import build

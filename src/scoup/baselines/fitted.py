@@ -17,7 +17,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
-from scoup.field.relevancy import relevancy
+from scoup.query.relevancy import relevancy
 from scoup.scene.codes import cosines_from_codes
 from scoup.uplift.region_sums import RegionSums
 

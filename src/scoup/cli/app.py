@@ -23,6 +23,7 @@ from scoup.cli.regions import ShowRegions
 from scoup.cli.render import Render
 from scoup.cli.select import Select
 from scoup.cli.update import Update
+from scoup.cli.view import View
 
 DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, and query it.
 
@@ -34,6 +35,7 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup query scene.scoup "kettle" "wooden table" --camera all
   scoup select scene.scoup "kettle" --out kettle.ply
   scoup render scene.scoup --what codes --camera all
+  scoup view scene.scoup
   scoup info scene.scoup
   scoup eval lerf-ovs ROOT
 
@@ -52,6 +54,7 @@ SCOUP = Family(
         "query": Query,
         "select": Select,
         "render": Render,
+        "view": View,
         "info": Info,
         "eval": EVAL,
         "bench": Bench,

@@ -10,7 +10,14 @@ from scoup.base.counts import counted
 from scoup.base.staging import check_outputs, staged
 from scoup.cli.console import Console
 from scoup.cli.names import check_folder, unique_slugs
-from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionGroups, Texts
+from scoup.cli.options import (
+    Flag,
+    OptionalNumber,
+    OptionalPath,
+    OptionalText,
+    OptionGroups,
+    Texts,
+)
 from scoup.cli.query_options import (
     CameraOptions,
     TextOptions,
@@ -40,7 +47,7 @@ class Query(TextOptions, CameraOptions):
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "answer": "rule threshold presence always",
+        "answer": "rule threshold level presence always",
         "output": "out pictures",
     }
 
@@ -56,6 +63,8 @@ class Query(TextOptions, CameraOptions):
     threshold: OptionalNumber = None
     """A pixel is in the mask above this, 0 to 1, once relevancy is rescaled over the view. Default: the rule's; of
     the rule default, where the answer changes least."""
+    level: OptionalText = None
+    """The level that answers: s (fine), m or l (coarse). Default: as the rule chooses, for each text."""
     presence: OptionalNumber = None
     """A text is in a view if its z-score is at least this: how many standard deviations what was found lies nearer to
     it than to everyday words. Otherwise it gets an empty mask and no point there. Default: 1.5 with the rule default,
@@ -96,7 +105,7 @@ class Query(TextOptions, CameraOptions):
             progress("query", 0, len(cameras))
             for done, (camera, folder) in enumerate(zip(cameras, folders, strict=True), start=1):
                 projection = field.project(camera)
-                answers = answer_view(field, camera, texts, preset, present_from, projection)
+                answers = answer_view(field, camera, texts, preset, present_from, projection, self.level)
                 if _sees_nothing(field, projection, answers):
                     blind.append(camera)
                 if self.pictures != "none":

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalNumber, OptionGroups, Texts
+from scoup.cli.options import Flag, OptionalNumber, OptionalText, OptionGroups, Texts
 from scoup.cli.query_options import TextOptions, absence_message, check_texts
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ class Select(TextOptions):
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "choice": "threshold absolute presence always neighbours",
+        "choice": "threshold absolute level presence always neighbours",
         "output": "out write",
     }
 
@@ -40,6 +40,8 @@ class Select(TextOptions):
     changes least; 0.6 with --absolute."""
     absolute: Flag = False
     """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases and everyday words."""
+    level: OptionalText = None
+    """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
     presence: OptionalNumber = None
     """A text is in the scene if its z-score is at least this: how many standard deviations what was found lies nearer
     to it than to everyday words. Otherwise nothing is chosen for it. Default: 1.5, where the table of --text has 16
@@ -67,6 +69,7 @@ class Select(TextOptions):
             self.neighbours or None,
             not self.absolute,
             present_from,
+            self.level,
         )
         absent = [
             f"{text}: {absence_message('scene', answer.z_score, present_from)}"

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.field.relevancy import TEMPERATURE, relevancy
+from scoup.query.relevancy import TEMPERATURE, relevancy
 from scoup.scene.codes import code_scores, float32_products, stable_products
 
 MOST_CHANNELS = 18

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from numbers import Integral
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from numpy.typing import ArrayLike
@@ -24,12 +25,15 @@ from scoup.field.artefact import (
     write_field,
 )
 from scoup.field.cosine_cache import CosineCache, FieldCodes
-from scoup.field.relevancy import relevancy
-from scoup.query.methods import FieldQueries
+from scoup.query.methods import Encoder, FieldQueries
+from scoup.query.relevancy import relevancy
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import cosines_from_codes
 from scoup.scene.directions import query_vectors
 from scoup.scene.gaussians import Gaussians, chosen_rows
+
+if TYPE_CHECKING:
+    from scoup.view.viewer import Viewer
 
 GAUSSIANS_AT_A_TIME = 65536
 
@@ -339,6 +343,34 @@ class LanguageField(FieldQueries):
         if level not in self.levels:
             raise InputError(f"there is no level {level!r}; levels: {', '.join(self.levels)}")
         return self.levels.index(level)
+
+    def view(
+        self,
+        encoder: Encoder | None = None,
+        words: Sequence[str] | None = None,
+        most: int = 1_000_000,
+        remote: bool = False,
+        height: int = 640,
+    ) -> Viewer:
+        """The field in the browser, as `scoup view` shows it; in a notebook the page itself.
+
+        Args:
+            encoder: see ``text_encoder``.
+            words: what a click chooses from; by default everyday words, or the names of the table.
+            most: Gaussians that the page shows at most, the most opaque and largest.
+            remote: show rendered pictures only, for scenes that are too much for the browser.
+            height: of the page in a notebook, in pixels.
+
+        Returns:
+            A viewer, open until its ``close`` or the end of the process; its ``address`` is that of the page.
+
+        Raises:
+            ScoupError: a package or the page is missing, or an encoder was given and cannot be opened.
+            InputError: there is no geometry, or a number is out of range.
+        """
+        from scoup.view.viewer import open_viewer
+
+        return open_viewer(self, encoder, words, most, remote, height)
 
     # ---- its file
 

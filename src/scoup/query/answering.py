@@ -28,6 +28,7 @@ def answer_view(
     preset: QueryPreset = QUERY_PRESETS["default"],
     present_from: float | None = None,
     projection: raster.Projection | None = None,
+    level: str | int | None = None,
 ) -> list[Answer]:
     """Where each query is in one view, and which pixels are it.
 
@@ -40,19 +41,22 @@ def answer_view(
         present_from: the z-score from which a thing counts as present (``scoup.query.presence.PRESENT_FROM``); None:
             presence is not judged, and something is found always.
         projection: what ``field.project(camera)`` gave, if it is known; keep it for further queries.
+        level: the one that answers, its name or position; None: the preset chooses.
 
     Returns:
         One answer a query, in their order.
 
     Raises:
-        InputError: the vectors do not fit the field, or there are too few everyday words to judge presence.
+        InputError: the vectors do not fit the field, there is no such level, or there are too few everyday words to
+            judge presence.
     """
     place = (camera, (Camera, str, Integral))
     check_arguments("answer_view", field=(field, QueriedField), camera=place, texts=(texts, TextVectors))
     camera = field.camera(camera)
     projection = field.project(camera) if projection is None else projection
     maps = field.relevancy(camera, texts.queries, texts.canonical, projection).unbind(1)
-    found = [localize_and_segment(each, preset) for each in maps]
+    chosen = None if level is None else field.level_index(level)
+    found = [_found(each, preset, chosen) for each in maps]
     judged: list[float | None] = [None] * len(found)
     if present_from is not None:
         segmentations = [segmentation for _, segmentation in found]
@@ -76,6 +80,7 @@ def answer_scene(
     neighbours: int | None = None,
     rescaled: bool = True,
     present_from: float | None = None,
+    level: str | int | None = None,
 ) -> list[SceneAnswer]:
     """Which Gaussians answer each query, without rendering.
 
@@ -84,6 +89,7 @@ def answer_scene(
         texts: as for ``answer_view``.
         threshold, neighbours, rescaled: as for ``scoup.query.select.select``.
         present_from: as for ``answer_view``.
+        level: the one that answers, its name or position; None: as ``select`` chooses.
 
     Returns:
         One answer a query, in their order.
@@ -92,7 +98,7 @@ def answer_scene(
         InputError: as ``answer_view``, or ``neighbours`` is below 1.
     """
     check_arguments("answer_scene", field=(field, QueriedField), texts=(texts, TextVectors))
-    found = list(select_each(field, texts.queries, texts.canonical, threshold, neighbours, rescaled))
+    found = list(select_each(field, texts.queries, texts.canonical, threshold, neighbours, rescaled, level))
     judged: list[float | None] = [None] * len(found)
     if present_from is not None:
         judged = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
@@ -113,6 +119,14 @@ def answer_scene(
             )
         )
     return answers
+
+
+def _found(relevancy: Tensor, preset: QueryPreset, level: int | None) -> tuple[Localization, Segmentation]:
+    """Point and mask in relevancy [S, H, W], of one level if that is given."""
+    if level is None:
+        return localize_and_segment(relevancy, preset)
+    place, shape = localize_and_segment(relevancy[level : level + 1], preset)
+    return replace(place, level=level), replace(shape, level=level)
 
 
 def _answer(

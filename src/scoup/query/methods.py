@@ -141,6 +141,7 @@ class FieldQueries(QueriedField):
         present_from: float | None = None,
         always: bool = False,
         projection: raster.Projection | None = None,
+        level: str | int | None = None,
     ) -> Answer | list[Answer]:
         """Where something is in one view.
 
@@ -154,6 +155,7 @@ class FieldQueries(QueriedField):
                 everyday words.
             always: find something for any text.
             projection: what ``field.project(camera)`` gave, if it is known: further queries with it take less time.
+            level: the one that answers, its name or position; None: the preset chooses.
 
         Returns:
             An answer, or one for each of several texts or vectors.
@@ -164,7 +166,7 @@ class FieldQueries(QueriedField):
         check_arguments("query", preset=(preset, (str, QueryPreset)))
         preset = query_preset(preset) if isinstance(preset, str) else preset
         vectors, present_from = compared(self.text_vectors(texts, encoder), preset, present_from, always)
-        answers = answer_view(self, camera, vectors, preset, present_from, projection)
+        answers = answer_view(self, camera, vectors, preset, present_from, projection, level)
         return answers[0] if _is_single(texts) else answers
 
     @overload
@@ -184,6 +186,7 @@ class FieldQueries(QueriedField):
         neighbours: int = 0,
         present_from: float | None = None,
         always: bool = False,
+        level: str | int | None = None,
     ) -> Location | list[Location]:
         """Where something is in the world: position, oriented box, confidence, and the Gaussians.
 
@@ -192,6 +195,7 @@ class FieldQueries(QueriedField):
             threshold: a Gaussian answers above this, 0 to 1, once relevancy is rescaled over the scene; by default the
                 threshold at which the answer changes least (``scoup.query.stable_threshold``).
             neighbours: blend each Gaussian's relevancy with the mean of so many nearest neighbours; 0 is off.
+            level: the one that answers, its name or position; by default the one that fits best.
 
         Returns:
             A location, or one for each of several texts or vectors. One whose ``position`` is None is not there.
@@ -202,7 +206,12 @@ class FieldQueries(QueriedField):
         vectors = self.text_vectors(texts, encoder)
         present_from = None if always else presence_threshold(vectors, present_from)
         answers = answer_scene(
-            self, vectors.with_everyday(), threshold, neighbours or None, present_from=present_from
+            self,
+            vectors.with_everyday(),
+            threshold,
+            neighbours or None,
+            present_from=present_from,
+            level=level,
         )
         found = [location(self, answer) for answer in answers]
         return found[0] if _is_single(texts) else found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -86,17 +86,26 @@ def select_each(
     threshold: float | None = None,
     neighbours: int | None = None,
     rescaled: bool = True,
+    level: str | int | None = None,
 ) -> Iterator[Selection]:
-    """``select`` query by query, with level and relevancy; arguments and errors as there."""
+    """``select`` query by query, with level and relevancy; arguments and errors as there.
+
+    Args:
+        field, queries, canonical, threshold, neighbours, rescaled: see ``select``.
+        level: the one that answers, its name or position; None: as ``select`` chooses.
+    """
     if neighbours is not None and neighbours < 1:
         raise InputError(f"neighbours must be at least 1, got {neighbours}")
     if threshold is not None and not 0 <= threshold <= 1:
         raise InputError(f"the threshold must be 0 to 1, got {threshold}")
-    coded = (field.code_weights > 0).any(-1).T  # [S, N]
+    first = 0 if level is None else field.level_index(level)
+    rows = slice(None) if level is None else slice(first, first + 1)
+    coded = (field.code_weights > 0).any(-1).T[rows]  # [S or 1, N]
     around = Neighbourhood.of(field.gaussians.means, coded.any(0), neighbours) if neighbours else None
     for query in queries:
-        relevancy = field.gaussian_relevancy(query[None], canonical)[:, 0]
-        yield select_by_relevancy(relevancy, coded, around, threshold, rescaled)
+        relevancy = field.gaussian_relevancy(query[None], canonical)[rows, 0]
+        found = select_by_relevancy(relevancy, coded, around, threshold, rescaled)
+        yield replace(found, level=found.level + first)
 
 
 def select_by_relevancy(
@@ -125,6 +134,16 @@ def select_by_relevancy(
     return Selection(mask, values[level], level, float(peaks[level]), float(threshold))
 
 
+def level_thresholds(values: Tensor, coded: Tensor) -> Tensor:
+    """[S] float32 on the CPU: the most stable threshold of each level, on the relevancy rescaled over its Gaussians.
+
+    Args:
+        values: [S, N] relevancy.
+        coded: [S, N] boolean, those that count.
+    """
+    return torch.cat([stable_thresholds(row[own][None])[0] for row, own in zip(values, coded, strict=True)])
+
+
 def _most_stable(values: Tensor, coded: Tensor, peaks: Tensor) -> Selection:
     """``select_by_relevancy`` with the most stable threshold of each level.
 
@@ -133,9 +152,7 @@ def _most_stable(values: Tensor, coded: Tensor, peaks: Tensor) -> Selection:
         coded: [S, N] boolean.
         peaks: [S] the largest relevancy of a coded Gaussian, by which the level is chosen if none can be selected.
     """
-    thresholds = torch.cat(
-        [stable_thresholds(row[own][None])[0] for row, own in zip(values, coded, strict=True)]
-    )
+    thresholds = level_thresholds(values, coded)
     masks = [_above(*rows) for rows in zip(values, coded, thresholds.tolist(), strict=True)]
     # In float64, so that levels alike to the last bit have equal means, and the first of them answers.
     means = [float(row[mask].double().mean()) for row, mask in zip(values, masks, strict=True)]

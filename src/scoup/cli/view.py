@@ -1,0 +1,135 @@
+"""scoup view: a field in the browser."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from scoup.base.counts import counted
+from scoup.cli.console import Console, Terminated
+from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionGroups
+from scoup.cli.query_options import TextOptions
+
+if TYPE_CHECKING:
+    from scoup.view.viewed_field import ViewedField
+
+_MEGABYTE = 1e6
+
+
+@dataclass(frozen=True, kw_only=True)
+class View(TextOptions):
+    """Look at a field in the browser: type a word, and the splat lights up.
+
+    Prints the address of a page, and answers it until Ctrl-C. Only this machine reaches it, unless --host says
+    otherwise. With --export it writes a page instead that needs no server and no network.
+    """
+
+    option_groups: ClassVar[OptionGroups] = {
+        "page": "words most remote",
+        "server": "host port open_browser",
+        "export": "export split",
+    }
+
+    words: OptionalPath = None
+    """A list of words, one a line: what a click chooses from, and all that an exported page can be asked. Default:
+    everyday words; of a table, all its names."""
+    most: int = 1_000_000
+    """The page shows so many Gaussians at most, the most opaque and largest. Pictures of the server have all."""
+    remote: Flag = False
+    """The page shows pictures of the server only: for scenes or machines that are too much for the browser."""
+    host: str = "127.0.0.1"
+    """Address to bind to. 0.0.0.0 lets other machines in: whoever knows the address, which holds a token."""
+    port: OptionalInteger = None
+    """Port to bind to; 0 takes any. Default: 8350 or, if that is in use, any."""
+    open_browser: Flag = False
+    """Open the page in the browser of this machine."""
+    export: OptionalPath = None
+    """Write a page of one HTML file here, and end."""
+    split: Flag = False
+    """With --export: a folder, with the data in files beside the page."""
+
+    def run(self, console: Console) -> None:
+        """Serve or export."""
+        self._check_options()
+        if self.export is not None:
+            self._export(console, self.export)
+        else:
+            self._serve(console)
+
+    def _check_options(self) -> None:
+        from scoup.base.errors import InputError
+        from scoup.view.viewer import check_needed
+
+        if self.most < 1:
+            raise InputError(f"--most must be 1 or more, got {self.most}")
+        if self.port is not None and not 0 <= self.port <= 65535:
+            raise InputError(f"--port must be 0 to 65535, got {self.port}")
+        if self.split and self.export is None:
+            raise InputError("--split belongs to --export; give both or neither")
+        if self.export is None:
+            check_needed()
+        elif not self.split and self.export.suffix.lower() not in (".html", ".htm"):
+            raise InputError(f"{self.export}: give a name that ends in .html, or --split for a folder")
+
+    def _viewed(self, console: Console) -> ViewedField:
+        """The field with its encoder; says why no text can be asked, if none can."""
+        from scoup.io.reading import read_text
+        from scoup.view.page import page_files
+        from scoup.view.viewed_field import ViewedField
+        from scoup.view.vocabulary import read_words
+
+        page_files()  # before anything that takes long
+        words = None if self.words is None else read_words(str(self.words), read_text(self.words))
+        viewed = ViewedField(self.open_field(), self.text, words, self.most)
+        if viewed.words_problem is not None:
+            console.warn(f"no text can be asked: {viewed.words_problem}")
+        else:
+            viewed.vocabulary()  # a word that is not in the table is named now
+        return viewed
+
+    def _export(self, console: Console, out: Path) -> None:
+        from scoup.view.export import export_page
+
+        viewed = self._viewed(console)
+        with console.progress() as progress:
+            report = export_page(viewed, out, self.split, self.overwrite, progress)
+        sizes = ", ".join(
+            f"{what} {_size(count)}"
+            for what, count in (("scene", report.scene_bytes), ("words", report.words_bytes))
+        )
+        console.say(
+            f"{out}: {_size(report.n_bytes)} ({sizes}, before base64), {counted(report.words, 'word')}"
+        )
+        console.result(report.record())
+
+    def _serve(self, console: Console) -> None:
+        from scoup.view.guard import is_loopback
+        from scoup.view.viewer import Viewer
+
+        viewed = self._viewed(console)
+        with Viewer(viewed, self.host, self.port, self.remote) as viewer:
+            if not is_loopback(self.host):
+                console.warn(
+                    f"{self.host}: other machines can reach this page; whoever has the address can ask the field "
+                    "and download its Gaussians, and what is sent is not encrypted"
+                )
+            record: dict[str, Any] = {"address": viewer.address, "field": self.field}
+            console.say(f"{self.field}: {viewer.address}\nCtrl-C ends it")
+            console.result(record)
+            if self.open_browser:
+                import webbrowser
+
+                webbrowser.open(viewer.address)
+            try:
+                viewer.wait()
+            except Terminated:
+                raise
+            except KeyboardInterrupt:  # the usual end
+                console.say("\nclosed")
+
+
+def _size(count: int) -> str:
+    digits = 0 if count >= 100 * _MEGABYTE else 2 - max(0, math.floor(math.log10(max(count, 1) / _MEGABYTE)))
+    return f"{count / _MEGABYTE:.{min(digits, 3)}f} MB"

@@ -1,0 +1,173 @@
+"""The method's own answers for the page: renders of any camera, and what is at a pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.base.errors import InputError
+from scoup.pictures import as_picture
+from scoup.pictures.colors import Picture
+from scoup.pictures.overlays import heat_overlay, mask_overlay
+from scoup.query.answering import answer_view
+from scoup.query.drawing import Draw, code_drawing
+from scoup.query.locate import weighted_quantiles
+from scoup.query.presence import mean_embedding
+from scoup.query.presets import query_preset
+from scoup.query.queried_field import QueriedField
+from scoup.query.relevancy import relevancy
+from scoup.query.text_vectors import TextVectors
+from scoup.scene.cameras import Camera
+
+PictureMode = Literal["color", "heat", "mask", "codes"]
+LARGEST_SIDE = 4096
+_WORDS_SHOWN = 5
+
+
+@dataclass(frozen=True, eq=False)
+class PictureRequest:
+    """What a picture is to show.
+
+    Attributes:
+        camera: of the view; sides of at most ``LARGEST_SIDE`` pixels.
+        mode: "color": the splat; "heat": the relevancy to the text over it; "mask": the mask of the text, its box and
+            point; "codes": like meaning, like colour.
+        texts: one query, for "heat" and "mask".
+        level: position of the level that answers, or whose codes are shown; None: the one that answers best, or the
+            middle one.
+        threshold: of the mask; None: the most stable one.
+        present_from: the z-score from which the thing counts as present; None: it always does.
+
+    Raises:
+        InputError: a value is out of range, or the text is missing.
+    """
+
+    camera: Camera
+    mode: PictureMode = "color"
+    texts: TextVectors | None = None
+    level: int | None = None
+    threshold: float | None = None
+    present_from: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.mode not in get_args(PictureMode):
+            raise InputError(f"a picture shows {', '.join(get_args(PictureMode))}, not {self.mode!r}")
+        if max(self.camera.width, self.camera.height) > LARGEST_SIDE:
+            raise InputError(f"a picture has sides of at most {LARGEST_SIDE} pixels")
+        if self.mode in ("heat", "mask") and self.texts is None:
+            raise InputError(f"the picture {self.mode!r} needs a text")
+
+
+class ExactPictures:
+    """Renders of one field, with what further renders of the same camera reuse.
+
+    Args:
+        field: to be rendered, with its geometry.
+    """
+
+    def __init__(self, field: QueriedField) -> None:
+        self.field = field
+        self._projection: tuple[str, raster.Projection] | None = None
+        self._code_drawings: dict[int, Draw] = {}
+
+    def picture(self, request: PictureRequest) -> Picture:
+        """[H, W, 3] uint8, of the camera's size, without any lettering."""
+        camera, projection = request.camera, self._projected(request.camera)
+        if request.mode == "codes":
+            level = len(self.field.levels) // 2 if request.level is None else request.level
+            if level not in self._code_drawings:
+                self._code_drawings[level] = code_drawing(self.field, level, plain=True)
+            return self._code_drawings[level](camera, projection)
+        rgb = raster.render_colors(self.field.gaussians, camera, projection).cpu()
+        if request.mode == "color" or request.texts is None:
+            return as_picture(rgb)
+        preset = query_preset("default", threshold=request.threshold)
+        answer = answer_view(
+            self.field, camera, request.texts, preset, request.present_from, projection, request.level
+        )[0]
+        if request.mode == "heat":
+            return heat_overlay(answer.heat, rgb)
+        return mask_overlay(answer.mask, rgb, answer.box, answer.point)
+
+    def _projected(self, camera: Camera) -> raster.Projection:
+        """The projection of the last camera is kept: queries of one camera are then faster."""
+        name = camera.fingerprint()
+        if self._projection is None or self._projection[0] != name:
+            self._projection = name, self.field.project(camera)
+        return self._projection[1]
+
+
+def what_is_at(
+    field: QueriedField, confidence: Tensor, camera: Camera, pixel: tuple[int, int], words: TextVectors | None
+) -> dict[str, Any]:
+    """What a scene says is at a pixel: the words that fit best there, level by level, and where it is.
+
+    The codes of the Gaussians that paint the pixel are summed up by their blending weights, as a render of codes does
+    (method.md, stage 3). The position is on the pixel's ray, at the median depth of that weight.
+
+    Args:
+        field: to be asked, with its geometry.
+        confidence: [N, S] (``UnitCodes.confidence``).
+        camera: of the view.
+        pixel: (x, y).
+        words: a vocabulary, and what its words are compared with; None: no words.
+
+    Returns:
+        "position": [3] world units, None if nothing is there; "distance": from the camera; "levels": of each level its
+        name, confidence 0..1, and words with relevancy, best first; levels without a code there have no words.
+
+    Raises:
+        InputError: the pixel is outside of the view.
+    """
+    x, y = pixel
+    if not (0 <= x < camera.width and 0 <= y < camera.height):
+        raise InputError(f"pixel ({x}, {y}) is not in a view of {camera.width} x {camera.height}")
+    projection = field.project(_one_pixel(camera, x, y))
+    sums = raster.region_sums(projection, torch.zeros(1, 1, 1, dtype=torch.int32))
+    gaussians, _, weights = (part.cpu() for part in sums.triplets(0))
+    if not len(gaussians) or not float(weights.sum()) > 0:
+        return {"position": None, "distance": None, "levels": []}
+    position = _position(field, camera, pixel, gaussians, weights.double())
+    levels = []
+    for level, name in enumerate(field.levels):
+        embedding = mean_embedding(field, level, gaussians, weights)
+        own = weights.double() * (confidence[gaussians, level] > 0)
+        found = float((own * confidence[gaussians, level]).sum() / own.sum()) if float(own.sum()) > 0 else 0.0
+        nearest = [] if words is None or not found else _nearest_words(embedding, words)
+        levels.append({"level": name, "confidence": round(found, 4), "words": nearest})
+    distance = float((position - camera.position).norm())
+    return {"position": position.tolist(), "distance": distance, "levels": levels}
+
+
+def _one_pixel(camera: Camera, x: int, y: int) -> Camera:
+    """The camera of one pixel of a view."""
+    K = camera.K.clone()
+    K[0, 2] -= x
+    K[1, 2] -= y
+    return Camera(f"{camera.name} at {x}, {y}", camera.viewmat, K, 1, 1)
+
+
+def _position(
+    field: QueriedField, camera: Camera, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor
+) -> Tensor:
+    """[3] float64: the point of the pixel's ray at the median depth of the weight."""
+    means = field.gaussians.means[gaussians.to(field.gaussians.device)].double().cpu()
+    depths = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+    depth = weighted_quantiles(depths, weights, [0.5])[0]
+    x, y = pixel[0] + 0.5, pixel[1] + 0.5
+    ray = torch.tensor([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0], dtype=torch.float64)
+    return camera.position + depth * (camera.viewmat[:3, :3].T @ ray)
+
+
+def _nearest_words(embedding: Tensor, words: TextVectors) -> list[dict[str, Any]]:
+    """The words that fit an embedding [D] best, with their relevancy."""
+    unit = torch.nn.functional.normalize(embedding, dim=0)
+    cosines = words.queries.float().cpu() @ unit
+    canonical = words.canonical.float().cpu() @ unit
+    values = relevancy(cosines[None], canonical[None])[0]
+    best = values.argsort(descending=True, stable=True)[:_WORDS_SHOWN].tolist()
+    return [{"text": words.texts[row], "relevancy": round(float(values[row]), 4)} for row in best]

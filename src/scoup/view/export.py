@@ -1,0 +1,136 @@
+"""A page that needs no server: one HTML file to mail, or a folder of files."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from scoup.base.progress import Progress, no_progress
+from scoup.base.staging import check_outputs, staged
+from scoup.io import atomic_path, check_output
+from scoup.pictures.colors import Picture
+from scoup.view.page import page_files, script_text
+from scoup.view.viewed_field import ViewedField
+from scoup.view.vocabulary import vocabulary_answers, words_data
+
+MOST_THUMBNAILS = 24
+THUMBNAIL_QUALITY = 70
+FOLDER_FILES = ("index.html", "scene.js", "words.js", "thumbnails.js")
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """What was written.
+
+    Attributes:
+        path: the file or folder.
+        n_bytes: of all of it.
+        scene_bytes: of splat and codes, compressed.
+        words_bytes: of the vocabulary, compressed.
+        words: how many can be asked.
+    """
+
+    path: Path
+    n_bytes: int
+    scene_bytes: int
+    words_bytes: int
+    words: int
+
+    def record(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "out": str(self.path),
+            "bytes": self.n_bytes,
+            "scene_bytes": self.scene_bytes,
+            "words_bytes": self.words_bytes,
+            "words": self.words,
+        }
+
+
+def export_page(
+    viewed: ViewedField,
+    out: str | Path,
+    split: bool = False,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> ExportReport:
+    """Write a page that needs neither server nor network.
+
+    Texts are asked among the field's vocabulary: the answer to each word lies in the page, the inner products of word
+    and atoms (2 bytes each), level, thresholds, score and presence.
+
+    Args:
+        viewed: the field, with its vocabulary.
+        out: the HTML file; with ``split`` a folder, whose ``index.html`` is opened.
+        split: write the data beside the page, as scripts that it loads.
+        overwrite: replace what is there.
+        progress: called for the stages "words" and "pictures".
+
+    Raises:
+        ScoupError: the page was not built.
+        OutputExistsError, WriteError: the file is there, or the system refuses.
+    """
+    out = Path(out)
+    check_outputs(out, FOLDER_FILES, overwrite) if split else check_output(out, overwrite)
+    files, settings = page_files(), viewed.settings("exported")
+    words, count = _words(viewed, progress)
+    scene = viewed.scene(effort=9)
+    thumbnails = _thumbnails(viewed, progress)
+    data = {"scene": _base64(scene), "words": _base64(words), "thumbnails": thumbnails}
+    if split:
+        tags = "\n".join(f'<script src="{name}.js"></script>' for name in data)
+        html = files.in_one(settings, f"<script>window.scoupData = {{}};</script>\n{tags}")
+        with staged(out, FOLDER_FILES, overwrite) as hidden:
+            (hidden / "index.html").write_text(html, encoding="utf-8")
+            for name, value in data.items():
+                (hidden / f"{name}.js").write_text(_assignment(f"window.scoupData.{name}", value))
+        size = sum((out / name).stat().st_size for name in FOLDER_FILES)
+    else:
+        html = files.in_one(settings, f"<script>{_assignment('window.scoupData', data)}</script>")
+        with atomic_path(out, overwrite) as temporary:
+            temporary.write_text(html, encoding="utf-8")
+        size = out.stat().st_size
+    return ExportReport(out, size, len(scene), len(words), count)
+
+
+def jpeg(picture: Picture, quality: int = THUMBNAIL_QUALITY) -> bytes:
+    """A picture [H, W, 3] uint8 as a JPEG."""
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, "JPEG", quality=quality)
+    return stream.getvalue()
+
+
+def _words(viewed: ViewedField, progress: Progress) -> tuple[bytes, int]:
+    """The file of words, empty if no text can be asked, and how many there are."""
+    vocabulary = viewed.vocabulary()
+    if vocabulary is None:
+        return b"", 0
+    _, present_from = viewed.texts(vocabulary.texts[:1])
+    answers = vocabulary_answers(viewed.field, viewed.codes, vocabulary, present_from, progress)
+    return words_data(answers), len(answers)
+
+
+def _thumbnails(viewed: ViewedField, progress: Progress) -> Sequence[str | None]:
+    """JPEGs of evenly spread cameras as base64; None for the others."""
+    cameras = list(viewed.field.cameras or ())
+    step = max(1, -(-len(cameras) // MOST_THUMBNAILS))
+    found: list[str | None] = []
+    for number, camera in enumerate(cameras):
+        progress("pictures", number, len(cameras))
+        found.append(None if number % step else _base64(jpeg(viewed.thumbnail(camera))))
+    progress("pictures", len(cameras), len(cameras))
+    return found
+
+
+def _assignment(target: str, value: Any) -> str:
+    return f"{target} = {script_text(value)};\n"
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode()

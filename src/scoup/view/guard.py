@@ -1,0 +1,92 @@
+"""What the viewer's server refuses before it looks at a request: strangers, other sites, giant messages."""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+import socket
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from urllib.parse import urlsplit
+
+MOST_BYTES = 65_536
+"""Of a message to the server; a query has a few hundred."""
+POLICY = (
+    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval' blob:; worker-src 'self' blob:; style-src 'self' "
+    "'unsafe-inline'; img-src 'self' data: blob:; connect-src 'self' data: blob:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'self' http://localhost:* http://127.0.0.1:* https://localhost:* vscode-webview:"
+)
+"""The page loads nothing from anywhere else, and may be shown within a notebook on this machine."""
+HEADERS = {
+    "content-security-policy": POLICY,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+_OWN_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Who may ask.
+
+    Attributes:
+        host: that the server is bound to.
+        token: first part of every path; empty on loopback.
+        names: by which the server may be called: a page of another site, whose name leads to this machine, calls it by
+            its own (DNS rebinding).
+    """
+
+    host: str
+    token: str = ""
+    names: frozenset[str] = field(default_factory=frozenset)
+
+    @classmethod
+    def of(cls, host: str, more_names: Iterable[str] = ()) -> Guard:
+        """For a server that is bound to a host; beyond loopback with a new token."""
+        if is_loopback(host):
+            return cls(host, "", _OWN_NAMES | {host.lower(), *more_names})
+        own = {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
+        return cls(host, secrets.token_urlsafe(24), _OWN_NAMES | own | set(more_names))
+
+    @property
+    def prefix(self) -> str:
+        """What every path begins with."""
+        return f"/{self.token}" if self.token else ""
+
+    def refuses(self, method: str, host: str | None, origin: str | None, site: str | None) -> str | None:
+        """Why a request is refused, by its headers Host, Origin and Sec-Fetch-Site; None if it may pass."""
+        name = urlsplit(f"//{host}").hostname if host and _is_host(host) else None
+        if name is None or not (name in self.names or (self.token and _is_address(name))):
+            return "this name of the server is not known; open the address that scoup view printed"
+        if origin is not None and (urlsplit(origin).netloc != host or not origin.startswith("http")):
+            return "requests from other sites are refused"
+        if method != "GET" and site not in (None, "same-origin", "none"):
+            return "requests from other sites are refused"
+        return None
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches a host."""
+    try:
+        return host.lower() == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_host(text: str) -> bool:
+    """Whether the header Host is a name or an address and perhaps a port, and nothing else."""
+    try:
+        parts = urlsplit(f"//{text}")
+        return parts.netloc == text and not parts.username and parts.port != 0
+    except ValueError:
+        return False

@@ -1,0 +1,114 @@
+"""What visitors ask, read from JSON that nobody has checked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from scoup.base.errors import InputError
+from scoup.scene.cameras import Camera
+from scoup.view.exact import LARGEST_SIDE
+
+MOST_TEXTS = 8
+LONGEST_TEXT = 200
+_QUALITIES = (1, 95)
+
+
+@dataclass(frozen=True)
+class Message:
+    """The fields of a request.
+
+    Attributes:
+        fields: as they came.
+
+    Raises:
+        InputError: of each method: a field is missing, of another type or out of range.
+    """
+
+    fields: dict[str, Any]
+
+    def texts(self) -> list[str]:
+        """1 to ``MOST_TEXTS`` texts in "texts"."""
+        texts = self.fields.get("texts")
+        if not isinstance(texts, list) or not 1 <= len(texts) <= MOST_TEXTS:
+            raise InputError(f"give 1 to {MOST_TEXTS} texts to look for")
+        return [_checked_text(text) for text in texts]
+
+    def text(self) -> str | None:
+        """The text in "text", if there is one."""
+        text = self.fields.get("text")
+        return None if text is None else _checked_text(text)
+
+    def level(self, count: int) -> int | None:
+        """The position of a level among ``count``, if there is one."""
+        level = self.fields.get("level")
+        if level is None:
+            return None
+        if not isinstance(level, int) or isinstance(level, bool) or not 0 <= level < count:
+            raise InputError(f"the level must be 0 to {count - 1}")
+        return level
+
+    def threshold(self) -> float | None:
+        """0 to 1, if there is one."""
+        threshold = self.fields.get("threshold")
+        return None if threshold is None else self._number("threshold", 0, 1)
+
+    def flag(self, name: str) -> bool:
+        """Whether a field is true; false if it is missing."""
+        value = self.fields.get(name, False)
+        if not isinstance(value, bool):
+            raise InputError(f"{name!r} must be true or false")
+        return value
+
+    def quality(self, default: int = 85) -> int:
+        """Of a JPEG."""
+        return default if "quality" not in self.fields else round(self._number("quality", *_QUALITIES))
+
+    def camera(self) -> Camera:
+        """The camera in "camera"; its sides are at most ``LARGEST_SIDE``."""
+        record = self.fields.get("camera")
+        if not isinstance(record, dict):
+            raise InputError("the camera is missing")
+        viewmat, K = _numbers(record, "viewmat", 16), _numbers(record, "K", 9)
+        width, height = (_side(record, name) for name in ("width", "height"))
+        matrix = torch.tensor(viewmat, dtype=torch.float64).reshape(4, 4)
+        return Camera("view", matrix, torch.tensor(K, dtype=torch.float64).reshape(3, 3), width, height)
+
+    def pixel(self) -> tuple[int, int]:
+        """(x, y) in "pixel"."""
+        x, y = _numbers(self.fields, "pixel", 2)
+        return math.floor(x), math.floor(y)
+
+    def _number(self, name: str, least: float, most: float) -> float:
+        value = self.fields.get(name)
+        if not isinstance(value, (int, float)) or not _is_number(value) or not least <= value <= most:
+            raise InputError(f"{name!r} must be {least:g} to {most:g}")
+        return float(value)
+
+
+def _checked_text(text: Any) -> str:
+    if not isinstance(text, str) or not text.strip() or len(text) > LONGEST_TEXT:
+        raise InputError(f"a text has 1 to {LONGEST_TEXT} letters")
+    return " ".join(text.split())
+
+
+def _numbers(record: dict[str, Any], name: str, count: int) -> list[float]:
+    values = record.get(name)
+    if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
+        raise InputError(f"{name!r} must be {count} numbers")
+    return [float(value) for value in values]
+
+
+def _side(record: dict[str, Any], name: str) -> int:
+    value = record.get(name)
+    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= LARGEST_SIDE:
+        raise InputError(f"{name!r} must be 1 to {LARGEST_SIDE} pixels")
+    return value
+
+
+def _is_number(value: Any) -> bool:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_number and abs(value) < 1e30  # also refuses what is not a number

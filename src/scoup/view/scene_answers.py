@@ -1,0 +1,111 @@
+"""Answers of a scene for the page: what the shader needs to light up the Gaussians of a text."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from scoup.query.presence import scene_z_scores
+from scoup.query.queried_field import QueriedField
+from scoup.query.relevancy import relevancy as relevancy_of
+from scoup.query.select import level_thresholds, select_by_relevancy
+from scoup.query.text_vectors import TextVectors
+from scoup.view.unit_codes import UnitCodes, atom_scores
+
+
+@dataclass(frozen=True, eq=False)
+class PageAnswer:
+    """The answer of a scene to one text, as the page takes it. The level and the Gaussians are those of `scoup select`.
+
+    Attributes:
+        text: the query.
+        scores: [S, L] float32, inner products of atoms and text.
+        level: position of the level that answers.
+        score: the largest relevancy of a Gaussian at that level; minus infinity if none has a code.
+        thresholds: [S] the stable threshold of each level, on the rescaled relevancy.
+        spans: [S, 2] relevancies that rescaling takes to 0 and 1 at each level.
+        z_score: of what was found; None if presence is not judged.
+        present: whether the thing is in the scene; true if that is not judged.
+        gaussians: how many answer.
+    """
+
+    text: str
+    scores: Tensor  # [S, L]
+    level: int
+    score: float
+    thresholds: Tensor  # [S]
+    spans: Tensor  # [S, 2]
+    z_score: float | None
+    present: bool
+    gaussians: int
+
+    def record(self) -> dict[str, Any]:
+        """Plain JSON values; ``scores`` as base64 of float32, little-endian."""
+        judged = self.z_score is not None and math.isfinite(self.z_score)
+        return {
+            "text": self.text,
+            "level": self.level,
+            "score": round(self.score, 4) if math.isfinite(self.score) else None,
+            "z_score": round(self.z_score or 0.0, 3) if judged else None,
+            "present": self.present,
+            "thresholds": [round(value, 4) for value in self.thresholds.tolist()],
+            "spans": [[round(low, 6), round(high, 6)] for low, high in self.spans.tolist()],
+            "gaussians": self.gaussians,
+            "scores": base64.b64encode(self.scores.contiguous().numpy().astype("<f4").tobytes()).decode(),
+        }
+
+
+def scene_answers(
+    field: QueriedField, codes: UnitCodes, texts: TextVectors, present_from: float | None
+) -> Iterator[PageAnswer]:
+    """The answer to each text, in their order.
+
+    Args:
+        field: to be queried.
+        codes: ``UnitCodes.of(field)``.
+        texts: with everyday words among the canonical phrases (``TextVectors.with_everyday``).
+        present_from: the z-score from which a thing counts as present; None: presence is not judged.
+    """
+    coded = codes.coded()
+    canonical = codes.cosines(atom_scores(field, texts.canonical)).amax(1, keepdim=True)  # [S, 1, N]
+    scores = atom_scores(field, texts.queries)
+    for number, text in enumerate(texts.texts):
+        own = scores[:, :, number : number + 1].contiguous()
+        relevancy = relevancy_of(codes.cosines(own), canonical)[:, 0]
+        found = select_by_relevancy(relevancy, coded)
+        z_score = None
+        if present_from is not None:
+            query = texts.queries[number : number + 1]
+            z_score = float(scene_z_scores(field, [found], query, texts.everyday)[0])
+        yield PageAnswer(
+            text=text,
+            scores=own[:, :, 0],
+            level=found.level,
+            score=found.score,
+            thresholds=level_thresholds(relevancy, coded),
+            spans=spans(relevancy, coded),
+            z_score=z_score,
+            present=present_from is None or z_score is None or z_score >= present_from,
+            gaussians=int(found.mask.sum()),
+        )
+
+
+def spans(relevancy: Tensor, coded: Tensor) -> Tensor:
+    """[S, 2]: the relevancies that ``scoup.query.smoothing.rescale`` takes to 0 and to 1 at each level.
+
+    Args:
+        relevancy: [S, N].
+        coded: [S, N] boolean, those that count; a level without any has the span 0.5 to 0.5.
+    """
+    low = torch.where(coded, relevancy, torch.inf).amin(1) if relevancy.shape[1] else torch.zeros(len(coded))
+    high = (
+        torch.where(coded, relevancy, -torch.inf).amax(1) if relevancy.shape[1] else torch.zeros(len(coded))
+    )
+    ends = torch.stack([(low + high) / 2, high], 1)  # the lower half is cut off
+    return torch.where(coded.any(1)[:, None], ends, 0.5)

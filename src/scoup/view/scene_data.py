@@ -1,0 +1,162 @@
+"""What the page needs of a field as one file: splat, codes, cameras (docs/formats.md, "Scene of a page")."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.pictures.colors import code_basis
+from scoup.query.queried_field import QueriedField
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.codes import SparseCodes
+from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.view.packing import byte_planes, fine_fractions, fractions, packed
+from scoup.view.shown import MOST_GAUSSIANS, shown_rows
+from scoup.view.unit_codes import UnitCodes
+
+VERSION = 1
+_SCALE_SHARES = (0.0005, 0.9995)  # of the scales outside of these, the nearest inside is taken
+_AXES = 8  # directions of embedding space among which the colours of codes are chosen
+_CODES_FOR_COLORS = 50_000
+
+
+def scene_metadata(
+    field: QueriedField, name: str, words_problem: str | None = None, present_from: float | None = None
+) -> dict[str, Any]:
+    """What the page is told of a field, but for its Gaussians: plain JSON values.
+
+    Args:
+        field: to be shown.
+        name: shown as its title.
+        words_problem: why no text can be asked; None if texts can.
+        present_from: the z-score from which a thing counts as present; None: presence is not judged.
+    """
+    up, centre, radius = surroundings(field.gaussians, field.cameras)
+    return {
+        "version": VERSION,
+        "name": name,
+        "n_gaussians": len(field),
+        "levels": list(field.levels),
+        "n_atoms": field.n_atoms,
+        "up": up,
+        "centre": centre,
+        "radius": radius,
+        "embedding_model": field.embedding_model,
+        "words_problem": words_problem,
+        "present_from": present_from,
+        "cameras": [_camera_record(camera) for camera in field.cameras or ()],
+    }
+
+
+def scene_data(
+    field: QueriedField,
+    codes: UnitCodes,
+    canonical: Tensor | None,
+    metadata: dict[str, Any],
+    most: int = MOST_GAUSSIANS,
+    effort: int = 6,
+) -> bytes:
+    """The file that the page loads.
+
+    Args:
+        field: to be shown, with its geometry.
+        codes: ``UnitCodes.of(field)``.
+        canonical: [S, L, P] scores of the canonical phrases; None if no text can be asked.
+        metadata: from ``scene_metadata``.
+        most: Gaussians at most (``shown_rows``).
+        effort: of compression, 1 to 9.
+    """
+    gaussians = field.gaussians.to("cpu")
+    rows = shown_rows(gaussians, most)
+    weights = codes.weights[rows]
+    largest = float(weights.max()) if weights.numel() else 0.0
+    tensors, ranges = _splat(gaussians.select(rows))
+    tensors |= {
+        "code_indices": codes.indices[rows].permute(1, 2, 0).numpy(),
+        "code_weights": fine_fractions(weights.permute(1, 2, 0).numpy(), largest),
+        "confidence": fractions(codes.confidence[rows].T.numpy(), 0.0, 1.0),
+        **_code_colors(field, codes),
+    }
+    if canonical is not None:
+        tensors["canonical"] = canonical.permute(0, 2, 1).numpy()
+    return packed(tensors, {**metadata, **ranges, "weights_scale": largest}, effort)
+
+
+def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[float], list[float], float]:
+    """The direction that is up, the point that the cameras look at, and how far they are from it.
+
+    Up is the mean of the cameras' upward axes. The point is the one nearest to all view axes. Without cameras, or if
+    their axes are parallel, it is the median of the means, and the distance twice the median distance from it.
+    """
+    finite = gaussians.means[gaussians.finite()].double().cpu()
+    middle = finite.median(0).values if len(finite) else torch.zeros(3, dtype=torch.float64)
+    around = float((finite - middle).norm(dim=1).median()) if len(finite) else 1.0
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    if cameras is None or not len(cameras):
+        return up.tolist(), middle.tolist(), max(2 * around, 1e-6)
+    upward = -torch.stack([camera.viewmat[1, :3] for camera in cameras]).mean(0)
+    if float(upward.norm()) > 1e-6:
+        up = upward / upward.norm()
+    places = torch.stack([camera.position for camera in cameras])
+    axes = torch.stack([camera.viewmat[2, :3] for camera in cameras])
+    across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None, :]  # [V, 3, 3]
+    matrix, right = across.sum(0), (across @ places[:, :, None]).sum(0)[:, 0]
+    centre = middle
+    if float(torch.linalg.eigvalsh(matrix)[0]) > 1e-3 * len(places):
+        centre = torch.linalg.solve(matrix, right)
+    radius = float((places - centre).norm(dim=1).median())
+    return up.tolist(), centre.tolist(), radius if radius > 1e-6 else max(2 * around, 1e-6)
+
+
+def _camera_record(camera: Camera) -> dict[str, Any]:
+    return {
+        "name": camera.name,
+        "viewmat": camera.viewmat.flatten().tolist(),
+        "K": camera.K.flatten().tolist(),
+        "width": camera.width,
+        "height": camera.height,
+    }
+
+
+def _splat(gaussians: Gaussians) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays of the Gaussians, and the ranges they are fractions of."""
+    means, low, high = byte_planes(gaussians.means.double().numpy())
+    logarithms = gaussians.scales.double().clamp(min=1e-30).log().numpy()
+    ends = np.quantile(logarithms, _SCALE_SHARES) if logarithms.size else np.zeros(2)
+    quats = gaussians.quats.double()
+    quats = quats / quats.abs().amax(1, keepdim=True).clamp(min=1e-12)
+    colors = (SH_C0 * gaussians.sh[:, 0] + 0.5).nan_to_num(0).numpy()
+    tensors = {
+        "means": means,
+        "scales": fractions(logarithms.T, float(ends[0]), float(ends[1])),
+        "quats": np.rint(quats.T.numpy() * 127).astype(np.int8),
+        "colors": fractions(colors.T, 0.0, 1.0),
+        "opacities": fractions(gaussians.opacities.numpy(), 0.0, 1.0),
+    }
+    ranges = {
+        "means_low": low,
+        "means_high": high,
+        "scales_low": float(ends[0]),
+        "scales_high": float(ends[1]),
+    }
+    return tensors, ranges
+
+
+def _code_colors(field: QueriedField, codes: UnitCodes) -> dict[str, NDArray[np.float32]]:
+    """A colour for each atom, [S, 3, L], whose weighted sum and offset [S, 3] is that of a code: like meaning, like
+    colour, as in ``scoup.query.drawing.code_drawing``."""
+    step = max(1, math.ceil(len(codes) / _CODES_FOR_COLORS))
+    colors, offsets = [], []
+    for level, atoms in enumerate(field.codebook.float().cpu()):
+        placed = atoms @ torch.linalg.svd(atoms, full_matrices=False).Vh[:_AXES].T  # [L, axes]
+        sample = SparseCodes(codes.indices[::step, level], codes.weights[::step, level], field.n_atoms)
+        affine, (low, high) = code_basis(sample.to_dense() @ placed)
+        colors.append((placed.double().numpy() @ affine[:-1] / (high - low)).T)
+        offsets.append((affine[-1] - low) / (high - low))
+    stacked = {"code_colors": np.stack(colors), "code_color_offsets": np.stack(offsets)}
+    return {name: array.astype(np.float32) for name, array in stacked.items()}

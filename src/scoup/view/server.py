@@ -1,0 +1,230 @@
+"""The viewer's server: hands out the page and the field opened, answers questions, and nothing else."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Awaitable, Callable
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.background import BackgroundTask
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Mount, Route
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Message as AsgiMessage
+
+from scoup.base.errors import ScoupError
+from scoup.io import write_ply_table
+from scoup.view.export import jpeg
+from scoup.view.guard import HEADERS, MOST_BYTES, Guard
+from scoup.view.page import PageFiles
+from scoup.view.requests import Message
+from scoup.view.viewed_field import ViewedField
+from scoup.view.work import BusyError, SupersededError, Work
+
+Answer = Callable[[Message, str], Awaitable[Response]]
+
+
+def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool = False) -> ASGIApp:
+    """The server of one field.
+
+    Args:
+        viewed: the field.
+        page: the files of the page.
+        guard: who may ask.
+        remote: the page shows pictures of this server only, and gets no Gaussians.
+    """
+    desk = _Answers(viewed, page, "remote" if remote else "live")
+    routes = [
+        Route("/", desk.index),
+        Route("/viewer.js", desk.program),
+        Route("/viewer.css", desk.style),
+        Route("/licences.txt", desk.licences),
+        Route("/scene.bin", desk.scene),
+        Route("/api/scene", desk.metadata),
+        Route("/api/vocabulary", desk.vocabulary),
+        Route("/api/thumbnail/{number:int}", desk.thumbnail),
+        Route("/api/alive", desk.alive),
+        *(
+            Route(f"/api/{name}", partial(_answered, answer), methods=["POST"])
+            for name, answer in desk.by_name().items()
+        ),
+    ]
+    handlers: Any = {HTTPException: _refusal, ScoupError: _user_error}
+    handlers |= {BusyError: _busy, SupersededError: _superseded, 500: _fault}
+    inner = Starlette(routes=[Mount(guard.prefix, routes=routes)], exception_handlers=handlers)
+    return _Guarded(inner, guard)
+
+
+class _Answers:
+    """The answer to each request. Work on the field goes through one thread."""
+
+    def __init__(self, viewed: ViewedField, page: PageFiles, mode: str) -> None:
+        self.viewed = viewed
+        self.page = page
+        self.mode = mode
+        self.work = Work()
+        self._scene: bytes | None = None
+        self._thumbnails: dict[int, bytes] = {}
+
+    def by_name(self) -> dict[str, Answer]:
+        return {"query": self.query, "render": self.render, "point": self.point, "select": self.select}
+
+    async def index(self, request: Request) -> Response:
+        return Response(self.page.with_settings(self.viewed.settings(self.mode)), media_type="text/html")
+
+    async def program(self, request: Request) -> Response:
+        return Response(self.page.program, media_type="text/javascript")
+
+    async def style(self, request: Request) -> Response:
+        return Response(self.page.style, media_type="text/css")
+
+    async def licences(self, request: Request) -> Response:
+        return Response(self.page.licences, media_type="text/plain")
+
+    async def alive(self, request: Request) -> Response:
+        return Response(status_code=204)
+
+    async def scene(self, request: Request) -> Response:
+        def packed() -> bytes:
+            if self._scene is None:
+                self._scene = self.viewed.scene()
+            return self._scene
+
+        data = self._scene or await self.work.run(packed)
+        return Response(data, media_type="application/octet-stream")
+
+    async def metadata(self, request: Request) -> Response:
+        return JSONResponse(await self.work.run(self.viewed.metadata))
+
+    @cached_property
+    def _words(self) -> dict[str, Any]:
+        vocabulary = self.viewed.vocabulary()
+        names = [] if vocabulary is None else list(vocabulary.texts)
+        return {"names": names, "closed": self.viewed.is_closed()}
+
+    async def vocabulary(self, request: Request) -> Response:
+        return JSONResponse(await self.work.run(lambda: self._words))
+
+    async def thumbnail(self, request: Request) -> Response:
+        number = request.path_params["number"]
+        cameras = self.viewed.field.cameras
+        if cameras is None or number >= len(cameras):
+            raise HTTPException(404)
+        if number not in self._thumbnails:
+            picture = await self.work.run(lambda: jpeg(self.viewed.thumbnail(cameras[number])))
+            self._thumbnails[number] = picture
+        return Response(self._thumbnails[number], media_type="image/jpeg")
+
+    async def query(self, message: Message, visitor: str) -> Response:
+        texts, always = message.texts(), message.flag("always")
+        answers = await self.work.run(lambda: self.viewed.answers(texts, always))
+        return JSONResponse({"answers": [answer.record() for answer in answers]})
+
+    async def render(self, message: Message, visitor: str) -> Response:
+        mode: Any = message.fields.get("mode", "color")
+        what = message.camera(), mode, message.text(), message.level(self._n_levels), message.threshold()
+        quality = message.quality()
+        picture = await self.work.run_newest(visitor, lambda: jpeg(self.viewed.picture(*what), quality))
+        return Response(picture, media_type="image/jpeg")
+
+    async def point(self, message: Message, visitor: str) -> Response:
+        camera, pixel = message.camera(), message.pixel()
+        return JSONResponse(await self.work.run(lambda: self.viewed.what_is_at(camera, pixel)))
+
+    async def select(self, message: Message, visitor: str) -> Response:
+        texts, level, threshold = message.texts(), message.level(self._n_levels), message.threshold()
+        rest, always = message.flag("rest"), message.flag("always")
+        folder = tempfile.TemporaryDirectory(prefix="scoup-view-")
+        path = Path(folder.name) / "selection.ply"
+
+        def write() -> None:
+            write_ply_table(self.viewed.selection(texts, level, threshold, rest, always), path)
+
+        try:
+            await self.work.run(write)
+        except BaseException:
+            folder.cleanup()
+            raise
+        name = "".join(letter if letter.isalnum() else "_" for letter in texts[0])
+        name = f"without_{name}.ply" if rest else f"{name}.ply"
+        return FileResponse(path, filename=name, background=BackgroundTask(folder.cleanup))
+
+    @property
+    def _n_levels(self) -> int:
+        return len(self.viewed.field.levels)
+
+
+async def _answered(answer: Answer, request: Request) -> Response:
+    """The answer to a message, once it is read and is JSON."""
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > MOST_BYTES:
+            return _error(413, f"a message has at most {MOST_BYTES:,} bytes")
+    try:
+        fields = json.loads(body)
+    except (ValueError, RecursionError):
+        fields = None
+    if not isinstance(fields, dict):
+        return _error(400, "a message is one JSON object")
+    return await answer(Message(fields), request.headers.get("x-scoup-visitor", "")[:64])
+
+
+class _Guarded:
+    """Refuses what the guard refuses, and adds the headers that keep the page to itself."""
+
+    def __init__(self, inner: ASGIApp, guard: Guard) -> None:
+        self.inner = inner
+        self.guard = guard
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.inner(scope, receive, send)
+            return
+
+        async def send_with_headers(message: AsgiMessage) -> None:
+            if message["type"] == "http.response.start":
+                own = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+                message = {**message, "headers": [*message.get("headers", []), *own]}
+            await send(message)
+
+        headers = Request(scope).headers
+        names = headers.get("host"), headers.get("origin"), headers.get("sec-fetch-site")
+        reason = self.guard.refuses(scope["method"], *names)
+        if reason is not None:
+            await _error(403, reason)(scope, receive, send_with_headers)
+            return
+        await self.inner(scope, receive, send_with_headers)
+
+
+def _error(status: int, sentence: str) -> JSONResponse:
+    return JSONResponse({"error": sentence}, status)
+
+
+def _refusal(request: Request, error: Exception) -> Response:
+    status = error.status_code if isinstance(error, HTTPException) else 404
+    return _error(status, "there is nothing here; open the address that scoup view printed")
+
+
+def _user_error(request: Request, error: Exception) -> Response:
+    return _error(400, str(error))
+
+
+def _busy(request: Request, error: Exception) -> Response:
+    return _error(503, "the server is busy; try again in a moment")
+
+
+def _superseded(request: Request, error: Exception) -> Response:
+    return _error(409, "a newer picture was asked for")
+
+
+def _fault(request: Request, error: Exception) -> Response:
+    return _error(
+        500, f"a fault of the program ({type(error).__name__}); the terminal of scoup view says more"
+    )

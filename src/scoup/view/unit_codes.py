@@ -1,0 +1,71 @@
+"""The codes of a field scaled so that a sum of few products is the cosine of a Gaussian with a text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup.query.queried_field import QueriedField
+from scoup.scene.codes import code_scores
+
+GAUSSIANS_AT_A_TIME = 65536
+
+
+@dataclass(frozen=True, eq=False)
+class UnitCodes:
+    """Codes whose decoded features have norm 1. Tensors are on the CPU.
+
+    The cosine of a Gaussian with a text is (w A) / sqrt(w G w^T) with A = C T^T and G = C C^T (method.md, stage 3).
+    The divisor does not depend on the text: it is taken out of the weights once.
+
+    Attributes:
+        indices: [N, S, K] as in the field.
+        weights: [N, S, K] float32, divided by the norm of the decoded code; zeros where there is no code.
+        confidence: [N, S] float32, 0..1: norm of the decoded code when its weights sum to 1. It is 1 where all regions
+            that voted for the Gaussian have one embedding, and less the more they differ; 0 where there is no code.
+    """
+
+    indices: Tensor  # [N, S, K]
+    weights: Tensor  # [N, S, K]
+    confidence: Tensor  # [N, S]
+
+    @classmethod
+    def of(cls, field: QueriedField) -> UnitCodes:
+        """Those of a field."""
+        indices, codebook = field.code_indices.cpu(), field.codebook.float().cpu()
+        weights = field.code_weights.float().cpu()
+        norms = torch.zeros(weights.shape[:2])
+        for level, atoms in enumerate(codebook):
+            gram = atoms @ atoms.T
+            for start in range(0, len(weights), GAUSSIANS_AT_A_TIME):
+                rows = slice(start, start + GAUSSIANS_AT_A_TIME)
+                own, some = indices[rows, level].long(), weights[rows, level]
+                products = gram[own[:, :, None], own[:, None, :]]  # [M, K, K]
+                squared = (some[:, :, None] * products * some[:, None, :]).sum((1, 2))
+                norms[rows, level] = squared.clamp(min=0).sqrt()
+        sums = weights.sum(-1)
+        confidence = torch.where(sums > 0, norms / sums, 0.0).clamp(0, 1)
+        unit = torch.where(norms[..., None] > 0, weights / norms[..., None], 0.0)
+        return cls(indices, unit, confidence)
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def coded(self) -> Tensor:
+        """[S, N] boolean: Gaussians with a code at each level."""
+        return (self.weights > 0).any(-1).T
+
+    def cosines(self, scores: Tensor) -> Tensor:
+        """[S, Q, N] float32 cosines of all Gaussians; 0 without a code.
+
+        Args:
+            scores: [S, L, Q] float32, A: inner products of atoms and unit text vectors (``atom_scores``).
+        """
+        return code_scores(self.indices, self.weights, scores).permute(1, 2, 0)
+
+
+def atom_scores(field: QueriedField, vectors: Tensor) -> Tensor:
+    """[S, L, Q] float32 on the CPU: inner products A = C T^T of the codebooks and text vectors [Q, D]."""
+    return field.codebook.float().cpu() @ vectors.float().cpu().T

@@ -1,0 +1,207 @@
+"""A field that is looked at: what its page asks for, and what is kept between two questions."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from scoup import raster
+from scoup.base.errors import InputError, ScoupError
+from scoup.io import PlyTable
+from scoup.pictures import as_picture
+from scoup.pictures.colors import Picture
+from scoup.query.answering import answer_scene
+from scoup.query.methods import Encoder, FieldQueries
+from scoup.query.presence import presence_threshold
+from scoup.query.splat_table import SplatTable
+from scoup.query.text_vectors import TextVectors
+from scoup.scene.cameras import Camera
+from scoup.view.exact import ExactPictures, PictureMode, PictureRequest, what_is_at
+from scoup.view.scene_answers import PageAnswer, scene_answers
+from scoup.view.scene_data import scene_data, scene_metadata
+from scoup.view.shown import MOST_GAUSSIANS
+from scoup.view.unit_codes import UnitCodes, atom_scores
+from scoup.view.vocabulary import everyday_vocabulary
+
+THUMBNAIL_WIDTH = 160
+
+
+class ViewedField:
+    """A field with what its page needs. Not for several threads at once.
+
+    Attributes:
+        name: of the field, its title.
+        words_problem: why no text can be asked; None if texts can.
+        table: the table or model that was given for texts, as commands name it; None if none was.
+
+    Args:
+        field: to be shown; its geometry must be at hand.
+        encoder: of texts; by default the one that the field names. If that cannot be opened, the field is shown all the
+            same, and ``words_problem`` says why no text can be asked.
+        words: the vocabulary that a click chooses from; by default everyday words, or the names of the table.
+        most: Gaussians that the page shows at most.
+
+    Raises:
+        ScoupError: an encoder was given and cannot be opened, or does not fit the field.
+        InputError: ``most`` is below 1, or the geometry cannot be loaded.
+    """
+
+    def __init__(
+        self,
+        field: FieldQueries,
+        encoder: Encoder | None = None,
+        words: Sequence[str] | None = None,
+        most: int = MOST_GAUSSIANS,
+    ) -> None:
+        if most < 1:
+            raise InputError(f"a page shows at least 1 Gaussian, got {most}")
+        self.field = field
+        self.gaussians = field.gaussians  # refused at once if it is not there
+        self.most = most
+        self.name = "field" if field.path is None else field.path.name
+        self.table = str(encoder) if isinstance(encoder, (str, Path)) else None
+        self.words_problem: str | None = None
+        self._vocabulary: TextVectors | None = None
+        self._wanted_words = words
+        try:
+            field.text_encoder(encoder)
+            self.texts(self._probe)
+        except ScoupError as error:
+            if encoder is not None:
+                raise
+            self.words_problem = str(error)
+        self._pictures = ExactPictures(field)
+
+    @cached_property
+    def codes(self) -> UnitCodes:
+        """The field's codes with decoded norm 1."""
+        return UnitCodes.of(self.field)
+
+    @property
+    def path(self) -> str:
+        """The field's file as the command line names it; a name in its place if it has none."""
+        return "field.scoup" if self.field.path is None else str(self.field.path)
+
+    def settings(self, mode: str) -> dict[str, Any]:
+        """The settings of a page: "live", "remote" or "exported"."""
+        from scoup.base.version import VERSION
+
+        command = f"scoup view {shlex.quote(self.path)}"
+        if self.table is not None:
+            command += f" --text {shlex.quote(self.table)}"
+        return {
+            "mode": mode,
+            "name": self.name,
+            "version": VERSION,
+            "open": command,
+            "field": self.path,
+            "text": self.table,
+        }
+
+    def vocabulary(self) -> TextVectors | None:
+        """The words that a click chooses from; None if no text can be asked.
+
+        Raises:
+            UnknownNameError: a word that was wanted is not in the table.
+        """
+        if self._vocabulary is None and self.words_problem is None:
+            words = self._wanted_words or everyday_vocabulary(self.field.text_encoder())
+            self._vocabulary = self.texts(words)[0]
+        return self._vocabulary
+
+    def is_closed(self) -> bool:
+        """Whether only the names of a table can be asked."""
+        return self.words_problem is None and self.field.text_encoder().names is not None
+
+    def texts(self, texts: Sequence[str], always: bool = False) -> tuple[TextVectors, float | None]:
+        """Vectors of texts with all that they are compared with, and the z-score from which one counts as present.
+
+        Raises:
+            InputError: no text can be asked of this field.
+            UnknownNameError: a text is not in the table.
+        """
+        if self.words_problem is not None:
+            raise InputError(self.words_problem)
+        vectors = self.field.text_vectors(list(texts))
+        return vectors.with_everyday(), None if always else presence_threshold(vectors)
+
+    def metadata(self) -> dict[str, Any]:
+        """What the page is told of the field (``scene_metadata``)."""
+        present_from = None if self.words_problem is not None else self.texts(self._probe)[1]
+        return scene_metadata(self.field, self.name, self.words_problem, present_from)
+
+    def scene(self, effort: int = 1) -> bytes:
+        """The file that the page loads (``scene_data``)."""
+        canonical = None
+        if self.words_problem is None:
+            canonical = atom_scores(self.field, self.texts(self._probe)[0].canonical)
+        return scene_data(self.field, self.codes, canonical, self.metadata(), self.most, effort)
+
+    def answers(self, texts: Sequence[str], always: bool = False) -> list[PageAnswer]:
+        """The answers of the scene to texts."""
+        vectors, present_from = self.texts(texts, always)
+        return list(scene_answers(self.field, self.codes, vectors, present_from))
+
+    def picture(
+        self,
+        camera: Camera,
+        mode: PictureMode = "color",
+        text: str | None = None,
+        level: int | None = None,
+        threshold: float | None = None,
+    ) -> Picture:
+        """The method's own picture of a view; see ``scoup.view.exact.PictureRequest``."""
+        vectors, present_from = (None, None) if text is None else self.texts([text])
+        request = PictureRequest(camera, mode, vectors, level, threshold, present_from)
+        return self._pictures.picture(request)
+
+    def what_is_at(self, camera: Camera, pixel: tuple[int, int]) -> dict[str, Any]:
+        """What the scene says is at a pixel; see ``scoup.view.exact.what_is_at``."""
+        return what_is_at(self.field, self.codes.confidence, camera, pixel, self.vocabulary())
+
+    def selection(
+        self,
+        texts: Sequence[str],
+        level: int | None = None,
+        threshold: float | None = None,
+        rest: bool = False,
+        always: bool = False,
+    ) -> PlyTable:
+        """The Gaussians that answer any of the texts, or all others, as `scoup select` writes them.
+
+        Raises:
+            InputError: there would be none, or a value is out of range.
+        """
+        vectors, present_from = self.texts(texts, always)
+        levels = [level] * len(texts)
+        if threshold is not None and level is None:  # the page moves the threshold and leaves the level
+            levels = [answer.level for answer in self.answers(texts, always)]
+        chosen = torch.zeros(len(self.field), dtype=torch.bool)
+        for number, own in enumerate(levels):
+            one = replace(
+                vectors, texts=vectors.texts[number : number + 1], queries=vectors.queries[number][None]
+            )
+            answer = answer_scene(self.field, one, threshold, present_from=present_from, level=own)[0]
+            chosen |= answer.mask
+        chosen = ~chosen if rest else chosen
+        if not chosen.any():
+            raise InputError("no Gaussian is selected; try a lower threshold, or another text")
+        return SplatTable.of(self.field).select(chosen)
+
+    def thumbnail(self, camera: Camera) -> Picture:
+        """A small picture of a view, [H, ``THUMBNAIL_WIDTH``, 3] uint8."""
+        height = max(1, round(camera.height * THUMBNAIL_WIDTH / camera.width))
+        small = camera.resized(THUMBNAIL_WIDTH, min(height, 4 * THUMBNAIL_WIDTH))
+        return as_picture(raster.render_colors(self.gaussians, small, self.field.project(small)))
+
+    @cached_property
+    def _probe(self) -> list[str]:
+        """A text that can be asked."""
+        names = self.field.text_encoder().names
+        return [names[0] if names else "object"]

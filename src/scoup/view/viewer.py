@@ -1,0 +1,185 @@
+"""A viewer that is open: its server, its address, its end."""
+
+from __future__ import annotations
+
+import html
+import importlib.util
+import socket
+import threading
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from scoup.base.errors import InputError, ScoupError
+from scoup.query.methods import Encoder, FieldQueries
+from scoup.view.guard import Guard
+from scoup.view.page import page_files
+from scoup.view.shown import MOST_GAUSSIANS
+from scoup.view.viewed_field import ViewedField
+
+if TYPE_CHECKING:
+    import uvicorn
+
+PORT = 8350
+_START_SECONDS = 30.0
+_NEEDED = ("starlette", "uvicorn")
+
+
+class Viewer:
+    """A field in the browser, served from a thread of this process until ``close``, or the end of a ``with`` block.
+
+    In a notebook it shows its page.
+
+    Attributes:
+        address: to be opened in a browser.
+        viewed: the field.
+        height: of the page in a notebook, in pixels.
+
+    Args:
+        viewed: the field.
+        host: to bind to. Beyond loopback the address holds a token that nobody can guess.
+        port: to bind to; 0 takes any, None ``PORT`` or, if that is in use, any.
+        remote: show pictures of the server only, for scenes or machines that are too much for the browser.
+        height: of the page in a notebook, in pixels.
+
+    Raises:
+        ScoupError: the page was not built, or a package is missing.
+        InputError: host and port cannot be bound to.
+    """
+
+    def __init__(
+        self,
+        viewed: ViewedField,
+        host: str = "127.0.0.1",
+        port: int | None = None,
+        remote: bool = False,
+        height: int = 640,
+    ) -> None:
+        check_needed()
+        page = page_files()
+        import uvicorn
+
+        from scoup.view.server import application
+
+        guard = Guard.of(host)
+        self.viewed, self.height = viewed, height
+        self._socket = _bound(host, port)
+        shown = _shown_host(host)
+        self.address = f"http://{shown}:{self._socket.getsockname()[1]}{guard.prefix}/"
+        config = uvicorn.Config(
+            application(viewed, page, guard, remote),
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            lifespan="off",
+            timeout_graceful_shutdown=2,
+            h11_max_incomplete_event_size=65_536,
+        )
+        self._server: uvicorn.Server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._serve, name="scoup view", daemon=True)
+        self._thread.start()
+        self._wait_for_start()
+
+    def _serve(self) -> None:
+        self._server.run(sockets=[self._socket])
+
+    def _wait_for_start(self) -> None:
+        end = time.monotonic() + _START_SECONDS
+        while not self._server.started:
+            if not self._thread.is_alive() or time.monotonic() > end:
+                self.close()
+                raise ScoupError("the viewer's server did not start")
+            time.sleep(0.01)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it still answers."""
+        return self._thread.is_alive()
+
+    def wait(self) -> None:
+        """Until it is closed, or interrupted."""
+        while self._thread.is_alive():
+            self._thread.join(0.5)
+
+    def close(self) -> None:
+        """Stop answering; open pages say so."""
+        self._server.should_exit = True
+        self._thread.join(10)
+        self._socket.close()
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"Viewer({self.viewed.name} at {self.address}{'' if self.is_open else ', closed'})"
+
+    def _repr_html_(self) -> str:
+        if not self.is_open:
+            return f"<p>The viewer of {html.escape(self.viewed.name)} is closed.</p>"
+        title = html.escape(f"Viewer of {self.viewed.name}", quote=True)
+        return (
+            f'<iframe src="{html.escape(self.address, quote=True)}" title="{title}" width="100%" '
+            f'height="{self.height}" style="border:0" allow="clipboard-write; fullscreen"></iframe>'
+        )
+
+
+def open_viewer(
+    field: FieldQueries,
+    encoder: Encoder | None = None,
+    words: Sequence[str] | None = None,
+    most: int = MOST_GAUSSIANS,
+    remote: bool = False,
+    height: int = 640,
+) -> Viewer:
+    """A viewer of a field on this machine; arguments as for ``ViewedField`` and ``Viewer``."""
+    check_needed()
+    return Viewer(ViewedField(field, encoder, words, most), remote=remote, height=height)
+
+
+def check_needed() -> None:
+    """Check that the packages of the server are there.
+
+    Raises:
+        ScoupError: one is missing.
+    """
+    missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ScoupError(f'the viewer needs {" and ".join(missing)}: pip install "scoup[view]"')
+
+
+def _bound(host: str, port: int | None) -> socket.socket:
+    """A socket that is bound to host and port.
+
+    Raises:
+        InputError: the system refuses.
+    """
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(
+            host, PORT if port is None else port, type=socket.SOCK_STREAM
+        )[0]
+    except (OSError, OverflowError, UnicodeError) as error:
+        raise InputError(f"{host}: is not a host of this machine ({error})") from None
+    refusal = ""
+    for wanted in dict.fromkeys([address[1], 0 if port is None else address[1]]):
+        found = socket.socket(family, kind)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            found.bind((address[0], wanted, *address[2:]))
+        except OSError as error:
+            found.close()
+            refusal = error.strerror or str(error)
+        else:
+            return found
+    raise InputError(f"{host}, port {port}: {refusal}; give another --port, or 0 for any that is free")
+
+
+def _shown_host(host: str) -> str:
+    """The host as an address names it: of one that stands for all of a machine's, the name of the machine."""
+    name = socket.gethostname() if host in ("0.0.0.0", "::") else host
+    return f"[{name}]" if ":" in name else name

@@ -1,0 +1,87 @@
+"""A vocabulary with the answers of a scene to each of its words, for a page that has no server."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from scoup.base.errors import InputError
+from scoup.base.progress import Progress, no_progress
+from scoup.models.text import TextEncoder
+from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.query.queried_field import QueriedField
+from scoup.query.text_vectors import TextVectors
+from scoup.view.packing import packed
+from scoup.view.scene_answers import PageAnswer, scene_answers
+from scoup.view.unit_codes import UnitCodes
+
+AT_A_TIME = 16  # words between two reports of progress
+
+
+def everyday_vocabulary(encoder: TextEncoder) -> tuple[str, ...]:
+    """The words of a page if no others are wanted: everyday words; of a table, all its names but the canonical phrases.
+
+    Args:
+        encoder: of the texts.
+    """
+    phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
+    names = EVERYDAY_WORDS if encoder.names is None else encoder.names
+    kept = (" ".join(name.split()) for name in names)
+    return tuple(dict.fromkeys(name for name in kept if name and name.casefold() not in phrases))
+
+
+def read_words(path: str, text: str) -> tuple[str, ...]:
+    """The words of a list, one a line; empty lines and repetitions are left out.
+
+    Args:
+        path: of the list, for the message.
+        text: its contents.
+
+    Raises:
+        InputError: there is none.
+    """
+    words = tuple(dict.fromkeys(" ".join(line.split()) for line in text.splitlines() if line.strip()))
+    if not words:
+        raise InputError(f"{path}: holds no word; write one a line")
+    return words
+
+
+def words_data(answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
+    """The file of words that an exported page holds (docs/formats.md, "Words of a page").
+
+    Args:
+        answers: one a word.
+        effort: of compression, 1 to 9.
+    """
+    z_scores = [math.nan if answer.z_score is None else answer.z_score for answer in answers]
+    tensors = {
+        "scores": torch.stack([answer.scores for answer in answers]).half().numpy(),
+        "thresholds": torch.stack([answer.thresholds for answer in answers]).float().numpy(),
+        "spans": torch.stack([answer.spans for answer in answers]).float().numpy(),
+        "levels": np.array([answer.level for answer in answers], np.uint8),
+        "score": np.array([answer.score for answer in answers], np.float32),
+        "z_scores": np.array(z_scores, np.float32),
+        "present": np.array([answer.present for answer in answers], np.uint8),
+        "gaussians": np.array([answer.gaussians for answer in answers], np.int32),
+    }
+    return packed(tensors, {"names": [answer.text for answer in answers]}, effort)
+
+
+def vocabulary_answers(
+    field: QueriedField,
+    codes: UnitCodes,
+    texts: TextVectors,
+    present_from: float | None,
+    progress: Progress = no_progress,
+) -> list[PageAnswer]:
+    """The answers to all words; arguments as for ``scene_answers``."""
+    answers = []
+    progress("words", 0, len(texts.texts))
+    for answer in scene_answers(field, codes, texts, present_from):
+        answers.append(answer)
+        if len(answers) % AT_A_TIME == 0 or len(answers) == len(texts.texts):
+            progress("words", len(answers), len(texts.texts))
+    return answers
