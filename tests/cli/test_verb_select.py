@@ -138,3 +138,17 @@ def test_bad_options():
     assert "--threshold must be 0 to 1" in refused(*ask, "a.ply", "--threshold", "nan")
     assert "--neighbours must be 0 or more" in refused(*ask, "a.ply", "--neighbours", "-1")
     assert "name at least one text" in refused("select", "f.scoup", "--out", "a.ply")
+
+
+def test_a_level_of_ones_own():
+    counts = {
+        level: run_json("select", "f.scoup", "kettle", "--out", f"{level}.ply", "--level", level)["written"]
+        for level in ("s", "m", "l")
+    }
+    field = LanguageField.load("f.scoup")
+    for level, count in counts.items():
+        assert count == int(field.locate("kettle", level=level).answer.mask.sum())
+    assert len(set(counts.values())) > 1
+    assert "there is no level 'x'" in refused(
+        "select", "f.scoup", "kettle", "--out", "x.ply", "--level", "x"
+    )

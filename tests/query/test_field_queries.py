@@ -298,3 +298,20 @@ def test_the_mean_of_everyday_words_stays_short(queried: Queried) -> None:
     unit = torch.nn.functional.normalize(mean, dim=1)
     other = field.gaussian_relevancy(texts.queries, torch.cat([texts.canonical, unit]))
     assert not torch.allclose(found, other, atol=1e-4)
+
+
+def test_a_level_of_ones_own_answers(queried: Queried) -> None:
+    field, texts = queried.field, queried.texts
+    for number, level in enumerate(field.levels):
+        answer = answer_view(field, queried.camera, texts, level=level)[0]
+        assert (answer.level, answer.point_level) == (level, level)
+        relevancy = field.relevancy(queried.camera, texts.queries, texts.canonical)[number, 0]
+        torch.testing.assert_close(answer.heat, relevancy, atol=1e-5, rtol=0)
+        place = answer_scene(field, texts, level=number)[0]
+        assert place.level == level
+        own = field.gaussian_relevancy(texts.queries[:1], texts.canonical)[number, 0]
+        assert torch.equal(place.relevancy, own)
+    best = answer_scene(field, texts)[0]
+    assert torch.equal(best.mask, answer_scene(field, texts, level=best.level)[0].mask)
+    with pytest.raises(InputError, match="no level"):
+        answer_view(field, queried.camera, texts, level="x")

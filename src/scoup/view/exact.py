@@ -76,7 +76,7 @@ class ExactPictures:
 
     def picture(self, request: PictureRequest) -> Picture:
         """[H, W, 3] uint8, of the camera's size, without any lettering."""
-        camera, projection = request.camera, self._projected(request.camera)
+        camera, projection = request.camera, self.projected(request.camera)
         if request.mode == "codes":
             level = len(self.field.levels) // 2 if request.level is None else request.level
             if level not in self._code_drawings:
@@ -93,8 +93,8 @@ class ExactPictures:
             return heat_overlay(answer.heat, rgb)
         return mask_overlay(answer.mask, rgb, answer.box, answer.point)
 
-    def _projected(self, camera: Camera) -> raster.Projection:
-        """The projection of the last camera is kept: queries of one camera are then faster."""
+    def projected(self, camera: Camera) -> raster.Projection:
+        """The projection to a camera; the last is kept, and so are queries of one camera faster."""
         name = camera.fingerprint()
         if self._projection is None or self._projection[0] != name:
             self._projection = name, self.field.project(camera)
@@ -102,7 +102,12 @@ class ExactPictures:
 
 
 def what_is_at(
-    field: QueriedField, confidence: Tensor, camera: Camera, pixel: tuple[int, int], words: TextVectors | None
+    field: QueriedField,
+    confidence: Tensor,
+    camera: Camera,
+    pixel: tuple[int, int],
+    words: TextVectors | None,
+    projection: raster.Projection | None = None,
 ) -> dict[str, Any]:
     """What a scene says is at a pixel: the words that fit best there, level by level, and where it is.
 
@@ -115,6 +120,7 @@ def what_is_at(
         camera: of the view.
         pixel: (x, y).
         words: a vocabulary, and what its words are compared with; None: no words.
+        projection: what ``field.project(camera)`` gave, if it is known.
 
     Returns:
         "position": [3] world units, None if nothing is there; "distance": from the camera; "levels": of each level its
@@ -126,8 +132,11 @@ def what_is_at(
     x, y = pixel
     if not (0 <= x < camera.width and 0 <= y < camera.height):
         raise InputError(f"pixel ({x}, {y}) is not in a view of {camera.width} x {camera.height}")
-    projection = field.project(_one_pixel(camera, x, y))
-    sums = raster.region_sums(projection, torch.zeros(1, 1, 1, dtype=torch.int32))
+    projection = field.project(camera) if projection is None else projection
+    # Of the whole view: Inria's rasteriser clamps its Jacobian at the edges, so a view of one pixel looks different.
+    labels = torch.full((1, camera.height, camera.width), -1, dtype=torch.int32)
+    labels[0, y, x] = 0
+    sums = raster.region_sums(projection, labels.to(field.codebook.device))
     gaussians, _, weights = (part.cpu() for part in sums.triplets(0))
     if not len(gaussians) or not float(weights.sum()) > 0:
         return {"position": None, "distance": None, "levels": []}
@@ -141,14 +150,6 @@ def what_is_at(
         levels.append({"level": name, "confidence": round(found, 4), "words": nearest})
     distance = float((position - camera.position).norm())
     return {"position": position.tolist(), "distance": distance, "levels": levels}
-
-
-def _one_pixel(camera: Camera, x: int, y: int) -> Camera:
-    """The camera of one pixel of a view."""
-    K = camera.K.clone()
-    K[0, 2] -= x
-    K[1, 2] -= y
-    return Camera(f"{camera.name} at {x}, {y}", camera.viewmat, K, 1, 1)
 
 
 def _position(

@@ -128,7 +128,14 @@ class _Answers:
 
     async def render(self, message: Message, visitor: str) -> Response:
         mode: Any = message.fields.get("mode", "color")
-        what = message.camera(), mode, message.text(), message.level(self._n_levels), message.threshold()
+        what = (
+            message.camera(),
+            mode,
+            message.text(),
+            message.level(self._n_levels),
+            message.threshold(),
+            message.flag("always"),
+        )
         quality = message.quality()
         picture = await self.work.run_newest(visitor, lambda: jpeg(self.viewed.picture(*what), quality))
         return Response(picture, media_type="image/jpeg")

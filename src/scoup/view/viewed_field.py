@@ -92,17 +92,16 @@ class ViewedField:
         """The settings of a page: "live", "remote" or "exported"."""
         from scoup.base.version import VERSION
 
-        command = f"scoup view {shlex.quote(self.path)}"
-        if self.table is not None:
-            command += f" --text {shlex.quote(self.table)}"
-        return {
-            "mode": mode,
-            "name": self.name,
-            "version": VERSION,
-            "open": command,
-            "field": self.path,
-            "text": self.table,
-        }
+        # Where a page is sent to, the folders of this machine mean nothing.
+        path, table = (
+            name if mode != "exported" or name is None else Path(name).name
+            for name in (self.path, self.table)
+        )
+        command = f"scoup view {shlex.quote(str(path))}"
+        if table is not None:
+            command += f" --text {shlex.quote(table)}"
+        facts = {"mode": mode, "name": self.name, "version": VERSION}
+        return {**facts, "open": command, "field": path, "text": table}
 
     def vocabulary(self) -> TextVectors | None:
         """The words that a click chooses from; None if no text can be asked.
@@ -155,15 +154,17 @@ class ViewedField:
         text: str | None = None,
         level: int | None = None,
         threshold: float | None = None,
+        always: bool = False,
     ) -> Picture:
         """The method's own picture of a view; see ``scoup.view.exact.PictureRequest``."""
-        vectors, present_from = (None, None) if text is None else self.texts([text])
+        vectors, present_from = (None, None) if text is None else self.texts([text], always)
         request = PictureRequest(camera, mode, vectors, level, threshold, present_from)
         return self._pictures.picture(request)
 
     def what_is_at(self, camera: Camera, pixel: tuple[int, int]) -> dict[str, Any]:
         """What the scene says is at a pixel; see ``scoup.view.exact.what_is_at``."""
-        return what_is_at(self.field, self.codes.confidence, camera, pixel, self.vocabulary())
+        projection = self._pictures.projected(camera)
+        return what_is_at(self.field, self.codes.confidence, camera, pixel, self.vocabulary(), projection)
 
     def selection(
         self,

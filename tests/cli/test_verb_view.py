@@ -1,0 +1,92 @@
+"""scoup view."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from cli_support import refused, run, run_json
+from scoup.view import export, page, viewer
+from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
+from support import HANGS
+
+PAGE = PageFiles(f"<head>{STYLE}{SETTINGS}</head>{PROGRAM}", b"", "", "")
+BUILT = page.page_files
+pytestmark = pytest.mark.usefixtures("here")
+
+SERVE = f"""
+import sys
+from scoup.view import page, viewer
+page.page_files = viewer.page_files = lambda: page.PageFiles({PAGE.index!r}, b"", "", "")
+from scoup.cli.app import entry
+entry()
+"""
+
+
+@pytest.fixture(autouse=True)
+def built_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (export, page, viewer):
+        monkeypatch.setattr(module, "page_files", lambda: PAGE)
+
+
+def test_export_prints_sizes():
+    code, out, err = run("view", "f.scoup", "--export", "page.html")
+    assert (code, err) == (0, "")
+    assert out.startswith("page.html: 0.")
+    assert out.rstrip().endswith("3 words")
+    record = run_json("view", "f.scoup", "--export", "page.html", "--overwrite")
+    assert record["bytes"] == Path("page.html").stat().st_size
+    folder = run_json("view", "f.scoup", "--export", "pages", "--split")
+    assert folder["bytes"] == sum(path.stat().st_size for path in Path("pages").iterdir())
+    Path("words.txt").write_text("mug\n")
+    assert run_json("view", "f.scoup", "--export", "own.html", "--words", "words.txt")["words"] == 1
+
+
+def test_bad_input_is_one_sentence():
+    Path("empty.txt").write_text("\n")
+    Path("other.txt").write_text("zebra\n")
+    for options, said in (
+        (["--export", "page.txt"], "page.txt: give a name that ends in .html"),
+        (["--split"], "--split belongs to --export"),
+        (["--most", "0"], "--most must be 1 or more"),
+        (["--port", "70000"], "--port must be 0 to 65535"),
+        (["--words", "missing.txt"], "missing.txt"),
+        (["--words", "empty.txt"], "empty.txt: holds no word"),
+        (["--words", "other.txt"], "zebra"),
+        (["--text", "missing.npz"], "missing.npz"),
+        (["--export", "f.scoup"], "give a name that ends in .html"),
+    ):
+        assert said in refused("view", "f.scoup", *options)
+    assert "missing.scoup" in refused("view", "missing.scoup")
+    Path("there.html").write_text("mine")
+    assert "--overwrite" in refused("view", "f.scoup", "--export", "there.html")
+
+
+def test_a_page_that_was_not_built_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setattr(page, "page_files", lambda: BUILT(tmp_path))
+    assert "tools/build_viewer.py" in refused("view", "f.scoup")
+
+
+@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+def test_it_serves_until_it_is_stopped(stop: signal.Signals, code: int):
+    command = [sys.executable, "-c", SERVE, "view", "f.scoup", "--port", "0", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        lines = []
+        while not lines or lines[-1] != "}\n":
+            lines.append(process.stdout.readline())
+            assert lines[-1], process.stderr and process.stderr.read()
+        address = json.loads("".join(lines))["address"]
+        body = json.dumps({"texts": ["kettle"]}).encode()
+        with urllib.request.urlopen(urllib.request.Request(f"{address}api/query", body)) as answer:
+            assert json.load(answer)["answers"][0]["text"] == "kettle"
+        process.send_signal(stop)
+        _, err = process.communicate(timeout=HANGS)
+    assert process.returncode == code
+    assert "Traceback" not in err

@@ -1,0 +1,150 @@
+"""Pages that need no server."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from view_samples import PAGE, WORDS, random_field, table, unpacked, viewed_field
+
+from scoup.base.errors import OutputExistsError, ScoupError
+from scoup.view import export
+from scoup.view.export import FOLDER_FILES, export_page
+from scoup.view.page import PageFiles, page_files
+from scoup.view.viewed_field import ViewedField
+
+
+@pytest.fixture(autouse=True)
+def page(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(export, "page_files", lambda: PAGE)
+
+
+@pytest.fixture(scope="module")
+def viewed() -> ViewedField:
+    return viewed_field()
+
+
+def data_of(text: str, name: str) -> object:
+    """What a script assigns to a name."""
+    found = re.search(rf"{re.escape(name)} = (.*);\n", text)
+    assert found is not None
+    return json.loads(found[1])
+
+
+def test_one_file_holds_everything(viewed: ViewedField, tmp_path: Path) -> None:
+    out = tmp_path / "scene.html"
+    report = export_page(viewed, out)
+    text = out.read_text()
+    assert report.n_bytes == out.stat().st_size
+    assert report.words == len(WORDS)
+    data = data_of(text, "window.scoupData")
+    assert isinstance(data, dict)
+    tensors, metadata = unpacked(base64.b64decode(data["scene"]))
+    assert len(base64.b64decode(data["scene"])) == report.scene_bytes
+    assert metadata["n_gaussians"] == 60
+    assert tensors["opacities"].shape == (60,)
+    words, names = unpacked(base64.b64decode(data["words"]))
+    assert names["names"] == list(WORDS)
+    assert words["scores"].dtype == np.float16
+    pictures = [Image.open(io.BytesIO(base64.b64decode(each))) for each in data["thumbnails"]]
+    assert [picture.size for picture in pictures] == [(160, 120)] * 3
+    program = re.search(r'window.scoupProgram = "([^"]*)"', text)
+    assert program is not None
+    assert gzip.decompress(base64.b64decode(program[1])) == PAGE.program
+    assert PAGE.style in text
+    assert "three: MIT - - as it is" in text  # within a comment
+    settings = json.loads(text.split('type="application/json">')[1].split("</script>")[0])
+    assert settings["mode"] == "exported"
+    assert "viewer.js" not in text
+    assert not re.search(r"(src|href)=", text)
+
+
+def test_the_same_field_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a.html", "b.html"):
+        export_page(viewed_field(), tmp_path / name)
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+
+
+def test_a_folder_holds_the_same(viewed: ViewedField, tmp_path: Path) -> None:
+    out = tmp_path / "page"
+    report = export_page(viewed, out, split=True)
+    assert sorted(path.name for path in out.iterdir()) == sorted(FOLDER_FILES)
+    assert report.n_bytes == sum(path.stat().st_size for path in out.iterdir())
+    index = (out / "index.html").read_text()
+    assert re.findall(r'src="([^"]*)"', index) == ["scene.js", "words.js", "thumbnails.js"]
+    scene = data_of((out / "scene.js").read_text(), "window.scoupData.scene")
+    assert unpacked(base64.b64decode(str(scene)))[1]["n_gaussians"] == 60
+    with pytest.raises(OutputExistsError):
+        export_page(viewed, out, split=True)
+
+
+def test_nothing_is_overwritten_unasked_or_left_half_written(
+    viewed: ViewedField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "scene.html"
+    out.write_text("mine")
+    with pytest.raises(OutputExistsError):
+        export_page(viewed, out)
+    assert out.read_text() == "mine"
+
+    def interrupt(*arguments: object) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ViewedField, "thumbnail", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        export_page(viewed, out, overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.html"]
+    assert out.read_text() == "mine"
+    monkeypatch.undo()
+    monkeypatch.setattr(export, "page_files", lambda: PAGE)
+    export_page(viewed, out, overwrite=True)
+    assert out.read_text() != "mine"
+
+
+def test_a_page_for_a_field_without_words(tmp_path: Path) -> None:
+    report = export_page(ViewedField(random_field(cameras=False)), tmp_path / "scene.html")
+    data = data_of((tmp_path / "scene.html").read_text(), "window.scoupData")
+    assert isinstance(data, dict)
+    assert (report.words, data["words"], data["thumbnails"]) == (0, "", [])
+
+
+def test_the_folders_of_this_machine_are_not_told(tmp_path: Path) -> None:
+    field = random_field()
+    field.save(tmp_path / "secret folder.scoup")
+    viewed = ViewedField(field, table())
+    export_page(viewed, tmp_path / "scene.html")
+    assert str(tmp_path) not in (tmp_path / "scene.html").read_text()
+    assert viewed.settings("live")["field"] == str(tmp_path / "secret folder.scoup")
+    assert viewed.settings("exported")["open"] == "scoup view 'secret folder.scoup'"
+
+
+def test_settings_cannot_end_their_script() -> None:
+    html = PAGE.with_settings({"name": "</script><script>alert(1)</script>"})
+    assert "alert" in html
+    assert "<script>alert" not in html
+
+
+def test_only_some_views_of_many_have_a_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(export, "MOST_THUMBNAILS", 2)
+    export_page(viewed_field(), tmp_path / "scene.html")
+    data = data_of((tmp_path / "scene.html").read_text(), "window.scoupData")
+    assert isinstance(data, dict)
+    assert [each is None for each in data["thumbnails"]] == [False, True, False]
+
+
+def test_a_page_that_was_not_built_is_named_with_the_remedy(tmp_path: Path) -> None:
+    with pytest.raises(ScoupError, match=r"tools/build_viewer.py"):
+        page_files(tmp_path)
+    for name in ("index.html", "viewer.css", "licences.txt", "viewer.js"):
+        (tmp_path / name).write_text("of another version")
+    with pytest.raises(ScoupError, match="not the page of this version"):
+        page_files(tmp_path)
+    (tmp_path / "index.html").write_text(PAGE.index)
+    assert isinstance(page_files(tmp_path), PageFiles)

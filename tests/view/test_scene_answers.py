@@ -1,0 +1,148 @@
+"""Answers for the page are those of `scoup select`."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from view_samples import DIM, WORDS, random_field, table, unpacked, viewed_field
+
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.query.answering import answer_scene
+from scoup.view.scene_answers import PageAnswer, spans
+from scoup.view.viewed_field import ViewedField
+from scoup.view.vocabulary import everyday_vocabulary, read_words, vocabulary_answers, words_data
+
+
+@pytest.fixture(scope="module")
+def viewed() -> ViewedField:
+    return viewed_field(count=300)
+
+
+def selected(viewed: ViewedField, answer: PageAnswer, level: int, threshold: float) -> torch.Tensor:
+    """What the page's shader selects."""
+    texts, _ = viewed.texts([answer.text])
+    relevancy = viewed.field.gaussian_relevancy(texts.queries, texts.canonical)[level, 0]
+    low, high = answer.spans[level].tolist()
+    rescaled = ((relevancy - low) / max(high - low, 1e-9)).clamp(0, 1)
+    return (rescaled > threshold) & viewed.codes.coded()[level]
+
+
+@pytest.mark.parametrize("text", WORDS[:6])
+def test_level_threshold_presence_and_gaussians_are_those_of_select(viewed: ViewedField, text: str) -> None:
+    answer = viewed.answers([text])[0]
+    texts, present_from = viewed.texts([text])
+    wanted = answer_scene(viewed.field, texts, present_from=present_from)[0]
+    assert viewed.field.levels[answer.level] == wanted.level
+    assert answer.thresholds[answer.level] == pytest.approx(wanted.threshold)
+    assert answer.score == pytest.approx(wanted.score, abs=1e-5)
+    assert answer.present == wanted.presence
+    assert answer.z_score == pytest.approx(wanted.z_score, abs=1e-3)
+    anyway = answer_scene(viewed.field, texts)[0]
+    assert answer.gaussians == int(anyway.mask.sum())
+    shown = selected(viewed, answer, answer.level, float(answer.thresholds[answer.level]))
+    assert int((shown != anyway.mask).sum()) <= 1  # one on the threshold, by rounding
+
+
+def test_a_level_and_a_threshold_of_ones_own(viewed: ViewedField) -> None:
+    answer = viewed.answers(["thing 2"])[0]
+    for level in (0, 1):
+        texts, _ = viewed.texts(["thing 2"])
+        wanted = answer_scene(viewed.field, texts, level=level)[0]
+        assert wanted.level == viewed.field.levels[level]
+        assert wanted.threshold == pytest.approx(float(answer.thresholds[level]))
+        shown = selected(viewed, answer, level, float(answer.thresholds[level]))
+        assert int((shown != wanted.mask).sum()) <= 1
+        table_rows = viewed.selection(["thing 2"], level, always=True)
+        assert len(table_rows) == int(wanted.mask.sum())
+        rest = viewed.selection(["thing 2"], level, rest=True, always=True)
+        assert len(rest) + len(table_rows) == len(viewed.field)
+    # A threshold alone leaves the level that answers.
+    fixed = viewed.selection(["thing 2"], None, 0.3, always=True)
+    assert abs(len(fixed) - int(selected(viewed, answer, answer.level, 0.3).sum())) <= 1
+    with pytest.raises(InputError, match="no Gaussian is selected"):
+        viewed.selection(["thing 2"], None, 1.0, always=True)
+
+
+def test_the_record_is_json_with_the_scores_bit_for_bit(viewed: ViewedField) -> None:
+    answer = viewed.answers(["thing 1"])[0]
+    record = json.loads(json.dumps(answer.record()))
+    scores = np.frombuffer(base64.b64decode(record["scores"]), "<f4").reshape(2, 9)
+    assert np.array_equal(scores, answer.scores.numpy())
+    assert record["text"] == "thing 1"
+    assert len(record["thresholds"]) == len(record["spans"]) == 2
+
+
+def test_where_no_gaussian_has_a_code_nothing_is_infinite_in_the_record() -> None:
+    viewed = viewed_field(count=5)
+    viewed.field.code_weights[:] = 0
+    record = viewed.answers(["thing 1"])[0].record()
+    assert record["score"] is None
+    assert record["z_score"] is None
+    assert (record["present"], record["gaussians"]) == (False, 0)
+    json.dumps(record, allow_nan=False)
+    assert spans(torch.zeros(2, 0), torch.zeros(2, 0, dtype=torch.bool)).tolist() == [[0.5, 0.5]] * 2
+
+
+def test_unknown_words_are_named(viewed: ViewedField) -> None:
+    with pytest.raises(UnknownNameError, match="thing 77"):
+        viewed.answers(["thing 77"])
+
+
+def test_the_vocabulary_is_the_table_without_its_phrases_or_a_list(viewed: ViewedField) -> None:
+    vocabulary = viewed.vocabulary()
+    assert vocabulary is not None
+    assert vocabulary.texts == WORDS
+    assert viewed.is_closed()
+    own = ViewedField(random_field(), table(), ["thing 4", "thing 2"]).vocabulary()
+    assert own is not None
+    assert own.texts == ("thing 4", "thing 2")
+    with pytest.raises(UnknownNameError):
+        ViewedField(random_field(), table(), ["nothing"]).vocabulary()
+    assert "kettle" in everyday_vocabulary(_Model())  # pyright: ignore[reportArgumentType]
+    assert read_words("list.txt", " a  b\n\nc\na b\n") == ("a b", "c")
+    with pytest.raises(InputError, match=r"list.txt: holds no word"):
+        read_words("list.txt", " \n")
+
+
+class _Model:
+    names = None
+
+
+def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
+    texts, present_from = viewed.texts(WORDS)
+    seen: list[int] = []
+    answers = vocabulary_answers(
+        viewed.field, viewed.codes, texts, present_from, lambda stage, done, total: seen.append(done)
+    )
+    assert seen[0] == 0
+    assert seen[-1] == len(WORDS)
+    tensors, metadata = unpacked(words_data(answers))
+    assert metadata["names"] == list(WORDS)
+    assert tensors["scores"].shape == (len(WORDS), 2, 9)
+    assert tensors["scores"].dtype == np.float16
+    one = viewed.answers(["thing 7"])[0]
+    row = WORDS.index("thing 7")
+    assert np.abs(tensors["scores"][row] - one.scores.numpy()).max() < 1e-3
+    assert tensors["levels"][row] == one.level
+    assert tensors["present"][row] == one.present
+    assert tensors["gaussians"][row] == one.gaussians
+    np.testing.assert_allclose(tensors["thresholds"][row], one.thresholds.numpy())
+    np.testing.assert_allclose(tensors["spans"][row], one.spans.numpy(), atol=1e-6)
+    few = {name: vector for name, vector in table().items() if name not in WORDS[3:]}
+    unjudged = ViewedField(random_field(), few)
+    assert unjudged.metadata()["present_from"] is None
+    stored = unpacked(words_data(unjudged.answers(["thing 0"])))[0]
+    assert math.isnan(stored["z_scores"][0])
+    assert stored["present"][0] == 1
+
+
+def test_an_encoder_of_another_size_is_refused_only_if_it_was_given() -> None:
+    with pytest.raises(InputError, match=f"{DIM + 1}"):
+        ViewedField(random_field(), table(DIM + 1))
+    with pytest.raises(InputError, match="at least 1 Gaussian"):
+        ViewedField(random_field(), table(), most=0)

@@ -1,0 +1,130 @@
+"""What a page is told of a scene."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from view_samples import random_field, splat_of, unpacked, viewed_field
+
+from scoup.base.errors import InputError
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import SH_C0
+from scoup.view.packing import byte_planes, packed
+from scoup.view.scene_data import surroundings
+from scoup.view.shown import morton_codes, shown_rows
+from scoup.view.viewed_field import ViewedField
+from support import KINDS, random_gaussians
+
+
+def test_the_splat_comes_through_within_its_rounding() -> None:
+    viewed = viewed_field(count=200)
+    tensors, metadata = unpacked(viewed.scene())
+    rows = shown_rows(viewed.gaussians)
+    given, shown = viewed.gaussians.select(rows), splat_of(tensors, metadata)
+    extent = (given.means.amax(0) - given.means.amin(0)).max()
+    assert (shown.means - given.means).abs().max() < 2e-7 * float(extent)
+    turned = (shown.quats * torch.nn.functional.normalize(given.quats, dim=1)).sum(1).abs()
+    assert turned.min() > math.cos(0.01)
+    within = (given.scales.log() > metadata["scales_low"]) & (given.scales.log() < metadata["scales_high"])
+    step = (metadata["scales_high"] - metadata["scales_low"]) / 255
+    assert within.float().mean() > 0.98
+    assert (shown.scales.log() - given.scales.log()).abs()[within].max() < 0.51 * step
+    assert (shown.opacities - given.opacities).abs().max() < 0.51 / 255
+    colors = (SH_C0 * given.sh[:, 0] + 0.5).clamp(0, 1)
+    assert ((SH_C0 * shown.sh[:, 0] + 0.5) - colors).abs().max() < 0.51 / 255
+
+
+def test_codes_and_scores_give_the_relevancy_of_the_field() -> None:
+    viewed = viewed_field(count=150, k=5)
+    tensors, metadata = unpacked(viewed.scene())
+    rows = shown_rows(viewed.gaussians)
+    answer = viewed.answers(["thing 3"])[0]
+    weights = tensors["code_weights"] / 65535 * metadata["weights_scale"]  # [S, K, N]
+    found = []
+    for level in range(2):
+        own, indices = weights[level], tensors["code_indices"][level].astype(int)
+        cosine = (own * answer.scores.numpy()[level][indices]).sum(0)
+        canonical = (own[None] * tensors["canonical"][level][:, indices]).sum(1).max(0)
+        found.append(1 / (1 + np.exp(-10 * (cosine - canonical))))
+    texts, _ = viewed.texts(["thing 3"])
+    wanted = viewed.field.gaussian_relevancy(texts.queries, texts.canonical)[:, 0, rows]
+    assert np.abs(np.stack(found) - wanted.numpy()).max() < 2e-3
+    assert tensors["canonical"].shape == (2, 5, 9)  # four phrases, and the mean of everyday words
+    colors = np.stack([tensors["code_colors"][level][:, tensors["code_indices"][level]] for level in (0, 1)])
+    assert colors.shape == (2, 3, 5, 150)
+    assert np.isfinite(colors).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 30), st.integers(0, 2**31), st.integers(1, 40))
+def test_ugly_gaussians_are_left_out_and_the_rest_is_finite(count: int, seed: int, most: int) -> None:
+    viewed = viewed_field(count=count, seed=seed, kinds=KINDS, most=most)
+    tensors, metadata = unpacked(viewed.scene())
+    drawable = viewed.gaussians.finite() & (viewed.gaussians.opacities > 0)
+    assert tensors["opacities"].shape == (min(most, int(drawable.sum())),)
+    assert metadata["n_gaussians"] == count
+    shown = splat_of(tensors, metadata)
+    assert all(bool(torch.isfinite(part).all()) for part in (shown.means, shown.scales, shown.quats))
+    assert math.isfinite(metadata["radius"])
+    assert metadata["radius"] > 0
+
+
+def test_the_most_opaque_and_largest_are_kept() -> None:
+    gaussians = random_gaussians(100, 0)
+    gaussians.opacities[:] = 0.1
+    gaussians.scales[:] = 0.1
+    gaussians.opacities[17] = 0.9
+    gaussians.scales[23] = torch.tensor([0.5, 0.4, 1e-4])  # flat, and seen from its side large
+    gaussians.scales[40] = torch.tensor([3.0, 1e-4, 1e-4])  # a needle covers little
+    kept = shown_rows(gaussians, 2).tolist()
+    assert sorted(kept) == [17, 23]
+
+
+def test_near_points_are_near_in_the_order() -> None:
+    points = np.random.default_rng(0).random((4000, 3))
+    order = np.argsort(morton_codes(points), kind="stable")
+    steps = np.linalg.norm(np.diff(points[order], axis=0), axis=1)
+    assert np.median(steps) < 0.25 * np.median(np.linalg.norm(np.diff(points, axis=0), axis=1))
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]], float)
+    assert morton_codes(corners).argsort(kind="stable").tolist() == [0, 1, 2, 3, 4]
+
+
+def test_packing_gives_the_same_bytes_and_bears_one_point() -> None:
+    planes, low, high = byte_planes(np.array([[1.0, -2.0, 3.0]]))
+    assert (planes == 0).all()
+    assert low == high == [1.0, -2.0, 3.0]
+    arrays = {"b": np.arange(3.0), "a": np.zeros((2, 2), np.uint16)}
+    assert packed(arrays, {"x": "é"}) == packed(arrays, {"x": "é"})
+    assert unpacked(packed(arrays, {"x": "é"}))[1] == {"x": "é"}
+
+
+def test_the_cameras_say_what_is_up_and_where_to_look() -> None:
+    target = torch.tensor([1.0, 2.0, 0.5], dtype=torch.float64)
+    eyes = [(4, 2, 2), (1, 6, 2), (-2, 2, 1.5), (1, -2, 2)]
+    cameras = Cameras(
+        Camera.look_at(eye, target, f"c{number}", 40, 30, 40.0) for number, eye in enumerate(eyes)
+    )
+    up, centre, radius = surroundings(random_gaussians(50, 0), cameras)
+    assert up[2] > 0.9
+    np.testing.assert_allclose(centre, target, atol=1e-6)
+    assert 3 < radius < 5
+    parallel = Cameras([cameras[0], cameras[0].resized(20, 15)][:1])
+    assert np.isfinite(surroundings(random_gaussians(50, 0), parallel)[1]).all()
+    assert np.isfinite(surroundings(random_gaussians(0, 0), None)[2])
+
+
+def test_a_field_whose_texts_cannot_be_encoded_is_shown_all_the_same() -> None:
+    viewed = ViewedField(random_field(10))
+    assert viewed.words_problem is not None
+    assert "names no embedding model" in viewed.words_problem
+    tensors, metadata = unpacked(viewed.scene())
+    assert "canonical" not in tensors
+    assert metadata["words_problem"] == viewed.words_problem
+    assert viewed.vocabulary() is None
+    with pytest.raises(InputError, match="names no embedding model"):
+        viewed.answers(["thing 1"])

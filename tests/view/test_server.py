@@ -1,0 +1,258 @@
+"""The viewer's server: what it answers, and what it refuses."""
+
+from __future__ import annotations
+
+import io
+import json
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import numpy as np
+import pytest
+from PIL import Image
+
+pytest.importorskip("starlette", reason="needs scoup[view]")
+from starlette.testclient import TestClient
+from view_samples import PAGE, WORDS, camera_record, unpacked, viewed_field
+
+from scoup.view.guard import MOST_BYTES, Guard, is_loopback
+from scoup.view.server import application
+from scoup.view.viewed_field import ViewedField
+from scoup.view.work import MOST_WAITING, BusyError, SupersededError, Work
+
+LOCAL = "http://127.0.0.1:8350"
+
+
+@pytest.fixture(scope="module")
+def viewed() -> ViewedField:
+    return viewed_field(count=80)
+
+
+@pytest.fixture(scope="module")
+def client(viewed: ViewedField) -> TestClient:
+    return TestClient(application(viewed, PAGE, Guard.of("127.0.0.1")), LOCAL)
+
+
+def test_the_page_gets_its_settings_and_its_files(client: TestClient) -> None:
+    index = client.get("/")
+    settings = json.loads(index.text.split('type="application/json">')[1].split("</script>")[0])
+    assert settings["mode"] == "live"
+    assert settings["open"] == "scoup view field.scoup"
+    assert client.get("/viewer.js").content == PAGE.program
+    assert client.get("/viewer.css").text == PAGE.style
+    assert client.get("/licences.txt").text == PAGE.licences
+    assert client.get("/api/alive").status_code == 204
+    for name, value in (("x-content-type-options", "nosniff"), ("referrer-policy", "no-referrer")):
+        assert index.headers[name] == value
+    assert "default-src 'none'" in index.headers["content-security-policy"]
+
+
+def test_the_scene_and_the_answers_fit_together(client: TestClient, viewed: ViewedField) -> None:
+    data = client.get("/scene.bin")
+    assert int(data.headers["content-length"]) == len(data.content)
+    tensors, metadata = unpacked(data.content)
+    assert metadata["n_gaussians"] == 80
+    # The server's metadata are those of the scene but for what the packing adds.
+    assert client.get("/api/scene").json() == {
+        name: metadata[name] for name in client.get("/api/scene").json()
+    }
+    answers = client.post("/api/query", json={"texts": ["thing 1", "thing 2"]}).json()["answers"]
+    assert answers == [answer.record() for answer in viewed.answers(["thing 1", "thing 2"])]
+    vocabulary = client.get("/api/vocabulary").json()
+    assert vocabulary == {"names": list(WORDS), "closed": True}
+    assert tensors["code_indices"].shape[2] == tensors["opacities"].shape[0]
+
+
+def test_pictures_points_and_selections(client: TestClient, viewed: ViewedField) -> None:
+    assert viewed.field.cameras is not None
+    camera = viewed.field.cameras[0]
+    record = camera_record(camera)
+    for mode in ("color", "heat", "mask", "codes"):
+        message = {"camera": record, "mode": mode, "text": "thing 3", "quality": 95}
+        answer = client.post("/api/render", json=message)
+        shown = np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGB")).astype(int)
+        wanted = viewed.picture(camera, mode, "thing 3").astype(int)  # pyright: ignore[reportArgumentType]
+        assert shown.shape == wanted.shape
+        assert np.abs(shown - wanted).mean() < 8
+    found = client.post("/api/point", json={"camera": record, "pixel": [20.7, 15.2]}).json()
+    assert found == json.loads(json.dumps(viewed.what_is_at(camera, (20, 15))))
+    ply = client.post("/api/select", json={"texts": ["thing 3"], "always": True})
+    assert ply.content.startswith(b"ply\n")
+    assert 'filename="thing_3.ply"' in ply.headers["content-disposition"]
+    assert f"element vertex {viewed.answers(['thing 3'])[0].gaussians}\n".encode() in ply.content
+    thumbnail = client.get("/api/thumbnail/2")
+    assert Image.open(io.BytesIO(thumbnail.content)).size == (160, 120)
+
+
+@pytest.mark.parametrize(
+    ("path", "message", "said"),
+    [
+        ("query", {"texts": []}, "1 to 8 texts"),
+        ("query", {"texts": ["a"] * 9}, "1 to 8 texts"),
+        ("query", {"texts": "kettle"}, "1 to 8 texts"),
+        ("query", {"texts": [7]}, "1 to 200 letters"),
+        ("query", {"texts": ["x" * 201]}, "1 to 200 letters"),
+        ("query", {"texts": ["thing 99"]}, "no text embedding named 'thing 99'"),
+        ("query", {"texts": ["thing 1"], "always": 1}, "must be true or false"),
+        ("render", {}, "the camera is missing"),
+        ("render", {"camera": {"viewmat": [0] * 15}}, "must be 16 numbers"),
+        ("render", {"camera": {"viewmat": [0] * 16, "K": ["1"] * 9}}, "must be 9 numbers"),
+        ("point", {"camera": None}, "the camera is missing"),
+        ("select", {"texts": ["thing 1"], "level": 2}, "0 to 1"),
+        ("select", {"texts": ["thing 1"], "level": True}, "0 to 1"),
+        ("select", {"texts": ["thing 1"], "threshold": 1.5}, "'threshold' must be 0 to 1"),
+        ("select", {"texts": ["thing 1"], "threshold": "half"}, "'threshold' must be 0 to 1"),
+    ],
+)
+def test_wrong_messages_get_one_sentence(client: TestClient, path: str, message: Any, said: str) -> None:
+    answer = client.post(f"/api/{path}", json=message)
+    assert answer.status_code == 400
+    assert said in answer.json()["error"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"viewmat": [0.0] * 16}, "determinant"),
+        ({"K": [0.0] * 9}, "focal length"),
+        ({"width": 0}, "'width' must be"),
+        ({"height": 5000}, "'height' must be"),
+        ({"width": 10.5}, "'width' must be"),
+        ({"viewmat": [1e300] * 16}, "16 numbers"),
+    ],
+)
+def test_cameras_that_are_none(client: TestClient, viewed: ViewedField, change: Any, said: str) -> None:
+    assert viewed.field.cameras is not None
+    record = {**camera_record(viewed.field.cameras[0]), **change}
+    answer = client.post("/api/render", json={"camera": record})
+    assert (answer.status_code, said in answer.json()["error"]) == (400, True)
+
+
+@pytest.mark.parametrize("body", [b"", b"[]", b"\xff", b"[" * 60_000, b'{"texts": NaN'])
+def test_what_is_no_message(client: TestClient, body: bytes) -> None:
+    answer = client.post("/api/query", content=body)
+    assert answer.status_code == 400
+    assert answer.json()["error"] == "a message is one JSON object"
+
+
+def test_a_giant_message_is_refused_before_it_is_read(client: TestClient) -> None:
+    answer = client.post("/api/query", content=b" " * (MOST_BYTES + 1))
+    assert answer.status_code == 413
+    parts = iter([b" " * 40_000] * 3)  # without a length in its header
+    assert client.post("/api/query", content=parts).status_code == 413
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/nothing", "/page/viewer.js", "/..%2f..%2fetc/passwd", "/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd",
+     "/api/thumbnail/99", "/api/thumbnail/-1", "/field.scoup", "//etc/passwd"],
+)  # fmt: skip
+def test_nothing_else_is_handed_out(client: TestClient, path: str) -> None:
+    answer = client.get(path)
+    assert answer.status_code == 404
+    assert "error" in answer.json()
+
+
+def test_other_sites_are_refused(client: TestClient) -> None:
+    asked = {"texts": ["thing 1"]}
+    for headers in (
+        {"origin": "http://evil.example"},
+        {"origin": "null"},
+        {"origin": "https://127.0.0.1:8351"},
+        {"origin": "file://127.0.0.1:8350"},
+        {"sec-fetch-site": "cross-site"},
+        {"host": "evil.example"},
+        {"host": "evil.example:8350"},
+        {"host": "127.0.0.1@evil.example"},
+        {"host": "127.0.0.1.evil.example"},
+        {"host": ""},
+    ):
+        answer = client.post("/api/query", json=asked, headers=headers)
+        assert (answer.status_code, list(answer.json())) == (403, ["error"]), headers
+    for headers in ({"origin": LOCAL}, {"host": "localhost:8350", "origin": "http://localhost:8350"}, {}):
+        assert client.post("/api/query", json=asked, headers=headers).status_code == 200, headers
+    assert client.get("/scene.bin", headers={"host": "evil.example"}).status_code == 403
+
+
+def test_beyond_loopback_the_token_is_part_of_every_path(viewed: ViewedField) -> None:
+    guard, other = Guard.of("0.0.0.0"), Guard.of("0.0.0.0")
+    assert len(guard.token) >= 32
+    assert guard.token != other.token
+    client = TestClient(application(viewed, PAGE, guard), "http://192.168.1.7:8350")
+    assert client.get(f"/{guard.token}/").status_code == 200
+    assert client.get(f"/{guard.token}/viewer.js").status_code == 200
+    for prefix in ("", "/wrong", f"/{other.token}", f"/{guard.token[:-1]}", f"/{guard.token}x"):
+        assert client.get(f"{prefix}/scene.bin").status_code == 404
+        assert client.post(f"{prefix}/api/query", json={"texts": ["thing 1"]}).status_code == 404
+    assert client.get(f"/{guard.token}/", headers={"host": "evil.example"}).status_code == 403
+    assert [is_loopback(host) for host in ("localhost", "127.0.0.9", "::1", "0.0.0.0", "a.example")] == [
+        True, True, True, False, False,
+    ]  # fmt: skip
+
+
+def test_remote_pages_are_told_so(viewed: ViewedField) -> None:
+    client = TestClient(application(viewed, PAGE, Guard.of("127.0.0.1"), remote=True), LOCAL)
+    assert '"mode": "remote"' in client.get("/").text
+
+
+def test_a_fault_of_the_program_is_said_in_one_sentence(viewed: ViewedField) -> None:
+    class Broken(ViewedField):
+        def answers(self, *texts: Any, **options: Any) -> Any:
+            raise RuntimeError("secret")
+
+    broken = Broken(viewed.field, None)
+    client = TestClient(
+        application(broken, PAGE, Guard.of("127.0.0.1")), LOCAL, raise_server_exceptions=False
+    )
+    answer = client.post("/api/query", json={"texts": ["thing 1"]})
+    assert answer.status_code == 500
+    assert "secret" not in answer.text
+    assert "RuntimeError" in answer.json()["error"]
+
+
+def test_a_newer_picture_of_a_visitor_takes_the_place_of_those_that_wait() -> None:
+    done: list[str] = []
+    gate = threading.Event()
+
+    async def ask(work: Work, visitor: str, name: str, results: list[str]) -> None:
+        try:
+            await work.run_newest(visitor, lambda: done.append(name))
+        except SupersededError:
+            results.append(name)
+
+    async def everything() -> list[str]:
+        work, superseded = Work(), []
+        async with anyio.create_task_group() as group:
+            group.start_soon(work.run, gate.wait)
+            await anyio.wait_all_tasks_blocked()
+            for visitor, name in (("a", "a1"), ("b", "b1"), ("a", "a2"), ("a", "a3")):
+                group.start_soon(ask, work, visitor, name, superseded)
+                await anyio.wait_all_tasks_blocked()
+            gate.set()
+        return superseded
+
+    assert anyio.run(everything) == ["a1", "a2"]
+    assert done == ["b1", "a3"]
+
+
+def test_too_many_at_once_are_told_that_the_server_is_busy() -> None:
+    gate = threading.Event()
+
+    async def ask(work: Work, function: Callable[[], Any], busy: list[int]) -> None:
+        try:
+            await work.run(function)
+        except BusyError:
+            busy.append(1)
+
+    async def everything() -> int:
+        work, busy = Work(), []
+        async with anyio.create_task_group() as group:
+            for _ in range(MOST_WAITING + 4):
+                group.start_soon(ask, work, gate.wait, busy)
+                await anyio.wait_all_tasks_blocked()
+            gate.set()
+        return len(busy)
+
+    assert anyio.run(everything) == 3  # one runs, the rest waits

@@ -1,0 +1,100 @@
+"""A small field with a word table, a page without a program, and what the page's files hold."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from functools import cache
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors.numpy import load
+from torch import Tensor
+
+from scoup.field.artefact import FieldInfo
+from scoup.field.language_field import LanguageField
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.codes import index_dtype
+from scoup.scene.gaussians import Gaussians
+from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
+from scoup.view.viewed_field import ViewedField
+from support import make_camera, random_gaussians, unit
+
+DIM = 12
+WORDS = tuple(f"thing {number}" for number in range(20))
+PAGE = PageFiles(
+    f"<!doctype html><head>{STYLE}{SETTINGS}</head><body>{PROGRAM}</body>",
+    b"console.log('</script>')",
+    "body { color: black }",
+    "three: MIT -- as it is",
+)
+
+
+def random_field(
+    count: int = 60,
+    seed: int = 0,
+    n_atoms: int = 9,
+    k: int = 4,
+    cameras: bool = True,
+    kinds: tuple[str, ...] = ("plain",),
+) -> LanguageField:
+    """A field of random codes at two levels; about a fifth of the Gaussians have none."""
+    gaussians = random_gaussians(count, seed, kinds)
+    generator = torch.Generator().manual_seed(seed)
+    indices = torch.randint(n_atoms, (count, 2, k), generator=generator).to(index_dtype(n_atoms))
+    weights = torch.rand(count, 2, k, generator=generator)
+    weights *= torch.rand(count, 2, 1, generator=generator) > 0.2
+    weights[..., -1] = 0
+    weights = weights / weights.sum(-1, keepdim=True).clamp(min=1e-9)
+    info = FieldInfo(("s", "l"), "", gaussians.fingerprint(), count)
+    codebook = unit(torch.randn(2, n_atoms, DIM, generator=generator))
+    views = Cameras(make_camera(seed=seed + number, name=f"view_{number}.png") for number in range(3))
+    return LanguageField(indices, weights, codebook, info, gaussians, cameras=views if cameras else None)
+
+
+@cache
+def table(dim: int = DIM) -> dict[str, Tensor]:
+    """A word table; nobody changes it."""
+    names = (*WORDS, *CANONICAL_PHRASES)
+    vectors = unit(torch.randn(len(names), dim, generator=torch.Generator().manual_seed(5)))
+    return dict(zip(names, vectors, strict=True))
+
+
+def viewed_field(**options: Any) -> ViewedField:
+    most = options.pop("most", 1000)
+    words = options.pop("words", None)
+    return ViewedField(random_field(**options), table(), words, most)
+
+
+def unpacked(data: bytes) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Tensors and metadata of a packed file, as the page reads them."""
+    plain = gzip.decompress(data)
+    length = int.from_bytes(plain[:8], "little")
+    header = json.loads(plain[8 : 8 + length])
+    return load(plain), json.loads(header["__metadata__"]["scoup"])
+
+
+def camera_record(camera: Camera) -> dict[str, Any]:
+    return {
+        "viewmat": camera.viewmat.flatten().tolist(),
+        "K": camera.K.flatten().tolist(),
+        "width": camera.width,
+        "height": camera.height,
+    }
+
+
+def splat_of(tensors: dict[str, np.ndarray], metadata: dict[str, Any]) -> Gaussians:
+    """The Gaussians of a page's scene, unpacked as the page does."""
+    planes = tensors["means"].astype(np.float64)  # [3 bytes, 3 axes, N]
+    steps = (planes * np.array([65536, 256, 1])[:, None, None]).sum(0).T
+    low, high = np.array(metadata["means_low"]), np.array(metadata["means_high"])
+    means = low + steps / (2**24 - 1) * (high - low)
+    extent = metadata["scales_high"] - metadata["scales_low"]
+    scales = np.exp(metadata["scales_low"] + tensors["scales"].T / 255 * extent)
+    quats = tensors["quats"].T.astype(np.float64)
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True).clip(1e-9)
+    colors = (tensors["colors"].T / 255 - 0.5) / 0.28209479177387814
+    arrays = means, quats, scales, tensors["opacities"] / 255, colors[:, None]
+    return Gaussians(*(torch.from_numpy(array.astype(np.float32)) for array in arrays))
