@@ -1,0 +1,37 @@
+// Bundles the page: one program with all packages, its style, and the licences of the packages in it.
+import { build } from "esbuild";
+import { copyFileSync, existsSync, mkdirSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
+import { dirname, join } from "node:path";
+import { fileURLToPath } from "node:url";
+
+const here = dirname(fileURLToPath(import.meta.url));
+const out = process.env.SCOUP_PAGE ?? join(here, "..", "src", "scoup", "view", "page");
+mkdirSync(out, { recursive: true });
+
+const result = await build({
+  absWorkingDir: here,
+  entryPoints: ["src/main.ts"],
+  bundle: true,
+  format: "esm",
+  target: "es2022",
+  minify: true,
+  legalComments: "none",
+  metafile: true,
+  outfile: join(out, "viewer.js"),
+});
+copyFileSync(join(here, "index.html"), join(out, "index.html"));
+copyFileSync(join(here, "style.css"), join(out, "viewer.css"));
+writeFileSync(join(out, "licences.txt"), licences(Object.keys(result.metafile.inputs)));
+
+/** The licence texts of the packages that files of the bundle are from. */
+function licences(files) {
+  const names = files.flatMap((file) => file.match(/node_modules\/((?:@[^/]+\/)?[^/]+)/)?.[1] ?? []);
+  const texts = [...new Set(names)].sort().map((name) => {
+    const folder = join(here, "node_modules", name);
+    const { version, license } = JSON.parse(readFileSync(join(folder, "package.json"), "utf8"));
+    const file = readdirSync(folder).find((entry) => /^licen[cs]e(\.\w+)?$/i.test(entry));
+    if (!file || !existsSync(join(folder, file))) throw new Error(`${name} has no licence file`);
+    return `${name} ${version} (${license})\n\n${readFileSync(join(folder, file), "utf8").trim()}\n`;
+  });
+  return `The page of scoup view contains these packages.\n\n${texts.join(`\n${"-".repeat(80)}\n\n`)}`;
+}

@@ -1,0 +1,77 @@
+// Where answers come from: the server, or the vocabulary within an exported page. Both give the same.
+import type { Packed, Progress } from "./safetensors";
+import type { CameraRecord, Metadata } from "./scene_data";
+
+export interface Settings {
+  mode: "live" | "remote" | "exported";
+  name: string;
+  version: string;
+  /** The command that opens this page. */
+  open: string;
+  /** The field and the table of words as commands name them. */
+  field: string;
+  text: string | null;
+}
+
+/** What a scene answers to a text. */
+export interface Answer {
+  text: string;
+  level: number;
+  score: number | null;
+  z_score: number | null;
+  present: boolean;
+  /** The stable threshold of each level. */
+  thresholds: number[];
+  /** Relevancies that rescaling takes to 0 and 1, level by level. */
+  spans: [number, number][];
+  gaussians: number;
+  /** [S, L] inner products of atoms and text. */
+  scores: Float32Array;
+}
+
+/** What the scene says is at a point. */
+export interface Place {
+  position: number[] | null;
+  distance: number | null;
+  levels: { level: string; confidence: number; words: { text: string; relevancy: number }[] }[];
+}
+
+/** Which Gaussians are meant: those of texts, at a level and threshold of one's own or each text's. */
+export interface Selection {
+  texts: string[];
+  level: number | null;
+  threshold: number | null;
+  rest: boolean;
+  always: boolean;
+}
+
+/** A picture that the server is to render. */
+export interface PictureRequest {
+  camera: CameraRecord;
+  mode: "color" | "heat" | "mask" | "codes";
+  text: string | null;
+  level: number | null;
+  threshold: number | null;
+  always: boolean;
+  quality: number;
+}
+
+export interface Source {
+  /** Names that the text box completes; only these can be asked if `closed`. */
+  vocabulary(): Promise<{ names: string[]; closed: boolean }>;
+  /** @throws Error with a sentence for the visitor */
+  ask(texts: string[], always: boolean): Promise<Answer[]>;
+  thumbnail(camera: number): string | null;
+  scene(progress: Progress): Promise<Packed>;
+  /** The facts of a scene without its Gaussians. */
+  metadata(): Promise<Metadata>;
+}
+
+/** What only a server can do. */
+export interface Server extends Source {
+  picture(request: PictureRequest): Promise<Blob>;
+  point(camera: CameraRecord, pixel: [number, number]): Promise<Place>;
+  select(selection: Selection): Promise<{ blob: Blob; name: string }>;
+  /** Calls back when the server stops answering, and when it answers again. */
+  watch(onChange: (alive: boolean) => void): void;
+}

@@ -1,0 +1,67 @@
+// What is on the screen, as commands for a terminal and for Python.
+import type { Settings } from "./answers";
+import type { State } from "./state";
+
+/** For a POSIX shell. */
+function quoted(text: string): string {
+  return /^[\w./:=@%+-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
+}
+
+function fileName(text: string): string {
+  return text.replaceAll(/[^\p{L}\p{N}]+/gu, "_").replaceAll(/^_+|_+$/g, "") || "selection";
+}
+
+function rounded(value: number): string {
+  return String(Math.round(value * 100) / 100);
+}
+
+/**
+ * `scoup select`, and `scoup query` where a camera of the field is looked through. A threshold of one's own leaves the level that
+ * answers, so texts of different levels take a command each.
+ */
+export function commandLine(settings: Settings, state: State, levels: string[], camera: string | null): string {
+  const table = settings.text === null ? "" : ` --text ${quoted(settings.text)}`;
+  const field = quoted(settings.field);
+  const visible = state.visible();
+  if (!visible.length) return settings.open;
+  const rest = state.mode === "except";
+  const groups = new Map<number | null, string[]>();
+  for (const query of visible) {
+    const level = state.threshold === null ? state.level : state.levelOf(query);
+    groups.set(level, [...(groups.get(level) ?? []), query.answer.text]);
+  }
+  const lines: string[] = [];
+  for (const [level, texts] of groups) {
+    const words = texts.map(quoted).join(" ");
+    let options = table;
+    if (state.threshold !== null) options += ` --threshold ${rounded(state.threshold)}`;
+    if (level !== null) options += ` --level ${quoted(levels[level])}`;
+    if (state.absent) options += " --always";
+    const out = `${rest ? "without_" : ""}${fileName(texts[0])}.ply`;
+    lines.push(`scoup select ${field} ${words}${options}${rest ? " --write rest" : ""} --out ${quoted(out)}`);
+    if (camera !== null) lines.push(`scoup query ${field} ${words}${options} --camera ${quoted(camera)}`);
+  }
+  return lines.join("\n");
+}
+
+export function python(settings: Settings, state: State, levels: string[], camera: string | null): string {
+  const lines = ["import scoup", "", `field = scoup.LanguageField.load(${JSON.stringify(settings.field)})`];
+  if (settings.text !== null) lines.push(`field.text_encoder(${JSON.stringify(settings.text)})`);
+  for (const query of state.visible()) {
+    const options: string[] = [];
+    const level = state.threshold === null ? state.level : state.levelOf(query);
+    if (state.threshold !== null) options.push(`threshold=${rounded(state.threshold)}`);
+    if (level !== null) options.push(`level=${JSON.stringify(levels[level])}`);
+    if (state.absent) options.push("always=True");
+    const text = JSON.stringify(query.answer.text);
+    lines.push("", `place = field.locate(${[text, ...options].join(", ")})`);
+    const mask = state.mode === "except" ? "~place.answer.mask" : "place.answer.mask";
+    const name = `${state.mode === "except" ? "without_" : ""}${fileName(query.answer.text)}.scoup`;
+    lines.push(`field[${mask}].save(${JSON.stringify(name)})`);
+    if (camera !== null) {
+      const others = options.filter((option) => !option.startsWith("threshold"));
+      lines.push(`answer = field.query(${[text, JSON.stringify(camera), ...others].join(", ")})`);
+    }
+  }
+  return `${lines.join("\n")}\n`;
+}

@@ -1,0 +1,69 @@
+// The method's own picture of the current camera, rendered by the server, over the page's.
+import type { Server } from "./answers";
+import type { Eye } from "./camera";
+import { NotNow } from "./server";
+import type { State } from "./state";
+
+const REST_SECONDS = 0.4;
+const QUALITY = 92;
+
+export class ExactPicture {
+  /** Whether to show it by itself when the camera rests. */
+  whenResting = false;
+  private shown = false;
+  private number = 0;
+  private timer = 0;
+
+  constructor(
+    private readonly image: HTMLImageElement,
+    private readonly badge: HTMLElement,
+    private readonly eye: Eye,
+    private readonly state: State,
+    private readonly server: Server,
+    private readonly onError: (sentence: string) => void,
+  ) {}
+
+  get isShown(): boolean {
+    return this.shown;
+  }
+
+  /** The camera has moved: the picture is of another view now. */
+  moved(): void {
+    this.hide();
+    clearTimeout(this.timer);
+    if (this.whenResting) this.timer = window.setTimeout(() => this.show(), REST_SECONDS * 1000);
+  }
+
+  /** Texts or settings have changed. */
+  changed(): void {
+    if (this.shown || this.whenResting) void this.show();
+  }
+
+  hide(): void {
+    this.number += 1;
+    this.shown = false;
+    this.image.hidden = this.badge.hidden = true;
+  }
+
+  async show(): Promise<void> {
+    const number = ++this.number;
+    const { clientWidth: width, clientHeight: height } = this.image.parentElement!;
+    this.badge.textContent = "rendering the exact picture …";
+    this.badge.hidden = false;
+    try {
+      const blob = await this.server.picture(this.state.picture(this.eye.record(width, height), QUALITY));
+      if (number !== this.number) return;
+      URL.revokeObjectURL(this.image.src);
+      this.image.src = URL.createObjectURL(blob);
+      await this.image.decode();
+      if (number !== this.number) return;
+      this.badge.textContent = "exact picture (rendered codes, all Gaussians)";
+      this.image.hidden = false;
+      this.shown = true;
+    } catch (error) {
+      if (number !== this.number) return;
+      this.hide();
+      if (!(error instanceof NotNow)) this.onError((error as Error).message);
+    }
+  }
+}

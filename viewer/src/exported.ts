@@ -1,0 +1,115 @@
+// A page without a server: scene and vocabulary lie within it.
+import type { Answer, Source } from "./answers";
+import { fromBase64, unpack, type Packed, type Progress } from "./safetensors";
+import type { Metadata } from "./scene_data";
+
+interface PageData {
+  scene: string;
+  words: string;
+  thumbnails: (string | null)[];
+}
+
+declare global {
+  interface Window {
+    scoupData?: PageData;
+  }
+}
+
+export class ExportedPage implements Source {
+  private readonly data: PageData;
+  private packed: Promise<Packed> | null = null;
+  private words: Promise<Packed> | null = null;
+
+  constructor() {
+    if (!window.scoupData?.scene) throw new Error("the data of this page is missing; the files beside it belong to it");
+    this.data = window.scoupData;
+  }
+
+  scene(progress: Progress): Promise<Packed> {
+    progress("unpacking", 0, 1);
+    this.packed ??= unpack(fromBase64(this.data.scene));
+    return this.packed;
+  }
+
+  async metadata(): Promise<Metadata> {
+    return (await this.scene(() => {})).metadata as Metadata;
+  }
+
+  async vocabulary(): Promise<{ names: string[]; closed: boolean }> {
+    return { names: await this.names(), closed: true };
+  }
+
+  thumbnail(camera: number): string | null {
+    const picture = this.data.thumbnails[camera];
+    return picture ? `data:image/jpeg;base64,${picture}` : null;
+  }
+
+  async ask(texts: string[]): Promise<Answer[]> {
+    const names = await this.names();
+    const folded = names.map((name) => name.toLowerCase());
+    const rows = texts.map((text) => {
+      const row = folded.indexOf(text.trim().toLowerCase());
+      if (row < 0) throw new Error(unknown(text, names));
+      return row;
+    });
+    const { tensors } = await this.unpackedWords();
+    const numbers = (name: string) => tensors.get(name)!.data;
+    const [, levels, atoms] = tensors.get("scores")!.shape;
+    return rows.map((row) => {
+      const z = numbers("z_scores")[row];
+      const spans = numbers("spans");
+      return {
+        text: names[row],
+        level: numbers("levels")[row],
+        score: Number.isFinite(numbers("score")[row]) ? numbers("score")[row] : null,
+        z_score: Number.isFinite(z) ? z : null,
+        present: numbers("present")[row] > 0,
+        thresholds: Array.from(numbers("thresholds").subarray(row * levels, (row + 1) * levels)),
+        spans: Array.from({ length: levels }, (_, level): [number, number] => {
+          const at = 2 * (row * levels + level);
+          return [spans[at], spans[at + 1]];
+        }),
+        gaussians: numbers("gaussians")[row],
+        scores: (numbers("scores") as Float32Array).slice(row * levels * atoms, (row + 1) * levels * atoms),
+      };
+    });
+  }
+
+  private async names(): Promise<string[]> {
+    return this.data.words ? ((await this.unpackedWords()).metadata as { names: string[] }).names : [];
+  }
+
+  /** Scores of all words, [V, S, L], for clicks. */
+  async allScores(): Promise<Float32Array> {
+    return (await this.unpackedWords()).tensors.get("scores")!.data as Float32Array;
+  }
+
+  private unpackedWords(): Promise<Packed> {
+    this.words ??= unpack(fromBase64(this.data.words));
+    return this.words;
+  }
+}
+
+/** What is said of a word that the page does not know, with the nearest that it knows. */
+function unknown(text: string, names: string[]): string {
+  const wanted = text.trim().toLowerCase();
+  const near = names
+    .map((name) => ({ name, distance: editDistance(wanted, name.toLowerCase()) }))
+    .sort((a, b) => a.distance - b.distance)
+    .slice(0, 4)
+    .map(({ name }) => `“${name}”`);
+  return `This page knows ${names.length} words, and “${text}” is not among them. Nearest: ${near.join(", ")}.`;
+}
+
+function editDistance(a: string, b: string): number {
+  let row = Array.from({ length: b.length + 1 }, (_, j) => j);
+  for (let i = 1; i <= a.length; i++) {
+    const next = [i];
+    for (let j = 1; j <= b.length; j++) {
+      next[j] = Math.min(row[j] + 1, next[j - 1] + 1, row[j - 1] + (a[i - 1] === b[j - 1] ? 0 : 1));
+    }
+    row = next;
+  }
+  // A word that holds the other is near, however much longer it is.
+  return row[b.length] - (b.includes(a) || a.includes(b) ? Math.max(a.length, b.length) : 0);
+}

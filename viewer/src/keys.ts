@@ -1,0 +1,64 @@
+// Keys of the page, and the list of them in the help.
+import { byId, element } from "./dom";
+import type { Eye } from "./camera";
+import { MODE_NAMES } from "./panel";
+import type { State } from "./state";
+
+const HELP: [string, string][] = [
+  ["drag", "turn around what is in the middle"],
+  ["right drag, two fingers", "move sideways"],
+  ["wheel, pinch", "closer, farther"],
+  ["click, tap", "what is there?"],
+  ["/", "to the text box"],
+  ["1 to 6", "modes"],
+  ["W A S D, Q E", "move; down and up"],
+  ["arrows", "turn; closer, farther"],
+  ["X", "exact picture, on and off"],
+  ["Esc", "close what is open"],
+];
+
+export interface KeyActions {
+  toggleExact: () => void;
+  escape: () => void;
+}
+
+export function listenToKeys(state: State, eye: Eye, actions: KeyActions): void {
+  byId("help-keys").replaceChildren(
+    ...HELP.flatMap(([key, meaning]) => [element("dt", {}, key), element("dd", {}, meaning)]),
+  );
+  const help = byId<HTMLDialogElement>("help");
+  byId("help-open").addEventListener("click", () => help.showModal());
+  const moves: Record<string, () => void> = {
+    w: () => eye.step(0, 0, 1),
+    s: () => eye.step(0, 0, -1),
+    a: () => eye.step(-1, 0, 0),
+    d: () => eye.step(1, 0, 0),
+    q: () => eye.step(0, -1, 0),
+    e: () => eye.step(0, 1, 0),
+    ArrowUp: () => eye.step(0, 0, 1),
+    ArrowDown: () => eye.step(0, 0, -1),
+    ArrowLeft: () => eye.turn(-0.08),
+    ArrowRight: () => eye.turn(0.08),
+    "/": () => byId("text").focus(),
+    "?": () => help.showModal(),
+    x: actions.toggleExact,
+    Escape: actions.escape,
+  };
+  window.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || help.open) return;
+    const focused = document.activeElement;
+    const typing = focused instanceof HTMLInputElement;
+    if (typing && (event.key !== "Escape" || focused.type !== "text")) return;
+    const mode = MODE_NAMES[Number(event.key) - 1];
+    if (mode) {
+      const input = document.querySelector<HTMLInputElement>(`input[name=mode][value=${mode[0]}]`);
+      if (!input?.disabled) state.set({ chosenMode: mode[0] });
+      return;
+    }
+    const move = moves[event.key] ?? moves[event.key.toLowerCase()];
+    if (!move) return;
+    event.preventDefault();
+    if (typing) (focused as HTMLElement).blur();
+    move();
+  });
+}

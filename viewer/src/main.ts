@@ -1,0 +1,98 @@
+// Starts the page: settings, source of answers, progress, and what tests may hold.
+import type { Server, Settings, Source } from "./answers";
+import { prepareAppearance } from "./appearance";
+import { byId } from "./dom";
+import { ExportedPage } from "./exported";
+import { LiveServer } from "./server";
+import type { Mode } from "./shader";
+import { Viewer } from "./viewer";
+
+/** What tests and other scripts may ask of the page. */
+export interface ViewerHandle {
+  ready: Promise<void>;
+  state(): object;
+  ask(texts: string[]): Promise<void>;
+  set(change: { mode?: Mode; level?: number | null; threshold?: number | null; opacity?: number }): void;
+  flyTo(name: string): Promise<void>;
+  /** Resolves when everything asked for is drawn. */
+  render(): Promise<void>;
+  /** What is seen, RGBA row by row from the top, with its width. */
+  pixels(): { data: number[]; width: number; height: number };
+  command(): string;
+  python(): string;
+}
+
+declare global {
+  interface Window {
+    scoupViewer?: ViewerHandle;
+  }
+}
+
+function progress(stage: string, done: number, total: number): void {
+  const megabytes = (bytes: number) => (bytes / 1e6).toFixed(1);
+  const share = total ? done / total : 0;
+  byId<HTMLProgressElement>("loading-bar").value = share;
+  byId("loading-text").textContent =
+    stage === "loading"
+      ? `Loading: ${megabytes(done)} of ${megabytes(total)} MB`
+      : `Unpacking: ${done.toLocaleString("en")} of ${total.toLocaleString("en")} Gaussians`;
+}
+
+function hasWebGL(): boolean {
+  return document.createElement("canvas").getContext("webgl2") !== null;
+}
+
+async function start(settings: Settings): Promise<Viewer> {
+  const server: Server | null = settings.mode === "exported" ? null : new LiveServer();
+  const source: Source = server ?? new ExportedPage();
+  const able = hasWebGL();
+  if (!able && !server) throw new Error("This page needs WebGL 2, which this browser does not offer.");
+  const viewer = await Viewer.open(settings, source, server, settings.mode !== "remote" && able, progress);
+  byId("loading").hidden = true;
+  if (!able && settings.mode === "live") {
+    viewer.say("This browser offers no WebGL 2: the server renders the pictures instead.");
+  }
+  return viewer;
+}
+
+function handle(opening: Promise<Viewer>): ViewerHandle {
+  let viewer: Viewer;
+  const ready = opening.then((opened) => {
+    viewer = opened;
+  });
+  return {
+    ready,
+    state: () => {
+      const { state, eye } = viewer;
+      const queries = state.queries.map(({ answer, color, hidden }) => ({ ...answer, scores: undefined, color, hidden }));
+      const { level, threshold, opacity, mode } = state;
+      return { queries, mode, level, threshold, opacity, camera: eye.at?.name ?? null };
+    },
+    ask: (texts) => viewer.ask(texts),
+    set: ({ mode, ...change }) => viewer.state.set(mode === undefined ? change : { ...change, chosenMode: mode }),
+    flyTo: (name) => viewer.flyTo(viewer.metadata.cameras.find((camera) => camera.name === name)!, false),
+    render: () => viewer.stage.drawn(),
+    pixels: () => {
+      const canvas = viewer.stage.snapshot();
+      const { width, height } = canvas;
+      const { data } = canvas.getContext("2d", { willReadFrequently: true })!.getImageData(0, 0, width, height);
+      return { data: Array.from(data), width, height };
+    },
+    command: () => viewer.command(),
+    python: () => viewer.python(),
+  };
+}
+
+prepareAppearance();
+const settings = JSON.parse(byId("settings").textContent ?? "{}") as Settings;
+byId("help-licences").textContent =
+  settings.mode === "exported"
+    ? "This page contains three.js and Spark; their licences are at its end."
+    : "This page contains three.js and Spark; their licences are in licences.txt of this server.";
+const opening = start(settings);
+window.scoupViewer = handle(opening);
+opening.catch((error: Error) => {
+  byId("loading").hidden = false;
+  byId("loading-bar").hidden = true;
+  byId("loading-text").textContent = error.message;
+});

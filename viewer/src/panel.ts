@@ -1,0 +1,115 @@
+// The panel beside the picture: texts, modes, levels, sliders.
+import { byId, counted, element } from "./dom";
+import type { Metadata } from "./scene_data";
+import type { Mode } from "./shader";
+import type { Query, State } from "./state";
+
+export const MODE_NAMES: readonly [Mode, string][] = [
+  ["colour", "Colour"],
+  ["heat", "Heat"],
+  ["only", "Only the selection"],
+  ["except", "All but the selection"],
+  ["codes", "Codes"],
+  ["confidence", "Confidence"],
+];
+const LEVEL_NAMES: Record<string, string> = { s: "s (fine)", m: "m (medium)", l: "l (coarse)" };
+/** Modes that only the page can show, not the server. */
+const PAGE_ONLY: readonly Mode[] = ["only", "except", "confidence"];
+
+export class Panel {
+  private readonly queries = byId("queries");
+  private readonly threshold = byId<HTMLInputElement>("threshold");
+  private readonly automatic = byId<HTMLInputElement>("threshold-auto");
+  private readonly opacity = byId<HTMLInputElement>("opacity");
+  private readonly absent = byId<HTMLInputElement>("absent");
+
+  constructor(
+    private readonly state: State,
+    private readonly metadata: Metadata,
+    remote: boolean,
+  ) {
+    const modes = MODE_NAMES.map(([mode, name], number): [string, string, string] => [mode, name, `key ${number + 1}`]);
+    choices("modes", "mode", modes, (mode) => state.set({ chosenMode: mode as Mode }));
+    const levels = metadata.levels.map((name, level): [string, string, string] => [String(level), LEVEL_NAMES[name] ?? name, ""]);
+    choices("levels", "level", [["auto", "automatic", ""], ...levels], (level) =>
+      state.set({ level: level === "auto" ? null : Number(level) }));
+    if (remote) {
+      for (const mode of PAGE_ONLY) {
+        const input = document.querySelector<HTMLInputElement>(`input[name=mode][value=${mode}]`)!;
+        input.disabled = true;
+        input.parentElement!.title = "needs the Gaussians in the browser; this page shows pictures of the server only";
+      }
+    }
+    this.threshold.addEventListener("input", () => state.set({ threshold: Number(this.threshold.value) }));
+    this.automatic.addEventListener("change", () =>
+      state.set({ threshold: this.automatic.checked ? null : Number(this.threshold.value) }));
+    this.opacity.addEventListener("input", () => state.set({ opacity: Number(this.opacity.value) }));
+    this.absent.addEventListener("change", () => state.set({ absent: this.absent.checked }));
+  }
+
+  update(): void {
+    const { state } = this;
+    check("mode", state.mode);
+    check("level", state.level === null ? "auto" : String(state.level));
+    const own = state.shown()[0]?.threshold;
+    if (state.threshold === null && own !== undefined) this.threshold.value = String(own);
+    if (state.threshold !== null) this.threshold.value = String(state.threshold);
+    this.automatic.checked = state.threshold === null;
+    const values = [...new Set(state.shown().map((query) => query.threshold.toFixed(2)))];
+    byId("threshold-value").textContent = state.threshold === null ? values.join(", ") : state.threshold.toFixed(2);
+    this.opacity.value = String(state.opacity);
+    byId("opacity-value").textContent = state.opacity.toFixed(2);
+    this.absent.checked = state.absent;
+    this.queries.replaceChildren(...state.queries.map((query) => this.row(query)));
+  }
+
+  private row(query: Query): HTMLElement {
+    const { answer } = query;
+    const color = `rgb(${query.color.map((part) => Math.round(part * 255)).join(",")})`;
+    const hide = element("button", { type: "button", "aria-pressed": String(query.hidden) }, query.hidden ? "Show" : "Hide");
+    hide.setAttribute("aria-label", `${query.hidden ? "Show" : "Hide"} ${answer.text}`);
+    hide.addEventListener("click", () => {
+      query.hidden = !query.hidden;
+      this.state.onChange();
+    });
+    const remove = element("button", { type: "button", "aria-label": `Remove ${answer.text}` }, "✕");
+    remove.addEventListener("click", () => this.state.remove(query));
+    const row = element(
+      "li",
+      {},
+      element("span", { class: "swatch", style: `background:${color}` }),
+      element("span", { class: "text" }, answer.text),
+      hide,
+      remove,
+      element("span", { class: "facts" }, this.facts(query)),
+    );
+    row.classList.toggle("hidden", query.hidden);
+    row.classList.toggle("absent", !answer.present);
+    return row;
+  }
+
+  private facts({ answer }: Query): string {
+    const zScore = answer.z_score === null ? "" : `z-score ${answer.z_score.toFixed(2)}`;
+    if (!answer.present) return `not in this scene (${zScore || "nothing found"})`;
+    const level = this.state.level ?? answer.level;
+    const score = answer.score === null ? "" : `score ${answer.score.toFixed(2)}`;
+    const parts = [`level ${this.metadata.levels[level]}`, score, zScore];
+    if (this.state.level === null && this.state.threshold === null) parts.push(counted(answer.gaussians, "Gaussian"));
+    return parts.filter(Boolean).join(", ");
+  }
+}
+
+/** Radio buttons in a row. */
+function choices(id: string, name: string, options: [string, string, string][], onPick: (value: string) => void): void {
+  const labels = options.map(([value, text, title]) => {
+    const input = element("input", { type: "radio", name, value });
+    input.addEventListener("change", () => onPick(value));
+    return element("label", title ? { title } : {}, input, text);
+  });
+  byId(id).replaceChildren(...labels);
+}
+
+function check(name: string, value: string): void {
+  const input = document.querySelector<HTMLInputElement>(`input[name=${name}][value="${value}"]`);
+  if (input) input.checked = true;
+}

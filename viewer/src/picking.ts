@@ -1,0 +1,101 @@
+// What is under a point of the picture, in a page that has no server to ask.
+import * as THREE from "three";
+import type { Place } from "./answers";
+import type { Scene } from "./scene_data";
+
+const LEAST_ALPHA = 1 / 255;
+const MOST_ALPHA = 0.99;
+const LEAST_LIGHT = 1e-4;
+const WORDS_SHOWN = 5;
+
+interface Hit {
+  gaussian: number;
+  distance: number;
+  alpha: number;
+}
+
+/** Gaussians along a ray with how much each paints of it, front to back, as blending does. */
+export function hits(scene: Scene, origin: THREE.Vector3, direction: THREE.Vector3): { gaussian: number; distance: number; weight: number }[] {
+  const found: Hit[] = [];
+  const mean = new THREE.Vector3();
+  const turn = new THREE.Quaternion();
+  const from = new THREE.Vector3();
+  const along = new THREE.Vector3();
+  for (let i = 0; i < scene.count; i++) {
+    scene.mean(i, mean);
+    from.subVectors(origin, mean);
+    const ahead = -from.dot(direction);
+    if (ahead <= 0) continue;
+    const scales = [scene.scale(i, 0), scene.scale(i, 1), scene.scale(i, 2)];
+    const reach = 3.4 * Math.max(...scales);
+    if (from.lengthSq() - ahead * ahead > reach * reach) continue;
+    const [w, x, y, z] = scene.quat(i);
+    turn.set(-x, -y, -z, w); // into the frame of the Gaussian, where it is a ball once scaled
+    from.applyQuaternion(turn);
+    along.copy(direction).applyQuaternion(turn);
+    for (const [axis, scale] of scales.entries()) {
+      from.setComponent(axis, from.getComponent(axis) / scale);
+      along.setComponent(axis, along.getComponent(axis) / scale);
+    }
+    const nearest = -from.dot(along) / along.lengthSq();
+    const squared = Math.max(0, from.lengthSq() - nearest * nearest * along.lengthSq());
+    const alpha = Math.min(MOST_ALPHA, scene.opacity(i) * Math.exp(-squared / 2));
+    if (alpha >= LEAST_ALPHA && nearest > 0) found.push({ gaussian: i, distance: nearest, alpha });
+  }
+  found.sort((a, b) => a.distance - b.distance);
+  let light = 1;
+  const painted = [];
+  for (const { gaussian, distance, alpha } of found) {
+    painted.push({ gaussian, distance, weight: light * alpha });
+    light *= 1 - alpha;
+    if (light < LEAST_LIGHT) break;
+  }
+  return painted;
+}
+
+/** What the scene says is along a ray: the words that fit the sum of the codes best, level by level. */
+export function placeAlong(
+  scene: Scene,
+  ray: THREE.Ray,
+  words: { names: string[]; scores: Float32Array },
+): Place {
+  const painted = hits(scene, ray.origin, ray.direction);
+  const total = painted.reduce((sum, { weight }) => sum + weight, 0);
+  if (!(total > 0)) return { position: null, distance: null, levels: [] };
+  let light = 0;
+  const middle = painted.find(({ weight }) => (light += weight) >= total / 2) ?? painted[0];
+  const levels = scene.metadata.levels.map((level, s) => {
+    // Cosines of the Gaussians, weighted by what they paint: the codes have norm 1 in the page.
+    const code = new Float64Array(scene.atoms);
+    let share = 0;
+    let confidence = 0;
+    for (const { gaussian, weight } of painted) {
+      const sure = scene.confidence(gaussian, s);
+      if (!sure) continue;
+      share += weight;
+      confidence += weight * sure;
+      for (let k = 0; k < scene.k; k++) code[scene.atom(gaussian, s, k)] += weight * scene.weight(gaussian, s, k);
+    }
+    if (!share) return { level, confidence: 0, words: [] };
+    const canonical = scene.tensor("canonical").data as Float32Array;
+    let best = -Infinity;
+    for (let p = 0; p < scene.phrases; p++) {
+      best = Math.max(best, product(code, canonical, (s * scene.phrases + p) * scene.atoms));
+    }
+    const ranked = words.names
+      .map((text, row) => {
+        const cosine = product(code, words.scores, (row * scene.levels + s) * scene.atoms);
+        return { text, relevancy: 1 / (1 + Math.exp((-10 * (cosine - best)) / share)) };
+      })
+      .sort((a, b) => b.relevancy - a.relevancy);
+    return { level, confidence: confidence / share, words: ranked.slice(0, WORDS_SHOWN) };
+  });
+  const point = ray.at(middle.distance, new THREE.Vector3());
+  return { position: point.toArray(), distance: middle.distance, levels };
+}
+
+function product(code: Float64Array, table: Float32Array, start: number): number {
+  let sum = 0;
+  for (let atom = 0; atom < code.length; atom++) sum += code[atom] * table[start + atom];
+  return sum;
+}

@@ -1,0 +1,32 @@
+// What is said of a point that was clicked.
+import type { Place } from "./answers";
+import { byId, copy, element } from "./dom";
+
+export function showPlace(place: Place): void {
+  const panel = byId("place");
+  panel.hidden = false;
+  const close = element("button", { type: "button", "aria-label": "Close" }, "✕");
+  close.addEventListener("click", hidePlace);
+  const heading = element("div", { class: "row" }, element("h2", { style: "flex:1" }, "Here is"), close);
+  if (place.position === null) {
+    panel.replaceChildren(heading, "nothing: no Gaussian paints this point.");
+    return;
+  }
+  const list = element("dl");
+  for (const { level, confidence, words } of place.levels) {
+    list.append(element("dt", {}, `level ${level}${words.length ? `, confidence ${confidence.toFixed(2)}` : ""}`));
+    const said = words.map(({ text, relevancy }) => `${text} ${relevancy.toFixed(2)}`).join(", ");
+    list.append(element("dd", { "data-level": level }, said || "no code here"));
+  }
+  const position = place.position.map((part) => part.toPrecision(5)).join(", ");
+  const button = element("button", { type: "button" }, "Copy position");
+  button.addEventListener("click", () => void copy(`[${position}]`));
+  const distance = place.distance?.toPrecision(4) ?? "?";
+  list.append(element("dt", {}, "position, distance"), element("dd", {}, `(${position}), ${distance} away`));
+  panel.replaceChildren(heading, list, button);
+}
+
+export function hidePlace(): void {
+  byId("place").hidden = true;
+  byId("marker").hidden = true;
+}

@@ -1,0 +1,58 @@
+// A selection as a splat, in a page that has no server: standard 3DGS PLY of what the page holds.
+import type { Scene } from "./scene_data";
+import type { ShownQuery } from "./splat";
+
+const SH_C0 = 0.28209479177387814;
+const PROPERTIES = [
+  "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
+  "rot_0", "rot_1", "rot_2", "rot_3",
+];
+
+/** Whether a Gaussian answers a query: the same sums as in the shader. */
+export function answers(scene: Scene, i: number, query: ShownQuery): boolean {
+  const { level } = query;
+  let own = 0;
+  let coded = false;
+  const phrases = new Float64Array(scene.phrases);
+  const canonical = scene.tensor("canonical").data;
+  for (let k = 0; k < scene.k; k++) {
+    const weight = scene.weight(i, level, k);
+    if (!weight) continue;
+    coded = true;
+    const atom = scene.atom(i, level, k);
+    own += weight * query.scores[level * scene.atoms + atom];
+    for (let p = 0; p < scene.phrases; p++) {
+      phrases[p] += weight * canonical[(level * scene.phrases + p) * scene.atoms + atom];
+    }
+  }
+  if (!coded) return false;
+  const relevancy = 1 / (1 + Math.exp(-10 * (own - Math.max(...phrases))));
+  const [low, high] = query.span;
+  return high - low > 1e-6 && (relevancy - low) / (high - low) > query.threshold;
+}
+
+/** Gaussians that answer any query, or all others. */
+export function selected(scene: Scene, queries: ShownQuery[], rest: boolean): number[] {
+  const rows = [];
+  for (let i = 0; i < scene.count; i++) {
+    if (queries.some((query) => answers(scene, i, query)) !== rest) rows.push(i);
+  }
+  return rows;
+}
+
+export function plyOf(scene: Scene, rows: number[]): Blob {
+  const lines = PROPERTIES.map((name) => `property float ${name}`).join("\n");
+  const header = `ply\nformat binary_little_endian 1.0\nelement vertex ${rows.length}\n${lines}\nend_header\n`;
+  const values = new Float32Array(rows.length * PROPERTIES.length);
+  const mean = { x: 0, y: 0, z: 0 };
+  rows.forEach((i, row) => {
+    scene.mean(i, mean);
+    const colors = [0, 1, 2].map((channel) => (scene.color(i, channel) - 0.5) / SH_C0);
+    // Opacities of 0 and 1 have no finite logit.
+    const opacity = Math.min(1 - 1e-6, Math.max(1e-6, scene.opacity(i)));
+    const scales = [0, 1, 2].map((axis) => Math.log(scene.scale(i, axis)));
+    const logit = Math.log(opacity / (1 - opacity));
+    values.set([mean.x, mean.y, mean.z, 0, 0, 0, ...colors, logit, ...scales, ...scene.quat(i)], row * PROPERTIES.length);
+  });
+  return new Blob([header, values], { type: "application/octet-stream" });
+}

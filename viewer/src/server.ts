@@ -1,0 +1,95 @@
+// The server of a live page.
+import type { Answer, PictureRequest, Place, Selection, Server } from "./answers";
+import { download, fromBase64, unpack, type Packed, type Progress } from "./safetensors";
+import type { CameraRecord, Metadata } from "./scene_data";
+
+const POLL_SECONDS = 3;
+
+/** A picture that is no longer wanted, or a server that is busy: ask again. */
+export class NotNow extends Error {}
+
+export class LiveServer implements Server {
+  private readonly visitor = crypto.getRandomValues(new Uint32Array(2)).join("-");
+
+  async vocabulary(): Promise<{ names: string[]; closed: boolean }> {
+    return (await this.get("api/vocabulary")).json();
+  }
+
+  async metadata(): Promise<Metadata> {
+    return (await this.get("api/scene")).json();
+  }
+
+  async scene(progress: Progress): Promise<Packed> {
+    return unpack(await download(await this.get("scene.bin"), progress));
+  }
+
+  thumbnail(camera: number): string {
+    return `api/thumbnail/${camera}`;
+  }
+
+  async ask(texts: string[], always: boolean): Promise<Answer[]> {
+    const { answers } = await (await this.post("query", { texts, always })).json();
+    return answers.map((record: Record<string, unknown>) => ({
+      ...record,
+      scores: new Float32Array(fromBase64(record.scores as string).buffer),
+    }));
+  }
+
+  async picture(request: PictureRequest): Promise<Blob> {
+    return (await this.post("render", request)).blob();
+  }
+
+  async point(camera: CameraRecord, pixel: [number, number]): Promise<Place> {
+    return (await this.post("point", { camera, pixel })).json();
+  }
+
+  async select(selection: Selection): Promise<{ blob: Blob; name: string }> {
+    const response = await this.post("select", selection);
+    const name = /filename="([^"]+)"/.exec(response.headers.get("content-disposition") ?? "")?.[1];
+    return { blob: await response.blob(), name: name ?? "selection.ply" };
+  }
+
+  watch(onChange: (alive: boolean) => void): void {
+    let missed = 0;
+    const poll = async () => {
+      try {
+        await fetch("api/alive", { cache: "no-store" });
+        if (missed > 1) onChange(true);
+        missed = 0;
+      } catch {
+        missed += 1;
+        if (missed === 2) onChange(false);
+      }
+      setTimeout(poll, POLL_SECONDS * 1000 * (missed === 1 ? 0.2 : 1));
+    };
+    setTimeout(poll, POLL_SECONDS * 1000);
+  }
+
+  private async get(path: string): Promise<Response> {
+    return checked(await reached(fetch(path)));
+  }
+
+  private async post(path: string, message: object): Promise<Response> {
+    const headers = { "content-type": "application/json", "x-scoup-visitor": this.visitor };
+    return checked(await reached(fetch(`api/${path}`, { method: "POST", headers, body: JSON.stringify(message) })));
+  }
+}
+
+async function reached(request: Promise<Response>): Promise<Response> {
+  try {
+    return await request;
+  } catch {
+    throw new Error("The server does not answer.");
+  }
+}
+
+async function checked(response: Response): Promise<Response> {
+  if (response.ok) return response;
+  let reason = `the server answered ${response.status}`;
+  try {
+    reason = (await response.json()).error ?? reason;
+  } catch {
+    // Not of our server: the number has to do.
+  }
+  throw response.status === 409 || response.status === 503 ? new NotNow(reason) : new Error(reason);
+}

@@ -1,0 +1,245 @@
+// The splat on the GPU: Gaussians by Spark, codes and queries as textures that our shader reads.
+import { dyno, ExtSplats, SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
+import * as THREE from "three";
+import { breathe, type Progress } from "./safetensors";
+import type { Scene } from "./scene_data";
+import { body, functions, MODES, MOST_QUERIES, WIDTH, type Inputs, type Mode } from "./shader";
+
+/** Gaussians between two moments in which the browser may draw. */
+const AT_A_TIME = 40000;
+
+/** A query as the shader takes it. */
+export interface ShownQuery {
+  /** [S, L] inner products of atoms and text. */
+  scores: Float32Array;
+  /** Level that answers. */
+  level: number;
+  threshold: number;
+  span: [number, number];
+  /** 0..1. */
+  color: [number, number, number];
+}
+
+export interface Look {
+  mode: Mode;
+  /** Of codes and confidence. */
+  level: number;
+  opacity: number;
+}
+
+/** A scene that is drawn; `update` changes only small textures and numbers. */
+export class Splat {
+  readonly mesh: SplatMesh;
+  private readonly scene: Scene;
+  private readonly scores: THREE.DataTexture;
+  private readonly queries: THREE.DataTexture;
+  private readonly mode = dyno.dynoInt(0);
+  private readonly level = dyno.dynoInt(0);
+  private readonly opacity = dyno.dynoFloat(1);
+
+  private constructor(scene: Scene, splats: ExtSplats) {
+    this.scene = scene;
+    this.scores = floats(scene.atoms, (scene.levels * MOST_QUERIES) / 4);
+    this.queries = floats(MOST_QUERIES, 2);
+    this.mesh = new SplatMesh({ extSplats: splats });
+    this.mesh.objectModifier = this.modifier();
+    this.update([], { mode: "colour", level: 0, opacity: 1 });
+  }
+
+  /** Build it, with progress. */
+  static async of(scene: Scene, progress: Progress): Promise<Splat> {
+    const splats = new ExtSplats({ maxSplats: scene.count });
+    await splats.initialized;
+    const centre = new THREE.Vector3();
+    const scales = new THREE.Vector3();
+    const quaternion = new THREE.Quaternion();
+    const color = new THREE.Color();
+    for (let i = 0; i < scene.count; i++) {
+      scene.mean(i, centre);
+      scales.set(scene.scale(i, 0), scene.scale(i, 1), scene.scale(i, 2));
+      const [w, x, y, z] = scene.quat(i);
+      quaternion.set(x, y, z, w);
+      // Not by setRGB, which would convert from sRGB: colours stay as they are trained.
+      color.r = scene.color(i, 0);
+      color.g = scene.color(i, 1);
+      color.b = scene.color(i, 2);
+      splats.pushSplat(centre, scales, quaternion, scene.opacity(i), color);
+      if (i % AT_A_TIME === AT_A_TIME - 1) {
+        progress("unpacking", i, scene.count);
+        await breathe();
+      }
+    }
+    // Textures are made of whole arrays only.
+    const { extArrays } = splats;
+    const splat = new Splat(scene, new ExtSplats({ extArrays, numSplats: scene.count }));
+    await splat.mesh.initialized;
+    splat.mesh.updateGenerator();
+    return splat;
+  }
+
+  /** Show other queries, or the same in another way. */
+  update(shown: ShownQuery[], look: Look): void {
+    const { levels, atoms } = this.scene;
+    const scores = this.scores.image.data as unknown as Float32Array;
+    const queries = this.queries.image.data as unknown as Float32Array;
+    for (let q = 0; q < MOST_QUERIES; q++) {
+      const query = shown[q];
+      queries.set(query ? [...query.color, query.level] : [0, 0, 0, -1], 4 * q);
+      queries.set(query ? [...query.span, query.threshold, shown.length] : [0, 0, 0, 0], 4 * (MOST_QUERIES + q));
+      if (!query) continue;
+      for (let level = 0; level < levels; level++) {
+        const row = (level * MOST_QUERIES) / 4 + (q >> 2);
+        for (let atom = 0; atom < atoms; atom++) {
+          scores[4 * (row * atoms + atom) + (q & 3)] = query.scores[level * atoms + atom];
+        }
+      }
+    }
+    this.scores.needsUpdate = this.queries.needsUpdate = true;
+    this.mode.value = MODES.indexOf(look.mode);
+    this.level.value = look.level;
+    this.opacity.value = look.opacity;
+    this.mesh.updateVersion();
+  }
+
+  private modifier() {
+    const { scene } = this;
+    const sizes = { levels: scene.levels, k: scene.k, phrases: scene.phrases };
+    const [indices, weights] = codeTextures(scene);
+    const uniforms = {
+      indices: dyno.dynoUsampler2D(indices),
+      weights: dyno.dynoUsampler2D(weights),
+      scale: dyno.dynoFloat(scene.metadata.weights_scale / 65535),
+      canonical: dyno.dynoSampler2D(canonicalTexture(scene)),
+      scores: dyno.dynoSampler2D(this.scores),
+      queries: dyno.dynoSampler2D(this.queries),
+      confidence: dyno.dynoSampler2D(confidenceTexture(scene)),
+      codeColors: dyno.dynoSampler2D(codeColorTexture(scene)),
+      mode: this.mode,
+      level: this.level,
+      opacity: this.opacity,
+    };
+    const inTypes = {
+      gsplat: dyno.Gsplat,
+      indices: "usampler2D",
+      weights: "usampler2D",
+      scale: "float",
+      canonical: "sampler2D",
+      scores: "sampler2D",
+      queries: "sampler2D",
+      confidence: "sampler2D",
+      codeColors: "sampler2D",
+      mode: "int",
+      level: "int",
+      opacity: "float",
+    } as const;
+    return dyno.dynoBlock({ gsplat: dyno.Gsplat }, { gsplat: dyno.Gsplat }, ({ gsplat }) => {
+      const colored = new dyno.Dyno({
+        inTypes,
+        outTypes: { gsplat: dyno.Gsplat },
+        globals: () => [functions(sizes)],
+        statements: ({ inputs, outputs }) =>
+          dyno.unindentLines(`{${body(inputs as unknown as Inputs, outputs.gsplat as string, sizes)}}`),
+      });
+      return { gsplat: colored.apply({ gsplat, ...uniforms }).gsplat };
+    });
+  }
+}
+
+/** Renders a scene with Spark. */
+export function sparkOf(renderer: THREE.WebGLRenderer, onDirty: () => void): SparkRenderer {
+  // As Inria's rasteriser: 0.3 pixels are added to the diagonal of each projected covariance.
+  return new SparkRenderer({ renderer, onDirty, preBlurAmount: 0.3, blurAmount: 0, maxStdDev: 3 });
+}
+
+function floats(width: number, height: number): THREE.DataTexture {
+  const texture = new THREE.DataTexture(
+    new Float32Array(4 * width * height), width, height, THREE.RGBAFormat, THREE.FloatType);
+  texture.needsUpdate = true;
+  return texture;
+}
+
+/** Indices and weights, four atoms a texel. */
+function codeTextures(scene: Scene): [THREE.DataTexture, THREE.DataTexture] {
+  const { count, levels, k } = scene;
+  const blocks = Math.ceil(k / 4);
+  const height = Math.max(1, Math.ceil((count * levels * blocks) / WIDTH));
+  const source = { indices: scene.tensor("code_indices").data, weights: scene.tensor("code_weights").data };
+  const isByte = source.indices instanceof Uint8Array;
+  const indices = isByte ? new Uint8Array(4 * WIDTH * height) : new Uint16Array(4 * WIDTH * height);
+  const weights = new Uint16Array(4 * WIDTH * height);
+  for (let level = 0; level < levels; level++) {
+    for (let part = 0; part < k; part++) {
+      const from = (level * k + part) * count;
+      for (let i = 0; i < count; i++) {
+        const to = 4 * blocks * (i * levels + level) + part;
+        indices[to] = source.indices[from + i];
+        weights[to] = source.weights[from + i];
+      }
+    }
+  }
+  return [
+    integers(indices, height, isByte ? THREE.UnsignedByteType : THREE.UnsignedShortType, isByte ? "RGBA8UI" : "RGBA16UI"),
+    integers(weights, height, THREE.UnsignedShortType, "RGBA16UI"),
+  ];
+}
+
+function integers(
+  data: Uint8Array<ArrayBuffer> | Uint16Array<ArrayBuffer>,
+  height: number,
+  type: THREE.TextureDataType,
+  format: THREE.PixelFormatGPU,
+): THREE.DataTexture {
+  const texture = new THREE.DataTexture(data, WIDTH, height, THREE.RGBAIntegerFormat, type);
+  texture.internalFormat = format;
+  texture.needsUpdate = true;
+  return texture;
+}
+
+/** Scores of the canonical phrases: rows of four phrases, level by level. */
+function canonicalTexture(scene: Scene): THREE.DataTexture {
+  const { levels, atoms, phrases } = scene;
+  const groups = Math.max(1, Math.ceil(phrases / 4));
+  const texture = floats(atoms, levels * groups);
+  const out = texture.image.data as unknown as Float32Array;
+  const scores = phrases ? scene.tensor("canonical").data : [];
+  for (let level = 0; level < levels; level++) {
+    for (let phrase = 0; phrase < phrases; phrase++) {
+      const row = level * groups + (phrase >> 2);
+      for (let atom = 0; atom < atoms; atom++) {
+        out[4 * (row * atoms + atom) + (phrase & 3)] = scores[(level * phrases + phrase) * atoms + atom];
+      }
+    }
+  }
+  return texture;
+}
+
+function confidenceTexture(scene: Scene): THREE.DataTexture {
+  const { count, levels } = scene;
+  const height = Math.max(1, Math.ceil((count * levels) / WIDTH));
+  const data = new Uint8Array(WIDTH * height);
+  const source = scene.tensor("confidence").data;
+  for (let level = 0; level < levels; level++) {
+    for (let i = 0; i < count; i++) data[i * levels + level] = source[level * count + i];
+  }
+  const texture = new THREE.DataTexture(data, WIDTH, height, THREE.RedFormat, THREE.UnsignedByteType);
+  texture.needsUpdate = true;
+  return texture;
+}
+
+/** A colour for each atom, and the offset of its level in the last column. */
+function codeColorTexture(scene: Scene): THREE.DataTexture {
+  const { levels, atoms } = scene;
+  const texture = floats(atoms + 1, levels);
+  const out = texture.image.data as unknown as Float32Array;
+  const colors = scene.tensor("code_colors").data;
+  const offsets = scene.tensor("code_color_offsets").data;
+  for (let level = 0; level < levels; level++) {
+    for (let channel = 0; channel < 3; channel++) {
+      for (let atom = 0; atom < atoms; atom++) {
+        out[4 * (level * (atoms + 1) + atom) + channel] = colors[(level * 3 + channel) * atoms + atom];
+      }
+      out[4 * (level * (atoms + 1) + atoms) + channel] = offsets[level * 3 + channel];
+    }
+  }
+  return texture;
+}

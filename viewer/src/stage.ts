@@ -1,0 +1,159 @@
+// Where the scene is seen: by WebGL in this browser, or as pictures of the server.
+import * as THREE from "three";
+import type { Server } from "./answers";
+import type { Eye } from "./camera";
+import type { Progress } from "./safetensors";
+import type { Scene } from "./scene_data";
+import { NotNow } from "./server";
+import { Splat, sparkOf } from "./splat";
+import type { State } from "./state";
+
+export interface Stage {
+  /** Show texts and settings as they are now. */
+  update(): void;
+  /** Draw again soon: the camera or the size has changed. */
+  redraw(): void;
+  /** Once all that was asked for is drawn. */
+  drawn(): Promise<void>;
+  /** What is seen, [W x H] RGBA. */
+  snapshot(): HTMLCanvasElement;
+}
+
+/** Pictures a second are bounded by the screen; none is drawn without need. */
+export class SplatStage implements Stage {
+  private readonly renderer: THREE.WebGLRenderer;
+  private readonly spark;
+  private readonly world = new THREE.Scene();
+  private splat: Splat | null = null;
+  private wanted = false;
+
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    private readonly eye: Eye,
+    private readonly state: State,
+  ) {
+    // Without antialias, as Spark advises.
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false });
+    this.renderer.setClearColor(0x000000, 1);
+    this.spark = sparkOf(this.renderer, () => this.redraw());
+    this.world.add(this.spark);
+  }
+
+  async load(scene: Scene, progress: Progress): Promise<void> {
+    this.splat = await Splat.of(scene, progress);
+    this.world.add(this.splat.mesh);
+    this.update();
+  }
+
+  update(): void {
+    this.splat?.update(this.state.shown(), this.state.look());
+    this.redraw();
+  }
+
+  redraw(): void {
+    if (this.wanted) return;
+    this.wanted = true;
+    requestAnimationFrame(() => {
+      this.wanted = false;
+      this.draw();
+    });
+  }
+
+  async drawn(): Promise<void> {
+    // Sorting runs beside drawing, and what it finds is drawn in a later frame.
+    this.redraw();
+    const { spark } = this;
+    while (this.wanted || spark.sorting || spark.sortDirty || spark.dirty) {
+      await new Promise((resolve) => setTimeout(resolve, 10));
+    }
+  }
+
+  snapshot(): HTMLCanvasElement {
+    this.draw(); // in the same task: the browser clears the buffer after it
+    const copy = document.createElement("canvas");
+    [copy.width, copy.height] = [this.canvas.width, this.canvas.height];
+    copy.getContext("2d", { willReadFrequently: true })!.drawImage(this.canvas, 0, 0);
+    return copy;
+  }
+
+  private draw(): void {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const ratio = Math.min(window.devicePixelRatio, 2);
+    const size = this.renderer.getSize(new THREE.Vector2());
+    if (size.x !== width || size.y !== height || this.renderer.getPixelRatio() !== ratio) {
+      this.renderer.setPixelRatio(ratio);
+      this.renderer.setSize(width, height, false);
+      this.eye.resize(width, height);
+    }
+    this.renderer.render(this.world, this.eye.camera);
+  }
+}
+
+const MOVING_SCALE = 0.5;
+const REST_SECONDS = 0.25;
+
+/** Pictures of the server, one after another: small while the camera moves, whole when it rests. */
+export class RemoteStage implements Stage {
+  private moved = 0;
+  private shown = -1;
+  private busy: Promise<void> | null = null;
+  private readonly context: CanvasRenderingContext2D;
+
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    private readonly eye: Eye,
+    private readonly state: State,
+    private readonly server: Server,
+    private readonly onError: (sentence: string) => void,
+  ) {
+    this.context = canvas.getContext("2d", { willReadFrequently: true })!;
+  }
+
+  update(): void {
+    this.redraw();
+  }
+
+  redraw(): void {
+    this.moved += 1;
+    this.busy ??= this.stream().finally(() => {
+      this.busy = null;
+    });
+  }
+
+  async drawn(): Promise<void> {
+    while (this.busy) await this.busy;
+  }
+
+  snapshot(): HTMLCanvasElement {
+    return this.canvas;
+  }
+
+  /** Until the newest state is shown whole. */
+  private async stream(): Promise<void> {
+    while (this.shown !== this.moved) {
+      const before = this.moved;
+      await this.show(MOVING_SCALE, 70);
+      await new Promise((resolve) => setTimeout(resolve, REST_SECONDS * 1000));
+      if (this.moved !== before) continue;
+      await this.show(1, 90);
+      if (this.moved === before) this.shown = before;
+    }
+  }
+
+  private async show(scale: number, quality: number): Promise<void> {
+    const width = Math.max(1, Math.round(this.canvas.clientWidth * scale));
+    const height = Math.max(1, Math.round(this.canvas.clientHeight * scale));
+    this.eye.resize(width, height);
+    try {
+      const blob = await this.server.picture(this.state.picture(this.eye.record(width, height), quality));
+      const bitmap = await createImageBitmap(blob);
+      [this.canvas.width, this.canvas.height] = [width, height];
+      this.context.drawImage(bitmap, 0, 0);
+      bitmap.close();
+    } catch (error) {
+      if (error instanceof NotNow) return;
+      this.onError((error as Error).message);
+      this.shown = this.moved; // until something changes
+    }
+  }
+}

@@ -1,0 +1,107 @@
+// What is on the screen: texts, mode, level, threshold, opacity.
+import type { Answer, PictureRequest, Selection } from "./answers";
+import type { CameraRecord } from "./scene_data";
+import { MOST_QUERIES, type Mode } from "./shader";
+import type { Look, ShownQuery } from "./splat";
+
+/** Of texts, in their order: easy to tell apart on grey, for the colour-blind too. */
+const COLORS: readonly [number, number, number][] = [
+  [0.96, 0.62, 0.07], [0.25, 0.72, 0.96], [0.35, 0.86, 0.45], [0.93, 0.4, 0.72], [0.98, 0.91, 0.35], [0.62, 0.52, 0.98],
+  [0.95, 0.36, 0.27], [0.55, 0.95, 0.9],
+];
+
+export interface Query {
+  answer: Answer;
+  color: [number, number, number];
+  hidden: boolean;
+}
+
+export class State {
+  queries: Query[] = [];
+  /** Null: heat as soon as there is a text. */
+  chosenMode: Mode | null = null;
+  /** Null: of each text its own. */
+  level: number | null = null;
+  threshold: number | null = null;
+  opacity = 1;
+  /** Whether texts count that are not in the scene. */
+  absent = false;
+  onChange: () => void = () => {};
+  readonly levels: number;
+
+  constructor(levels: number) {
+    this.levels = levels;
+  }
+
+  get mode(): Mode {
+    return this.chosenMode ?? (this.queries.length ? "heat" : "colour");
+  }
+
+  /** Add answers; a text that is there already is replaced. */
+  add(answers: Answer[]): void {
+    for (const answer of answers) {
+      const same = this.queries.find((query) => query.answer.text === answer.text);
+      if (same) {
+        same.answer = answer;
+        same.hidden = false;
+        continue;
+      }
+      if (this.queries.length >= MOST_QUERIES) this.queries.shift();
+      const used = this.queries.map((query) => query.color);
+      const color = COLORS.find((each) => !used.includes(each)) ?? COLORS[0];
+      this.queries.push({ answer, color, hidden: false });
+    }
+    this.onChange();
+  }
+
+  remove(query: Query): void {
+    this.queries = this.queries.filter((each) => each !== query);
+    this.onChange();
+  }
+
+  set(change: Partial<Pick<State, "chosenMode" | "level" | "threshold" | "opacity" | "absent">>): void {
+    Object.assign(this, change);
+    this.onChange();
+  }
+
+  levelOf(query: Query): number {
+    return this.level ?? query.answer.level;
+  }
+
+  /** Texts that colour something. */
+  visible(): Query[] {
+    return this.queries.filter((query) => !query.hidden && (query.answer.present || this.absent));
+  }
+
+  shown(): ShownQuery[] {
+    return this.visible().map((query) => {
+      const { answer, color } = query;
+      const level = this.levelOf(query);
+      const threshold = this.threshold ?? answer.thresholds[level];
+      return { scores: answer.scores, level, threshold, span: answer.spans[level], color };
+    });
+  }
+
+  look(): Look {
+    const first = this.visible()[0];
+    const level = this.level ?? (first ? first.answer.level : Math.floor(this.levels / 2));
+    return { mode: this.mode, level, opacity: this.opacity };
+  }
+
+  selection(): Selection {
+    const texts = this.visible().map((query) => query.answer.text);
+    const { level, threshold, absent } = this;
+    return { texts, level, threshold, rest: this.mode === "except", always: absent };
+  }
+
+  /** What the server is to render in place of the page's own picture. */
+  picture(camera: CameraRecord, quality: number): PictureRequest {
+    const first = this.visible()[0];
+    const modes = { colour: "mask", heat: "heat", only: "mask", except: "mask", codes: "codes" } as const;
+    let mode: PictureRequest["mode"] = this.mode in modes ? modes[this.mode as keyof typeof modes] : "color";
+    if (!first && mode !== "codes") mode = "color";
+    const level = mode === "codes" ? this.look().level : this.level;
+    const text = first && mode !== "codes" ? first.answer.text : null;
+    return { camera, mode, text, level, threshold: this.threshold, always: this.absent, quality };
+  }
+}

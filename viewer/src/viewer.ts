@@ -1,0 +1,232 @@
+// The page as a whole: joins picture, panel and answers.
+import * as THREE from "three";
+import type { Place, Server, Settings, Source } from "./answers";
+import { mayAnimate } from "./appearance";
+import { Eye } from "./camera";
+import { CameraList } from "./cameras";
+import { commandLine, python } from "./commands";
+import { byId, copy, counted, save } from "./dom";
+import { ExactPicture } from "./exact";
+import type { ExportedPage } from "./exported";
+import { listenToKeys } from "./keys";
+import { Panel } from "./panel";
+import { placeAlong } from "./picking";
+import { hidePlace, showPlace } from "./place_panel";
+import { plyOf, selected } from "./ply";
+import { Scene, type CameraRecord, type Metadata } from "./scene_data";
+import { RemoteStage, SplatStage, type Stage } from "./stage";
+import { State } from "./state";
+
+/** Pixels that a click may move without being a drag. */
+const CLICK_SLACK = 4;
+
+export class Viewer {
+  readonly state: State;
+  readonly eye: Eye;
+  readonly stage: Stage;
+  private readonly panel: Panel;
+  private readonly cameras: CameraList;
+  private readonly exact: ExactPicture | null;
+  private readonly canvas = byId<HTMLCanvasElement>("canvas");
+
+  private constructor(
+    readonly settings: Settings,
+    readonly metadata: Metadata,
+    private readonly source: Source,
+    private readonly server: Server | null,
+    private readonly scene: Scene | null,
+  ) {
+    this.state = new State(metadata.levels.length);
+    this.eye = new Eye(metadata, this.canvas);
+    const onError = (sentence: string) => this.say(sentence);
+    this.stage = scene
+      ? new SplatStage(this.canvas, this.eye, this.state)
+      : new RemoteStage(this.canvas, this.eye, this.state, server!, onError);
+    this.exact = scene && server
+      ? new ExactPicture(byId("picture"), byId("badge"), this.eye, this.state, server, onError)
+      : null;
+    this.panel = new Panel(this.state, metadata, !scene);
+    this.cameras = new CameraList(metadata.cameras, source, (camera) => void this.flyTo(camera));
+    this.state.onChange = () => this.changed();
+    this.eye.onMove = () => this.moved();
+    this.panel.update();
+    this.listen();
+  }
+
+  /** A page with what it shows; without a scene the pictures come from the server. */
+  static async open(
+    settings: Settings,
+    source: Source,
+    server: Server | null,
+    withGaussians: boolean,
+    progress: (stage: string, done: number, total: number) => void,
+  ): Promise<Viewer> {
+    const scene = withGaussians ? new Scene(await source.scene(progress)) : null;
+    const metadata = scene?.metadata ?? (await source.metadata());
+    const viewer = new Viewer(settings, metadata, source, server, scene);
+    if (scene && viewer.stage instanceof SplatStage) await viewer.stage.load(scene, progress);
+    viewer.describe();
+    if (metadata.cameras.length) await viewer.flyTo(metadata.cameras[0], false);
+    viewer.stage.redraw();
+    return viewer;
+  }
+
+  /** Ask texts; several are separated by commas. */
+  async ask(texts: string[]): Promise<void> {
+    this.say("");
+    try {
+      this.state.add(await this.source.ask(texts, false));
+    } catch (error) {
+      this.say((error as Error).message);
+    }
+  }
+
+  async flyTo(camera: CameraRecord, flies = mayAnimate()): Promise<void> {
+    await this.eye.flyTo(camera, new THREE.Vector3(...this.metadata.centre), flies);
+  }
+
+  /** What is at a point of the picture, in its own pixels. */
+  async point(x: number, y: number): Promise<void> {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const marker = byId("marker");
+    [marker.style.left, marker.style.top] = [`${x}px`, `${y}px`];
+    marker.hidden = false;
+    try {
+      const place = await this.placeAt(x, y, width, height);
+      showPlace(place);
+      if (place.position) this.eye.lookAround(new THREE.Vector3(...(place.position as [number, number, number])));
+    } catch (error) {
+      this.say((error as Error).message);
+    }
+  }
+
+  private async placeAt(x: number, y: number, width: number, height: number): Promise<Place> {
+    if (this.server) return this.server.point(this.eye.record(width, height), [x, y]);
+    const page = this.source as ExportedPage;
+    const caster = new THREE.Raycaster();
+    this.eye.camera.updateMatrixWorld();
+    caster.setFromCamera(new THREE.Vector2((2 * x) / width - 1, 1 - (2 * y) / height), this.eye.camera);
+    const { names } = await page.vocabulary();
+    return placeAlong(this.scene!, caster.ray, { names, scores: names.length ? await page.allScores() : new Float32Array() });
+  }
+
+  say(sentence: string): void {
+    byId("message").textContent = sentence;
+  }
+
+  toggleExact(): void {
+    if (!this.exact) return;
+    if (this.exact.isShown) this.exact.hide();
+    else void this.exact.show();
+  }
+
+  private changed(): void {
+    this.panel.update();
+    this.stage.update();
+    this.exact?.changed();
+  }
+
+  private moved(): void {
+    byId("marker").hidden = true;
+    this.cameras.mark(this.eye.at?.name ?? null);
+    this.exact?.moved();
+    this.stage.redraw();
+  }
+
+  private listen(): void {
+    byId("ask").addEventListener("submit", (event) => {
+      event.preventDefault();
+      const box = byId<HTMLInputElement>("text");
+      const texts = box.value.split(",").map((text) => text.trim()).filter(Boolean);
+      if (texts.length) void this.ask(texts).then(() => box.select());
+    });
+    let pressed: PointerEvent | null = null;
+    this.canvas.addEventListener("pointerdown", (event) => {
+      pressed = event.isPrimary && event.button === 0 ? event : null;
+    });
+    this.canvas.addEventListener("pointerup", (event) => {
+      if (!pressed || Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY) > CLICK_SLACK) return;
+      void this.point(event.offsetX, event.offsetY);
+    });
+    new ResizeObserver(() => {
+      this.exact?.moved();
+      this.stage.redraw();
+    }).observe(byId("stage"));
+    byId("save-picture").addEventListener("click", () => this.savePicture());
+    byId("save-selection").addEventListener("click", () => void this.saveSelection());
+    byId("copy-command").addEventListener("click", () => void copy(this.command()));
+    byId("copy-python").addEventListener("click", () => void copy(this.python()));
+    byId("exact").hidden = !this.exact;
+    byId("exact-show").addEventListener("click", () => this.toggleExact());
+    byId<HTMLInputElement>("exact-rest").addEventListener("change", (event) => {
+      if (!this.exact) return;
+      this.exact.whenResting = (event.target as HTMLInputElement).checked;
+      this.exact.moved();
+    });
+    listenToKeys(this.state, this.eye, { toggleExact: () => this.toggleExact(), escape: hidePlace });
+    this.server?.watch((alive) => {
+      byId("closed-text").textContent = `The server was closed. Start it again: ${this.settings.open}`;
+      byId("closed").hidden = alive;
+    });
+  }
+
+  command(): string {
+    return commandLine(this.settings, this.state, this.metadata.levels, this.eye.at?.name ?? null);
+  }
+
+  python(): string {
+    return python(this.settings, this.state, this.metadata.levels, this.eye.at?.name ?? null);
+  }
+
+  private savePicture(): void {
+    const exact = byId<HTMLImageElement>("picture");
+    if (!exact.hidden) {
+      void fetch(exact.src).then((response) => response.blob()).then((blob) => save(blob, "exact_picture.jpg"));
+      return;
+    }
+    this.stage.snapshot().toBlob((blob) => blob && save(blob, "picture.png"), "image/png");
+  }
+
+  async saveSelection(): Promise<void> {
+    const selection = this.state.selection();
+    this.say("");
+    try {
+      if (!selection.texts.length) throw new Error("Ask for something first: nothing is selected.");
+      if (this.server) {
+        const { blob, name } = await this.server.select(selection);
+        save(blob, name);
+        return;
+      }
+      const rows = selected(this.scene!, this.state.shown(), selection.rest);
+      if (!rows.length) throw new Error("No Gaussian is selected; try a lower threshold.");
+      save(plyOf(this.scene!, rows), "selection.ply");
+    } catch (error) {
+      this.say((error as Error).message);
+    }
+  }
+
+  /** Facts of the scene, and the words that the text box completes. */
+  private describe(): void {
+    const { metadata, scene } = this;
+    document.title = `${metadata.name} – SCOUP`;
+    byId("title").textContent = metadata.name;
+    const all = counted(metadata.n_gaussians, "Gaussian");
+    const some = scene && scene.count < metadata.n_gaussians;
+    const full = this.server ? "; the exact picture has all" : "";
+    const shown = some ? `${scene.count.toLocaleString("en")} of ${all} shown, the most opaque and largest${full}` : all;
+    byId("facts").textContent = `${shown}. Embeddings: ${metadata.embedding_model || "unnamed model"}. SCOUP ${this.settings.version}.`;
+    if (metadata.words_problem !== null) {
+      this.say(`No text can be asked: ${metadata.words_problem}`);
+      for (const part of byId("ask").querySelectorAll<HTMLInputElement | HTMLButtonElement>("input, button")) part.disabled = true;
+      return;
+    }
+    void this.source.vocabulary().then(({ names, closed }) => {
+      byId("names").replaceChildren(...names.map((name) => {
+        const option = document.createElement("option");
+        option.value = name;
+        return option;
+      }));
+      if (closed) byId<HTMLInputElement>("text").title = `one of ${names.length.toLocaleString("en")} words`;
+    });
+  }
+}
