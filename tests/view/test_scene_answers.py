@@ -121,7 +121,7 @@ def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
     )
     assert seen[0] == 0
     assert seen[-1] == len(WORDS)
-    tensors, metadata = unpacked(words_data(answers))
+    tensors, metadata = unpacked(words_data(viewed.field, answers))
     assert metadata["names"] == list(WORDS)
     assert tensors["scores"].shape == (len(WORDS), 2, 9)
     assert tensors["scores"].dtype == np.float16
@@ -129,6 +129,8 @@ def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
     row = WORDS.index("thing 7")
     assert np.abs(tensors["scores"][row] - one.scores.numpy()).max() < 1e-3
     assert tensors["levels"][row] == one.level
+    codebook = viewed.field.codebook.numpy()
+    np.testing.assert_allclose(tensors["gram"], codebook @ codebook.transpose(0, 2, 1), atol=1e-3)
     assert tensors["present"][row] == one.present
     assert tensors["gaussians"][row] == one.gaussians
     np.testing.assert_allclose(tensors["thresholds"][row], one.thresholds.numpy())
@@ -136,7 +138,7 @@ def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
     few = {name: vector for name, vector in table().items() if name not in WORDS[3:]}
     unjudged = ViewedField(random_field(), few)
     assert unjudged.metadata()["present_from"] is None
-    stored = unpacked(words_data(unjudged.answers(["thing 0"])))[0]
+    stored = unpacked(words_data(unjudged.field, unjudged.answers(["thing 0"])))[0]
     assert math.isnan(stored["z_scores"][0])
     assert stored["present"][0] == 1
 

@@ -1,5 +1,6 @@
 // A page without a server: scene and vocabulary lie within it.
 import type { Answer, Source } from "./answers";
+import type { Words } from "./picking";
 import { fromBase64, unpack, type Packed, type Progress } from "./safetensors";
 import type { Metadata } from "./scene_data";
 
@@ -18,7 +19,7 @@ declare global {
 export class ExportedPage implements Source {
   private readonly data: PageData;
   private packed: Promise<Packed> | null = null;
-  private words: Promise<Packed> | null = null;
+  private packedWords: Promise<Packed> | null = null;
 
   constructor() {
     if (!window.scoupData?.scene) throw new Error("the data of this page is missing; the files beside it belong to it");
@@ -79,14 +80,18 @@ export class ExportedPage implements Source {
     return this.data.words ? ((await this.unpackedWords()).metadata as { names: string[] }).names : [];
   }
 
-  /** Scores of all words, [V, S, L], for clicks. */
-  async allScores(): Promise<Float32Array> {
-    return (await this.unpackedWords()).tensors.get("scores")!.data as Float32Array;
+  /** What a click compares with. */
+  async clickWords(): Promise<Words> {
+    const names = await this.names();
+    if (!names.length) return { names, scores: new Float32Array(), gram: new Float32Array() };
+    const { tensors } = await this.unpackedWords();
+    const [scores, gram] = ["scores", "gram"].map((name) => tensors.get(name)!.data as Float32Array);
+    return { names, scores, gram };
   }
 
   private unpackedWords(): Promise<Packed> {
-    this.words ??= unpack(fromBase64(this.data.words));
-    return this.words;
+    this.packedWords ??= unpack(fromBase64(this.data.words));
+    return this.packedWords;
   }
 }
 

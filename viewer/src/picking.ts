@@ -3,6 +3,8 @@ import * as THREE from "three";
 import type { Place } from "./answers";
 import type { Scene } from "./scene_data";
 
+/** Pixels squared that Inria's rasteriser adds to each projected covariance. */
+const BLUR = 0.3;
 const LEAST_ALPHA = 1 / 255;
 const MOST_ALPHA = 0.99;
 const LEAST_LIGHT = 1e-4;
@@ -14,8 +16,18 @@ interface Hit {
   alpha: number;
 }
 
-/** Gaussians along a ray with how much each paints of it, front to back, as blending does. */
-export function hits(scene: Scene, origin: THREE.Vector3, direction: THREE.Vector3): { gaussian: number; distance: number; weight: number }[] {
+export interface Painted {
+  gaussian: number;
+  distance: number;
+  weight: number;
+}
+
+/**
+ * Gaussians along a ray with how much each paints of it, front to back, as blending does.
+ *
+ * @param pixel angle of a pixel, by which small Gaussians are made wider as the rasteriser does
+ */
+export function hits(scene: Scene, origin: THREE.Vector3, direction: THREE.Vector3, pixel: number): Painted[] {
   const found: Hit[] = [];
   const mean = new THREE.Vector3();
   const turn = new THREE.Quaternion();
@@ -26,7 +38,8 @@ export function hits(scene: Scene, origin: THREE.Vector3, direction: THREE.Vecto
     from.subVectors(origin, mean);
     const ahead = -from.dot(direction);
     if (ahead <= 0) continue;
-    const scales = [scene.scale(i, 0), scene.scale(i, 1), scene.scale(i, 2)];
+    const blur = BLUR * (pixel * ahead) ** 2;
+    const scales = [0, 1, 2].map((axis) => Math.sqrt(scene.scale(i, axis) ** 2 + blur));
     const reach = 3.4 * Math.max(...scales);
     if (from.lengthSq() - ahead * ahead > reach * reach) continue;
     const [w, x, y, z] = scene.quat(i);
@@ -53,45 +66,56 @@ export function hits(scene: Scene, origin: THREE.Vector3, direction: THREE.Vecto
   return painted;
 }
 
+export interface Words {
+  names: string[];
+  /** [V, S, L] inner products of atoms and words. */
+  scores: Float32Array;
+  /** [S, L, L] inner products of atoms. */
+  gram: Float32Array;
+}
+
 /** What the scene says is along a ray: the words that fit the sum of the codes best, level by level. */
-export function placeAlong(
-  scene: Scene,
-  ray: THREE.Ray,
-  words: { names: string[]; scores: Float32Array },
-): Place {
-  const painted = hits(scene, ray.origin, ray.direction);
+export function placeAlong(scene: Scene, ray: THREE.Ray, pixel: number, words: Words): Place {
+  const painted = hits(scene, ray.origin, ray.direction, pixel);
   const total = painted.reduce((sum, { weight }) => sum + weight, 0);
   if (!(total > 0)) return { position: null, distance: null, levels: [] };
   let light = 0;
   const middle = painted.find(({ weight }) => (light += weight) >= total / 2) ?? painted[0];
-  const levels = scene.metadata.levels.map((level, s) => {
-    // Cosines of the Gaussians, weighted by what they paint: the codes have norm 1 in the page.
-    const code = new Float64Array(scene.atoms);
-    let share = 0;
-    let confidence = 0;
-    for (const { gaussian, weight } of painted) {
-      const sure = scene.confidence(gaussian, s);
-      if (!sure) continue;
-      share += weight;
-      confidence += weight * sure;
-      for (let k = 0; k < scene.k; k++) code[scene.atom(gaussian, s, k)] += weight * scene.weight(gaussian, s, k);
-    }
-    if (!share) return { level, confidence: 0, words: [] };
-    const canonical = scene.tensor("canonical").data as Float32Array;
-    let best = -Infinity;
-    for (let p = 0; p < scene.phrases; p++) {
-      best = Math.max(best, product(code, canonical, (s * scene.phrases + p) * scene.atoms));
-    }
-    const ranked = words.names
-      .map((text, row) => {
-        const cosine = product(code, words.scores, (row * scene.levels + s) * scene.atoms);
-        return { text, relevancy: 1 / (1 + Math.exp((-10 * (cosine - best)) / share)) };
-      })
-      .sort((a, b) => b.relevancy - a.relevancy);
-    return { level, confidence: confidence / share, words: ranked.slice(0, WORDS_SHOWN) };
-  });
+  const levels = scene.metadata.levels.map((level, s) => wordsAt(scene, painted, s, level, words));
   const point = ray.at(middle.distance, new THREE.Vector3());
   return { position: point.toArray(), distance: middle.distance, levels };
+}
+
+function wordsAt(scene: Scene, painted: Painted[], s: number, level: string, words: Words): Place["levels"][number] {
+  const code = new Float64Array(scene.atoms);
+  let share = 0;
+  let confidence = 0;
+  for (const { gaussian, weight } of painted) {
+    const sure = scene.confidence(gaussian, s);
+    if (!sure) continue;
+    share += weight;
+    confidence += weight * sure;
+    // The page holds codes of norm 1; the confidence is the norm that they had.
+    for (let k = 0; k < scene.k; k++) code[scene.atom(gaussian, s, k)] += weight * sure * scene.weight(gaussian, s, k);
+  }
+  if (!share) return { level, confidence: 0, words: [] };
+  let squared = 0;
+  for (let atom = 0; atom < code.length; atom++) {
+    if (code[atom]) squared += code[atom] * product(code, words.gram, (s * code.length + atom) * code.length);
+  }
+  const norm = Math.sqrt(Math.max(squared, 1e-12));
+  const canonical = scene.phrases ? (scene.tensor("canonical").data as Float32Array) : new Float32Array();
+  let best = -Infinity;
+  for (let p = 0; p < scene.phrases; p++) {
+    best = Math.max(best, product(code, canonical, (s * scene.phrases + p) * scene.atoms) / norm);
+  }
+  const ranked = words.names
+    .map((text, row) => {
+      const cosine = product(code, words.scores, (row * scene.levels + s) * scene.atoms) / norm;
+      return { text, relevancy: 1 / (1 + Math.exp(-10 * (cosine - best))) };
+    })
+    .sort((a, b) => b.relevancy - a.relevancy);
+  return { level, confidence: confidence / share, words: ranked.slice(0, WORDS_SHOWN) };
 }
 
 function product(code: Float64Array, table: Float32Array, start: number): number {

@@ -105,9 +105,11 @@ export class Viewer {
     const page = this.source as ExportedPage;
     const caster = new THREE.Raycaster();
     this.eye.camera.updateMatrixWorld();
-    caster.setFromCamera(new THREE.Vector2((2 * x) / width - 1, 1 - (2 * y) / height), this.eye.camera);
-    const { names } = await page.vocabulary();
-    return placeAlong(this.scene!, caster.ray, { names, scores: names.length ? await page.allScores() : new Float32Array() });
+    // The middle of the pixel, as on the server.
+    const [right, up] = [(2 * x + 1) / width - 1, 1 - (2 * y + 1) / height];
+    caster.setFromCamera(new THREE.Vector2(right, up), this.eye.camera);
+    const pixel = 1 / this.eye.record(width, height).K[4];
+    return placeAlong(this.scene!, caster.ray, pixel, await page.clickWords());
   }
 
   say(sentence: string): void {

@@ -113,7 +113,7 @@ def _words(viewed: ViewedField, progress: Progress) -> tuple[bytes, int]:
         return b"", 0
     _, present_from = viewed.texts(vocabulary.texts[:1])
     answers = vocabulary_answers(viewed.field, viewed.codes, vocabulary, present_from, progress)
-    return words_data(answers), len(answers)
+    return words_data(viewed.field, answers), len(answers)
 
 
 def _thumbnails(viewed: ViewedField, progress: Progress) -> Sequence[str | None]:

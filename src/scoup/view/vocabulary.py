@@ -49,15 +49,18 @@ def read_words(path: str, text: str) -> tuple[str, ...]:
     return words
 
 
-def words_data(answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
+def words_data(field: QueriedField, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
     """The file of words that an exported page holds (docs/formats.md, "Words of a page").
 
     Args:
+        field: that was asked.
         answers: one a word.
         effort: of compression, 1 to 9.
     """
     z_scores = [math.nan if answer.z_score is None else answer.z_score for answer in answers]
+    codebook = field.codebook.float().cpu()
     tensors = {
+        "gram": (codebook @ codebook.transpose(1, 2)).half().numpy(),
         "scores": torch.stack([answer.scores for answer in answers]).half().numpy(),
         "thresholds": torch.stack([answer.thresholds for answer in answers]).float().numpy(),
         "spans": torch.stack([answer.spans for answer in answers]).float().numpy(),
