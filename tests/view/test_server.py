@@ -40,7 +40,10 @@ def test_the_page_gets_its_settings_and_its_files(client: TestClient) -> None:
     settings = json.loads(index.text.split('type="application/json">')[1].split("</script>")[0])
     assert settings["mode"] == "live"
     assert settings["open"] == "scoup view field.scoup"
-    assert client.get("/viewer.js").content == PAGE.program
+    for coding in ("gzip", "identity"):
+        program = client.get("/viewer.js", headers={"accept-encoding": coding})
+        assert program.content == PAGE.program
+        assert program.headers.get("content-encoding", "identity") == coding
     assert client.get("/viewer.css").text == PAGE.style
     assert client.get("/licences.txt").text == PAGE.licences
     assert client.get("/api/alive").status_code == 204

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from scoup.evaluate.demonstration import DemoResult
 
 
-FIELD, SHEET, SCORES = "demo.scoup", "queries.png", "scores.json"
+FIELD, SHEET, SCORES, PAGE = "demo.scoup", "queries.png", "scores.json", "demo.html"
+WORDS = Path("scene") / "text.npz"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +52,8 @@ class Demo(WritesCommon):
         from scoup.io import save_png, write_text
         from scoup.synthetic.folder import FILES
 
-        files = [FIELD, SHEET, SCORES, *(f"scene/{name}" for name in FILES)]
+        no_page = _page_problem()
+        files = [FIELD, SHEET, SCORES, *([] if no_page else [PAGE]), *(f"scene/{name}" for name in FILES)]
         console.say(
             f"a scene of {counted(self.n_gaussians, 'Gaussian')}, {counted(self.views, 'view')} of "
             f"{self.width} x {self.height}"
@@ -62,15 +64,38 @@ class Demo(WritesCommon):
             save_png(query_sheet(result), hidden / SHEET)
             record = _record(result, self.out)
             write_text(hidden / SCORES, json.dumps(record, indent=2))
+            if not no_page:
+                _write_page(result, hidden)
         result = replace(result, field_path=self.out / FIELD)
         _say_names(console, result)
         _say_totals(console, result)
-        console.say(
-            f"\npictures: {self.out / SHEET}\nscores:   {self.out / SCORES}\nfield:    {self.out / FIELD}"
-        )
-        words, thing = self.out / "scene" / "text.npz", result.scene.layout.favourites[0]
+        page = no_page or f"{self.out / PAGE} (open it in a browser; it needs no server)"
+        console.say(f"\npictures: {self.out / SHEET}\nscores:   {self.out / SCORES}")
+        console.say(f"field:    {self.out / FIELD}\npage:     {page}")
+        words, thing = self.out / WORDS, result.scene.layout.favourites[0]
         console.say(f'query it: scoup query {result.field_path} "{thing}" --text {words} --camera all')
+        console.say(f"look at it, and type a word: scoup view {result.field_path} --text {words}")
         console.result(record)
+
+
+def _page_problem() -> str:
+    """Why no page can be written; empty if it can."""
+    from scoup.base.errors import ScoupError
+    from scoup.view.page import page_files
+
+    try:
+        page_files()
+    except ScoupError as error:
+        return str(error)
+    return ""
+
+
+def _write_page(result: DemoResult, folder: Path) -> None:
+    """The page of the demo, with the words of its table."""
+    from scoup.view.export import export_page
+    from scoup.view.viewed_field import ViewedField
+
+    export_page(ViewedField(result.field, folder / WORDS), folder / PAGE)
 
 
 def _record(result: DemoResult, out: Path) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import gzip
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,11 @@ class PageFiles:
     style: str
     licences: str
 
+    @cached_property
+    def packed_program(self) -> bytes:
+        """The program, gzipped."""
+        return gzip.compress(self.program, 9, mtime=0)
+
     def with_settings(self, settings: Mapping[str, Any]) -> str:
         """The HTML with the settings of a server, which hands out program and style."""
         return self.index.replace(SETTINGS, _settings_line(settings))
@@ -61,7 +66,7 @@ class PageFiles:
             settings: of the page.
             data: HTML that sets ``window.scoupData``.
         """
-        program = base64.b64encode(gzip.compress(self.program, 9, mtime=0)).decode()
+        program = base64.b64encode(self.packed_program).decode()
         scripts = f'<script>window.scoupProgram = "{program}";</script>\n{_UNPACK}'
         licences = f"<!--\n{self.licences.replace('--', '- -')}\n-->"
         html = self.index.replace(STYLE, f"<style>\n{self.style}\n</style>").replace(PROGRAM, scripts)

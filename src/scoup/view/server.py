@@ -79,7 +79,10 @@ class _Answers:
         return Response(self.page.with_settings(self.viewed.settings(self.mode)), media_type="text/html")
 
     async def program(self, request: Request) -> Response:
-        return Response(self.page.program, media_type="text/javascript")
+        if "gzip" not in request.headers.get("accept-encoding", ""):
+            return Response(self.page.program, media_type="text/javascript")
+        headers = {"content-encoding": "gzip", "vary": "accept-encoding"}
+        return Response(self.page.packed_program, media_type="text/javascript", headers=headers)
 
     async def style(self, request: Request) -> Response:
         return Response(self.page.style, media_type="text/css")
