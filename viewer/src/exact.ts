@@ -51,13 +51,15 @@ export class ExactPicture {
     this.badge.textContent = "rendering the exact picture …";
     this.badge.hidden = false;
     try {
-      const blob = await this.server.picture(this.state.picture(this.eye.record(width, height), QUALITY));
+      const request = this.state.picture(this.eye.record(width, height), QUALITY);
+      const blob = await this.server.picture(request);
       if (number !== this.number) return;
       URL.revokeObjectURL(this.image.src);
       this.image.src = URL.createObjectURL(blob);
       await this.image.decode();
       if (number !== this.number) return;
-      this.badge.textContent = "exact picture (rendered codes, all Gaussians)";
+      const what = request.text === null ? "" : ` of “${request.text}”`;
+      this.badge.textContent = `exact picture${what} (rendered codes, all Gaussians)`;
       this.image.hidden = false;
       this.shown = true;
     } catch (error) {

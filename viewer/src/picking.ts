@@ -5,6 +5,8 @@ import type { Scene } from "./scene_data";
 
 /** Pixels squared that Inria's rasteriser adds to each projected covariance. */
 const BLUR = 0.3;
+/** Standard deviations beyond which even an opaque Gaussian paints less than the least alpha. */
+const REACH = 3.4;
 const LEAST_ALPHA = 1 / 255;
 const MOST_ALPHA = 0.99;
 const LEAST_LIGHT = 1e-4;
@@ -38,10 +40,10 @@ export function hits(scene: Scene, origin: THREE.Vector3, direction: THREE.Vecto
     from.subVectors(origin, mean);
     const ahead = -from.dot(direction);
     if (ahead <= 0) continue;
+    const largest = Math.max(scene.scale(i, 0), scene.scale(i, 1), scene.scale(i, 2));
     const blur = BLUR * (pixel * ahead) ** 2;
+    if (from.lengthSq() - ahead * ahead > REACH * REACH * (largest * largest + blur)) continue;
     const scales = [0, 1, 2].map((axis) => Math.sqrt(scene.scale(i, axis) ** 2 + blur));
-    const reach = 3.4 * Math.max(...scales);
-    if (from.lengthSq() - ahead * ahead > reach * reach) continue;
     const [w, x, y, z] = scene.quat(i);
     turn.set(-x, -y, -z, w); // into the frame of the Gaussian, where it is a ball once scaled
     from.applyQuaternion(turn);

@@ -1,5 +1,5 @@
 // The scene as it comes from Python (docs/formats.md, "Scene of a page").
-import type { Packed, Tensor } from "./safetensors";
+import type { Packed, Tensor, TensorData } from "./safetensors";
 
 export interface CameraRecord {
   name: string;
@@ -43,12 +43,29 @@ export class Scene {
   /** Canonical phrases. */
   readonly phrases: number;
   private readonly tensors: Map<string, Tensor>;
+  // Looked up once: these are read millions of times.
+  private readonly means: TensorData;
+  private readonly scales: TensorData;
+  private readonly quats: TensorData;
+  private readonly colors: TensorData;
+  private readonly opacities: TensorData;
+  private readonly indices: TensorData;
+  private readonly weights: TensorData;
+  private readonly sureness: TensorData;
 
   constructor(packed: Packed) {
     this.metadata = packed.metadata as Metadata & Ranges;
     if (this.metadata.version !== 1) throw new Error(`this page cannot read version ${this.metadata.version} of its scene`);
     this.tensors = packed.tensors;
-    this.count = this.tensor("opacities").data.length;
+    this.means = this.tensor("means").data;
+    this.scales = this.tensor("scales").data;
+    this.quats = this.tensor("quats").data;
+    this.colors = this.tensor("colors").data;
+    this.opacities = this.tensor("opacities").data;
+    this.indices = this.tensor("code_indices").data;
+    this.weights = this.tensor("code_weights").data;
+    this.sureness = this.tensor("confidence").data;
+    this.count = this.opacities.length;
     const [levels, k] = this.tensor("code_indices").shape;
     [this.levels, this.k, this.atoms] = [levels, k, this.metadata.n_atoms];
     this.phrases = this.tensors.get("canonical")?.shape[1] ?? 0;
@@ -68,9 +85,8 @@ export class Scene {
   }
 
   private coordinate(i: number, axis: number): number {
-    const { data } = this.tensor("means");
-    const n = this.count;
-    const value = data[axis * n + i] * 65536 + data[(3 + axis) * n + i] * 256 + data[(6 + axis) * n + i];
+    const { means, count } = this;
+    const value = means[axis * count + i] * 65536 + means[(3 + axis) * count + i] * 256 + means[(6 + axis) * count + i];
     const { means_low: low, means_high: high } = this.metadata;
     return low[axis] + (value / 16777215) * (high[axis] - low[axis]);
   }
@@ -78,35 +94,34 @@ export class Scene {
   /** Standard deviation along an axis of a Gaussian's own frame. */
   scale(i: number, axis: number): number {
     const { scales_low: low, scales_high: high } = this.metadata;
-    return Math.exp(low + (this.tensor("scales").data[axis * this.count + i] / 255) * (high - low));
+    return Math.exp(low + (this.scales[axis * this.count + i] / 255) * (high - low));
   }
 
   /** Rotation w, x, y, z of norm 1. */
   quat(i: number): [number, number, number, number] {
-    const { data } = this.tensor("quats");
-    const q = [0, 1, 2, 3].map((part) => data[part * this.count + i]);
-    const norm = Math.hypot(...q) || 1;
-    return [q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm];
+    const { quats, count } = this;
+    const [w, x, y, z] = [quats[i], quats[count + i], quats[2 * count + i], quats[3 * count + i]];
+    const norm = Math.sqrt(w * w + x * x + y * y + z * z) || 1;
+    return [w / norm, x / norm, y / norm, z / norm];
   }
 
   opacity(i: number): number {
-    return this.tensor("opacities").data[i] / 255;
+    return this.opacities[i] / 255;
   }
 
   color(i: number, channel: number): number {
-    return this.tensor("colors").data[channel * this.count + i] / 255;
+    return this.colors[channel * this.count + i] / 255;
   }
 
   atom(i: number, level: number, k: number): number {
-    return this.tensor("code_indices").data[(level * this.k + k) * this.count + i];
+    return this.indices[(level * this.k + k) * this.count + i];
   }
 
   weight(i: number, level: number, k: number): number {
-    const value = this.tensor("code_weights").data[(level * this.k + k) * this.count + i];
-    return (value / 65535) * this.metadata.weights_scale;
+    return (this.weights[(level * this.k + k) * this.count + i] / 65535) * this.metadata.weights_scale;
   }
 
   confidence(i: number, level: number): number {
-    return this.tensor("confidence").data[level * this.count + i] / 255;
+    return this.sureness[level * this.count + i] / 255;
   }
 }

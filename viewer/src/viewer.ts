@@ -19,6 +19,7 @@ import { State } from "./state";
 
 /** Pixels that a click may move without being a drag. */
 const CLICK_SLACK = 4;
+const NOTE_SECONDS = 4;
 
 export class Viewer {
   readonly state: State;
@@ -156,8 +157,8 @@ export class Viewer {
     }).observe(byId("stage"));
     byId("save-picture").addEventListener("click", () => this.savePicture());
     byId("save-selection").addEventListener("click", () => void this.saveSelection());
-    byId("copy-command").addEventListener("click", () => void copy(this.command()));
-    byId("copy-python").addEventListener("click", () => void copy(this.python()));
+    byId("copy-command").addEventListener("click", () => void this.copied(this.command()));
+    byId("copy-python").addEventListener("click", () => void this.copied(this.python()));
     byId("exact").hidden = !this.exact;
     byId("exact-show").addEventListener("click", () => this.toggleExact());
     byId<HTMLInputElement>("exact-rest").addEventListener("change", (event) => {
@@ -178,6 +179,13 @@ export class Viewer {
 
   python(): string {
     return python(this.settings, this.state, this.metadata.levels, this.eye.at?.name ?? null);
+  }
+
+  private async copied(text: string): Promise<void> {
+    await copy(text);
+    const note = byId("note");
+    note.textContent = `Copied: ${text.trim().split("\n")[0]} …`;
+    setTimeout(() => (note.textContent = ""), NOTE_SECONDS * 1000);
   }
 
   private savePicture(): void {
