@@ -3,17 +3,22 @@
 # make test-all   the same, and the exhaustive sweeps
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
 # make count  instructions of the compiled kernels against benchmarks/instruction_counts.json (needs valgrind)
-# make lint   ruff and pyright
+# make lint   ruff and pyright; the types of the viewer's page
+# make page   the page of `scoup view` again, where it could not be fetched or its sources have changed
 
 PYTHON ?= python3
 BIN := .venv/bin
 NATIVE := $(wildcard native/CMakeLists.txt native/*.cmake native/src/*)
-INSTALL := pyproject.toml tools/install.py $(NATIVE)
+VIEWER := $(wildcard viewer/*.* viewer/src/*)
+INSTALL := pyproject.toml tools/install.py tools/build_viewer.py tools/build_backend.py $(NATIVE) $(VIEWER)
 
-.PHONY: demo test test-all test-native count lint format clean
+.PHONY: demo page test test-all test-native count lint format clean
 
 demo: .venv/installed
 	$(BIN)/scoup demo --out demo --overwrite
+
+page: .venv/installed
+	$(BIN)/python tools/build_viewer.py
 
 test: .venv/installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow"
@@ -35,13 +40,14 @@ lint: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	$(BIN)/python tools/build_viewer.py --check
 
 format: .venv/installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 .venv/installed: $(INSTALL)
-	$(PYTHON) tools/install.py
+	$(PYTHON) tools/install.py view
 	@touch $@
 
 .venv/installed-dev: $(INSTALL)
@@ -49,4 +55,4 @@ format: .venv/installed-dev
 	@touch $@ .venv/installed
 
 clean:
-	rm -rf .venv demo build dist .pytest_cache .hypothesis .ruff_cache
+	rm -rf .venv demo build dist viewer/node_modules src/scoup/view/page .pytest_cache .hypothesis .ruff_cache

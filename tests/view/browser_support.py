@@ -1,0 +1,376 @@
+"""A browser for tests of the viewer, a small scene of named things, and the page as a visitor sees it."""
+
+from __future__ import annotations
+
+import base64
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.field.artefact import FieldInfo
+from scoup.field.language_field import LanguageField
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.pictures.colors import Picture
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.view.page import PAGE_FOLDER
+from support import unit
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
+
+# SwiftShader draws without a GPU; the rest keeps the browser from asking the network for anything of its own.
+FLAGS = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+    "--disable-quic",
+)
+DIM = 48
+THINGS = {  # name: place, colour
+    "kettle": ((-0.8, 0.0, 0.6), (0.8, 0.2, 0.2)),
+    "mug": ((0.8, 0.0, 0.6), (0.2, 0.7, 0.2)),
+    "book": ((-0.8, 0.0, -0.6), (0.2, 0.3, 0.8)),
+    "lamp": ((0.8, 0.0, -0.6), (0.7, 0.6, 0.2)),
+}
+GROUPS = {"dishes": ("kettle", "mug"), "furniture": ("book", "lamp")}
+"""What the coarsest level knows the things as."""
+ABSENT = "violin"
+FILLERS = tuple(f"filler {number}" for number in range(24))
+MIXED = "pot"
+"""Mostly a kettle, a little a mug: how much of it is selected depends on the threshold."""
+WORDS = (*THINGS, *GROUPS, ABSENT, *FILLERS)
+A_THING = 60
+"""Gaussians of each thing."""
+PATIENCE = 120_000
+"""Milliseconds for a step, on however busy a machine."""
+
+
+def browser_program() -> str | None:
+    """A Chromium of the system."""
+    names = ("chromium", "chromium-browser", "google-chrome", "chrome")
+    return next((found for found in map(shutil.which, names) if found), None)
+
+
+def why_not(page: bool = True) -> str | None:
+    """Why nothing can be tested in a browser here, if so; with or without the page."""
+    if browser_program() is None:
+        return "there is no Chromium here (apt-get install chromium)"
+    for package in ("playwright", "starlette", "uvicorn"):
+        try:
+            __import__(package)
+        except ImportError:
+            return f"{package} is not installed"
+    if page and not (PAGE_FOLDER / "viewer.js").is_file():
+        return "the page is not built: python tools/build_viewer.py"
+    return None
+
+
+def need_browser(page: bool = True) -> None:
+    """Skips with a reason where there is no browser; with SCOUP_TEST_BROWSER=required that is a failure."""
+    reason = why_not(page)
+    if reason is None:
+        return
+    if os.environ.get("SCOUP_TEST_BROWSER") == "required":
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """A browser without a window."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=browser_program(), args=list(FLAGS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+# ---- The scene
+
+
+@cache
+def table() -> dict[str, Tensor]:
+    """A word table: the names above and the canonical phrases; nobody changes it."""
+    names = (*WORDS, *CANONICAL_PHRASES)
+    generator = torch.Generator().manual_seed(11)
+    vectors = unit(torch.randn(len(names), DIM, generator=generator))
+    # Orthogonal, as long as there are dimensions.
+    vectors = torch.linalg.qr(vectors[:DIM].T).Q.T
+    found = dict(zip(names, vectors, strict=True))
+    found[MIXED] = unit(0.9 * found["kettle"] + 0.42 * found["mug"])
+    return found
+
+
+def things_field() -> LanguageField:
+    """Four balls of Gaussians, each a thing; two groups of two at the coarsest level."""
+    generator = torch.Generator().manual_seed(3)
+    places = [torch.tensor(place) for place, _ in THINGS.values()]
+    directions = unit(torch.randn(A_THING, 3, generator=generator))
+    means = torch.cat([place + 0.22 * directions for place in places])
+    colors = torch.cat([torch.tensor(color).expand(A_THING, 3) for _, color in THINGS.values()])
+    colors = (colors + 0.05 * torch.randn(colors.shape, generator=generator)).clamp(0, 1)
+    gaussians = splat(means, 0.07, colors)
+    owner = torch.arange(len(THINGS)).repeat_interleave(A_THING)
+    groups = [list(GROUPS).index(group) for name in THINGS for group, own in GROUPS.items() if name in own]
+    main = torch.stack([owner, owner, len(THINGS) + torch.tensor(groups)[owner]], 1)  # [N, 3 levels]
+    return coded(gaussians, main, generator, views())
+
+
+def splat(means: Tensor, scale: float, colors: Tensor, opacity: float = 0.98) -> Gaussians:
+    """Round opaque Gaussians of one size."""
+    count = len(means)
+    quats = torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1)
+    sh = ((colors - 0.5) / SH_C0)[:, None]
+    return Gaussians(means, quats, torch.full((count, 3), scale), torch.full((count,), opacity), sh)
+
+
+def coded(gaussians: Gaussians, main: Tensor, generator: torch.Generator, cameras: Cameras) -> LanguageField:
+    """A field whose Gaussians mostly mean one atom each, ``main`` [N, S], and a little of three others."""
+    names = [*THINGS, *GROUPS]
+    others = unit(torch.randn(10, DIM, generator=generator))
+    atoms = torch.cat([torch.stack([table()[name] for name in names]), others])
+    count, levels = main.shape
+    indices = torch.cat(
+        [main[..., None], torch.randint(len(names), len(atoms), (count, levels, 3), generator=generator)], -1
+    )
+    weights = torch.cat(
+        [torch.full((count, levels, 1), 1.0), 0.25 * torch.rand(count, levels, 3, generator=generator)], -1
+    )
+    weights /= weights.sum(-1, keepdim=True)
+    info = FieldInfo(("s", "m", "l")[:levels], "words.npz", gaussians.fingerprint(), count)
+    codebook = atoms.expand(levels, -1, -1).clone()
+    return LanguageField(indices.to(torch.uint8), weights, codebook, info, gaussians, cameras=cameras)
+
+
+def views(width: int = 160, height: int = 120) -> Cameras:
+    """From the front, the left and the right."""
+    eyes = {"front.png": (0.0, -4.0, 0.3), "left.png": (-2.5, -3.2, 0.3), "right.png": (2.5, -3.2, 0.3)}
+    return Cameras(
+        Camera.look_at(eye, (0.0, 0.0, 0.0), name, width, height, 1.15 * width) for name, eye in eyes.items()
+    )
+
+
+def saved_field(folder: Path) -> Path:
+    """The field of things as a file with its geometry, and ``words.npz`` beside it."""
+    from scoup.models.word_table import save_table
+
+    save_table(folder / "words.npz", list(table()), torch.stack(list(table().values())).numpy())
+    things_field().save(folder / "things.scoup", embed_geometry=True)
+    return folder / "things.scoup"
+
+
+# ---- The page
+
+START = "window.scoupViewer.ready.then(() => null)"
+PIXELS = """() => {
+  const { data, width, height } = window.scoupViewer.pixels();
+  let text = "";
+  for (let at = 0; at < data.length; at += 8192) text += String.fromCharCode(...data.slice(at, at + 8192));
+  return { width, height, data: btoa(text) };
+}"""
+SIZE = (720, 300)
+"""Of the window; 400 x 300 of it are the picture."""
+
+
+class Visit:
+    """A page that is open, and what went wrong in it.
+
+    Attributes:
+        page: of playwright.
+        problems: what the page's console calls an error or a warning, and what it threw.
+        requests: addresses that were asked for.
+    """
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.problems: list[str] = []
+        self.requests: list[str] = []
+        page.set_default_timeout(PATIENCE)
+        page.on("console", self._said)
+        page.on("pageerror", lambda error: self.problems.append(str(error)))
+        page.on("request", lambda request: self.requests.append(request.url))
+
+    def _said(self, message: ConsoleMessage) -> None:
+        if message.type in ("error", "warning"):
+            self.problems.append(message.text)
+
+    def open(self, address: str) -> None:
+        self.page.goto(address)
+        self.page.evaluate(START)
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait until all that was asked for is drawn."""
+        self.page.evaluate("window.scoupViewer.render()")
+
+    def ask(self, *texts: str) -> None:
+        """Type texts and press Enter; waits for the legend."""
+        box = self.page.get_by_label("What do you look for?")
+        box.fill(", ".join(texts))
+        box.press("Enter")
+        for text in texts:
+            self.row(text).wait_for()
+        self.settle()
+
+    def row(self, text: str) -> Locator:
+        """The row of a text in the legend."""
+        return self.page.locator("#queries li").filter(has=self.page.get_by_text(text, exact=True))
+
+    def choose(self, name: str) -> None:
+        """A mode or a level by its name."""
+        self.page.get_by_role("radio", name=name, exact=True).check(force=True)
+        self.settle()
+
+    def slide(self, name: str, value: float) -> None:
+        self.page.get_by_role("slider", name=name, exact=True).fill(str(value))
+        self.settle()
+
+    def state(self) -> dict[str, Any]:
+        """What is on the screen."""
+        return self.page.evaluate("window.scoupViewer.state()")
+
+    def picture(self) -> Picture:
+        """What is seen of the scene, [H, W, 3]."""
+        found = self.page.evaluate(PIXELS)
+        rows = np.frombuffer(base64.b64decode(found["data"]), np.uint8)
+        return rows.reshape(found["height"], found["width"], 4)[..., :3]
+
+    def click(self, place: tuple[float, float]) -> str:
+        """Click into the picture, at a share of its width and height; what the page says is there."""
+        box = self.page.locator("#canvas").bounding_box()
+        assert box is not None
+        self.page.mouse.click(box["x"] + place[0] * box["width"], box["y"] + place[1] * box["height"])
+        panel = self.page.locator("#place")
+        panel.wait_for()
+        return panel.inner_text()
+
+
+@contextmanager
+def visiting(
+    browser: Browser, address: str, size: tuple[int, int] = SIZE, offline: bool = False, **options: Any
+) -> Iterator[Visit]:
+    """A visitor of its own at an address; what went wrong, and any request to elsewhere, is a failure.
+
+    Args:
+        browser: where the visitor comes from.
+        address: of the page.
+        size: of the window.
+        offline: without a network.
+        options: of the browser's context.
+    """
+    context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **options)
+    try:
+        context.set_offline(offline)
+        visit = Visit(context.new_page())
+        visit.open(address)
+        yield visit
+        own = urlsplit(address)
+        for asked in map(urlsplit, visit.requests):
+            assert asked.scheme in ("data", "blob") or asked[:2] == own[:2], asked.geturl()
+        assert visit.problems == []
+    finally:
+        context.close()
+
+
+def places_in(camera: Camera) -> dict[str, tuple[float, float]]:
+    """Where the middle of each thing is seen, in shares of width and height."""
+    found = {}
+    for name, (place, _) in THINGS.items():
+        point = torch.tensor([*place, 1.0], dtype=torch.float64)
+        x, y, depth = (camera.K @ (camera.viewmat @ point)[:3]).tolist()
+        found[name] = (x / depth / camera.width, y / depth / camera.height)
+    return found
+
+
+def patches(picture: Picture, camera: Camera, side: int = 4) -> dict[str, NDArray[np.float64]]:
+    """The pixels in the middle of each thing, [P, 3]."""
+    height, width = picture.shape[:2]
+    found = {}
+    for name, (x, y) in places_in(camera).items():
+        row, column = round(y * height), round(x * width)
+        cut = picture[row - side : row + side + 1, column - side : column + side + 1]
+        found[name] = cut.reshape(-1, 3).astype(np.float64)
+    return found
+
+
+# ---- What can be read
+
+CONTRASTS = """() => {
+  const pen = Object.assign(document.createElement("canvas"), {width: 1, height: 1}).getContext("2d", {willReadFrequently: true});
+  const parts = (color) => {
+    pen.clearRect(0, 0, 1, 1);
+    pen.fillStyle = color;
+    pen.fillRect(0, 0, 1, 1);
+    const [r, g, b, a] = pen.getImageData(0, 0, 1, 1).data;
+    return [r, g, b, a / 255];
+  };
+  const over = (top, under) => [0, 1, 2].map((c) => top[c] * top[3] + under[c] * (1 - top[3])).concat(1);
+  const luminance = (color) => {
+    const [r, g, b] = color.map((v) => (v / 255 <= 0.04045 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const ratio = (a, b) => {
+    const [low, high] = [luminance(a), luminance(b)].sort((x, y) => x - y);
+    return (high + 0.05) / (low + 0.05);
+  };
+  const isPage = (element) => element === document.body || element === document.documentElement;
+  // Where something lies half-transparent on the picture, black and white may be under it.
+  const behind = (element, base, onPicture) => {
+    const layers = [];
+    for (let at = element; at && !(onPicture && isPage(at)); at = at.parentElement) layers.unshift(parts(getComputedStyle(at).backgroundColor));
+    return layers.reduce((under, layer) => over(layer, under), base);
+  };
+  const overPicture = (element) => {
+    for (let at = element; at; at = at.parentElement) if (parts(getComputedStyle(at).backgroundColor)[3] === 1) return isPage(at);
+    return true;
+  };
+  const faint = (element) => {
+    let opacity = 1;
+    for (let at = element; at; at = at.parentElement) opacity *= Number(getComputedStyle(at).opacity);
+    return opacity;
+  };
+  const found = [];
+  const look = (element, text, style) => {
+    const box = element.getBoundingClientRect();
+    if (!text.trim() || box.width < 2 || box.height < 2) return;
+    if (!element.checkVisibility({checkOpacity: true, checkVisibilityCSS: true})) return;
+    const size = parseFloat(style.fontSize);
+    const needed = size >= 24 || (size >= 18.66 && Number(style.fontWeight) >= 700) ? 3 : 4.5;
+    const onPicture = overPicture(element) && document.querySelector("canvas") !== null;
+    const bases = onPicture ? [[0, 0, 0, 1], [255, 255, 255, 1]] : [[255, 255, 255, 1]];
+    const ink = parts(style.color);
+    ink[3] *= faint(element);
+    const least = Math.min(...bases.map((base) => { const under = behind(element, base, onPicture); return ratio(over(ink, under), under); }));
+    found.push({text: text.trim().slice(0, 60), tag: element.tagName, id: element.id, ratio: least, needed});
+  };
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const element = walker.currentNode.parentElement;
+    if (!["SCRIPT", "STYLE", "NOSCRIPT", "OPTION"].includes(element.tagName)) look(element, walker.currentNode.data, getComputedStyle(element));
+  }
+  for (const element of document.querySelectorAll("input, select, textarea")) {
+    look(element, element.value ?? "", getComputedStyle(element));
+    if (!element.value && element.placeholder) look(element, element.placeholder, getComputedStyle(element, "::placeholder"));
+  }
+  return found;
+}"""
+"""The contrast of every visible text with what is behind it, as WCAG counts it, and what AA demands."""
