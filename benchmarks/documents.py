@@ -21,7 +21,7 @@ from typing import Any
 
 import tyro
 
-from benchmarks import answers, fewer_pixels, selection, threshold
+from benchmarks import answers, fewer_pixels, selection, threshold, viewer
 from benchmarks.coding_tables import compared_table
 from benchmarks.documents_claims import CLEAN, LAYOUTS, NOISE, claims_table
 from scoup.bench import markdown
@@ -228,6 +228,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "reference": reference,
     "lerf sized": lerf_sized,
     "lerf sized beside": lerf_sized_beside,
+    "viewer": lambda: viewer.sent_table(record("viewer")),
+    "viewer in a browser": lambda: viewer.pages_table(record("viewer")),
     "coding, compared": lambda: compared_table(record("coding")["sizes"]),
 }
 """By name."""
