@@ -137,15 +137,17 @@ def what_is_at(
     labels = torch.full((1, camera.height, camera.width), -1, dtype=torch.int32)
     labels[0, y, x] = 0
     sums = raster.region_sums(projection, labels.to(field.codebook.device))
-    gaussians, _, weights = (part.cpu() for part in sums.triplets(0))
+    gaussians, _, weights = sums.triplets(0)
     if not len(gaussians) or not float(weights.sum()) > 0:
         return {"position": None, "distance": None, "levels": []}
-    position = _position(field, camera, pixel, gaussians, weights.double())
+    shares = weights.double().cpu()
+    position = _position(field, camera, pixel, gaussians, shares)
     levels = []
     for level, name in enumerate(field.levels):
         embedding = mean_embedding(field, level, gaussians, weights)
-        own = weights.double() * (confidence[gaussians, level] > 0)
-        found = float((own * confidence[gaussians, level]).sum() / own.sum()) if float(own.sum()) > 0 else 0.0
+        sure = confidence[gaussians.cpu(), level]
+        own = shares * (sure > 0)
+        found = float((own * sure).sum() / own.sum()) if float(own.sum()) > 0 else 0.0
         nearest = [] if words is None or not found else _nearest_words(embedding, words)
         levels.append({"level": name, "confidence": round(found, 4), "words": nearest})
     distance = float((position - camera.position).norm())
