@@ -149,6 +149,4 @@ def test_a_level_of_ones_own():
     for level, count in counts.items():
         assert count == int(field.locate("kettle", level=level).answer.mask.sum())
     assert len(set(counts.values())) > 1
-    assert "there is no level 'x'" in refused(
-        "select", "f.scoup", "kettle", "--out", "x.ply", "--level", "x"
-    )
+    assert "there is no level 'x'" in refused("select", "f.scoup", "kettle", "--out", "x.ply", "--level", "x")

@@ -7,6 +7,7 @@ import gzip
 import io
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -117,10 +118,15 @@ def test_a_page_for_a_field_without_words(tmp_path: Path) -> None:
 
 def test_the_folders_of_this_machine_are_not_told(tmp_path: Path) -> None:
     field = random_field()
+    field.info = replace(field.info, embedding_model=str(tmp_path / "words.npz"))
     field.save(tmp_path / "secret folder.scoup")
     viewed = ViewedField(field, table())
     export_page(viewed, tmp_path / "scene.html")
-    assert str(tmp_path) not in (tmp_path / "scene.html").read_text()
+    text = (tmp_path / "scene.html").read_text()
+    assert str(tmp_path) not in text
+    data = data_of(text, "window.scoupData")
+    assert isinstance(data, dict)
+    assert unpacked(base64.b64decode(data["scene"]))[1]["embedding_model"] == "words.npz"
     assert viewed.settings("live")["field"] == str(tmp_path / "secret folder.scoup")
     assert viewed.settings("exported")["open"] == "scoup view 'secret folder.scoup'"
 

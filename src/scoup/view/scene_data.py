@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup.models.word_table import is_table
 from scoup.pictures.colors import code_basis
 from scoup.query.queried_field import QueriedField
 from scoup.scene.cameras import Camera, Cameras
@@ -37,6 +39,7 @@ def scene_metadata(
         present_from: the z-score from which a thing counts as present; None: presence is not judged.
     """
     up, centre, radius = surroundings(field.gaussians, field.cameras)
+    model = field.embedding_model
     return {
         "version": VERSION,
         "name": name,
@@ -46,7 +49,8 @@ def scene_metadata(
         "up": up,
         "centre": centre,
         "radius": radius,
-        "embedding_model": field.embedding_model,
+        # Of a table only its name: a page may go where the folders of this machine mean nothing.
+        "embedding_model": Path(model).name if is_table(model) else model,
         "words_problem": words_problem,
         "present_from": present_from,
         "cameras": [_camera_record(camera) for camera in field.cameras or ()],
