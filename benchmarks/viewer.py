@@ -11,7 +11,6 @@ renderer that the browser uses is recorded: SwiftShader draws on the processor, 
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -23,6 +22,7 @@ from statistics import median
 from typing import Any
 
 import tyro
+from tools.chromium import chromium
 
 import scoup
 from scoup.base.measuring import timed
@@ -48,8 +48,6 @@ ATOMS, KEEP, VIEWS = 128, 4, 24
 RECOLOURING_BYTES = 32
 """A Gaussian, that viser 1.1.1 sends to every client for each new colouring of a splat (measured before this project's
 viewer was made)."""
-CHROMIUM = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking",
-            "--disable-component-update", "--disable-sync", "--no-first-run", "--disable-quic")  # fmt: skip
 PROGRAM = (sys.executable, "-c", "from scoup.cli.app import entry; entry()")
 START_REPEATS = 3
 WINDOW = {"width": 640, "height": 480}
@@ -213,13 +211,10 @@ def _size(address: str, message: dict[str, Any] | None = None) -> int:
 
 def page_seconds(path: Path, drawn: bool) -> dict[str, Any]:
     """Seconds until a page is loaded and unpacked and, if that is wanted, until pictures are drawn."""
-    from playwright.sync_api import sync_playwright
-
     viewed = ViewedField(scoup.LanguageField.load(path))
     viewed.scene()  # the first visitor waits for it; here the browser is measured
     seconds: dict[str, float] = {}
-    with Viewer(viewed, port=0) as viewer, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(CHROMIUM))
+    with Viewer(viewed, port=0) as viewer, chromium() as browser:
         page = browser.new_page(viewport=WINDOW)  # pyright: ignore[reportArgumentType]
         page.set_default_timeout(600_000)
         with timed(seconds, PAGE_STAGES[0]):
@@ -233,7 +228,6 @@ def page_seconds(path: Path, drawn: bool) -> dict[str, Any]:
             with timed(seconds, PAGE_STAGES[3]):
                 page.evaluate("scoupViewer.set({threshold: 0.3}); scoupViewer.render()")
         renderer = page.evaluate(_RENDERER)
-        browser.close()
     return {"gaussians": len(viewed.field), "window": WINDOW, "renderer": renderer, **seconds}
 
 

@@ -16,6 +16,7 @@ export class Eye {
   onMove: () => void = () => {};
   private readonly radius: number;
   private flight = 0;
+  private dragged = false;
 
   constructor(metadata: Metadata, element: HTMLElement) {
     this.radius = metadata.radius;
@@ -31,8 +32,17 @@ export class Eye {
     this.controls.enableDamping = false;
     this.controls.zoomToCursor = true;
     this.controls.update();
-    this.controls.addEventListener("start", () => this.land());
-    this.controls.addEventListener("change", () => this.onMove());
+    this.controls.addEventListener("start", () => {
+      this.flight += 1;
+      this.dragged = true;
+    });
+    this.controls.addEventListener("end", () => {
+      this.dragged = false;
+    });
+    this.controls.addEventListener("change", () => {
+      if (this.dragged) this.at = null; // a click alone leaves the camera where it is
+      this.onMove();
+    });
   }
 
   /** The shape of the picture; the field of view stays that of the height. */

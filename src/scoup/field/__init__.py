@@ -1,1 +1,1 @@
-"""The language field: its data, its file, and relevancy."""
+"""The language field: its codes, their file, and what it renders."""
