@@ -12,7 +12,10 @@ from benchmarks.scenes.yard import YARD
 from cli_support import refused, run, run_json
 from scoup.evaluate.demonstration import DemoSettings, rows_by_name, run_demo
 from scoup.evaluate.demonstration_sheet import query_sheet
+from scoup.view import export, page
+from scoup.view.page import page_files
 from synthetic.small_scenes import one_light
+from view.view_samples import PAGE
 
 TINY = ("--n-gaussians", 3000, "--width", 96, "--height", 72, "--views", 4)
 SMALL = ("--n-gaussians", 12000, "--width", 160, "--height", 120, "--views", 6)
@@ -23,13 +26,17 @@ METHODS = {"sparse, top-K vote", "sparse, no top-K", "dense 512-d"}
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """The folder of a demo, which nobody writes into, and what the command printed."""
     out = tmp_path_factory.mktemp("demonstration") / "demo"
-    with one_light():
+    with one_light(), pytest.MonkeyPatch.context() as patch:
+        for module in (page, export):  # whether or not the page is built here
+            patch.setattr(module, "page_files", lambda: PAGE)
         return out, run_json("demo", "--out", out, *TINY)
 
 
 def test_demo_writes_everything(demo: tuple[Path, dict[str, Any]]) -> None:
     out, record = demo
-    assert {path.name for path in out.iterdir()} == {"scene", "demo.scoup", "queries.png", "scores.json"}
+    files = {"scene", "demo.scoup", "queries.png", "scores.json", "demo.html"}
+    assert {path.name for path in out.iterdir()} == files
+    assert "window.scoupData" in (out / "demo.html").read_text()
     assert json.loads((out / "scores.json").read_text())["methods"] == record["methods"]
     assert set(record["methods"]) == METHODS
     assert record["layout"] == "table"
@@ -43,6 +50,18 @@ def test_the_folder_of_the_demo_can_be_built_and_queried(
     assert run("build", scene, "--out", field)[0] == 0
     found = run_json("query", field, "teapot", "--text", scene / "text.npz", "--out", tmp_path / "q")
     assert found["answers"][0]["text"] == "teapot"
+
+
+def test_without_its_page_the_demo_says_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page, "page_files", lambda: page_files(tmp_path))
+    with one_light():
+        code, printed, err = run("demo", "--out", tmp_path / "demo", *TINY)
+    assert (code, err) == (0, "")
+    assert not (tmp_path / "demo" / "demo.html").exists()
+    assert "tools/build_viewer.py" in printed
+    assert "scoup view" in printed
 
 
 @pytest.mark.slow
