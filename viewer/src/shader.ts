@@ -114,8 +114,10 @@ if (${inputs.mode} == 0) {
 } else if (${inputs.mode} == 1) {
   if (asked) {
     float share = clamp((amount - 0.08) / 0.5, 0.0, 1.0);
-    share = 0.92 * share * share * (3.0 - 2.0 * share) * ${inputs.opacity};
-    ${out}.rgba.rgb = mix(vec3(grey), several > 1 ? tint * (0.35 + 0.65 * amount) : scoupHeat(amount), share);
+    share = 0.92 * share * share * (3.0 - 2.0 * share);
+    // One colour a text has no dark end to fade into: what is not selected stays faint.
+    if (several > 1) share = selected ? 0.6 + 0.32 * amount : 0.5 * amount * amount;
+    ${out}.rgba.rgb = mix(vec3(grey), several > 1 ? tint : scoupHeat(amount), share * ${inputs.opacity});
   }
 } else if (${inputs.mode} == 2) {
   if (asked && !selected) ${out}.rgba.a = 0.0;
