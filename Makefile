@@ -1,5 +1,5 @@
 # make demo   create the environment, install, build and query a small scene (pictures and a table in demo/)
-# make test   create the environment, install, run the tests (two processes of one thread each, about four minutes)
+# make test   create the environment, install, run the tests (two processes of one thread each, about five minutes)
 # make test-all   the same, and the exhaustive sweeps
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
 # make count  instructions of the compiled kernels against benchmarks/instruction_counts.json (needs valgrind)

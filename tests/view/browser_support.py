@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import os
-import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from tools.chromium import program
 from torch import Tensor
 
 from scoup.field.artefact import FieldInfo
@@ -23,6 +24,7 @@ from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import SH_C0, Gaussians
 from scoup.view.page import PAGE_FOLDER
 from support import unit
@@ -30,17 +32,6 @@ from support import unit
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
 
-# SwiftShader draws without a GPU; the rest keeps the browser from asking the network for anything of its own.
-FLAGS = (
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-    "--disable-quic",
-)
 DIM = 48
 THINGS = {  # name: place, colour
     "kettle": ((-0.8, 0.0, 0.6), (0.8, 0.2, 0.2)),
@@ -57,19 +48,13 @@ MIXED = "pot"
 WORDS = (*THINGS, *GROUPS, ABSENT, *FILLERS)
 A_THING = 60
 """Gaussians of each thing."""
-PATIENCE = 120_000
+PATIENCE = 60_000
 """Milliseconds for a step, on however busy a machine."""
-
-
-def browser_program() -> str | None:
-    """A Chromium of the system."""
-    names = ("chromium", "chromium-browser", "google-chrome", "chrome")
-    return next((found for found in map(shutil.which, names) if found), None)
 
 
 def why_not(page: bool = True) -> str | None:
     """Why nothing can be tested in a browser here, if so; with or without the page."""
-    if browser_program() is None:
+    if program() is None:
         return "there is no Chromium here (apt-get install chromium)"
     for package in ("playwright", "starlette", "uvicorn"):
         try:
@@ -89,19 +74,6 @@ def need_browser(page: bool = True) -> None:
     if os.environ.get("SCOUP_TEST_BROWSER") == "required":
         pytest.fail(reason)
     pytest.skip(reason)
-
-
-@contextmanager
-def chromium() -> Iterator[Browser]:
-    """A browser without a window."""
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=browser_program(), args=list(FLAGS))
-        try:
-            yield browser
-        finally:
-            browser.close()
 
 
 # ---- The scene
@@ -143,22 +115,36 @@ def splat(means: Tensor, scale: float, colors: Tensor, opacity: float = 0.98) ->
     return Gaussians(means, quats, torch.full((count, 3), scale), torch.full((count,), opacity), sh)
 
 
-def coded(gaussians: Gaussians, main: Tensor, generator: torch.Generator, cameras: Cameras) -> LanguageField:
-    """A field whose Gaussians mostly mean one atom each, ``main`` [N, S], and a little of three others."""
+def coded(
+    gaussians: Gaussians,
+    main: Tensor,
+    generator: torch.Generator,
+    cameras: Cameras,
+    k: int = 4,
+    n_others: int = 10,
+) -> LanguageField:
+    """A field whose Gaussians mostly mean one atom each, ``main`` [N, S], and a little of others.
+
+    Args:
+        gaussians: to be given codes.
+        main: [N, S] places in ``THINGS`` and then ``GROUPS``.
+        generator: of what is drawn.
+        cameras: of the field.
+        k: atoms of a code.
+        n_others: atoms of no thing.
+    """
     names = [*THINGS, *GROUPS]
-    others = unit(torch.randn(10, DIM, generator=generator))
+    others = unit(torch.randn(n_others, DIM, generator=generator))
     atoms = torch.cat([torch.stack([table()[name] for name in names]), others])
     count, levels = main.shape
-    indices = torch.cat(
-        [main[..., None], torch.randint(len(names), len(atoms), (count, levels, 3), generator=generator)], -1
-    )
-    weights = torch.cat(
-        [torch.full((count, levels, 1), 1.0), 0.25 * torch.rand(count, levels, 3, generator=generator)], -1
-    )
+    drawn = torch.randint(len(names), len(atoms), (count, levels, k - 1), generator=generator)
+    little = 0.25 * torch.rand(count, levels, k - 1, generator=generator)
+    weights = torch.cat([torch.ones(count, levels, 1), little], -1)
     weights /= weights.sum(-1, keepdim=True)
     info = FieldInfo(("s", "m", "l")[:levels], "words.npz", gaussians.fingerprint(), count)
     codebook = atoms.expand(levels, -1, -1).clone()
-    return LanguageField(indices.to(torch.uint8), weights, codebook, info, gaussians, cameras=cameras)
+    indices = torch.cat([main[..., None], drawn], -1).to(index_dtype(len(atoms)))
+    return LanguageField(indices, weights, codebook, info, gaussians, cameras=cameras)
 
 
 def views(width: int = 160, height: int = 120) -> Cameras:
@@ -180,7 +166,6 @@ def saved_field(folder: Path) -> Path:
 
 # ---- The page
 
-START = "window.scoupViewer.ready.then(() => null)"
 PIXELS = """() => {
   const { data, width, height } = window.scoupViewer.pixels();
   let text = "";
@@ -215,8 +200,16 @@ class Visit:
 
     def open(self, address: str) -> None:
         self.page.goto(address)
-        self.page.evaluate(START)
+        self.until("Boolean(window.scoupViewer)")
+        self.page.evaluate("window.scoupViewer.ready")
         self.settle()
+
+    def until(self, expression: str) -> None:
+        """Wait until something is true. The page forbids what playwright's own waiting needs."""
+        end = time.monotonic() + PATIENCE / 1000
+        while not self.page.evaluate(expression):
+            assert time.monotonic() < end, f"never: {expression}"
+            self.page.wait_for_timeout(20)
 
     def settle(self) -> None:
         """Wait until all that was asked for is drawn."""
@@ -258,6 +251,7 @@ class Visit:
         """Click into the picture, at a share of its width and height; what the page says is there."""
         box = self.page.locator("#canvas").bounding_box()
         assert box is not None
+        self.page.evaluate("document.getElementById('place').hidden = true")  # what an earlier click found
         self.page.mouse.click(box["x"] + place[0] * box["width"], box["y"] + place[1] * box["height"])
         panel = self.page.locator("#place")
         panel.wait_for()
@@ -312,10 +306,20 @@ def patches(picture: Picture, camera: Camera, side: int = 4) -> dict[str, NDArra
     return found
 
 
+ALIKE = 0.06
+"""Two pictures that differ by less show the same: what is left are the rounding of colours, scales and edges."""
+
+
+def difference(picture: Picture, wanted: Picture) -> float:
+    """How far a picture is from the one that is wanted, as a share of all its light: root mean squares."""
+    return float(np.linalg.norm(picture.astype(float) - wanted) / np.linalg.norm(wanted.astype(float)))
+
+
 # ---- What can be read
 
 CONTRASTS = """() => {
-  const pen = Object.assign(document.createElement("canvas"), {width: 1, height: 1}).getContext("2d", {willReadFrequently: true});
+  const dot = Object.assign(document.createElement("canvas"), {width: 1, height: 1});
+  const pen = dot.getContext("2d", {willReadFrequently: true});
   const parts = (color) => {
     pen.clearRect(0, 0, 1, 1);
     pen.fillStyle = color;
@@ -334,14 +338,16 @@ CONTRASTS = """() => {
   };
   const isPage = (element) => element === document.body || element === document.documentElement;
   // Where something lies half-transparent on the picture, black and white may be under it.
+  const ground = (element) => parts(getComputedStyle(element).backgroundColor);
   const behind = (element, base, onPicture) => {
     const layers = [];
-    for (let at = element; at && !(onPicture && isPage(at)); at = at.parentElement) layers.unshift(parts(getComputedStyle(at).backgroundColor));
+    for (let at = element; at && !(onPicture && isPage(at)); at = at.parentElement) layers.unshift(ground(at));
     return layers.reduce((under, layer) => over(layer, under), base);
   };
   const overPicture = (element) => {
-    for (let at = element; at; at = at.parentElement) if (parts(getComputedStyle(at).backgroundColor)[3] === 1) return isPage(at);
-    return true;
+    let at = element;
+    while (at && ground(at)[3] < 1) at = at.parentElement;
+    return !at || isPage(at);
   };
   const faint = (element) => {
     let opacity = 1;
@@ -359,17 +365,20 @@ CONTRASTS = """() => {
     const bases = onPicture ? [[0, 0, 0, 1], [255, 255, 255, 1]] : [[255, 255, 255, 1]];
     const ink = parts(style.color);
     ink[3] *= faint(element);
-    const least = Math.min(...bases.map((base) => { const under = behind(element, base, onPicture); return ratio(over(ink, under), under); }));
+    const grounds = bases.map((base) => behind(element, base, onPicture));
+    const least = Math.min(...grounds.map((under) => ratio(over(ink, under), under)));
     found.push({text: text.trim().slice(0, 60), tag: element.tagName, id: element.id, ratio: least, needed});
   };
   const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   while (walker.nextNode()) {
     const element = walker.currentNode.parentElement;
-    if (!["SCRIPT", "STYLE", "NOSCRIPT", "OPTION"].includes(element.tagName)) look(element, walker.currentNode.data, getComputedStyle(element));
+    if (["SCRIPT", "STYLE", "NOSCRIPT", "OPTION"].includes(element.tagName)) continue;
+    look(element, walker.currentNode.data, getComputedStyle(element));
   }
   for (const element of document.querySelectorAll("input, select, textarea")) {
-    look(element, element.value ?? "", getComputedStyle(element));
-    if (!element.value && element.placeholder) look(element, element.placeholder, getComputedStyle(element, "::placeholder"));
+    if (["checkbox", "radio", "range"].includes(element.type)) continue;
+    if (element.value) look(element, element.value, getComputedStyle(element));
+    else look(element, element.placeholder ?? "", getComputedStyle(element, "::placeholder"));
   }
   return found;
 }"""

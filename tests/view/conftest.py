@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
-from browser_support import chromium, need_browser
+from browser_support import need_browser
+from tools.chromium import chromium
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

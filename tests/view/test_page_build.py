@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import browser_support
 import pytest
 from tools import build_viewer
 from tools.build_viewer import FILES, Npm, PageError
@@ -158,6 +159,35 @@ def test_an_installation_goes_on(
     assert build_viewer.main(["--optional"]) == 0
     assert "scoup view does not work without it" in capsys.readouterr().err
     assert build_viewer.main([]) == 1
+
+
+def test_types_are_looked_at_where_there_is_npm(
+    npm: Npm, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], viewer: Path
+):
+    assert build_viewer.check_types(viewer)
+    assert calls(viewer) == ["ci", "run check"]
+    (viewer / "node_modules").mkdir()
+    (viewer / "node_modules" / ".package-lock.json").write_text("{}")
+    monkeypatch.setattr(build_viewer.check_types, "__defaults__", (viewer,))
+    assert build_viewer.main(["--check"]) == 0
+    assert calls(viewer) == ["run check"]
+    monkeypatch.setenv("NPM_FAILS", "check")
+    monkeypatch.setenv("NPM_SAYS", "main.ts(3,1): error TS2322")
+    assert build_viewer.main(["--check"]) == 1
+    assert "main.ts(3,1): error TS2322" in capsys.readouterr().err
+    monkeypatch.setattr(build_viewer, "find_npm", lambda: None)
+    assert build_viewer.main(["--check"]) == 0
+    assert "there is no npm" in capsys.readouterr().out
+
+
+def test_where_a_browser_is_required_none_is_a_failure(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(browser_support, "program", lambda: None)
+    monkeypatch.delenv("SCOUP_TEST_BROWSER", raising=False)
+    with pytest.raises(pytest.skip.Exception, match="no Chromium"):
+        browser_support.need_browser()
+    monkeypatch.setenv("SCOUP_TEST_BROWSER", "required")
+    with pytest.raises(pytest.fail.Exception, match="no Chromium"):
+        browser_support.need_browser()
 
 
 def test_an_old_node_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -147,6 +147,28 @@ def test_a_giant_message_is_refused_before_it_is_read(client: TestClient) -> Non
     assert client.post("/api/query", content=parts).status_code == 413
 
 
+def test_a_giant_message_that_is_only_announced_is_not_waited_for(viewed: ViewedField) -> None:
+    app = application(viewed, PAGE, Guard.of("127.0.0.1"))
+    headers = [(b"host", b"127.0.0.1:8350"), (b"content-length", str(99 * 10**9).encode())]
+    scope = {
+        "type": "http", "method": "POST", "path": "/api/query", "raw_path": b"/api/query", "root_path": "",
+        "query_string": b"", "headers": headers, "scheme": "http", "server": ("127.0.0.1", 8350),
+    }  # fmt: skip
+    sent: list[Any] = []
+
+    async def never() -> Any:
+        await anyio.sleep_forever()
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    async def ask() -> None:
+        await app(scope, never, send)
+
+    anyio.run(ask)
+    assert sent[0]["status"] == 413
+
+
 @pytest.mark.parametrize(
     "path",
     ["/nothing", "/page/viewer.js", "/..%2f..%2fetc/passwd", "/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd",

@@ -172,11 +172,15 @@ class _Answers:
 
 async def _answered(answer: Answer, request: Request) -> Response:
     """The answer to a message, once it is read and is JSON."""
+    too_long = _error(413, f"a message has at most {MOST_BYTES:,} bytes")
+    announced = request.headers.get("content-length", "0")
+    if not announced.isdecimal() or int(announced) > MOST_BYTES:
+        return too_long  # without waiting for it
     body = b""
     async for part in request.stream():
         body += part
         if len(body) > MOST_BYTES:
-            return _error(413, f"a message has at most {MOST_BYTES:,} bytes")
+            return too_long
     try:
         fields = json.loads(body)
     except (ValueError, RecursionError):

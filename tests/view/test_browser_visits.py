@@ -1,0 +1,365 @@
+"""Visits to the viewer from beginning to end: several visitors, keyboard, telephone, the server's pictures, its end."""
+
+from __future__ import annotations
+
+import io
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from browser_support import (
+    ALIKE,
+    THINGS,
+    Visit,
+    coded,
+    difference,
+    patches,
+    places_in,
+    saved_field,
+    splat,
+    table,
+    visiting,
+)
+from PIL import Image
+
+import scoup
+from cli_support import run_json
+from scoup.pictures.colors import Picture
+from scoup.scene.cameras import Camera, Cameras
+from scoup.view.export import export_page
+from scoup.view.viewed_field import ViewedField
+from support import HANGS
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+    from scoup.view.viewer import Viewer
+
+pytest.importorskip("uvicorn")
+pytestmark = pytest.mark.usefixtures("built_page")
+
+
+@pytest.fixture(scope="module")
+def field(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A field file, with ``words.npz`` beside it."""
+    return saved_field(tmp_path_factory.mktemp("viewer"))
+
+
+@pytest.fixture(scope="module")
+def viewed(field: Path) -> ViewedField:
+    return ViewedField(scoup.LanguageField.load(field), str(field.with_name("words.npz")))
+
+
+@pytest.fixture(scope="module")
+def camera(viewed: ViewedField) -> Camera:
+    """That the page opens with, in the size of its picture."""
+    assert viewed.field.cameras is not None
+    return viewed.field.cameras[0].resized(400, 300)
+
+
+@pytest.fixture(scope="module")
+def live(viewed: ViewedField) -> Iterator[str]:
+    """Address of a server's page."""
+    with opened(viewed) as viewer:
+        yield viewer.address
+
+
+def opened(viewed: ViewedField, **options: Any) -> Viewer:
+    """A viewer at any port."""
+    from scoup.view.viewer import Viewer
+
+    return Viewer(viewed, **{"port": 0, **options})
+
+
+def exact_picture(visit: Visit) -> Picture:
+    """The server's picture that lies over the page's own."""
+    script = """async () => {
+      const bytes = new Uint8Array(await (await fetch(document.getElementById("picture").src)).arrayBuffer());
+      return Array.from(bytes);
+    }"""
+    return np.asarray(Image.open(io.BytesIO(bytes(visit.page.evaluate(script)))).convert("RGB"))
+
+
+@pytest.mark.parametrize(("k", "n_others"), [(4, 10), (6, 300)])
+def test_relevancy_on_the_browsers_gpu_is_that_of_the_library(browser: Browser, k: int, n_others: int):
+    # Opaque Gaussians ten pixels apart; the codes fill several rows of the textures.
+    generator = torch.Generator().manual_seed(8)
+    across, down = torch.meshgrid(torch.arange(38), torch.arange(28), indexing="xy")
+    means = torch.stack([across.flatten() - 18.5, torch.zeros(38 * 28), 13.5 - down.flatten()], 1) * 0.2
+    count = len(means)
+    gaussians = splat(means, 0.03, torch.ones(count, 3), opacity=1.0)
+    camera = Camera.look_at((0, -8, 0), (0, 0, 0), "front.png", 400, 300, 400)
+    main = torch.randint(len(THINGS), (count, 3), generator=generator)
+    field = coded(gaussians, main, generator, Cameras([camera]), k, n_others)
+    field.code_weights = torch.rand(field.code_weights.shape, generator=generator).to(torch.float16)
+    field.code_weights[::7, 1] = 0  # without a code
+    viewed = ViewedField(field, table())
+    points = torch.cat([means, torch.ones(count, 1)], 1).double() @ (camera.viewmat[:3].T @ camera.K.T)
+    columns, rows = (points[:, :2] / points[:, 2:]).floor().int().numpy().T
+    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+        white = visit.picture()
+        assert difference(white, viewed.picture(camera)) < ALIKE
+        for text in ("kettle", "dishes"):
+            visit.page.evaluate("texts => window.scoupViewer.ask(texts)", [text])
+            vectors, _ = viewed.texts([text])
+            relevancy = field.gaussian_relevancy(vectors.queries, vectors.canonical)[:, 0]
+            assert float(relevancy.max() - relevancy.min()) > 0.5
+            for level in range(3):
+                visit.page.evaluate("level => window.scoupViewer.set({mode: 'relevancy', level})", level)
+                visit.settle()
+                found = visit.picture()[rows, columns].mean(1) / white[rows, columns].mean(1)
+                np.testing.assert_allclose(found, relevancy[level].numpy(), atol=0.01)
+            visit.page.get_by_role("button", name=f"Remove {text}").click()
+
+
+def test_visitors_do_not_see_each_others_texts(browser: Browser, live: str, camera: Camera):
+    with visiting(browser, live) as first, visiting(browser, live) as second:
+        first.ask("kettle")
+        second.ask("lamp")
+        for visit, own in ((first, "kettle"), (second, "lamp")):
+            assert [query["text"] for query in visit.state()["queries"]] == [own]
+            colored = {
+                name
+                for name, patch in patches(visit.picture(), camera).items()
+                if np.ptp(patch, 1).max() > 50
+            }
+            assert colored == {own}
+            said = visit.click(places_in(camera)["book"])
+            assert "book" in said
+
+
+def test_the_exact_picture_is_the_methods_own(
+    browser: Browser, live: str, viewed: ViewedField, camera: Camera
+):
+    with visiting(browser, live) as visit:
+        page = visit.page
+        page.get_by_role("button", name="Exact picture").click()
+        page.locator("#badge", has_text="rendered codes").wait_for()
+        assert difference(exact_picture(visit), viewed.picture(camera)) < ALIKE
+        visit.ask("kettle")
+        page.locator("#badge", has_text="“kettle” (rendered codes").wait_for()
+        shown = exact_picture(visit)
+        assert difference(shown, viewed.picture(camera, "heat", "kettle")) < ALIKE
+        page.get_by_label("when the camera rests").check()
+        page.locator("#canvas").focus()
+        for _ in range(3):
+            page.keyboard.press("ArrowLeft")
+        page.locator("#badge", has_text="rendered codes").wait_for()
+        visit.until("!document.getElementById('picture').hidden")
+        assert difference(exact_picture(visit), shown) > 3 * ALIKE  # of another view
+        page.keyboard.press("x")
+        page.locator("#picture").wait_for(state="hidden")
+
+
+def test_remote_pages_show_pictures_of_the_server_only(browser: Browser, viewed: ViewedField, camera: Camera):
+    with opened(viewed, remote=True) as viewer, visiting(browser, viewer.address) as visit:
+        assert difference(visit.picture(), viewed.picture(camera)) < ALIKE
+        visit.ask("kettle")
+        assert difference(visit.picture(), viewed.picture(camera, "heat", "kettle")) < ALIKE
+        assert "kettle" in visit.click(places_in(camera)["kettle"])
+        assert visit.page.get_by_role("radio", name="Confidence").is_disabled()
+        before = visit.picture()
+        visit.page.locator("#canvas").focus()
+        for _ in range(3):
+            visit.page.keyboard.press("ArrowRight")
+        visit.settle()
+        assert difference(visit.picture(), before) > 3 * ALIKE
+        with visit.page.expect_download() as download:
+            visit.page.get_by_role("button", name="Save selection").click()
+        assert download.value.suggested_filename.endswith(".ply")
+        assert not any("scene.bin" in address for address in visit.requests)
+
+
+def test_by_keyboard_alone(browser: Browser, live: str):
+    with visiting(browser, live) as visit:
+        page = visit.page
+        page.keyboard.press("/")
+        assert page.evaluate("document.activeElement.id") == "text"
+        page.keyboard.type("mug")
+        page.keyboard.press("Enter")
+        visit.row("mug").wait_for()
+        page.keyboard.press("Escape")
+        modes = ["colour", "heat", "only", "except", "codes", "confidence"]
+        for number, mode in enumerate(modes, 1):
+            page.keyboard.press(str(number))
+            assert visit.state()["mode"] == mode
+        assert visit.state()["camera"] == "front.png"
+        before = visit.picture()
+        for key in ("ArrowLeft", "w", "e"):
+            page.keyboard.press(key)
+        visit.settle()
+        assert visit.state()["camera"] is None
+        assert difference(visit.picture(), before) > 3 * ALIKE
+        page.keyboard.press("?")
+        page.locator("#help").wait_for()
+        page.keyboard.press("Escape")
+        page.locator("#help").wait_for(state="hidden")
+        # Every control is reached by Tab, is seen to be reached, and has a name.
+        page.evaluate("document.activeElement.blur()")
+        reached: dict[str, dict[str, Any]] = {}
+        for _ in range(60):
+            page.keyboard.press("Tab")
+            found = page.evaluate(FOCUSED)
+            if found is None or found["key"] in reached:
+                break
+            reached[found["key"]] = found
+        for found in reached.values():
+            assert found["name"], found
+            assert found["outlined"], found
+        wanted = (
+            "text",
+            "threshold",
+            "opacity",
+            "save-selection",
+            "copy-command",
+            "theme",
+            "canvas",
+            "exact-show",
+        )
+        assert {key for key in reached if key in wanted} == set(wanted)
+
+
+FOCUSED = """() => {
+  const element = document.activeElement;
+  if (!element || element === document.body) return null;
+  const all = [...document.querySelectorAll("*")];
+  const outlined = [element, element.parentElement].some((each) => {
+    const style = getComputedStyle(each);
+    return style.outlineStyle !== "none" && parseFloat(style.outlineWidth) >= 2;
+  });
+  const labels = [...(element.labels ?? [])].map((label) => label.textContent.trim()).join(" ");
+  const name = element.getAttribute("aria-label") || labels || element.textContent.trim();
+  return {key: element.id || `${all.indexOf(element)}`, tag: element.tagName, name, outlined};
+}"""
+
+
+@pytest.mark.parametrize("width", [360, 390])
+def test_on_a_telephone(browser: Browser, live: str, camera: Camera, width: int):
+    with visiting(browser, live, (width, 740), has_touch=True, is_mobile=True) as visit:
+        page = visit.page
+        box = page.get_by_label("What do you look for?")
+        box.fill("kettle")
+        page.get_by_role("button", name="Find").tap()
+        visit.row("kettle").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate(
+            "document.getElementById('panel').scrollWidth <= document.getElementById('panel').clientWidth"
+        )
+        size = page.locator("#canvas").bounding_box()
+        assert size is not None
+        assert size["height"] > 0.3 * 740
+        assert size["width"] == width
+        page.get_by_role("button", name="Show or hide the controls").tap()
+        visit.settle()
+        taller = page.locator("#canvas").bounding_box()
+        assert taller is not None
+        assert taller["height"] > size["height"]
+        assert visit.picture().max() > 100
+        page.get_by_role("button", name="Show or hide the controls").tap()
+        page.touchscreen.tap(width / 2, 5)
+        page.locator("#place").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        for button in page.locator("button:visible").all():
+            area = button.bounding_box()
+            assert area is not None
+            assert min(area["height"], area["width"]) >= 24, button.inner_text()
+
+
+def test_what_is_copied_does_what_is_seen(
+    browser: Browser, live: str, viewed: ViewedField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    permissions = ["clipboard-read", "clipboard-write"]
+    with visiting(browser, live, permissions=permissions) as visit:
+        page = visit.page
+
+        def copied(button: str) -> str:
+            page.get_by_role("button", name=button).click()
+            visit.until("navigator.clipboard.readText().then((text) => text.includes('kettle'))")
+            return page.evaluate("navigator.clipboard.readText()")
+
+        visit.ask("kettle")
+        visit.choose("m (medium)")
+        visit.slide("Threshold", 0.7)
+        command = copied("Copy as command line")
+        page.evaluate("navigator.clipboard.writeText('')")
+        program = copied("Copy as Python")
+    monkeypatch.chdir(tmp_path)
+    vectors, _ = viewed.texts(["kettle"])
+    relevancy = viewed.field.gaussian_relevancy(vectors.queries, vectors.canonical)[1, 0]
+    low, high = viewed.answers(["kettle"])[0].spans[1].tolist()
+    wanted = (relevancy - low) / (high - low) > 0.7
+    lines = command.splitlines()
+    assert lines[0].startswith("scoup select ")
+    for line in lines:
+        run_json(*shlex.split(line)[1:])
+    assert "--level m" in lines[0]
+    assert "--threshold 0.7" in lines[0]
+    saved = scoup.load_gaussians(re.findall(r"--out (\S+)", lines[0])[0])
+    assert torch.equal(saved.means, viewed.gaussians.means[wanted])
+    exec(compile(program, "copied", "exec"), {})
+    part = scoup.LanguageField.load(next(Path().glob("*.scoup")))
+    assert torch.equal(part.gaussians.means, viewed.gaussians.means[wanted])
+
+
+def test_a_folder_works_without_a_network(
+    browser: Browser, viewed: ViewedField, camera: Camera, tmp_path: Path
+):
+    export_page(viewed, tmp_path / "page", split=True)
+    with visiting(browser, (tmp_path / "page" / "index.html").as_uri(), offline=True) as visit:
+        visit.ask("book")
+        assert np.ptp(patches(visit.picture(), camera)["book"], 1).max() > 50
+        assert "kettle" in visit.click(places_in(camera)["kettle"])
+
+
+PROGRAM = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background ignores it
+from scoup.cli.app import entry
+entry()
+"""
+
+
+def test_from_the_command_line_to_its_end(browser: Browser, field: Path):
+    words = str(field.with_name("words.npz"))
+    command = [sys.executable, "-c", PROGRAM, "view", str(field), "--text", words, "--port", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        assert process.stdout is not None
+        address = re.search(r"http://\S+", process.stdout.readline())
+        assert address is not None
+        with visiting(browser, address[0]) as visit:
+            visit.ask("kettle")
+            process.send_signal(signal.SIGINT)
+            assert process.wait(HANGS) == 0
+            dialog = visit.page.get_by_role("alertdialog")
+            dialog.wait_for()
+            assert "The server was closed. Start it again: scoup view" in dialog.inner_text()
+            assert str(field) in dialog.inner_text()
+            assert visit.problems  # requests that nobody answers
+            visit.problems.clear()
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_the_page_goes_on_when_its_server_is_back(browser: Browser, viewed: ViewedField):
+    first = opened(viewed)
+    port = int(re.findall(r":(\d+)/", first.address)[0])
+    with visiting(browser, first.address) as visit:
+        visit.ask("kettle")
+        first.close()
+        dialog = visit.page.get_by_role("alertdialog")
+        dialog.wait_for()
+        with opened(viewed, port=port):
+            dialog.wait_for(state="hidden")
+            visit.ask("mug")
+            assert len(visit.state()["queries"]) == 2
+        visit.problems.clear()
