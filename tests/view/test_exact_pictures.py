@@ -47,8 +47,8 @@ def test_a_level_and_a_threshold_of_ones_own(viewed: ViewedField, camera: Camera
     assert np.array_equal(viewed.picture(camera, "heat", "thing 3", level), heat_overlay(answer.heat, rgb))
     whole = viewed.picture(camera, "mask", "thing 3", level, 0.0, always=True)
     assert not np.array_equal(whole, viewed.picture(camera, "mask", "thing 3", level, 0.9, always=True))
-    codes = [viewed.picture(camera, "codes", None, number) for number in (0, 1)]
-    assert not np.array_equal(*codes)
+    fine, coarse = (viewed.picture(camera, "codes", None, number) for number in (0, 1))
+    assert not np.array_equal(fine, coarse)
 
 
 def test_the_next_camera_gets_its_own_picture(viewed: ViewedField, camera: Camera) -> None:
