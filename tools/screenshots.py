@@ -37,7 +37,9 @@ PICTURES: dict[str, dict[str, Any]] = {
 PATIENCE = 300_000
 """Milliseconds: drawing without a GPU takes seconds a frame."""
 QUALITY = 88
-IN_SIGHT_IS_LOADED = "[...document.images].every((each) => !each.src || each.getBoundingClientRect().top > innerHeight || each.complete)"
+IN_SIGHT_IS_LOADED = (
+    "[...document.images].every((each) => each.complete || each.getBoundingClientRect().top > innerHeight)"
+)
 
 
 def take(browser: Browser, address: str, options: argparse.Namespace, look: dict[str, Any]) -> bytes:
