@@ -7,6 +7,32 @@ const FLIGHT_SECONDS = 0.8;
 /** Share of the distance that a key moves. */
 const STEP = 0.06;
 
+/**
+ * The world of a field, and that of the page, in which the middle of the scene is at 0 and its cameras are about 1 away. Spark counts on
+ * such lengths: it sorts anew after steps of 0.001, and keeps places as 16-bit numbers.
+ */
+export class World {
+  private readonly centre: THREE.Vector3;
+  private readonly radius: number;
+
+  constructor(metadata: Pick<Metadata, "centre" | "radius">) {
+    this.centre = new THREE.Vector3(...metadata.centre);
+    this.radius = metadata.radius;
+  }
+
+  toPage(point: THREE.Vector3): THREE.Vector3 {
+    return point.sub(this.centre).divideScalar(this.radius);
+  }
+
+  toField(point: THREE.Vector3): THREE.Vector3 {
+    return point.multiplyScalar(this.radius).add(this.centre);
+  }
+
+  lengthToPage(length: number): number {
+    return length / this.radius;
+  }
+}
+
 /** A camera that the visitor moves. Cameras of fields have OpenCV axes, three.js has OpenGL's. */
 export class Eye {
   readonly camera = new THREE.PerspectiveCamera(50, 1, 0.01, 1000);
@@ -14,21 +40,19 @@ export class Eye {
   /** The camera of the field that is looked through; null once the visitor has moved. */
   at: CameraRecord | null = null;
   onMove: () => void = () => {};
-  private readonly radius: number;
+  private readonly world: World;
   private flight = 0;
   private dragged = false;
 
   constructor(metadata: Metadata, element: HTMLElement) {
-    this.radius = metadata.radius;
-    const centre = new THREE.Vector3(...metadata.centre);
-    this.camera.near = metadata.radius / 500;
-    this.camera.far = metadata.radius * 500;
+    this.world = new World(metadata);
+    this.camera.near = 0.002;
+    this.camera.far = 500;
     this.camera.up.set(...metadata.up);
     const aside = new THREE.Vector3(1, 0, 0).cross(this.camera.up);
     if (aside.length() < 0.1) aside.set(0, 1, 0).cross(this.camera.up);
-    this.camera.position.copy(centre).addScaledVector(aside.normalize(), metadata.radius * 1.5);
+    this.camera.position.copy(aside.normalize()).multiplyScalar(1.5);
     this.controls = new OrbitControls(this.camera, element);
-    this.controls.target.copy(centre);
     this.controls.enableDamping = false;
     this.controls.zoomToCursor = true;
     this.controls.update();
@@ -52,13 +76,13 @@ export class Eye {
   }
 
   /** Move to a camera of the field, in a flight unless the visitor wants no motion. */
-  async flyTo(record: CameraRecord, centre: THREE.Vector3, flies: boolean): Promise<void> {
+  async flyTo(record: CameraRecord, flies: boolean): Promise<void> {
     this.land();
     const flight = this.flight;
-    const { position, quaternion } = poseOf(record);
+    const { position, quaternion } = this.poseOf(record);
     const fov = 2 * THREE.MathUtils.radToDeg(Math.atan(record.height / 2 / record.K[4]));
     const ahead = new THREE.Vector3(0, 0, -1).applyQuaternion(quaternion);
-    const depth = Math.max(centre.clone().sub(position).dot(ahead), this.radius / 10);
+    const depth = Math.max(-position.dot(ahead), 0.1);
     const target = position.clone().addScaledVector(ahead, depth);
     const from = { position: this.camera.position.clone(), target: this.controls.target.clone(), fov: this.camera.fov };
     const start = performance.now();
@@ -103,36 +127,48 @@ export class Eye {
     this.onMove();
   }
 
-  /** Orbit around a point from now on. */
-  lookAround(point: THREE.Vector3): void {
+  /** Orbit around the depth of a point of the field from now on. */
+  lookAround(place: THREE.Vector3): void {
+    const point = this.world.toPage(place.clone());
     const ahead = new THREE.Vector3();
     this.camera.getWorldDirection(ahead);
-    const depth = point.clone().sub(this.camera.position).dot(ahead);
+    const depth = point.sub(this.camera.position).dot(ahead);
     if (depth > 0) this.controls.target.copy(this.camera.position).addScaledVector(ahead, depth);
+  }
+
+  /** The ray of a pixel of a picture of a size, in the world of the field. */
+  ray(x: number, y: number, width: number, height: number): THREE.Ray {
+    this.camera.updateMatrixWorld();
+    const caster = new THREE.Raycaster();
+    // The middle of the pixel, as on the server.
+    caster.setFromCamera(new THREE.Vector2((2 * x + 1) / width - 1, 1 - (2 * y + 1) / height), this.camera);
+    this.world.toField(caster.ray.origin);
+    return caster.ray;
   }
 
   /** As the server takes it, for a picture of a size. */
   record(width: number, height: number): CameraRecord {
     this.camera.updateMatrixWorld();
-    const view = this.camera.matrixWorldInverse.clone();
-    const flipped = new THREE.Matrix4().makeScale(1, -1, -1).multiply(view);
+    const place = this.world.toField(this.camera.position.clone());
+    const pose = new THREE.Matrix4().compose(place, this.camera.quaternion, new THREE.Vector3(1, 1, 1));
+    const flipped = new THREE.Matrix4().makeScale(1, -1, -1).multiply(pose.invert());
     const focal = height / 2 / Math.tan(THREE.MathUtils.degToRad(this.camera.fov) / 2);
     const K = [focal, 0, width / 2, 0, focal, height / 2, 0, 0, 1];
     return { name: this.at?.name ?? "", viewmat: flipped.transpose().toArray(), K, width, height };
+  }
+
+  /** Position in the page and OpenGL rotation of a camera of the field. */
+  private poseOf(record: CameraRecord): { position: THREE.Vector3; quaternion: THREE.Quaternion } {
+    const view = new THREE.Matrix4().fromArray(record.viewmat).transpose();
+    const pose = view.invert().multiply(new THREE.Matrix4().makeScale(1, -1, -1));
+    return {
+      position: this.world.toPage(new THREE.Vector3().setFromMatrixPosition(pose)),
+      quaternion: new THREE.Quaternion().setFromRotationMatrix(pose),
+    };
   }
 
   private land(): void {
     this.flight += 1;
     this.at = null;
   }
-}
-
-/** Position and OpenGL rotation of a camera record. */
-export function poseOf(record: CameraRecord): { position: THREE.Vector3; quaternion: THREE.Quaternion } {
-  const view = new THREE.Matrix4().fromArray(record.viewmat).transpose();
-  const pose = view.invert().multiply(new THREE.Matrix4().makeScale(1, -1, -1));
-  return {
-    position: new THREE.Vector3().setFromMatrixPosition(pose),
-    quaternion: new THREE.Quaternion().setFromRotationMatrix(pose),
-  };
 }

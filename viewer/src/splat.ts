@@ -1,6 +1,7 @@
 // The splat on the GPU: Gaussians by Spark, codes and queries as textures that our shader reads.
 import { dyno, ExtSplats, SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
 import * as THREE from "three";
+import { World } from "./camera";
 import { breathe, type Progress } from "./safetensors";
 import type { Scene } from "./scene_data";
 import { body, functions, MODES, MOST_QUERIES, WIDTH, type Inputs, type Mode } from "./shader";
@@ -54,9 +55,12 @@ export class Splat {
     const scales = new THREE.Vector3();
     const quaternion = new THREE.Quaternion();
     const color = new THREE.Color();
+    const world = new World(scene.metadata);
+    const unit = world.lengthToPage(1);
     for (let i = 0; i < scene.count; i++) {
       scene.mean(i, centre);
-      scales.set(scene.scale(i, 0), scene.scale(i, 1), scene.scale(i, 2));
+      world.toPage(centre);
+      scales.set(scene.scale(i, 0), scene.scale(i, 1), scene.scale(i, 2)).multiplyScalar(unit);
       const [w, x, y, z] = scene.quat(i);
       quaternion.set(x, y, z, w);
       // Not by setRGB, which would convert from sRGB: colours stay as they are trained.

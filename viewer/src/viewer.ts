@@ -83,7 +83,7 @@ export class Viewer {
   }
 
   async flyTo(camera: CameraRecord, flies = mayAnimate()): Promise<void> {
-    await this.eye.flyTo(camera, new THREE.Vector3(...this.metadata.centre), flies);
+    await this.eye.flyTo(camera, flies);
   }
 
   /** What is at a point of the picture, in its own pixels. */
@@ -104,13 +104,8 @@ export class Viewer {
   private async placeAt(x: number, y: number, width: number, height: number): Promise<Place> {
     if (this.server) return this.server.point(this.eye.record(width, height), [x, y]);
     const page = this.source as ExportedPage;
-    const caster = new THREE.Raycaster();
-    this.eye.camera.updateMatrixWorld();
-    // The middle of the pixel, as on the server.
-    const [right, up] = [(2 * x + 1) / width - 1, 1 - (2 * y + 1) / height];
-    caster.setFromCamera(new THREE.Vector2(right, up), this.eye.camera);
     const pixel = 1 / this.eye.record(width, height).K[4];
-    return placeAlong(this.scene!, caster.ray, pixel, await page.clickWords());
+    return placeAlong(this.scene!, this.eye.ray(x, y, width, height), pixel, await page.clickWords());
   }
 
   say(sentence: string): void {
