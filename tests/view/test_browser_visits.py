@@ -227,6 +227,18 @@ def test_by_keyboard_alone(browser: Browser, live: str):
         assert {key for key in reached if key in wanted} == set(wanted)
 
 
+def test_keys_work_while_a_choice_or_a_slider_has_the_focus(browser: Browser, live: str):
+    with visiting(browser, live) as visit:
+        page = visit.page
+        page.get_by_role("radio", name="Codes").check()
+        page.keyboard.press("2")
+        assert visit.state()["mode"] == "heat"
+        page.get_by_label("Opacity").focus()
+        page.keyboard.press("ArrowLeft")  # which is the slider's, and does not turn the scene
+        assert visit.state()["opacity"] == pytest.approx(0.99)
+        assert visit.state()["camera"] == "front.png"
+
+
 FOCUSED = """() => {
   const element = document.activeElement;
   if (!element || element === document.body) return null;

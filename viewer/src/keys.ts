@@ -47,18 +47,20 @@ export function listenToKeys(state: State, eye: Eye, actions: KeyActions): void 
   window.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || help.open) return;
     const focused = document.activeElement;
-    const typing = focused instanceof HTMLInputElement;
-    if (typing && (event.key !== "Escape" || focused.type !== "text")) return;
+    const input = focused instanceof HTMLInputElement ? focused : null;
+    const typing = input?.type === "text";
+    if (typing && event.key !== "Escape") return;
+    if (input && event.key.startsWith("Arrow")) return; // they move sliders and choices
     const mode = MODE_NAMES[Number(event.key) - 1];
     if (mode) {
-      const input = document.querySelector<HTMLInputElement>(`input[name=mode][value=${mode[0]}]`);
-      if (!input?.disabled) state.set({ chosenMode: mode[0] });
+      const choice = document.querySelector<HTMLInputElement>(`input[name=mode][value=${mode[0]}]`);
+      if (!choice?.disabled) state.set({ chosenMode: mode[0] });
       return;
     }
     const move = moves[event.key] ?? moves[event.key.toLowerCase()];
     if (!move) return;
     event.preventDefault();
-    if (typing) (focused as HTMLElement).blur();
+    if (typing) input.blur();
     move();
   });
 }
