@@ -26,6 +26,7 @@ from browser_support import (
     saved_field,
     splat,
     table,
+    things_field,
     visiting,
 )
 from PIL import Image
@@ -285,6 +286,14 @@ def test_on_a_telephone(browser: Browser, live: str, camera: Camera, width: int)
             assert min(area["height"], area["width"]) >= 24, button.inner_text()
 
 
+def _selected(viewed: ViewedField, text: str, level: int, threshold: float) -> np.ndarray:
+    """[N] boolean: the Gaussians that a text selects."""
+    vectors, _ = viewed.texts([text])
+    relevancy = viewed.field.gaussian_relevancy(vectors.queries, vectors.canonical)[level, 0]
+    low, high = viewed.answers([text])[0].spans[level].tolist()
+    return ((relevancy - low) / (high - low) > threshold).numpy()
+
+
 def test_what_is_copied_does_what_is_seen(
     browser: Browser, live: str, viewed: ViewedField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -303,11 +312,12 @@ def test_what_is_copied_does_what_is_seen(
         command = copied("Copy as command line")
         page.evaluate("navigator.clipboard.writeText('')")
         program = copied("Copy as Python")
+        visit.ask("mug")
+        visit.choose("All but the selection")
+        page.evaluate("navigator.clipboard.writeText('')")
+        rest = copied("Copy as Python")
     monkeypatch.chdir(tmp_path)
-    vectors, _ = viewed.texts(["kettle"])
-    relevancy = viewed.field.gaussian_relevancy(vectors.queries, vectors.canonical)[1, 0]
-    low, high = viewed.answers(["kettle"])[0].spans[1].tolist()
-    wanted = (relevancy - low) / (high - low) > 0.7
+    wanted = torch.from_numpy(_selected(viewed, "kettle", 1, 0.7))
     lines = command.splitlines()
     assert lines[0].startswith("scoup select ")
     for line in lines:
@@ -319,6 +329,10 @@ def test_what_is_copied_does_what_is_seen(
     exec(compile(program, "copied", "exec"), {})
     part = scoup.LanguageField.load(next(Path().glob("*.scoup")))
     assert torch.equal(part.gaussians.means, viewed.gaussians.means[wanted])
+    exec(compile(rest, "copied", "exec"), {})
+    without = scoup.LanguageField.load("without_kettle.scoup")  # and without the mug
+    both = wanted | torch.from_numpy(_selected(viewed, "mug", 1, 0.7))
+    assert torch.equal(without.gaussians.means, viewed.gaussians.means[~both])
 
 
 def test_a_folder_works_without_a_network(
@@ -374,4 +388,19 @@ def test_the_page_goes_on_when_its_server_is_back(browser: Browser, viewed: View
             dialog.wait_for(state="hidden")
             visit.ask("mug")
             assert len(visit.state()["queries"]) == 2
+        visit.problems.clear()
+
+
+def test_the_page_does_not_go_on_with_the_server_of_another_field(browser: Browser, viewed: ViewedField):
+    other = ViewedField(things_field(), table())
+    other.field.codebook[0, 0] = other.field.codebook[0, 1]  # the same splat, other codes
+    assert other.identity != viewed.identity
+    first = opened(viewed)
+    port = int(re.findall(r":(\d+)/", first.address)[0])
+    with visiting(browser, first.address) as visit:
+        first.close()
+        with opened(other, port=port):
+            visit.page.get_by_role("alertdialog").filter(
+                has_text="Another field is served here now"
+            ).wait_for()
         visit.problems.clear()

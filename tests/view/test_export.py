@@ -110,10 +110,15 @@ def test_nothing_is_overwritten_unasked_or_left_half_written(
 
 
 def test_a_page_for_a_field_without_words(tmp_path: Path) -> None:
-    report = export_page(ViewedField(random_field(cameras=False)), tmp_path / "scene.html")
+    field = random_field(cameras=False)
+    field.info = replace(field.info, embedding_model=str(tmp_path / "gone.npz"))
+    report = export_page(ViewedField(field), tmp_path / "scene.html")
     data = data_of((tmp_path / "scene.html").read_text(), "window.scoupData")
     assert isinstance(data, dict)
     assert (report.words, data["words"], data["thumbnails"]) == (0, "", [])
+    metadata = unpacked(base64.b64decode(data["scene"]))[1]
+    assert metadata["words_problem"] == "this page was exported without words"
+    assert str(tmp_path) not in json.dumps(metadata)
 
 
 def test_the_folders_of_this_machine_are_not_told(tmp_path: Path) -> None:

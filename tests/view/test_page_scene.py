@@ -74,6 +74,26 @@ def test_ugly_gaussians_are_left_out_and_the_rest_is_finite(count: int, seed: in
     assert metadata["radius"] > 0
 
 
+def test_a_few_large_gaussians_keep_their_size() -> None:
+    viewed = viewed_field(count=3000)
+    viewed.gaussians.scales[7] = torch.tensor([50.0, 40.0, 0.1])
+    tensors, metadata = unpacked(viewed.scene())
+    assert float(splat_of(tensors, metadata).scales.max()) == pytest.approx(50, rel=0.05)
+
+
+def test_cameras_that_turn_on_the_spot_and_a_single_gaussian_have_a_scale() -> None:
+    gaussians = random_gaussians(200, 0)
+    eyes = [(0.001 * number, 0.0, 0.0) for number in range(4)]
+    targets = [(1.0, 0.1, 5.0), (-5.0, 0.0, 1.0), (5.0, 0.0, 1.0), (0.0, 1.0, -5.0)]
+    cameras = Cameras(
+        Camera.look_at(eye, target, f"c{number}", 40, 30, 40.0)
+        for number, (eye, target) in enumerate(zip(eyes, targets, strict=True))
+    )
+    assert surroundings(gaussians, cameras)[2] > 0.05
+    single = gaussians.select(slice(0, 1))
+    assert surroundings(single, None)[2] >= float(single.scales.max())
+
+
 def test_the_most_opaque_and_largest_are_kept() -> None:
     gaussians = random_gaussians(100, 0)
     gaussians.opacities[:] = 0.1

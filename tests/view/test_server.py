@@ -185,6 +185,7 @@ def test_other_sites_are_refused(client: TestClient) -> None:
     for headers in (
         {"origin": "http://evil.example"},
         {"origin": "null"},
+        {"origin": "http://["},
         {"origin": "https://127.0.0.1:8351"},
         {"origin": "file://127.0.0.1:8350"},
         {"sec-fetch-site": "cross-site"},

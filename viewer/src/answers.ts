@@ -11,6 +11,8 @@ export interface Settings {
   /** The field and the table of words as commands name them. */
   field: string;
   text: string | null;
+  /** Of the field: the same for the same codes. */
+  identity: string;
 }
 
 /** What a scene answers to a text. */
@@ -72,6 +74,6 @@ export interface Server extends Source {
   picture(request: PictureRequest): Promise<Blob>;
   point(camera: CameraRecord, pixel: [number, number]): Promise<Place>;
   select(selection: Selection): Promise<{ blob: Blob; name: string }>;
-  /** Calls back when the server stops answering, and when it answers again. */
-  watch(onChange: (alive: boolean) => void): void;
+  /** Calls back when the server stops answering, when it answers again, and when it is another one. */
+  watch(onChange: (state: "alive" | "closed" | "other") => void): void;
 }

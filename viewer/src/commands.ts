@@ -30,38 +30,51 @@ export function commandLine(settings: Settings, state: State, levels: string[], 
     const level = state.threshold === null ? state.level : state.levelOf(query);
     groups.set(level, [...(groups.get(level) ?? []), query.answer.text]);
   }
+  const always = isCertain(state);
   const lines: string[] = [];
   for (const [level, texts] of groups) {
     const words = texts.map(quoted).join(" ");
     let options = table;
     if (state.threshold !== null) options += ` --threshold ${rounded(state.threshold)}`;
     if (level !== null) options += ` --level ${quoted(levels[level])}`;
-    if (state.absent) options += " --always";
+    if (always) options += " --always";
     const out = `${rest ? "without_" : ""}${fileName(texts[0])}.ply`;
     lines.push(`scoup select ${field} ${words}${options}${rest ? " --write rest" : ""} --out ${quoted(out)}`);
-    if (camera !== null) lines.push(`scoup query ${field} ${words}${options} --camera ${quoted(camera)}`);
+    // The threshold of a view is another one than that of the scene.
+    const inView = options.replace(/ --threshold \S+/, "");
+    if (camera !== null) lines.push(`scoup query ${field} ${words}${inView} --camera ${quoted(camera)}`);
   }
   return lines.join("\n");
+}
+
+/** Whether a command is to find something always: presence is judged once, for the level and threshold that answer best. */
+function isCertain(state: State): boolean {
+  return state.absent || state.level !== null || state.threshold !== null;
 }
 
 export function python(settings: Settings, state: State, levels: string[], camera: string | null): string {
   const lines = ["import scoup", "", `field = scoup.LanguageField.load(${JSON.stringify(settings.field)})`];
   if (settings.text !== null) lines.push(`field.text_encoder(${JSON.stringify(settings.text)})`);
+  const rest = state.mode === "except";
+  if (rest) lines.push("", "found = torch.zeros(len(field), dtype=torch.bool)");
   for (const query of state.visible()) {
     const options: string[] = [];
     const level = state.threshold === null ? state.level : state.levelOf(query);
     if (state.threshold !== null) options.push(`threshold=${rounded(state.threshold)}`);
     if (level !== null) options.push(`level=${JSON.stringify(levels[level])}`);
-    if (state.absent) options.push("always=True");
+    if (isCertain(state)) options.push("always=True");
     const text = JSON.stringify(query.answer.text);
     lines.push("", `place = field.locate(${[text, ...options].join(", ")})`);
-    const mask = state.mode === "except" ? "~place.answer.mask" : "place.answer.mask";
-    const name = `${state.mode === "except" ? "without_" : ""}${fileName(query.answer.text)}.scoup`;
-    lines.push(`field[${mask}].save(${JSON.stringify(name)})`);
+    const name = JSON.stringify(`${fileName(query.answer.text)}.scoup`);
+    lines.push(rest ? "found |= place.answer.mask" : `field[place.answer.mask].save(${name})`);
     if (camera !== null) {
       const others = options.filter((option) => !option.startsWith("threshold"));
       lines.push(`answer = field.query(${[text, JSON.stringify(camera), ...others].join(", ")})`);
     }
+  }
+  if (rest) {
+    lines.unshift("import torch");
+    lines.push("", `field[~found].save(${JSON.stringify(`without_${fileName(state.visible()[0]?.answer.text ?? "")}.scoup`)})`);
   }
   return `${lines.join("\n")}\n`;
 }

@@ -10,7 +10,8 @@ const QUALITY = 92;
 export class ExactPicture {
   /** Whether to show it by itself when the camera rests. */
   whenResting = false;
-  private shown = false;
+  /** Shown, or on its way. */
+  private wanted = false;
   private number = 0;
   private timer = 0;
 
@@ -24,7 +25,7 @@ export class ExactPicture {
   ) {}
 
   get isShown(): boolean {
-    return this.shown;
+    return this.wanted;
   }
 
   /** The camera has moved: the picture is of another view now. */
@@ -36,17 +37,18 @@ export class ExactPicture {
 
   /** Texts or settings have changed. */
   changed(): void {
-    if (this.shown || this.whenResting) void this.show();
+    if (this.wanted || this.whenResting) void this.show();
   }
 
   hide(): void {
     this.number += 1;
-    this.shown = false;
+    this.wanted = false;
     this.image.hidden = this.badge.hidden = true;
   }
 
   async show(): Promise<void> {
     const number = ++this.number;
+    this.wanted = true;
     const { clientWidth: width, clientHeight: height } = this.image.parentElement!;
     this.badge.textContent = "rendering the exact picture …";
     this.badge.hidden = false;
@@ -61,7 +63,6 @@ export class ExactPicture {
       const what = request.text === null ? "" : ` of “${request.text}”`;
       this.badge.textContent = `exact picture${what} (rendered codes, all Gaussians)`;
       this.image.hidden = false;
-      this.shown = true;
     } catch (error) {
       if (number !== this.number) return;
       this.hide();

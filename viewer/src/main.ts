@@ -43,7 +43,7 @@ function hasWebGL(): boolean {
 }
 
 async function start(settings: Settings): Promise<Viewer> {
-  const server: Server | null = settings.mode === "exported" ? null : new LiveServer();
+  const server: Server | null = settings.mode === "exported" ? null : new LiveServer(settings.identity);
   const source: Source = server ?? new ExportedPage();
   const able = hasWebGL();
   if (!able && !server) throw new Error("This page needs WebGL 2, which this browser does not offer.");
@@ -84,6 +84,8 @@ function handle(opening: Promise<Viewer>): ViewerHandle {
 }
 
 prepareAppearance();
+// Before the page is ready, Enter would load it again.
+byId("ask").addEventListener("submit", (event) => event.preventDefault());
 const settings = JSON.parse(byId("settings").textContent ?? "{}") as Settings;
 byId("help-licences").textContent =
   settings.mode === "exported"

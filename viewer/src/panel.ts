@@ -21,6 +21,7 @@ export class Panel {
   private readonly threshold = byId<HTMLInputElement>("threshold");
   private readonly automatic = byId<HTMLInputElement>("threshold-auto");
   private readonly opacity = byId<HTMLInputElement>("opacity");
+  private said = "";
   private readonly absent = byId<HTMLInputElement>("absent");
 
   constructor(
@@ -60,6 +61,9 @@ export class Panel {
     this.opacity.value = String(state.opacity);
     byId("opacity-value").textContent = state.opacity.toFixed(2);
     this.absent.checked = state.absent;
+    const said = JSON.stringify(state.queries.map((query) => [query.answer.text, query.hidden, this.facts(query)]));
+    if (said === this.said) return; // a list that is made anew loses the focus and is read out again
+    this.said = said;
     this.queries.replaceChildren(...state.queries.map((query) => this.row(query)));
   }
 
@@ -92,8 +96,10 @@ export class Panel {
     const zScore = answer.z_score === null ? "" : `z-score ${answer.z_score.toFixed(2)}`;
     if (!answer.present) return `not in this scene (${zScore || "nothing found"})`;
     const level = this.state.level ?? answer.level;
-    const score = answer.score === null ? "" : `score ${answer.score.toFixed(2)}`;
-    const parts = [`level ${this.metadata.levels[level]}`, score, zScore];
+    // The largest relevancy of a level is the upper end of its span.
+    const best = this.state.level === null ? answer.score : answer.spans[level][1];
+    const score = best === null ? "" : `score ${best.toFixed(2)}`;
+    const parts = [`level ${this.metadata.levels[level]}`, score, this.state.level === null ? zScore : ""];
     if (this.state.level === null && this.state.threshold === null) parts.push(counted(answer.gaussians, "Gaussian"));
     return parts.filter(Boolean).join(", ");
   }

@@ -49,16 +49,20 @@ export class LiveServer implements Server {
     return { blob: await response.blob(), name: name ?? "selection.ply" };
   }
 
-  watch(onChange: (alive: boolean) => void): void {
+  constructor(private readonly identity: string) {}
+
+  watch(onChange: (state: "alive" | "closed" | "other") => void): void {
     let missed = 0;
     const poll = async () => {
       try {
-        await fetch("api/alive", { cache: "no-store" });
-        if (missed > 1) onChange(true);
+        const response = await fetch("api/alive", { cache: "no-store" });
+        // Another field, or another token: what the page holds does not fit its answers.
+        if (!response.ok || response.headers.get("x-scoup-field") !== this.identity) return onChange("other");
+        if (missed > 1) onChange("alive");
         missed = 0;
       } catch {
         missed += 1;
-        if (missed === 2) onChange(false);
+        if (missed === 2) onChange("closed");
       }
       setTimeout(poll, POLL_SECONDS * 1000 * (missed === 1 ? 0.2 : 1));
     };

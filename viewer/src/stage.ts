@@ -133,6 +133,7 @@ export class RemoteStage implements Stage {
     while (this.shown !== this.moved) {
       const before = this.moved;
       await this.show(MOVING_SCALE, 70);
+      if (this.moved !== before) continue; // still moving: the next one at once
       await new Promise((resolve) => setTimeout(resolve, REST_SECONDS * 1000));
       if (this.moved !== before) continue;
       await this.show(1, 90);

@@ -90,8 +90,9 @@ export class State {
 
   selection(): Selection {
     const texts = this.visible().map((query) => query.answer.text);
-    const { level, threshold, absent } = this;
-    return { texts, level, threshold, rest: this.mode === "except", always: absent };
+    const { level, threshold } = this;
+    // Presence is judged once, for the level and threshold that answer best; absent texts are not among the visible ones.
+    return { texts, level, threshold, rest: this.mode === "except", always: true };
   }
 
   /** What the server is to render in place of the page's own picture. */

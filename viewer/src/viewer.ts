@@ -162,9 +162,12 @@ export class Viewer {
       this.exact.moved();
     });
     listenToKeys(this.state, this.eye, { toggleExact: () => this.toggleExact(), escape: hidePlace });
-    this.server?.watch((alive) => {
-      byId("closed-text").textContent = `The server was closed. Start it again: ${this.settings.open}`;
-      byId("closed").hidden = alive;
+    this.server?.watch((state) => {
+      byId("closed-text").textContent =
+        state === "other"
+          ? "Another field is served here now. Open the address that scoup view printed, or reload this page."
+          : `The server was closed. Start it again: ${this.settings.open}`;
+      byId("closed").hidden = state === "alive";
     });
   }
 

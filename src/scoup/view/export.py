@@ -80,7 +80,7 @@ def export_page(
     check_outputs(out, FOLDER_FILES, overwrite) if split else check_output(out, overwrite)
     files, settings = page_files(), viewed.settings("exported")
     words, count = _words(viewed, progress)
-    scene = viewed.scene(effort=9)
+    scene = viewed.scene(effort=9, exported=True)
     thumbnails = _thumbnails(viewed, progress)
     data = {"scene": _base64(scene), "words": _base64(words), "thumbnails": thumbnails}
     if split:

@@ -60,7 +60,7 @@ class Guard:
         name = urlsplit(f"//{host}").hostname if host and _is_host(host) else None
         if name is None or not (name in self.names or (self.token and _is_address(name))):
             return "this name of the server is not known; open the address that scoup view printed"
-        if origin is not None and (urlsplit(origin).netloc != host or not origin.startswith("http")):
+        if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return "requests from other sites are refused"
         if method != "GET" and site not in (None, "same-origin", "none"):
             return "requests from other sites are refused"

@@ -22,7 +22,8 @@ from scoup.view.shown import MOST_GAUSSIANS, shown_rows
 from scoup.view.unit_codes import UnitCodes
 
 VERSION = 1
-_SCALE_SHARES = (0.0005, 0.9995)  # of the scales outside of these, the nearest inside is taken
+_SCALE_SHARES = (0.0005, 0.9995)  # smaller scales than the first count as it
+_LARGER = 6.0  # logarithm of how much larger than the second a scale may be
 _AXES = 8  # directions of embedding space among which the colours of codes are chosen
 _CODES_FOR_COLORS = 50_000
 
@@ -49,8 +50,8 @@ def scene_metadata(
         "up": up,
         "centre": centre,
         "radius": radius,
-        # Of a table only its name: a page may go where the folders of this machine mean nothing.
-        "embedding_model": Path(model).name if is_table(model) else model,
+        # Of a file only its name: a page may go where the folders of this machine mean nothing.
+        "embedding_model": Path(model).name if is_table(model) or Path(model).is_absolute() else model,
         "words_problem": words_problem,
         "present_from": present_from,
         "cameras": [_camera_record(camera) for camera in field.cameras or ()],
@@ -100,9 +101,15 @@ def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[fl
     finite = gaussians.means[gaussians.finite()].double().cpu()
     middle = finite.median(0).values if len(finite) else torch.zeros(3, dtype=torch.float64)
     around = float((finite - middle).norm(dim=1).median()) if len(finite) else 1.0
+    # Cameras that turn on the spot are hardly apart, and a single Gaussian is around nothing.
+    least = max(
+        0.1 * around,
+        float(gaussians.scales[gaussians.finite()].amax(1).median()) if len(finite) else 0.0,
+        1e-6,
+    )
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     if cameras is None or not len(cameras):
-        return up.tolist(), middle.tolist(), max(2 * around, 1e-6)
+        return up.tolist(), middle.tolist(), max(2 * around, least)
     upward = -torch.stack([camera.viewmat[1, :3] for camera in cameras]).mean(0)
     if float(upward.norm()) > 1e-6:
         up = upward / upward.norm()
@@ -114,7 +121,7 @@ def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[fl
     if float(torch.linalg.eigvalsh(matrix)[0]) > 1e-3 * len(places):
         centre = torch.linalg.solve(matrix, right)
     radius = float((places - centre).norm(dim=1).median())
-    return up.tolist(), centre.tolist(), radius if radius > 1e-6 else max(2 * around, 1e-6)
+    return up.tolist(), centre.tolist(), max(radius, least)
 
 
 def _camera_record(camera: Camera) -> dict[str, Any]:
@@ -132,6 +139,7 @@ def _splat(gaussians: Gaussians) -> tuple[dict[str, np.ndarray], dict[str, Any]]
     means, low, high = byte_planes(gaussians.means.double().numpy())
     logarithms = gaussians.scales.double().clamp(min=1e-30).log().numpy()
     ends = np.quantile(logarithms, _SCALE_SHARES) if logarithms.size else np.zeros(2)
+    ends[1] = min(logarithms.max(initial=ends[1]), ends[1] + _LARGER)
     quats = gaussians.quats.double()
     quats = quats / quats.abs().amax(1, keepdim=True).clamp(min=1e-12)
     colors = (SH_C0 * gaussians.sh[:, 0] + 0.5).nan_to_num(0).numpy()

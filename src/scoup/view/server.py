@@ -91,7 +91,7 @@ class _Answers:
         return Response(self.page.licences, media_type="text/plain")
 
     async def alive(self, request: Request) -> Response:
-        return Response(status_code=204)
+        return Response(status_code=204, headers={"x-scoup-field": self.viewed.identity})
 
     async def scene(self, request: Request) -> Response:
         def packed() -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,6 +15,7 @@ import torch
 from scoup import raster
 from scoup.base.errors import InputError, ScoupError
 from scoup.io import PlyTable
+from scoup.models.word_table import is_table
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.query.answering import answer_scene
@@ -30,6 +32,7 @@ from scoup.view.unit_codes import UnitCodes, atom_scores
 from scoup.view.vocabulary import everyday_vocabulary
 
 THUMBNAIL_WIDTH = 160
+NO_WORDS = "this page was exported without words"
 
 
 class ViewedField:
@@ -94,13 +97,13 @@ class ViewedField:
 
         # Where a page is sent to, the folders of this machine mean nothing.
         path, table = (
-            name if mode != "exported" or name is None else Path(name).name
+            name if mode != "exported" or name is None or not _is_file(name) else Path(name).name
             for name in (self.path, self.table)
         )
         command = f"scoup view {shlex.quote(str(path))}"
         if table is not None:
             command += f" --text {shlex.quote(table)}"
-        facts = {"mode": mode, "name": self.name, "version": VERSION}
+        facts = {"mode": mode, "name": self.name, "version": VERSION, "identity": self.identity}
         return {**facts, "open": command, "field": path, "text": table}
 
     def vocabulary(self) -> TextVectors | None:
@@ -130,17 +133,25 @@ class ViewedField:
         vectors = self.field.text_vectors(list(texts))
         return vectors.with_everyday(), None if always else presence_threshold(vectors)
 
-    def metadata(self) -> dict[str, Any]:
-        """What the page is told of the field (``scene_metadata``)."""
-        present_from = None if self.words_problem is not None else self.texts(self._probe)[1]
-        return scene_metadata(self.field, self.name, self.words_problem, present_from)
+    @cached_property
+    def identity(self) -> str:
+        """The same for the same geometry and codebook: an open page goes on with a server of the same field only."""
+        digest = hashlib.sha256(self.field.fingerprint.encode())
+        digest.update(self.field.codebook.float().cpu().contiguous().numpy().tobytes())
+        return digest.hexdigest()[:16]
 
-    def scene(self, effort: int = 1) -> bytes:
+    def metadata(self, exported: bool = False) -> dict[str, Any]:
+        """What the page is told of the field (``scene_metadata``); an exported one not where files are missing."""
+        present_from = None if self.words_problem is not None else self.texts(self._probe)[1]
+        problem = NO_WORDS if exported and self.words_problem is not None else self.words_problem
+        return scene_metadata(self.field, self.name, problem, present_from)
+
+    def scene(self, effort: int = 1, exported: bool = False) -> bytes:
         """The file that the page loads (``scene_data``)."""
         canonical = None
         if self.words_problem is None:
             canonical = atom_scores(self.field, self.texts(self._probe)[0].canonical)
-        return scene_data(self.field, self.codes, canonical, self.metadata(), self.most, effort)
+        return scene_data(self.field, self.codes, canonical, self.metadata(exported), self.most, effort)
 
     def answers(self, texts: Sequence[str], always: bool = False) -> list[PageAnswer]:
         """The answers of the scene to texts."""
@@ -206,3 +217,8 @@ class ViewedField:
         """A text that can be asked."""
         names = self.field.text_encoder().names
         return [names[0] if names else "object"]
+
+
+def _is_file(name: str) -> bool:
+    """Whether a name is that of a file, not the id of a model."""
+    return is_table(name) or Path(name).is_absolute() or name.endswith(".scoup")
