@@ -404,3 +404,28 @@ def test_the_page_does_not_go_on_with_the_server_of_another_field(browser: Brows
                 has_text="Another field is served here now"
             ).wait_for()
         visit.problems.clear()
+
+
+def test_the_list_of_texts_keeps_the_focus(browser: Browser, live: str):
+    with visiting(browser, live) as visit:
+        page = visit.page
+        visit.ask("kettle", "mug")
+        focused = "document.activeElement.getAttribute('aria-label')"
+        page.get_by_role("button", name="Hide kettle").focus()
+        page.keyboard.press("Enter")
+        assert page.evaluate(focused) == "Show kettle"
+        page.get_by_role("button", name="Remove kettle").focus()
+        page.keyboard.press("Enter")
+        assert page.evaluate(focused) == "Remove mug"
+
+
+def test_a_slider_does_not_fill_the_servers_queue(browser: Browser, live: str):
+    with visiting(browser, live) as visit:
+        visit.ask("kettle")
+        visit.page.get_by_role("button", name="Exact picture").click()
+        visit.page.locator("#badge", has_text="rendered codes").wait_for()
+        before = len(visit.requests)
+        visit.page.evaluate("for (let i = 0; i < 30; i++) window.scoupViewer.set({ threshold: i / 30 })")
+        visit.page.locator("#badge", has_text="rendered codes").wait_for()
+        asked = [address for address in visit.requests[before:] if "api/render" in address]
+        assert 1 <= len(asked) <= 2  # one under way, and the newest

@@ -6,25 +6,31 @@ import type { State } from "./state";
 
 const REST_SECONDS = 0.4;
 const QUALITY = 92;
+/** After which a busy server is asked again. */
+const BUSY_SECONDS = 0.5;
 
 export class ExactPicture {
   /** Whether to show it by itself when the camera rests. */
   whenResting = false;
-  /** Shown, or on its way. */
   private wanted = false;
+  private running = false;
   private number = 0;
   private timer = 0;
+  /** What the picture that was received last shows. */
+  private received = "";
 
   constructor(
     private readonly image: HTMLImageElement,
     private readonly badge: HTMLElement,
+    private readonly button: HTMLElement,
     private readonly eye: Eye,
     private readonly state: State,
     private readonly server: Server,
     private readonly onError: (sentence: string) => void,
   ) {}
 
-  get isShown(): boolean {
+  /** Whether it is seen, or on its way. */
+  get isWanted(): boolean {
     return this.wanted;
   }
 
@@ -37,36 +43,65 @@ export class ExactPicture {
 
   /** Texts or settings have changed. */
   changed(): void {
-    if (this.wanted || this.whenResting) void this.show();
+    if (this.wanted || this.whenResting) this.show();
   }
 
   hide(): void {
     this.number += 1;
     this.wanted = false;
     this.image.hidden = this.badge.hidden = true;
+    this.button.setAttribute("aria-pressed", "false");
   }
 
-  async show(): Promise<void> {
-    const number = ++this.number;
+  show(): void {
+    this.number += 1;
     this.wanted = true;
-    const { clientWidth: width, clientHeight: height } = this.image.parentElement!;
-    this.badge.textContent = "rendering the exact picture …";
-    this.badge.hidden = false;
+    this.button.setAttribute("aria-pressed", "true");
+    if (!this.running) void this.run();
+  }
+
+  /** One request at a time, until the newest is answered: a slider would fill the server's queue otherwise. */
+  private async run(): Promise<void> {
+    this.running = true;
     try {
-      const request = this.state.picture(this.eye.record(width, height), QUALITY);
+      for (let number = -1; this.wanted && number !== this.number; ) {
+        number = this.number;
+        try {
+          await this.receive(number);
+        } catch (error) {
+          if (number !== this.number) continue;
+          if (error instanceof NotNow) {
+            await new Promise((resolve) => setTimeout(resolve, BUSY_SECONDS * 1000));
+            number = -1;
+            continue;
+          }
+          this.hide();
+          this.onError((error as Error).message);
+        }
+      }
+    } finally {
+      this.running = false;
+    }
+  }
+
+  private async receive(number: number): Promise<void> {
+    const { clientWidth: width, clientHeight: height } = this.image.parentElement!;
+    const request = this.state.picture(this.eye.record(width, height), QUALITY);
+    const what = JSON.stringify(request);
+    if (what !== this.received) {
+      this.badge.textContent = "rendering the exact picture …";
+      this.badge.hidden = false;
       const blob = await this.server.picture(request);
       if (number !== this.number) return;
       URL.revokeObjectURL(this.image.src);
+      this.received = "";
       this.image.src = URL.createObjectURL(blob);
       await this.image.decode();
+      this.received = what;
       if (number !== this.number) return;
-      const what = request.text === null ? "" : ` of “${request.text}”`;
-      this.badge.textContent = `exact picture${what} (rendered codes, all Gaussians)`;
-      this.image.hidden = false;
-    } catch (error) {
-      if (number !== this.number) return;
-      this.hide();
-      if (!(error instanceof NotNow)) this.onError((error as Error).message);
     }
+    const text = request.text === null ? "" : ` of “${request.text}”`;
+    this.badge.textContent = `exact picture${text} (rendered codes, all Gaussians)`;
+    this.image.hidden = this.badge.hidden = false;
   }
 }

@@ -27,7 +27,7 @@ export class ExportedPage implements Source {
   }
 
   scene(progress: Progress): Promise<Packed> {
-    progress("unpacking", 0, 1);
+    progress("opening", 0, 0);
     this.packed ??= unpack(fromBase64(this.data.scene));
     return this.packed;
   }

@@ -32,10 +32,12 @@ function progress(stage: string, done: number, total: number): void {
   const megabytes = (bytes: number) => (bytes / 1e6).toFixed(1);
   const share = total ? done / total : 0;
   byId<HTMLProgressElement>("loading-bar").value = share;
+  const texts: Record<string, string> = {
+    loading: `Loading: ${megabytes(done)} of ${megabytes(total)} MB`,
+    opening: "Unpacking …",
+  };
   byId("loading-text").textContent =
-    stage === "loading"
-      ? `Loading: ${megabytes(done)} of ${megabytes(total)} MB`
-      : `Unpacking: ${done.toLocaleString("en")} of ${total.toLocaleString("en")} Gaussians`;
+    texts[stage] ?? `Unpacking: ${done.toLocaleString("en")} of ${total.toLocaleString("en")} Gaussians`;
 }
 
 function hasWebGL(): boolean {

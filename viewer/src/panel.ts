@@ -16,12 +16,19 @@ const LEVEL_NAMES: Record<string, string> = { s: "s (fine)", m: "m (medium)", l:
 /** Modes that only the page can show, not the server. */
 const PAGE_ONLY: readonly Mode[] = ["only", "except", "confidence"];
 
+/** The elements of a text in the list. */
+interface Row {
+  all: HTMLElement;
+  hide: HTMLElement;
+  facts: HTMLElement;
+}
+
 export class Panel {
   private readonly queries = byId("queries");
+  private readonly rows = new Map<Query, Row>();
   private readonly threshold = byId<HTMLInputElement>("threshold");
   private readonly automatic = byId<HTMLInputElement>("threshold-auto");
   private readonly opacity = byId<HTMLInputElement>("opacity");
-  private said = "";
   private readonly absent = byId<HTMLInputElement>("absent");
 
   constructor(
@@ -61,35 +68,53 @@ export class Panel {
     this.opacity.value = String(state.opacity);
     byId("opacity-value").textContent = state.opacity.toFixed(2);
     this.absent.checked = state.absent;
-    const said = JSON.stringify(state.queries.map((query) => [query.answer.text, query.hidden, this.facts(query)]));
-    if (said === this.said) return; // a list that is made anew loses the focus and is read out again
-    this.said = said;
-    this.queries.replaceChildren(...state.queries.map((query) => this.row(query)));
+    this.updateQueries();
   }
 
-  private row(query: Query): HTMLElement {
-    const { answer } = query;
+  /** Rows stay the elements they are: a button keeps the focus, and only what changes is read aloud. */
+  private updateQueries(): void {
+    const { queries } = this.state;
+    for (const [query, row] of this.rows) {
+      if (queries.includes(query)) continue;
+      row.all.remove();
+      this.rows.delete(query);
+    }
+    for (const query of queries) {
+      let row = this.rows.get(query);
+      if (!row) {
+        row = this.row(query);
+        this.rows.set(query, row);
+        this.queries.append(row.all);
+      }
+      const { text, present } = query.answer;
+      const action = query.hidden ? "Show" : "Hide";
+      say(row.hide, action);
+      row.hide.setAttribute("aria-label", `${action} ${text}`);
+      say(row.facts, this.facts(query));
+      row.all.classList.toggle("hidden", query.hidden);
+      row.all.classList.toggle("absent", !present);
+    }
+  }
+
+  private row(query: Query): Row {
+    const { text } = query.answer;
     const color = `rgb(${query.color.map((part) => Math.round(part * 255)).join(",")})`;
-    const hide = element("button", { type: "button", "aria-pressed": String(query.hidden) }, query.hidden ? "Show" : "Hide");
-    hide.setAttribute("aria-label", `${query.hidden ? "Show" : "Hide"} ${answer.text}`);
+    const hide = element("button", { type: "button" });
     hide.addEventListener("click", () => {
       query.hidden = !query.hidden;
       this.state.onChange();
     });
-    const remove = element("button", { type: "button", "aria-label": `Remove ${answer.text}` }, "✕");
-    remove.addEventListener("click", () => this.state.remove(query));
-    const row = element(
-      "li",
-      {},
-      element("span", { class: "swatch", style: `background:${color}` }),
-      element("span", { class: "text" }, answer.text),
-      hide,
-      remove,
-      element("span", { class: "facts" }, this.facts(query)),
-    );
-    row.classList.toggle("hidden", query.hidden);
-    row.classList.toggle("absent", !answer.present);
-    return row;
+    const remove = element("button", { type: "button", "aria-label": `Remove ${text}` }, "✕");
+    remove.addEventListener("click", () => {
+      const next = all.nextElementSibling ?? all.previousElementSibling;
+      this.state.remove(query);
+      // Not to the text box, which would open the keyboard of a telephone.
+      (next?.querySelector<HTMLElement>("button:last-of-type") ?? byId("canvas")).focus();
+    });
+    const facts = element("span", { class: "facts" });
+    const swatch = element("span", { class: "swatch", style: `background:${color}` });
+    const all = element("li", {}, swatch, element("span", { class: "text" }, text), hide, remove, facts);
+    return { all, hide, facts };
   }
 
   private facts({ answer }: Query): string {
@@ -113,6 +138,10 @@ function choices(id: string, name: string, options: [string, string, string][], 
     return element("label", title ? { title } : {}, input, text);
   });
   byId(id).replaceChildren(...labels);
+}
+
+function say(element: HTMLElement, text: string): void {
+  if (element.textContent !== text) element.textContent = text;
 }
 
 function check(name: string, value: string): void {

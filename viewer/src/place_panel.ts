@@ -10,6 +10,7 @@ export function showPlace(place: Place): void {
   const heading = element("div", { class: "row" }, element("h2", { style: "flex:1" }, "Here is"), close);
   if (place.position === null) {
     panel.replaceChildren(heading, "nothing: no Gaussian paints this point.");
+    panel.scrollIntoView({ block: "nearest" });
     return;
   }
   const list = element("dl");
@@ -24,6 +25,7 @@ export function showPlace(place: Place): void {
   const distance = place.distance?.toPrecision(4) ?? "?";
   list.append(element("dt", {}, "position, distance"), element("dd", {}, `(${position}), ${distance} away`));
   panel.replaceChildren(heading, list, button);
+  panel.scrollIntoView({ block: "nearest" });
 }
 
 export function hidePlace(): void {

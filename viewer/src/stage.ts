@@ -31,7 +31,9 @@ export class SplatStage implements Stage {
     private readonly canvas: HTMLCanvasElement,
     private readonly eye: Eye,
     private readonly state: State,
+    onError: (sentence: string) => void,
   ) {
+    canvas.addEventListener("webglcontextlost", () => onError("The browser has lost the picture on its GPU: reload the page."));
     // Without antialias, as Spark advises.
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false });
     this.renderer.setClearColor(0x000000, 1);
@@ -133,15 +135,16 @@ export class RemoteStage implements Stage {
     while (this.shown !== this.moved) {
       const before = this.moved;
       await this.show(MOVING_SCALE, 70);
-      if (this.moved !== before) continue; // still moving: the next one at once
-      await new Promise((resolve) => setTimeout(resolve, REST_SECONDS * 1000));
+      if (this.moved !== before) continue; // still moving: the next picture at once
+      await pause(REST_SECONDS);
       if (this.moved !== before) continue;
-      await this.show(1, 90);
-      if (this.moved === before) this.shown = before;
+      const isDrawn = await this.show(1, 90);
+      if (isDrawn && this.moved === before) this.shown = before;
     }
   }
 
-  private async show(scale: number, quality: number): Promise<void> {
+  /** Whether the server was not too busy. */
+  private async show(scale: number, quality: number): Promise<boolean> {
     const width = Math.max(1, Math.round(this.canvas.clientWidth * scale));
     const height = Math.max(1, Math.round(this.canvas.clientHeight * scale));
     this.eye.resize(width, height);
@@ -151,10 +154,19 @@ export class RemoteStage implements Stage {
       [this.canvas.width, this.canvas.height] = [width, height];
       this.context.drawImage(bitmap, 0, 0);
       bitmap.close();
+      return true;
     } catch (error) {
-      if (error instanceof NotNow) return;
+      if (error instanceof NotNow) {
+        await pause(REST_SECONDS);
+        return false;
+      }
       this.onError((error as Error).message);
       this.shown = this.moved; // until something changes
+      return false;
     }
   }
+}
+
+function pause(seconds: number): Promise<void> {
+  return new Promise((resolve) => setTimeout(resolve, seconds * 1000));
 }

@@ -5,6 +5,7 @@ import { mayAnimate } from "./appearance";
 import { Eye } from "./camera";
 import { CameraList } from "./cameras";
 import { commandLine, python } from "./commands";
+import { completeFrom } from "./completion";
 import { byId, copy, counted, save } from "./dom";
 import { ExactPicture } from "./exact";
 import type { ExportedPage } from "./exported";
@@ -20,6 +21,8 @@ import { State } from "./state";
 /** Pixels that a click may move without being a drag. */
 const CLICK_SLACK = 4;
 const NOTE_SECONDS = 4;
+/** After which it is said that an answer takes time. */
+const PATIENCE_SECONDS = 0.3;
 
 export class Viewer {
   readonly state: State;
@@ -29,6 +32,7 @@ export class Viewer {
   private readonly cameras: CameraList;
   private readonly exact: ExactPicture | null;
   private readonly canvas = byId<HTMLCanvasElement>("canvas");
+  private clicks = 0;
 
   private constructor(
     readonly settings: Settings,
@@ -41,10 +45,10 @@ export class Viewer {
     this.eye = new Eye(metadata, this.canvas);
     const onError = (sentence: string) => this.say(sentence);
     this.stage = scene
-      ? new SplatStage(this.canvas, this.eye, this.state)
+      ? new SplatStage(this.canvas, this.eye, this.state, onError)
       : new RemoteStage(this.canvas, this.eye, this.state, server!, onError);
     this.exact = scene && server
-      ? new ExactPicture(byId("picture"), byId("badge"), this.eye, this.state, server, onError)
+      ? new ExactPicture(byId("picture"), byId("badge"), byId("exact-show"), this.eye, this.state, server, onError)
       : null;
     this.panel = new Panel(this.state, metadata, !scene);
     this.cameras = new CameraList(metadata.cameras, source, (camera) => void this.flyTo(camera));
@@ -75,10 +79,16 @@ export class Viewer {
   /** Ask texts; several are separated by commas. */
   async ask(texts: string[]): Promise<void> {
     this.say("");
+    // A text model may have to be loaded first, which takes seconds.
+    const asking = byId("asking");
+    const timer = window.setTimeout(() => (asking.textContent = `Looking for ${texts.join(", ")} …`), PATIENCE_SECONDS * 1000);
     try {
       this.state.add(await this.source.ask(texts, false));
     } catch (error) {
       this.say((error as Error).message);
+    } finally {
+      clearTimeout(timer);
+      asking.textContent = "";
     }
   }
 
@@ -90,10 +100,14 @@ export class Viewer {
   async point(x: number, y: number): Promise<void> {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const marker = byId("marker");
-    [marker.style.left, marker.style.top] = [`${x}px`, `${y}px`];
+    // In units of the height, with which the picture grows and shrinks: what is said of the place may take room from it.
+    marker.style.left = `calc(50% + ${(100 * (x - width / 2)) / height}cqh)`;
+    marker.style.top = `${(100 * y) / height}%`;
     marker.hidden = false;
+    const number = ++this.clicks;
     try {
       const place = await this.placeAt(x, y, width, height);
+      if (number !== this.clicks) return; // another point was clicked meanwhile
       showPlace(place);
       if (place.position) this.eye.lookAround(new THREE.Vector3(...(place.position as [number, number, number])));
     } catch (error) {
@@ -114,8 +128,8 @@ export class Viewer {
 
   toggleExact(): void {
     if (!this.exact) return;
-    if (this.exact.isShown) this.exact.hide();
-    else void this.exact.show();
+    if (this.exact.isWanted) this.exact.hide();
+    else this.exact.show();
   }
 
   private changed(): void {
@@ -168,6 +182,9 @@ export class Viewer {
           ? "Another field is served here now. Open the address that scoup view printed, or reload this page."
           : `The server was closed. Start it again: ${this.settings.open}`;
       byId("closed").hidden = state === "alive";
+      if (state !== "alive") return;
+      this.say("");
+      this.stage.redraw(); // pictures may have failed meanwhile
     });
   }
 
@@ -229,11 +246,7 @@ export class Viewer {
       return;
     }
     void this.source.vocabulary().then(({ names, closed }) => {
-      byId("names").replaceChildren(...names.map((name) => {
-        const option = document.createElement("option");
-        option.value = name;
-        return option;
-      }));
+      completeFrom(names);
       if (closed) byId<HTMLInputElement>("text").title = `one of ${names.length.toLocaleString("en")} words`;
     });
   }
