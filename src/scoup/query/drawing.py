@@ -73,6 +73,11 @@ def relevancy_drawing(field: QueriedField, texts: TextVectors, text: str, plain:
     return draw
 
 
+def placed_atoms(atoms: Tensor) -> Tensor:
+    """[L, ``AXES``] places of atoms [L, D] by their embeddings: colours of places tell meanings apart."""
+    return atoms @ torch.linalg.svd(atoms, full_matrices=False).Vh[:AXES].T
+
+
 def code_drawing(field: QueriedField, level: str | int, plain: bool = False) -> Draw:
     """Draws the codes of one level as colours: the same code has the same colour in every view.
 
@@ -86,11 +91,8 @@ def code_drawing(field: QueriedField, level: str | int, plain: bool = False) -> 
         InputError: there is no such level.
     """
     row = field.level_index(level)
-    # Colours should tell meanings apart, so atoms are placed by their embeddings; and the axes come from the
-    # Gaussians, not from the picture, so that they are those of every view.
-    atoms = field.codebook[row].cpu()
-    directions = torch.linalg.svd(atoms, full_matrices=False).Vh[:AXES].T  # [D, axes]
-    placed = atoms @ directions  # [L, axes]
+    # The axes of the colours come from the Gaussians, not from the picture, so that they are those of every view.
+    placed = placed_atoms(field.codebook[row].cpu())  # [L, axes]
     indices, weights = field.code_indices[:, row].cpu(), field.code_weights[:, row].float().cpu()
     gaussians = SparseCodes(indices, weights, field.n_atoms).to_dense() @ placed  # [N, axes]
     basis = code_basis(gaussians)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ipaddress
 import secrets
 import socket
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
@@ -43,12 +42,12 @@ class Guard:
     names: frozenset[str] = field(default_factory=frozenset)
 
     @classmethod
-    def of(cls, host: str, more_names: Iterable[str] = ()) -> Guard:
+    def of(cls, host: str) -> Guard:
         """For a server that is bound to a host; beyond loopback with a new token."""
         if is_loopback(host):
-            return cls(host, "", _OWN_NAMES | {host.lower(), *more_names})
+            return cls(host, "", _OWN_NAMES | {host.lower()})
         own = {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
-        return cls(host, secrets.token_urlsafe(24), _OWN_NAMES | own | set(more_names))
+        return cls(host, secrets.token_urlsafe(24), _OWN_NAMES | own)
 
     @property
     def prefix(self) -> str:

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from scoup.models.word_table import is_table
 from scoup.pictures.colors import code_basis
+from scoup.query.drawing import placed_atoms
 from scoup.query.queried_field import QueriedField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
@@ -24,7 +25,6 @@ from scoup.view.unit_codes import UnitCodes
 VERSION = 1
 _SCALE_SHARES = (0.0005, 0.9995)  # smaller scales than the first count as it
 _LARGER = 6.0  # logarithm of how much larger than the second a scale may be
-_AXES = 8  # directions of embedding space among which the colours of codes are chosen
 _CODES_FOR_COLORS = 50_000
 
 
@@ -165,7 +165,7 @@ def _code_colors(field: QueriedField, codes: UnitCodes) -> dict[str, NDArray[np.
     step = max(1, math.ceil(len(codes) / _CODES_FOR_COLORS))
     colors, offsets = [], []
     for level, atoms in enumerate(field.codebook.float().cpu()):
-        placed = atoms @ torch.linalg.svd(atoms, full_matrices=False).Vh[:_AXES].T  # [L, axes]
+        placed = placed_atoms(atoms)  # [L, axes]
         sample = SparseCodes(codes.indices[::step, level], codes.weights[::step, level], field.n_atoms)
         affine, (low, high) = code_basis(sample.to_dense() @ placed)
         colors.append((placed.double().numpy() @ affine[:-1] / (high - low)).T)
