@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scoup.base.counts import counted, listed, none_of, share_of, verb
+from scoup.base.counts import counted, listed, none_of, share_of, spread, verb
 
 
 def test_one_is_singular():
@@ -28,3 +28,11 @@ def test_verbs_agree():
 def test_names_are_listed_up_to_a_number():
     assert [listed("abcd"[:length]) for length in (0, 1, 3, 4)] == ["", "a", "a, b, c", "a, b, c, ..."]
     assert listed(("a", "b"), 1) == "a, ..."
+
+
+def test_items_are_spread_evenly():
+    names = [str(number) for number in range(200)]
+    assert spread(names[:3], 8) == ["0", "1", "2"]
+    assert len(spread(names, 8)) == 8
+    assert spread(names[:16], 8) == [str(number) for number in (1, 3, 5, 7, 9, 11, 13, 15)]
+    assert spread([], 8) == []

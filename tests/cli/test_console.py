@@ -15,10 +15,10 @@ import pytest
 import scoup
 from cli_support import run, run_json
 from scoup.base.errors import InputError, ScoupWarning
+from scoup.base.file_names import slug, unique_slugs
 from scoup.cli.build import Build
 from scoup.cli.console import Console, run_verb
 from scoup.cli.info import Info
-from scoup.cli.names import slug, unique_slugs
 from scoup.cli.options import Common
 from scoup.cli.query import Query
 from scoup.cli.render import Render

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from cli_support import QUICK, refused, run, run_json
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, read_ply_table, save_gaussians, write_ply_table
+from scoup.query.reshape import Reshaping
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -23,13 +25,19 @@ def test_the_main_path_says_what_it_chose():
     assert (code, err) == (0, "")
     count = len(read_ply_table("kettle.ply"))
     assert 0 < count < 150
-    assert out.splitlines() == [f"kettle: {count} of 150 Gaussians", f"kettle.ply: {count} Gaussians written"]
+    lines = out.splitlines()
+    assert [lines[0], lines[2]] == [
+        f"kettle: {count} of 150 Gaussians",
+        f"kettle.ply: {count} Gaussians written",
+    ]
+    assert lines[1].startswith("at [")
+    assert "extent" in lines[1]
     assert len(load_gaussians("kettle.ply")) == count
 
 
 def test_chosen_and_rest_are_the_rows_of_the_splat_byte_for_byte():
     chosen = run_json("select", "f.scoup", "kettle", "--out", "a.ply")
-    rest = run_json("select", "f.scoup", "kettle", "--out", "b.ply", "--write", "rest")
+    rest = run_json("select", "f.scoup", "kettle", "--out", "b.ply", "--edit", "remove")
     assert chosen["written"] == chosen["chosen"]["kettle"]
     assert chosen["written"] + rest["written"] == chosen["gaussians"] == 150
     assert sorted(rows("a.ply") + rows("b.ply")) == sorted(rows("scene/point_cloud.ply"))
@@ -37,7 +45,7 @@ def test_chosen_and_rest_are_the_rows_of_the_splat_byte_for_byte():
 
 
 def test_a_thing_is_removed_and_the_field_stays():
-    kept = run_json("select", "f.scoup", "kettle", "--out", "without.scoup", "--write", "rest")
+    kept = run_json("select", "f.scoup", "kettle", "--out", "without.scoup", "--edit", "remove")
     alone = run_json("select", "f.scoup", "kettle", "--out", "kettle.scoup")
     assert kept["written"] + alone["written"] == 150
     Path("scene/point_cloud.ply").unlink()  # the Gaussians are in the files
@@ -45,14 +53,14 @@ def test_a_thing_is_removed_and_the_field_stays():
     assert again["gaussians"] == alone["written"]
     assert run_json("query", "without.scoup", "mug", "--out", "answers")["answers"]
     assert run_json("info", "without.scoup")["gaussians"] == kept["written"]
-    message = refused("select", "f.scoup", "kettle", "--out", "ids.scoup", "--write", "ids")
+    message = refused("select", "f.scoup", "kettle", "--out", "ids.scoup", "--edit", "ids")
     assert "no column of ids" in message
     message = refused("select", "kettle.scoup", "kettle", "--out", "kettle.scoup", "--overwrite")
     assert "is the field that is queried" in message
 
 
 def test_ids_of_several_texts():
-    record = run_json("select", "f.scoup", "kettle", "mug", "--out", "ids.ply", "--write", "ids")
+    record = run_json("select", "f.scoup", "kettle", "mug", "--out", "ids.ply", "--edit", "ids")
     table = read_ply_table("ids.ply")
     ids = table.rows["selected"]
     assert table.names[-1] == "selected"
@@ -71,12 +79,12 @@ def test_rows_that_are_not_finite_belong_to_nobody():
     write_ply_table(table.__class__(table.path, data), "scene/point_cloud.ply", overwrite=True)
     code, _, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--model", "scene/words.npz")
     assert (code, len(err.splitlines())) == (0, 1)
-    code, _, err = run("select", "a.scoup", "kettle", "--out", "ids.ply", "--write", "ids")
+    code, _, err = run("select", "a.scoup", "kettle", "--out", "ids.ply", "--edit", "ids")
     assert code == 0
     assert len(err.splitlines()) == 1  # one warning, though the file is read twice
     assert len(read_ply_table("ids.ply")) == 150
     assert read_ply_table("ids.ply").rows["selected"][7] == 0
-    rest = run("select", "a.scoup", "kettle", "--out", "rest.ply", "--write", "rest")
+    rest = run("select", "a.scoup", "kettle", "--out", "rest.ply", "--edit", "remove")
     assert rest[0] == 0
     assert np.isfinite(read_ply_table("rest.ply").rows["x"]).all()
 
@@ -134,7 +142,7 @@ def test_the_splat_itself_is_never_replaced():
 
 def test_bad_options():
     ask = ("select", "f.scoup", "kettle", "--out")
-    assert "ends in .ply" in refused(*ask, "a.splat")
+    assert "use .ply" in refused(*ask, "a.obj")
     assert "--threshold must be 0 to 1" in refused(*ask, "a.ply", "--threshold", "nan")
     assert "--neighbours must be 0 or more" in refused(*ask, "a.ply", "--neighbours", "-1")
     assert "name at least one text" in refused("select", "f.scoup", "--out", "a.ply")
@@ -150,3 +158,122 @@ def test_a_level_of_ones_own():
         assert count == int(field.locate("kettle", level=level).answer.mask.sum())
     assert len(set(counts.values())) > 1
     assert "there is no level 'x'" in refused("select", "f.scoup", "kettle", "--out", "x.ply", "--level", "x")
+
+
+def test_expressions_join_texts():
+    both = run_json("select", "f.scoup", "kettle or mug", "--out", "both.ply")
+    assert both["written"] == run_json("select", "f.scoup", "kettle", "mug", "--out", "two.ply")["written"]
+    assert rows("both.ply") == rows("two.ply")
+    record = run_json("select", "f.scoup", "kettle", "-", "mug", "--out", "less.ply")
+    again = run_json("select", "f.scoup", "kettle and not mug", "--out", "again.ply")
+    assert record["expression"] == again["expression"] == "kettle and not mug"
+    assert list(record["chosen"]) == ["kettle", "mug"]
+    assert record["selected"] == record["written"] < record["chosen"]["kettle"]
+    assert rows("less.ply") == rows("again.ply")
+    assert set(rows("less.ply")) == set(rows("both.ply")) - set(rows_of("mug"))
+    out = run("select", "f.scoup", "kettle and not mug", "--out", "third.ply")[1]
+    assert f"kettle and not mug: {record['written']}" in out.splitlines()
+    for words in (["kettle and"], ["(kettle"], ["kettle", "not", "mug"]):
+        assert "for example" in refused("select", "f.scoup", *words, "--out", "none.ply")
+
+
+def rows_of(text: str) -> list[bytes]:
+    run_json("select", "f.scoup", text, "--out", "of_text.ply", "--overwrite")
+    return rows("of_text.ply")
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "wanted"),
+    [
+        ("kettle", ["--grow", "1"], Reshaping(grow=1)),
+        ("not kettle", ["--shrink", "1"], Reshaping(shrink=1)),
+        ("kettle", ["--within", "0.5"], Reshaping(within=0.5)),
+        ("not kettle", ["--largest"], Reshaping(largest=True)),
+    ],
+)
+def test_selections_are_reshaped(text, options, wanted):
+    plain = run_json("select", "f.scoup", text, "--out", "plain.ply")
+    record = run_json("select", "f.scoup", text, *options, "--out", "a.ply")
+    chosen, found = set(rows("plain.ply")), set(rows("a.ply"))
+    if wanted.grow or wanted.within:
+        assert chosen < found
+    else:
+        assert found < chosen or (wanted.largest and found == chosen)
+    assert record["chosen"] == plain["chosen"]
+    field = LanguageField.load("f.scoup")
+    assert record["selected"] == len(found) == int(field.find(text, reshaping=wanted).mask.sum())
+    assert field.find(text).mask.sum() == len(chosen)
+    out = run("select", "f.scoup", text, *options, "--out", "b.ply")[1].splitlines()
+    assert any(line.endswith(f": {len(found)}") for line in out)
+
+
+def test_steps_and_distances_are_not_negative():
+    for option in ("--grow", "--shrink", "--within"):
+        assert option[2:] in refused("select", "f.scoup", "kettle", option, "-1", "--out", "c.ply")
+
+
+def test_recoloured_and_faded_scenes_differ_where_they_should():
+    chosen = set(rows_of("kettle"))
+    before = read_ply_table("scene/point_cloud.ply").rows
+    found = np.array([row.tobytes() in chosen for row in before])
+    colours = [name for name in before.dtype.names or () if name.startswith("f_")]
+    for edit, changed in (("recolor", colours), ("fade", ["opacity"])):
+        record = run_json(
+            "select", "f.scoup", "kettle", "--edit", edit, "--color", "#00ff00", "--out", f"{edit}.ply"
+        )
+        assert record["written"] == 150
+        after = read_ply_table(f"{edit}.ply").rows
+        for name in before.dtype.names or ():
+            different = before[name] != after[name]
+            assert not different[~found].any(), name
+            assert different[found].any() == (name in changed), name
+    rgb = 0.5 + 0.28209479 * np.stack(
+        [read_ply_table("recolor.ply").rows[f"f_dc_{c}"][found] for c in range(3)], 1
+    )
+    assert (rgb[:, 1] > rgb[:, 0] + 0.2).all()
+    assert (rgb[:, 1] > rgb[:, 2] + 0.2).all()
+    opacities = [
+        load_gaussians(path).opacities.numpy()[found] for path in ("scene/point_cloud.ply", "fade.ply")
+    ]
+    assert opacities[1] == pytest.approx(opacities[0] * 0.15, rel=1e-4)
+
+
+def test_edited_fields_are_fields():
+    run_json("select", "f.scoup", "kettle", "--edit", "fade", "--out", "faded.scoup")
+    field, faded = LanguageField.load("f.scoup"), LanguageField.load("faded.scoup")
+    assert faded.code_indices.equal(field.code_indices)
+    assert faded.fingerprint != field.fingerprint
+    assert run_json("query", "faded.scoup", "mug", "--out", "answers")["answers"]
+
+
+def test_a_picture_shows_before_and_after():
+    record = run_json(
+        "select", "f.scoup", "kettle", "--edit", "remove", "--out", "a.splat", "--picture", "a.png",
+        "--metres-per-unit", "2",
+    )  # fmt: skip
+    with Image.open("a.png") as picture:
+        assert picture.width == 1500
+        pixels = np.asarray(picture).astype(int)
+    assert len(load_gaussians("a.splat")) == record["written"] == 150 - record["selected"]
+    place = record["place"]
+    assert place["position_metres"] == pytest.approx([2 * part for part in place["position"]], rel=1e-4)
+    assert place["extent_metres"] == pytest.approx([2 * part for part in place["box"]["extent"]], rel=1e-4)
+    third = pixels.shape[1] // 3
+    assert np.abs(pixels[60:, 12 : third - 12] - pixels[60:, 2 * third + 12 : 3 * third - 12]).max() > 30
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--out", "a.obj"], "cannot write Gaussians as .obj"),
+        (["--out", "a.ply", "--color", "red"], "give #rrggbb"),
+        (["--out", "a.ply", "--opacity", "2"], "--opacity must be 0 to 1"),
+        (["--out", "a.ply", "--picture", "a.jpg"], "ends in .png"),
+        (["--out", "a.ply", "--metres-per-unit", "0"], "--metres-per-unit must be above 0"),
+        (["--out", "a.splat", "--edit", "ids"], "no column of ids"),
+        (["--out", "a.ply", "--edit", "remove", "--within", "1000"], "try a higher --threshold"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options, said):
+    assert said in refused("select", "f.scoup", "kettle", *options)
+    assert not any(Path(name).exists() for name in ("a.ply", "a.png", "a.splat", "a.obj"))

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -38,6 +39,8 @@ from scoup.io import (
     write_inria_cameras,
     write_transforms,
 )
+from scoup.io.splats.gltf import read_gltf, read_gltf_features, write_gltf
+from scoup.io.splats.gltf_features import GaussianFeatures
 from scoup.io.splats.ply import table_from_gaussians
 
 HUGE = [struct.pack("<Q", value) for value in (10**12, 2**32 - 1, 2**62, 2**63, 2**64 - 1)]
@@ -74,6 +77,11 @@ def read_all_regions(folder: Path) -> None:
         regions.load(regions.view_names[0], level)
 
 
+def read_all_gltf(path: Path) -> None:
+    read_gltf(path)
+    read_gltf_features(path)
+
+
 def read_image(folder: Path) -> None:
     for camera in load_cameras(folder / "scene", missing_images="keep"):
         load_image(replace(camera, image_path=folder / "scene" / "images" / camera.name))
@@ -84,6 +92,8 @@ TARGETS = {
     "ascii ply": Target("ascii.ply", lambda folder: load_gaussians(folder / "ascii.ply")),
     "compressed ply": Target("packed.ply", lambda folder: load_gaussians(folder / "packed.ply")),
     "splat": Target("a.splat", lambda folder: load_gaussians(folder / "a.splat")),
+    "glb": Target("a.glb", lambda folder: read_all_gltf(folder / "a.glb")),
+    "gltf": Target("a.gltf", lambda folder: read_all_gltf(folder / "a.gltf")),
     "checkpoint": Target("ckpts/ckpt_1_rank0.pt", lambda folder: load_gaussians(folder / "ckpts")),
     "cameras.bin": Target("scene/sparse/0/cameras.bin", lambda folder: load_cameras(folder / "scene")),
     "images.bin": Target("scene/sparse/0/images.bin", lambda folder: load_cameras(folder / "scene")),
@@ -109,6 +119,9 @@ def sample() -> Iterator[Path]:
         folder = Path(name)
         save_gaussians(some_gaussians(4), folder / "a.ply")
         save_gaussians(some_gaussians(4), folder / "a.splat")
+        features = GaussianFeatures(torch.tensor([0, 1, -1, 1]), ("chair", "table"))
+        write_gltf(some_gaussians(4), folder / "a.glb", features=features)
+        write_gltf(some_gaussians(4), folder / "a.gltf", features=features)
         save_compressed_ply(folder / "packed.ply", count=4)
         save_checkpoint(some_gaussians(4), folder / "ckpts" / "ckpt_1_rank0.pt")
         names = table_from_gaussians(some_gaussians(1, degree=0)).names

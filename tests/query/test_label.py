@@ -22,8 +22,14 @@ def test_labels_are_the_best_words_of_those_that_select(queried: Queried, thresh
     for row in range(len(field)):
         fitting = [number for number, each in enumerate(selections) if each.mask[row]]
         values = [float(selections[number].relevancy[row]) for number in fitting]
+        finest = min((selections[number].level for number in fitting), default=0)
+        values = [
+            value if selections[n].level == finest else -1.0 for n, value in zip(fitting, values, strict=True)
+        ]
         assert int(found.ids[row]) == (fitting[values.index(max(values))] if fitting else NONE)
         assert float(found.scores[row]) == (max(values) if fitting else -torch.inf)
+    assert found.levels == tuple(field.levels[each.level] for each in selections)
+    assert len({each.level for each in selections}) > 1
     assert found.z_scores is None
     counts = found.counts()
     assert sum(counts.values()) == len(field)

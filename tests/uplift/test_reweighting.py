@@ -10,7 +10,7 @@ from scoup.base.errors import InputError
 from scoup.raster import ViewSums
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.reweighting import SAMPLED_VIEWS, sampled, sharpness_from
+from scoup.uplift.reweighting import sharpness_from
 from scoup.uplift.vote import vote
 from uplift.random_votes import usual_deviation
 
@@ -97,13 +97,6 @@ def test_what_deviates_as_usual_counts_exp_of_minus_three(backend):
     assert found.sharpness.tolist() == pytest.approx([3])
     assert found.indices[0, 0, 0] == 0
     assert found.weights[0, 0].tolist() == pytest.approx(expected, rel=1e-5)
-
-
-def test_sampled_views_are_spread(backend):
-    names = [str(number) for number in range(200)]
-    assert sampled(names[:3]) == ["0", "1", "2"]
-    assert len(sampled(names)) == SAMPLED_VIEWS
-    assert sampled(names[:16]) == [str(number) for number in (1, 3, 5, 7, 9, 11, 13, 15)]
 
 
 def test_what_does_not_fit_is_refused(backend):

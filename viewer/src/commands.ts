@@ -7,6 +7,12 @@ function quoted(text: string): string {
   return /^[\w./:=@%+-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }
 
+/** As `scoup select` takes it: words such as "and" join texts there, unless they stand in double quotes. */
+function oneText(text: string): string {
+  const joins = /(^|\s)(and|or|not|\+|-)(?=\s|$)|[()"]/i.test(text);
+  return quoted(joins ? `"${text.replaceAll('"', "")}"` : text);
+}
+
 function fileName(text: string): string {
   return text.replaceAll(/[^\p{L}\p{N}]+/gu, "_").replaceAll(/^_+|_+$/g, "") || "selection";
 }
@@ -39,7 +45,8 @@ export function commandLine(settings: Settings, state: State, levels: string[], 
     if (level !== null) options += ` --level ${quoted(levels[level])}`;
     if (always) options += " --always";
     const out = `${rest ? "without_" : ""}${fileName(texts[0])}.ply`;
-    lines.push(`scoup select ${field} ${words}${options}${rest ? " --write rest" : ""} --out ${quoted(out)}`);
+    const edit = rest ? " --edit remove" : "";
+    lines.push(`scoup select ${field} ${texts.map(oneText).join(" ")}${options}${edit} --out ${quoted(out)}`);
     // The threshold of a view is another one than that of the scene.
     const inView = options.replace(/ --threshold \S+/, "");
     if (camera !== null) lines.push(`scoup query ${field} ${words}${inView} --camera ${quoted(camera)}`);

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 def counted(count: int, thing: str, things: str = "") -> str:
@@ -37,3 +40,9 @@ def verb(count: int, singular: str, plural: str) -> str:
 def listed(names: Sequence[str], count: int = 3) -> str:
     """The first few of some names: "a, b, c, ..."."""
     return ", ".join(names[:count]) + (", ..." if len(names) > count else "")
+
+
+def spread(items: Sequence[T], most: int) -> list[T]:
+    """At most so many of some items, evenly spread."""
+    count = min(most, len(items))
+    return [items[(2 * i + 1) * len(items) // (2 * count)] for i in range(count)]

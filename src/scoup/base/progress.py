@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
+
+Item = TypeVar("Item")
 
 Progress = Callable[[str, int, int], None]
 """``progress(stage, done, total)``: called with done = 0 before the first step and after every step."""
@@ -10,3 +13,11 @@ Progress = Callable[[str, int, int], None]
 
 def no_progress(stage: str, done: int, total: int) -> None:
     """Report nothing."""
+
+
+def reported(items: Iterable[Item], stage: str, total: int, progress: Progress) -> Iterator[Item]:
+    """Items as they come; each counts as done when the next one is wanted."""
+    progress(stage, 0, total)
+    for done, item in enumerate(items, start=1):
+        yield item
+        progress(stage, done, total)

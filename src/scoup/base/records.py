@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 
@@ -23,3 +24,10 @@ def record_text(record: Mapping[str, Any], depth: int = 1) -> str:
         text = record_text(value, depth + 1) if nested else json.dumps(value, allow_nan=False)
         lines.append(f"{' ' * depth}{json.dumps(key)}: {text}")
     return "{\n" + ",\n".join(lines) + "\n" + " " * (depth - 1) + "}"
+
+
+def rounded_vector(values: Sequence[float]) -> list[float]:
+    """Numbers rounded alike, to six digits of the largest."""
+    largest = max((abs(value) for value in values), default=0.0)
+    digits = 6 - math.ceil(math.log10(largest)) if largest > 0 and math.isfinite(largest) else 6
+    return [round(value, max(0, digits)) for value in values]

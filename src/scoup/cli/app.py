@@ -16,6 +16,7 @@ from scoup.cli.demo import Demo
 from scoup.cli.evaluate import EVAL
 from scoup.cli.extract import Extract
 from scoup.cli.info import Info
+from scoup.cli.label import Label
 from scoup.cli.options import Common
 from scoup.cli.parsing import Family, parse
 from scoup.cli.query import Query
@@ -34,6 +35,7 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup update scene.scoup --scene SCENE --add all
   scoup query scene.scoup "kettle" "wooden table" --camera all
   scoup select scene.scoup "kettle" --out kettle.ply
+  scoup label scene.scoup "kettle" "wooden table"
   scoup render scene.scoup --what codes --camera all
   scoup view scene.scoup
   scoup info scene.scoup
@@ -53,6 +55,7 @@ SCOUP = Family(
         "update": Update,
         "query": Query,
         "select": Select,
+        "label": Label,
         "render": Render,
         "view": View,
         "info": Info,

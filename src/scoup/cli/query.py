@@ -1,15 +1,17 @@
-"""scoup query: where is it? Heat maps, masks and boxes in the views of a field."""
+"""scoup query: where is it? Heat maps, masks and boxes in the views of a field, and places in the world."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scoup.base.counts import counted
+from scoup.base.file_names import check_folder, unique_slugs
+from scoup.base.progress import Progress, reported
 from scoup.base.staging import check_outputs, staged
 from scoup.cli.console import Console
-from scoup.cli.names import check_folder, unique_slugs
 from scoup.cli.options import (
     Flag,
     OptionalNumber,
@@ -22,33 +24,37 @@ from scoup.cli.query_options import (
     CameraOptions,
     TextOptions,
     absence_message,
+    check_metres,
     check_texts,
 )
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from scoup.field.language_field import LanguageField
     from scoup.query.answer import Answer
-    from scoup.query.answer_sheet import AnswerSheets
+    from scoup.query.answer_files import AnswerFiles
+    from scoup.query.answering import AnsweredViews
+    from scoup.query.locate import Location
+    from scoup.query.text_vectors import TextVectors
     from scoup.raster import Projection
     from scoup.scene.cameras import Camera
 
 RECORD = "query.json"
-PICTURES = ("heat", "mask", "overlay")
+MOST_FRAMES = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Query(TextOptions, CameraOptions):
-    """Find things in the views of a field's cameras.
+    """Find things in the views of a field's cameras, and in the world.
 
     Writes a contact sheet of all answers: the relevancy as a heat map over the colour render, the outline of the mask,
-    its box and the pixel that fits best. One query.json holds level, score, pixel, coverage and box of every answer.
+    its box and the pixel that fits best. One query.json holds level, score, pixel, coverage, box and position of every
+    answer, and where each thing is in the world.
     """
 
     option_groups: ClassVar[OptionGroups] = {
         "answer": "rule threshold level presence always",
-        "output": "out pictures",
+        "output": "out pictures npz coco metres_per_unit",
+        "video": "video frames frames_per_second",
     }
 
     texts: Texts
@@ -76,103 +82,153 @@ class Query(TextOptions, CameraOptions):
     beside each other); of more than 12 views those of the best answers, the texts choosing in turn; more than 6 texts
     take several sheets. all: also heat map, mask and overlay of each answer, as files of their own. none: query.json
     only."""
+    npz: Flag = False
+    """Write relevancies and masks of each view as arrays, VIEW/relevancy.npz."""
+    coco: Flag = False
+    """Write the masks of all views as coco.json: run lengths, boxes and scores."""
+    metres_per_unit: OptionalNumber = None
+    """Length of the scene's unit in metres, if you know it: places and sizes are given in metres, too."""
+    video: Literal["path", "turntable", "none"] = "none"
+    """path: an mp4 of each text's heat map on a way through the field's cameras, TEXT_path.mp4. turntable: on a circle
+    around the thing. Needs scoup[video]."""
+    frames: int = 120
+    """Pictures in a video."""
+    frames_per_second: float = 24.0
+    """Speed of a video."""
 
     def run(self, console: Console) -> None:
-        """Answer every text in every view asked for."""
-        import json
-
+        """Answer every text in every view asked for, and in the world."""
         from scoup.io import write_text
-        from scoup.query.answer_sheet import AnswerSheets
-        from scoup.query.answering import answer_view
+        from scoup.query.answer_files import AnswerFiles
+        from scoup.query.answering import answer_views
         from scoup.query.presence import compared
         from scoup.query.presets import query_preset
-        from scoup.raster import render_colors
 
         check_texts(self.texts)
+        self._check_options()
         preset = query_preset(self.rule, threshold=self.threshold)
-        out = self.out or Path(f"{self.field.stem}_queries")
+        out = self._out()
         check_folder(out)
         check_outputs(out, [RECORD], self.overwrite)
         field = self.open_field()
         cameras = self.open_cameras(field)
         texts, present_from = compared(self.encode(field, self.texts), preset, self.presence, self.always)
-        folders = unique_slugs(camera.stem for camera in cameras)
-        sheets = AnswerSheets(self.texts, len(cameras))
-        files = self._files(folders, len(sheets))
+        files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, self.coco)
+        names = [RECORD, *files.names, *self._video_names()]
+        with staged(out, names, self.overwrite) as hidden, console.progress() as progress:
+            views = answer_views(field, cameras, texts, preset, present_from, self.level)
+            views = reported(views, "query", len(cameras), progress)
+            records = self._write_views(field, views, files, hidden)
+            files.finish(hidden)
+            places = self._locate(field, texts, present_from)
+            videos = self._save_videos(field, texts, places, hidden, progress)
+            result: dict[str, Any] = {
+                "sheets": [(out / name).as_posix() for name in files.sheet_names],
+                "answers": records,
+                "places": [
+                    {"text": place.answer.text, **place.record(self.metres_per_unit)} for place in places
+                ],
+            }
+            if self.video != "none":
+                result["videos"] = [(out / name).as_posix() for name in videos]
+            write_text(hidden / RECORD, json.dumps({"field": str(self.field), **result}, indent=2))
+        self._report(console, result, present_from, places)
+
+    def _check_options(self) -> None:
+        from scoup.base.errors import InputError
+        from scoup.pictures.video import check_video_writer
+
+        check_metres(self.metres_per_unit)
+        if not 1 <= self.frames <= MOST_FRAMES:
+            raise InputError(f"--frames must be 1 to {MOST_FRAMES:,}, got {self.frames}")
+        if not 0.1 <= self.frames_per_second <= 100:
+            raise InputError(f"--frames-per-second must be 0.1 to 100, got {self.frames_per_second}")
+        if self.video != "none":
+            check_video_writer()
+
+    def _out(self) -> Path:
+        return self.out or Path(f"{self.field.stem}_queries")
+
+    def _write_views(
+        self, field: LanguageField, views: AnsweredViews, files: AnswerFiles, hidden: Path
+    ) -> list[dict[str, Any]]:
+        """Write what belongs to each view; their answers as JSON values."""
+        from scoup.query.finding import answer_record
+        from scoup.raster import render_colors
+
         records: list[dict[str, Any]] = []
         blind: list[Camera] = []
-        with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
-            progress("query", 0, len(cameras))
-            for done, (camera, folder) in enumerate(zip(cameras, folders, strict=True), start=1):
-                projection = field.project(camera)
-                answers = answer_view(field, camera, texts, preset, present_from, projection, self.level)
-                if _sees_nothing(field, projection, answers):
-                    blind.append(camera)
-                if self.pictures != "none":
-                    rgb = render_colors(field.gaussians, camera, projection).cpu()
-                    self._draw(camera, answers, rgb, sheets, hidden / folder)
-                records += self._records(camera, answers, out / folder)
-                progress("query", done, len(cameras))
-            self.check_seen(blind, len(cameras))
-            result = {**self._write_sheets(sheets, hidden, out), "answers": records}
-            write_text(hidden / RECORD, json.dumps({"field": str(self.field), **result}, indent=2))
-        _report(console, out, result, present_from)
-
-    def _files(self, folders: list[str], sheets: int) -> list[str]:
-        """All that is written, within the output's folder."""
-        names = [name for of_text in self._picture_names() for name in of_text.values()]
-        singles = [f"{folder}/{name}" for folder in folders for name in names]
-        return [RECORD, *([] if self.pictures == "none" else _sheet_names(sheets)), *singles]
-
-    def _write_sheets(self, sheets: AnswerSheets, hidden: Path, out: Path) -> dict[str, Any]:
-        """Write the sheets, if they are wanted; where they will be, for the record."""
-        from scoup.io import save_png
-
-        names = [] if self.pictures == "none" else _sheet_names(len(sheets))
-        for name, sheet in zip(names, sheets.pictures() if names else [], strict=True):
-            save_png(sheet, hidden / name)
-        return {"sheets": [(out / name).as_posix() for name in names]}
-
-    def _picture_names(self) -> list[dict[str, str]]:
-        """File names of each text's pictures by their kind; none if only the sheet is wanted."""
-        kinds = PICTURES if self.pictures == "all" else ()
-        return [{kind: f"{name}_{kind}.png" for kind in kinds} for name in unique_slugs(self.texts)]
-
-    def _records(self, camera: Camera, answers: list[Answer], folder: Path) -> list[dict[str, Any]]:
-        """The answers of one view as JSON values."""
-        records = []
-        for text, answer, names in zip(self.texts, answers, self._picture_names(), strict=True):
-            record = {"camera": camera.name, "text": text, **answer.record()}
-            if names:
-                record["files"] = {kind: (folder / name).as_posix() for kind, name in names.items()}
-            records.append(record)
+        for camera, projection, answers in views:
+            if _sees_nothing(field, projection, answers):
+                blind.append(camera)
+            rgb = render_colors(field.gaussians, camera, projection).cpu() if files.needs_colors else None
+            files.add(camera, answers, rgb, hidden)
+            for answer, places in zip(answers, files.of_view(camera, self._out()), strict=True):
+                record = {"camera": camera.name, "text": answer.text, **answer_record(answer)}
+                records.append({**record, "files": places} if places else record)
+        self.check_seen(blind, files.n_views)
         return records
 
-    def _draw(
-        self, camera: Camera, answers: list[Answer], rgb: Tensor, sheets: AnswerSheets, folder: Path
+    def _locate(self, field: LanguageField, texts: TextVectors, present_from: float | None) -> list[Location]:
+        """Where each text is in the world."""
+        from scoup.query.answering import answer_scene
+        from scoup.query.locate import location
+
+        answers = answer_scene(field, texts, present_from=present_from, level=self.level)
+        return [location(field, answer) for answer in answers]
+
+    def _video_names(self) -> list[str]:
+        """Of all texts' videos; texts that are nowhere get none on a turntable."""
+        names = unique_slugs(self.texts) if self.video != "none" else []
+        return [f"{name}_{self.video}.mp4" for name in names]
+
+    def _save_videos(
+        self,
+        field: LanguageField,
+        texts: TextVectors,
+        places: list[Location],
+        hidden: Path,
+        progress: Progress,
+    ) -> list[str]:
+        """Write the videos that are wanted; their names."""
+        from scoup.pictures.video import save_video
+        from scoup.query.videos import heat_frames, moving_cameras
+        from scoup.scene.cameras import Cameras
+
+        if self.video == "none":
+            return []
+        everywhere = Cameras(replace(self, camera=("all",)).open_cameras(field))
+        written = []
+        for number, (name, place) in enumerate(zip(self._video_names(), places, strict=True)):
+            if self.video == "turntable" and place.position is None:
+                continue
+            moving = moving_cameras(field, place, everywhere, self.video, self.frames)
+            frames = heat_frames(field, texts.queries[number], texts.canonical, place, moving)
+            save_video(
+                reported(frames, "video", len(moving), progress), hidden / name, self.frames_per_second
+            )
+            written.append(name)
+        return written
+
+    def _report(
+        self,
+        console: Console,
+        result: dict[str, Any],
+        present_from: float | None,
+        places: list[Location],
     ) -> None:
-        """Add a view to the sheets, and write its single pictures if they are wanted."""
-        from scoup.io import save_png
-
-        sheets.add(camera.name, answers, rgb)
-        for answer, names in zip(answers, self._picture_names(), strict=True):
-            drawn = answer.pictures(rgb) if names else {}
-            for kind, name in names.items():
-                save_png(drawn[kind], folder / name)
-
-
-def _report(console: Console, out: Path, result: dict[str, Any], present_from: float | None) -> None:
-    """Say what was found, and where it is written."""
-    for record in result["answers"]:
-        console.say(_sentence(record, present_from))
-    for sheet in result["sheets"]:
-        console.say(f"{sheet}: the answers as pictures")
-    console.say(f"{out / RECORD}: {counted(len(result['answers']), 'answer')}")
-    console.result({"out": out, **result})
-
-
-def _sheet_names(count: int) -> list[str]:
-    return ["sheet.png"] if count == 1 else [f"sheet_{number}.png" for number in range(1, count + 1)]
+        """Say what was found, and where it is written."""
+        for record in result["answers"]:
+            console.say(_sentence(record, present_from))
+        for place in places:
+            where = f"at {place.said(self.metres_per_unit)}"
+            if place.position is None:
+                where = absence_message("scene", place.answer.z_score, present_from)
+            console.say(f"in the world  {place.answer.text}: {where}")
+        for path in (*result["sheets"], *result.get("videos", ())):
+            console.say(f"{path}: the answers as {'a video' if path.endswith('.mp4') else 'pictures'}")
+        console.say(f"{self._out() / RECORD}: {counted(len(result['answers']), 'answer')}")
+        console.result({"out": self._out(), **result})
 
 
 def _sees_nothing(field: LanguageField, projection: Projection, answers: list[Answer]) -> bool:

@@ -165,6 +165,14 @@ def check_texts(texts: tuple[str, ...]) -> None:
         raise InputError('name at least one text to look for, for example "kettle"')
 
 
+def check_metres(metres_per_unit: float | None) -> None:
+    """Refuse a unit of no length."""
+    from scoup.base.errors import InputError
+
+    if metres_per_unit is not None and not 0 < metres_per_unit < math.inf:
+        raise InputError(f"--metres-per-unit must be above 0, got {metres_per_unit}")
+
+
 def absence_message(place: str, z_score: float | None, threshold: float | None) -> str:
     """What is said of a text that is not in a place; its z-score is None or infinite where nothing was found."""
     found = z_score is not None and math.isfinite(z_score)

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scoup.base.counts import counted
+from scoup.base.file_names import check_folder, unique_slugs
 from scoup.base.staging import staged
 from scoup.cli.console import Console
-from scoup.cli.names import check_folder, unique_slugs
 from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.query_options import CameraOptions, TextOptions
 

@@ -1,40 +1,72 @@
-"""scoup select: the Gaussians that answer a text, as a splat."""
+"""scoup select: the Gaussians that answer a text, kept, removed or changed."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalNumber, OptionalText, OptionGroups, Texts
-from scoup.cli.query_options import TextOptions, absence_message, check_texts
+from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionalText, OptionGroups
+from scoup.cli.query_options import CameraOptions, TextOptions, absence_message, check_metres, check_texts
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.query.answer import SceneAnswer
+    from scoup.query.locate import Location
+    from scoup.scene.gaussians import Gaussians
 
 
 @dataclass(frozen=True, kw_only=True)
-class Select(TextOptions):
-    """Write the Gaussians that answer a text, or all others: as a 3DGS PLY, or as a field that can be queried again.
+class Select(TextOptions, CameraOptions):
+    """Edit a splat by words: keep, remove, recolour or fade the Gaussians that answer, and write the scene that is
+    left.
 
-    Gaussians are judged by their own codes, without rendering. Where the field's geometry is a PLY, its rows are
-    copied byte for byte. A field has its Gaussians in its file: `--write rest --out without.scoup` removes a thing.
+    Gaussians are judged by their own codes, without rendering. Where the field's geometry is a PLY and a PLY is
+    written, its rows are copied byte for byte but for what is changed. A .scoup has its Gaussians in it and can be
+    queried again.
     """
 
     option_groups: ClassVar[OptionGroups] = {
         "choice": "threshold absolute level presence always neighbours",
-        "output": "out write",
+        "shape": "largest shrink grow within",
+        "output": "out edit color opacity picture metres_per_unit",
     }
 
-    texts: Texts
-    """What to look for, for example "kettle"; of several texts, a Gaussian that answers any is chosen."""
+    texts: Annotated[
+        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="TEXT [TEXT ...]", help_behavior_hint="")
+    ]
+    """What to look for: "kettle", "mug and not handle", mug + cup - handle. Of texts without and, or, not, + or -
+    between them any may answer. A text in double quotes of its own is taken as it stands."""
     out: Path
-    """The PLY or .scoup to write."""
-    write: Literal["chosen", "rest", "ids"] = "chosen"
-    """chosen: those found. rest: all others. ids: all, with a property `selected`: number of text, or 0 (PLY only)."""
+    """The splat (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog) or field (.scoup) to write."""
+    edit: Literal["keep", "remove", "recolor", "fade", "ids"] = "keep"
+    """keep: write those found. remove: all others. recolor, fade: all, with those found changed. ids: all, with a
+    property `selected`: number of text, or 0 (PLY only; `scoup label` writes one class each)."""
+    color: str = "#ff5c28"
+    """Of --edit recolor: red, green and blue as #rrggbb. Light and shade stay."""
+    opacity: float = 0.15
+    """Of --edit fade: what opacities are multiplied with, 0 to 1."""
+    largest: Flag = False
+    """Keep only the largest connected part of what answers."""
+    shrink: int = 0
+    """So many times, leave out Gaussians with a neighbour that is not selected."""
+    grow: int = 0
+    """So many times, add the neighbours of those selected."""
+    within: float = 0.0
+    """Add everything at most so far from what answers, in units of the scene."""
+    picture: OptionalPath = None
+    """Write a .png of the scene before, what was selected, and the scene after."""
+    camera: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
+    ] = ()
+    """Of --picture: name of a camera. Default: the one that sees most of the selection."""
+    metres_per_unit: OptionalNumber = None
+    """Length of the scene's unit in metres, if you know it: places and sizes are printed in metres, too."""
     threshold: OptionalNumber = None
     """A Gaussian is chosen above this, 0 to 1, once relevancy is rescaled over the scene. Default: where the answer
     changes least; 0.6 with --absolute."""
@@ -53,14 +85,21 @@ class Select(TextOptions):
     off."""
 
     def run(self, console: Console) -> None:
-        """Choose and write."""
+        """Choose, change and write."""
         from scoup.query.answering import answer_scene
+        from scoup.query.edits import combined_answer
+        from scoup.query.expression import parse_expression
+        from scoup.query.locate import location
         from scoup.query.presence import presence_threshold
+        from scoup.query.reshape import Reshaping
 
+        check_texts(self.texts)
+        expression = parse_expression(self.texts)
+        shape = Reshaping(self.largest, self.shrink, self.grow, self.within)
         self._check_options()
         field = self.open_field()
         self._check_out(field)
-        texts = self.encode(field, self.texts)
+        texts = self.encode(field, expression.texts)
         present_from = None if self.always else presence_threshold(texts, self.presence)
         answers = answer_scene(
             field,
@@ -72,38 +111,52 @@ class Select(TextOptions):
             self.level,
         )
         absent = [
-            f"{text}: {absence_message('scene', answer.z_score, present_from)}"
-            for text, answer in zip(self.texts, answers, strict=True)
+            f"{answer.text}: {absence_message('scene', answer.z_score, present_from)}"
+            for answer in answers
             if not answer.presence
         ]
         for message in absent:
             console.say(message)
-        written = self._write(field, answers, absent)
-        counts = {text: int(answer.mask.sum()) for text, answer in zip(self.texts, answers, strict=True)}
-        thresholds = {
-            text: answer.record()["threshold"] for text, answer in zip(self.texts, answers, strict=True)
-        }
-        for text, count in counts.items():
-            console.say(f"{text}: {count:,} of {counted(len(field), 'Gaussian')}")
-        console.say(f"{self.out}: {counted(written, 'Gaussian')} written")
-        result = {"out": self.out, "written": written, "chosen": counts, "thresholds": thresholds}
-        console.result({**result, "gaussians": len(field)})
+        whole = combined_answer(field, expression, answers, shape)
+        self._check_found(whole, absent)
+        written = self._write(field, whole, answers)
+        self._report(console, answers, whole, written, location(field, whole))
 
     def _check_options(self) -> None:
         from scoup.base.errors import InputError
-        from scoup.io import check_output
+        from scoup.io import check_output, check_splat_name
 
-        check_texts(self.texts)
         if self.threshold is not None and not 0 <= self.threshold <= 1:
             raise InputError(f"--threshold must be 0 to 1, got {self.threshold}")
+        if not 0 <= self.opacity <= 1:
+            raise InputError(f"--opacity must be 0 to 1, got {self.opacity}")
+        check_metres(self.metres_per_unit)
         if self.neighbours < 0:
             raise InputError(f"--neighbours must be 0 or more, got {self.neighbours}")
-        suffix = self.out.suffix.lower()
-        if suffix not in (".ply", ".scoup"):
-            raise InputError(f"{self.out}: give a name that ends in .ply (a splat) or .scoup (a field)")
-        if suffix == ".scoup" and self.write == "ids":
-            raise InputError(f"{self.out}: a field has no column of ids; give a name that ends in .ply")
-        check_output(self.out, self.overwrite)
+        self._rgb()
+        is_field = self.out.suffix.lower() == ".scoup"
+        if not is_field:
+            check_splat_name(self.out, "a field (.scoup)")
+        if self.edit == "ids" and not self._is_plain_ply():
+            what = "a field" if is_field else "this format"
+            raise InputError(f"{self.out}: {what} has no column of ids; give a name that ends in .ply")
+        if self.picture is not None and self.picture.suffix.lower() != ".png":
+            raise InputError(f"{self.picture}: the picture is a PNG; give a name that ends in .png")
+        for path in (self.out, self.picture):
+            if path is not None:
+                check_output(path, self.overwrite)
+
+    def _is_plain_ply(self) -> bool:
+        return self.out.suffix.lower() == ".ply" and not self.out.name.lower().endswith(".compressed.ply")
+
+    def _rgb(self) -> tuple[float, float, float]:
+        """The colour of --color, 0 to 1."""
+        from scoup.base.errors import InputError
+
+        if not re.fullmatch("#?[0-9a-fA-F]{6}", self.color):
+            raise InputError(f"--color {self.color}: is no colour; give #rrggbb, for example #ff5c28")
+        red, green, blue = bytes.fromhex(self.color[-6:])
+        return red / 255, green / 255, blue / 255
 
     def _check_out(self, field: LanguageField) -> None:
         """Refuse to replace the field itself, or its own splat."""
@@ -117,35 +170,92 @@ class Select(TextOptions):
             if source and self.out.exists() and source.exists() and self.out.samefile(source):
                 raise InputError(f"{self.out}: is the {what}; give another name with --out")
 
-    def _write(self, field: LanguageField, answers: list[SceneAnswer], absent: list[str]) -> int:
-        """Write the file; returns the number of Gaussians in it.
+    def _check_found(self, answer: SceneAnswer, absent: list[str]) -> None:
+        """Refuse to write nothing, or the scene as it was.
 
         Raises:
-            InputError: there would be none.
+            InputError: nothing answers, or all would be removed.
         """
-        import torch
-
         from scoup.base.errors import InputError
-        from scoup.io import write_ply_table
+
+        found, count = int(answer.mask.sum()), len(answer.mask)
+        if self.edit == "ids" or (found and not (self.edit == "remove" and found == count)):
+            return
+        advice = "try a higher --threshold" if found else "try a lower --threshold"
+        if absent and not found:
+            advice = f"{'; '.join(absent)}; --always chooses something all the same"
+        raise InputError(
+            f"{self.out}: nothing to write, {found:,} of {counted(count, 'Gaussian')} answer; {advice}"
+        )
+
+    def _write(self, field: LanguageField, whole: SceneAnswer, answers: list[SceneAnswer]) -> int:
+        """Write the scene that is left, and the picture; returns the number of Gaussians written."""
+        from scoup.io import save_gaussians, write_ply_table
+        from scoup.query.edits import edited
         from scoup.query.splat_table import SplatTable
 
-        masks = [answer.mask for answer in answers]
-        if self.write == "ids":
-            table = SplatTable.of(field, self.gaussians).with_ids(masks)
+        if self.edit == "ids":
+            table = SplatTable.of(field, self.gaussians).with_ids([answer.mask for answer in answers])
             write_ply_table(table, self.out, self.overwrite)
             return len(table)
-        chosen = torch.stack(masks).any(0)
-        wanted = chosen if self.write == "chosen" else ~chosen
-        if not wanted.any():
-            advice = "try a lower --threshold" if self.write == "chosen" else "try a higher --threshold"
-            if absent and self.write == "chosen":
-                advice = f"{'; '.join(absent)}; --always chooses something all the same"
-            raise InputError(
-                f"{self.out}: nothing to write, {int(chosen.sum()):,} of {counted(len(chosen), 'Gaussian')} answer; "
-                f"{advice}"
-            )
+        left = edited(field.gaussians, whole.mask, self.edit, self._rgb(), self.opacity)
+        self._draw(field, whole, left)
+        kept = {"keep": whole.mask, "remove": ~whole.mask}.get(self.edit)
         if self.out.suffix.lower() == ".scoup":
-            field.select(wanted).save(self.out, self.overwrite)
+            edited_field = field.with_gaussians(left) if kept is None else field.select(kept)
+            edited_field.save(self.out, self.overwrite)
+        elif self._is_plain_ply():
+            rows = SplatTable.of(field, self.gaussians)
+            table = rows.edited(whole.mask, left) if kept is None else rows.select(kept)
+            write_ply_table(table, self.out, self.overwrite)
         else:
-            write_ply_table(SplatTable.of(field, self.gaussians).select(wanted), self.out, self.overwrite)
-        return int(wanted.sum())
+            save_gaussians(left.to("cpu"), self.out, self.overwrite)
+        return len(left)
+
+    def _draw(self, field: LanguageField, whole: SceneAnswer, left: Gaussians) -> None:
+        """Write the picture, if it is wanted."""
+        from dataclasses import replace
+
+        from scoup.io import save_png
+        from scoup.query.edit_picture import best_camera, edit_picture
+
+        if self.picture is None:
+            return
+        cameras = (self if self.camera else replace(self, camera=("all",))).open_cameras(field)
+        camera = best_camera(field, whole.mask, cameras)
+        save_png(edit_picture(field, left, whole.mask, camera, whole.text), self.picture, self.overwrite)
+
+    def _report(
+        self,
+        console: Console,
+        answers: list[SceneAnswer],
+        whole: SceneAnswer,
+        written: int,
+        place: Location,
+    ) -> None:
+        """Say what was found, where it is, and what is written."""
+        counts = {answer.text: int(answer.mask.sum()) for answer in answers}
+        for text, count in counts.items():
+            console.say(f"{text}: {count:,} of {counted(len(whole.mask), 'Gaussian')}")
+        selected = int(whole.mask.sum())
+        if list(counts) != [whole.text]:
+            console.say(f"{whole.text}: {selected:,}")
+        elif selected != counts[whole.text]:
+            console.say(f"{whole.text}, reshaped: {selected:,}")
+        if place.position is not None:
+            console.say(f"at {place.said(self.metres_per_unit)}")
+        console.say(f"{self.out}: {counted(written, 'Gaussian')} written")
+        if self.picture is not None and self.edit != "ids":
+            console.say(f"{self.picture}: before, selection, after")
+        console.result(
+            {
+                "out": self.out,
+                "written": written,
+                "chosen": counts,
+                "thresholds": {answer.text: answer.record()["threshold"] for answer in answers},
+                "gaussians": len(whole.mask),
+                "expression": whole.text,
+                "selected": selected,
+                "place": place.record(self.metres_per_unit),
+            }
+        )

@@ -99,6 +99,11 @@ class LanguageField(FieldQueries):
         return self.info.fingerprint
 
     @property
+    def raster_preset(self) -> str:
+        """The rasteriser's constants that the field was built with and is rendered with."""
+        return self.info.raster_preset
+
+    @property
     def n_atoms(self) -> int:
         return self.codebook.shape[1]
 
@@ -217,17 +222,35 @@ class LanguageField(FieldQueries):
         Raises:
             InputError: there is no such Gaussian, or the geometry cannot be loaded.
         """
-        gaussians = self.gaussians.select(chosen)
         rows = chosen_rows(chosen, len(self)).to(self.codebook.device)
+        return self._of(self.gaussians.select(chosen), self.code_indices[rows], self.code_weights[rows])
+
+    def with_gaussians(self, gaussians: Gaussians) -> LanguageField:
+        """The same codes on other Gaussians, one for one: of a splat that was moved, recoloured or faded.
+
+        Args:
+            gaussians: as many as before, in the same order.
+
+        Returns:
+            A field with a geometry of its own, as ``select`` gives.
+
+        Raises:
+            InputError: there are more or fewer.
+        """
+        if len(gaussians) != len(self):
+            raise InputError(f"{len(gaussians):,} Gaussians, but the field has codes of {len(self):,}")
+        return self._of(gaussians.to(self.codebook.device), self.code_indices, self.code_weights)
+
+    def _of(self, gaussians: Gaussians, indices: Tensor, weights: Tensor) -> LanguageField:
+        """A field of these Gaussians and their codes, made from this one."""
         provenance = {**self.info.provenance, "selected_from": self.fingerprint}
         info = replace(
             self.info, fingerprint=gaussians.fingerprint(), n_gaussians=len(gaussians), provenance=provenance
         )
-        codes = self.code_indices[rows], self.code_weights[rows], self.codebook
-        selected = LanguageField(*codes, info, cameras=self.cameras)
-        selected.attach(gaussians, known=True)
-        selected.keep_encoder_of(self)
-        return selected
+        made = LanguageField(indices, weights, self.codebook, info, cameras=self.cameras)
+        made.attach(gaussians, known=True)
+        made.keep_encoder_of(self)
+        return made
 
     def __getitem__(self, chosen: Tensor | ArrayLike | slice) -> LanguageField:
         return self.select(chosen)

@@ -4,11 +4,12 @@ from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
 from scoup.io.cameras.colmap import read_colmap, read_points, read_tracks, write_colmap
 from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras, write_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms, write_transforms
-from scoup.io.images import load_image, save_png
+from scoup.io.images import load_image, save_label_png, save_png
 from scoup.io.regions.convert import ConvertReport, convert_regions
 from scoup.io.regions.load import load_regions, save_regions
 from scoup.io.scenes import (
     camera_photographs,
+    check_splat_name,
     default_preset,
     find_cameras,
     find_gaussians,
@@ -36,6 +37,7 @@ __all__ = [
     "atomic_path",
     "camera_photographs",
     "check_output",
+    "check_splat_name",
     "convert_regions",
     "default_preset",
     "find_cameras",
@@ -56,6 +58,7 @@ __all__ = [
     "read_tracks",
     "read_transforms",
     "save_gaussians",
+    "save_label_png",
     "save_png",
     "save_regions",
     "write_colmap",

@@ -93,6 +93,24 @@ def save_gaussians(gaussians: Gaussians, path: str | Path, overwrite: bool = Fal
         )
 
 
+def check_splat_name(path: str | Path, also: str = "") -> None:
+    """Refuse a name that ``save_gaussians`` would not write to, before any work.
+
+    Args:
+        path: the output.
+        also: what else the caller writes, for the message.
+
+    Raises:
+        InputError: its extension is that of no splat that is written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".ply", ".splat"):
+        or_else = f", or {also}" if also else ""
+        raise InputError(
+            f"{path}: cannot write Gaussians as {suffix or 'a file without extension'}; use .ply or .splat{or_else}"
+        )
+
+
 def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:
     """The rasteriser preset of a splat: "gsplat" for checkpoints of its trainer and for SceneSplat's arrays, which were
     trained with it, otherwise "inria"."""

@@ -15,8 +15,8 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.npz import write_npz
 
 TABLE_SUFFIXES = (".npz", ".json", ".safetensors")
 MODEL_KEY = "model"
@@ -146,11 +146,7 @@ def save_table(
         raise InputError(f"{path}: two names of the table are the same")
     table = WordTable(Path(path), names, np.asarray(vectors), model)
     arrays = {"names": np.array(table.names), "vectors": table.vectors, MODEL_KEY: np.array(model)}
-    # Not numpy.savez: it stamps the time of writing, and the same table should give the same bytes.
-    with atomic_file(path, overwrite) as stream, zipfile.ZipFile(stream, "w") as archive:
-        for name, array in arrays.items():
-            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
+    write_npz(path, arrays, overwrite)
 
 
 def _read_npz(path: Path) -> WordTable:

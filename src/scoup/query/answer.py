@@ -19,6 +19,8 @@ from scoup.pictures import as_picture, heat_map, mask_overlay
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+    from scoup.query.view_depth import ViewDepth
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Answer:
@@ -44,6 +46,7 @@ class Answer:
         view: name of the camera.
         render: gives the colours of the view, [H, W, 3] 0..1, for those who draw the answer; None if that is not known.
             It is lost with pickling.
+        depth: gives how far away things in the view are, for ``position``; the same.
         threshold: of the mask, on the relevancy rescaled over the view; None if that is not known.
     """
 
@@ -62,14 +65,21 @@ class Answer:
     text: str = ""
     view: str = ""
     render: Callable[[], Tensor] | None = None
+    depth: ViewDepth | None = None
     threshold: float | None = None
+
+    @property
+    def position(self) -> Tensor | None:
+        """[3] float64 world units, the middle of the surface that the main parts show, by its depth in the view; None
+        if the thing is not there, or its depth is not known. ``locate`` finds the thing itself, from all sides."""
+        return None if self.depth is None else self.depth.position(self.main_parts)
 
     def __repr__(self) -> str:
         found = f"point {self.point}, box {self.box}, level {self.level}, score {self.score:.2f}"
         return f"Answer({_said(self)} in {self.view!r}: {found if self.presence else 'not in this view'})"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "render": None}  # which holds the scene
+        return {**self.__dict__, "render": None, "depth": None}  # which hold the scene
 
     def _repr_html_(self) -> str:
         facts = {name: value for name, value in self.record().items() if name != "pixel_level"}

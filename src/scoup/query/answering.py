@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from numbers import Integral
+from typing import TypeAlias
 
 from torch import Tensor
 
@@ -18,6 +20,7 @@ from scoup.query.queried_field import QueriedField
 from scoup.query.segment import Segmentation, localize_and_segment, main_parts, mask_box
 from scoup.query.select import select_each
 from scoup.query.text_vectors import TextVectors
+from scoup.query.view_depth import ViewDepth
 from scoup.scene.cameras import Camera
 
 
@@ -61,16 +64,35 @@ def answer_view(
     if present_from is not None:
         segmentations = [segmentation for _, segmentation in found]
         judged = view_z_scores(field, projection, segmentations, texts.queries, texts.everyday).tolist()
-    render = partial(_colors, field, camera)
+    render, depth = partial(_colors, field, camera), ViewDepth(field, camera, projection)
     return [
         replace(
             _answer(field.levels, *places, relevancy, z_score, present_from),
             text=text,
             view=camera.name,
             render=render,
+            depth=depth,
         )
         for text, places, relevancy, z_score in zip(texts.texts, found, maps, judged, strict=True)
     ]
+
+
+AnsweredViews: TypeAlias = "Iterator[tuple[Camera, raster.Projection, list[Answer]]]"
+"""Views one after the other: camera, the field's projection to it, one answer a query."""
+
+
+def answer_views(
+    field: QueriedField,
+    cameras: Iterable[Camera],
+    texts: TextVectors,
+    preset: QueryPreset = QUERY_PRESETS["default"],
+    present_from: float | None = None,
+    level: str | int | None = None,
+) -> AnsweredViews:
+    """``answer_view`` in one view after the other; arguments and errors as there."""
+    for camera in cameras:
+        projection = field.project(camera)
+        yield camera, projection, answer_view(field, camera, texts, preset, present_from, projection, level)
 
 
 def answer_scene(

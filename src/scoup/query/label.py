@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -11,7 +12,7 @@ from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card
 from scoup.query.presence import scene_z_scores
 from scoup.query.queried_field import QueriedField
-from scoup.query.select import select_each
+from scoup.query.select import Selection, select_each
 from scoup.query.text_vectors import TextVectors
 
 NONE = -1
@@ -29,6 +30,7 @@ class GaussianLabels:
         scores: [N] float32 relevancy to the word; minus infinity for none of them.
         z_scores: per word, as in ``Answer``; None if presence was not judged.
         presence: per word, whether the thing is in the scene; true if that was not judged.
+        levels: per word, the name of the level that answers it.
     """
 
     ids: Tensor  # [N]
@@ -36,6 +38,7 @@ class GaussianLabels:
     scores: Tensor  # [N]
     z_scores: tuple[float, ...] | None
     presence: tuple[bool, ...]
+    levels: tuple[str, ...]
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{name}: {count:,}" for name, count in self.counts().items())
@@ -70,8 +73,9 @@ def label(
 ) -> GaussianLabels:
     """The word that fits each Gaussian best, of several, or none.
 
-    A word fits the Gaussians that ``select`` would choose for it, unless the thing is not in the scene; of several
-    words that fit, the most relevant one counts, each at the level chosen for it.
+    A word fits the Gaussians that ``select`` would choose for it, unless the thing is not in the scene. Of several
+    words that fit, the one that a finer level answers counts, for the name of a part says more than that of its whole;
+    of words of one level the most relevant, which is the one with the largest cosine.
 
     Args:
         field: to be queried.
@@ -87,17 +91,45 @@ def label(
         raise InputError(
             f"labels need words that differ, and other than {NONE_NAME!r}: {', '.join(texts.texts)}"
         )
-    best = torch.full((len(field),), -torch.inf, device=field.codebook.device)
-    ids = torch.full((len(field),), NONE, dtype=torch.int32, device=field.codebook.device)
     judged: list[float] = []
     presence: list[bool] = []
-    for number, found in enumerate(select_each(field, texts.queries, texts.canonical, threshold)):
-        if present_from is not None:
-            query = texts.queries[number : number + 1]
-            judged.append(float(scene_z_scores(field, [found], query, texts.everyday)))
-        presence.append(present_from is None or judged[-1] >= present_from)
-        better = found.mask & (found.relevancy > best) & presence[-1]
-        best = torch.where(better, found.relevancy, best)
-        ids[better] = number
+    levels: list[str] = []
+
+    def there() -> Iterator[tuple[Selection, bool]]:
+        """The selections one after the other, so that only one relevancy is in memory, and whether each counts."""
+        for number, found in enumerate(select_each(field, texts.queries, texts.canonical, threshold)):
+            if present_from is not None:
+                query = texts.queries[number : number + 1]
+                judged.append(float(scene_z_scores(field, [found], query, texts.everyday)))
+            presence.append(present_from is None or judged[-1] >= present_from)
+            levels.append(field.levels[found.level])
+            yield found, presence[-1]
+
+    ids, scores = label_by_selections(there(), len(field), field.codebook.device)
     z_scores = tuple(judged) if present_from is not None else None
-    return GaussianLabels(ids.cpu(), texts.texts, best.cpu(), z_scores, tuple(presence))
+    return GaussianLabels(ids.cpu(), texts.texts, scores.cpu(), z_scores, tuple(presence), tuple(levels))
+
+
+def label_by_selections(
+    found: Iterable[tuple[Selection, bool]], count: int, device: torch.device | str = "cpu"
+) -> tuple[Tensor, Tensor]:
+    """``label`` from what each word selects, whatever that comes from.
+
+    Args:
+        found: of each word the selection, and whether it counts.
+        count: N, of Gaussians.
+        device: of the selections.
+
+    Returns:
+        [N] int32 numbers of words, ``NONE`` for none, and [N] float32 relevancy to them.
+    """
+    best = torch.full((count,), -torch.inf, device=device)
+    ids = torch.full((count,), NONE, dtype=torch.int32, device=device)
+    finest = torch.full((count,), torch.iinfo(torch.int32).max, dtype=torch.int32, device=device)
+    for number, (each, counts) in enumerate(found):
+        finer, as_fine = each.level < finest, each.level == finest
+        better = each.mask & (finer | (as_fine & (each.relevancy > best))) & counts
+        best = torch.where(better, each.relevancy, best)
+        ids[better] = number
+        finest[better] = each.level
+    return ids, best

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.html import card
+from scoup.base.records import rounded_vector
 from scoup.query.answer import SceneAnswer
 from scoup.query.queried_field import QueriedField
 
@@ -40,7 +40,11 @@ class OrientedBox:
     def record(self) -> dict[str, Any]:
         """The box as plain JSON values, rounded."""
         axes = [[round(each, 6) for each in row] for row in self.axes.tolist()]
-        return {"centre": _rounded(self.centre), "axes": axes, "extent": _rounded(self.extent)}
+        return {
+            "centre": _rounded(self.centre),
+            "axes": axes,
+            "extent": _rounded(self.extent),
+        }
 
     def corners(self) -> Tensor:
         """[8, 3] float64."""
@@ -86,9 +90,32 @@ class Location:
         """Whether the thing is there; true if that was not judged and any Gaussian answers."""
         return self.position is not None
 
-    def record(self) -> dict[str, Any]:
-        """The location as plain JSON values, rounded."""
+    def said(self, metres_per_unit: float | None = None) -> str:
+        """Position, extent and confidence in few words; in metres, too, if the length of the scene's unit is known."""
+        if self.position is None or self.box is None:
+            return "nowhere"
+        extent = " x ".join(f"{side:.3g}" for side in self.box.extent.tolist())
+        if metres_per_unit is not None:
+            extent += (
+                f" ({' x '.join(f'{side * metres_per_unit:.3g}' for side in self.box.extent.tolist())} m)"
+            )
+        position = ", ".join(f"{part:g}" for part in _rounded(self.position))
+        return f"[{position}], extent {extent}, confidence {self.confidence:.2f}"
+
+    def record(self, metres_per_unit: float | None = None) -> dict[str, Any]:
+        """The location as plain JSON values, rounded.
+
+        Args:
+            metres_per_unit: length of the scene's unit; with it, position and extent are given in metres, too.
+        """
+        metres = {}
+        if metres_per_unit is not None and self.position is not None and self.box is not None:
+            metres = {
+                "position_metres": _rounded(self.position * metres_per_unit),
+                "extent_metres": _rounded(self.box.extent * metres_per_unit),
+            }
         return {
+            **metres,
             "position": None if self.position is None else _rounded(self.position),
             "box": None if self.box is None else self.box.record(),
             "confidence": round(self.confidence, 4),
@@ -179,7 +206,4 @@ def weighted_quantiles(values: Tensor, weights: Tensor, shares: list[float]) -> 
 
 
 def _rounded(vector: Tensor) -> list[float]:
-    """Rounded to six digits of its largest value."""
-    largest = float(vector.abs().max())
-    digits = 6 - math.ceil(math.log10(largest)) if largest > 0 and math.isfinite(largest) else 6
-    return [round(each, max(0, digits)) for each in vector.tolist()]
+    return rounded_vector(vector.tolist())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, overload
@@ -15,13 +15,17 @@ from torch import Tensor
 from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError, MissingFileError
-from scoup.query.answer import Answer
+from scoup.query.answer import Answer, SceneAnswer
 from scoup.query.answering import answer_scene, answer_view
+from scoup.query.edits import combined_answer
+from scoup.query.expression import parse_expression
+from scoup.query.finding import Finding
 from scoup.query.label import GaussianLabels, label
 from scoup.query.locate import Location, location
 from scoup.query.presence import compared, presence_threshold
 from scoup.query.presets import QueryPreset, query_preset
 from scoup.query.queried_field import QueriedField
+from scoup.query.reshape import UNCHANGED, Reshaping
 from scoup.query.text_vectors import TextVectors, encode_texts
 from scoup.scene.cameras import Camera
 from scoup.scene.directions import query_vectors
@@ -170,6 +174,48 @@ class FieldQueries(QueriedField):
         return answers[0] if _is_single(texts) else answers
 
     @overload
+    def ask(self, texts: str, *arguments: Any, **options: Any) -> Finding: ...
+    @overload
+    def ask(self, texts: list[str] | tuple[str, ...], *arguments: Any, **options: Any) -> list[Finding]: ...
+    @overload
+    def ask(self, texts: Texts, *arguments: Any, **options: Any) -> Finding | list[Finding]: ...
+    def ask(
+        self,
+        texts: Texts,
+        cameras: Iterable[Camera | str | int] | None = None,
+        *,
+        encoder: Encoder | None = None,
+        preset: str | QueryPreset = "default",
+        present_from: float | None = None,
+        always: bool = False,
+        level: str | int | None = None,
+    ) -> Finding | list[Finding]:
+        """Where something is in the views of several cameras and in the world: all that `scoup query` says of it.
+
+        Args:
+            texts: what to look for.
+            cameras: of the views, or their names or positions among ``cameras``; by default all of those.
+            encoder, preset, present_from, always, level: as for ``query``.
+
+        Returns:
+            A finding, or one for each of several texts or vectors.
+
+        Raises:
+            InputError, UnknownNameError: as ``query``.
+        """
+        check_arguments("ask", preset=(preset, (str, QueryPreset)))
+        preset = query_preset(preset) if isinstance(preset, str) else preset
+        vectors, present_from = compared(self.text_vectors(texts, encoder), preset, present_from, always)
+        views = self.cameras or () if cameras is None else cameras
+        answers = [answer_view(self, camera, vectors, preset, present_from, level=level) for camera in views]
+        scene = answer_scene(self, vectors, present_from=present_from, level=level)
+        found = [
+            Finding(answer.text, tuple(of_view[number] for of_view in answers), location(self, answer))
+            for number, answer in enumerate(scene)
+        ]
+        return found[0] if _is_single(texts) else found
+
+    @overload
     def locate(self, texts: str, *arguments: Any, **options: Any) -> Location: ...
     @overload
     def locate(
@@ -215,6 +261,43 @@ class FieldQueries(QueriedField):
         )
         found = [location(self, answer) for answer in answers]
         return found[0] if _is_single(texts) else found
+
+    def find(
+        self,
+        expression: str | Sequence[str],
+        *,
+        encoder: Encoder | None = None,
+        threshold: float | None = None,
+        neighbours: int = 0,
+        present_from: float | None = None,
+        always: bool = False,
+        level: str | int | None = None,
+        reshaping: Reshaping = UNCHANGED,
+    ) -> SceneAnswer:
+        """The Gaussians that answer an expression over texts, such as "mug and not handle", as `scoup select` finds
+        them.
+
+        Args:
+            expression: see ``scoup.query.expression.parse_expression``; of several texts any may answer.
+            reshaping: what is done to the selection afterwards.
+            encoder, threshold, neighbours, present_from, always, level: as for ``locate``.
+
+        Raises:
+            InputError, UnknownNameError: it is no expression, its texts do not fit the field, or a number is out of
+                range.
+        """
+        parsed = parse_expression([expression] if isinstance(expression, str) else expression)
+        vectors = self.text_vectors(list(parsed.texts), encoder)
+        present_from = None if always else presence_threshold(vectors, present_from)
+        answers = answer_scene(
+            self,
+            vectors.with_everyday(),
+            threshold,
+            neighbours or None,
+            present_from=present_from,
+            level=level,
+        )
+        return combined_answer(self, parsed, answers, reshaping)
 
     def label(
         self,

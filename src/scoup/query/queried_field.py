@@ -55,6 +55,10 @@ class QueriedField(ABC):
 
     @property
     @abstractmethod
+    def raster_preset(self) -> str: ...
+
+    @property
+    @abstractmethod
     def gaussians(self) -> Gaussians: ...
 
     @abstractmethod
@@ -65,6 +69,9 @@ class QueriedField(ABC):
 
     @abstractmethod
     def project(self, camera: Camera | str | int, backend: str | None = None) -> raster.Projection: ...
+
+    @abstractmethod
+    def is_visible(self, projection: raster.Projection) -> bool: ...
 
     @abstractmethod
     def render_codes(

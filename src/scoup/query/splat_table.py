@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -12,6 +12,7 @@ from scoup.base.errors import InputError
 from scoup.io import PlyTable, find_gaussians, gaussians_from_table, read_ply_table
 from scoup.io.splats.ply import table_from_gaussians
 from scoup.query.queried_field import QueriedField
+from scoup.scene.gaussians import Gaussians
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +53,32 @@ class SplatTable:
         rows[self.is_gaussian] = mask
         return self.table.select(rows.numpy())
 
+    def edited(self, mask: Tensor, gaussians: Gaussians) -> PlyTable:
+        """All rows, those of the Gaussians in ``mask`` [N] boolean with the colours and opacities of ``gaussians``
+        (N)."""
+        chosen = gaussians.select(mask.to(gaussians.device)).to("cpu")
+        rows = torch.zeros(len(self.is_gaussian), dtype=torch.bool)
+        rows[self.is_gaussian] = mask
+        values = table_from_gaussians(chosen)
+        changed = self.table.rows.copy()
+        for name in values.names:
+            if name == "opacity" or name.startswith(("f_dc_", "f_rest_")):
+                changed[name][rows.numpy()] = values.rows[name]
+        return replace(self.table, rows=changed)
+
+    def with_column(self, name: str, values: Tensor, missing: int = 0) -> PlyTable:
+        """All rows with one more integer property: ``values`` [N] of the Gaussians, ``missing`` for rows that are
+        none."""
+        column = torch.full((len(self.is_gaussian),), missing, dtype=torch.int32)
+        column[self.is_gaussian] = values.int()
+        return self.table.with_column(name, column.numpy())
+
     def with_ids(self, masks: list[Tensor]) -> PlyTable:
         """All rows with a property `selected`: 1 for the first of ``masks`` [N], 2 for the second ..., 0 for none.
 
         Of several masks that hold a Gaussian, the last counts.
         """
-        ids = torch.zeros(len(self.is_gaussian), dtype=torch.int32)
+        ids = torch.zeros(int(self.is_gaussian.sum()), dtype=torch.int32)
         for number, mask in enumerate(masks, start=1):
-            ids[self.is_gaussian] = torch.where(mask, number, ids[self.is_gaussian])
-        return self.table.with_column("selected", ids.numpy())
+            ids[mask] = number
+        return self.with_column("selected", ids)

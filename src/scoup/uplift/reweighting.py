@@ -35,12 +35,6 @@ class EarlierRound:
     sharpness: Tensor  # [S]
 
 
-def sampled(view_names: Sequence[str]) -> list[str]:
-    """At most ``SAMPLED_VIEWS`` of the views, evenly spread."""
-    count = min(SAMPLED_VIEWS, len(view_names))
-    return [view_names[(2 * i + 1) * len(view_names) // (2 * count)] for i in range(count)]
-
-
 def sharpness_from(deviations: Sequence[Tensor]) -> Tensor:
     """[S] float32: ``SHARPNESS`` over the median deviation 1 - cosine of regions from the Gaussians they paint.
 

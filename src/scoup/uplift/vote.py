@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.backends import load_backend
+from scoup.base.counts import spread
 from scoup.base.errors import InputError
 from scoup.base.processes import at_work
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import restored
 from scoup.scene.codes import SparseCodes, index_dtype, stable_products
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.reweighting import EarlierRound, sampled, sharpness_from
+from scoup.uplift.reweighting import SAMPLED_VIEWS, EarlierRound, sharpness_from
 from scoup.uplift.storage.entries import Entries
 
 BATCHES = 16  # between which progress is reported and memory of a file is given back
@@ -151,7 +152,7 @@ def vote(
         indices, weights = one_round(keep_between or keep or codes[0].k, earlier, last=False)
         if earlier is None:
             earlier = EarlierRound(indices, weights, torch.zeros(len(codes)))
-            deviations = processes.gather(prepare(sampled(list(views))).deviations(earlier, share))
+            deviations = processes.gather(prepare(spread(list(views), SAMPLED_VIEWS)).deviations(earlier, share))
             sharpness = sharpness_from([torch.cat(of_level) for of_level in zip(*deviations, strict=True)])
             earlier = replace(earlier, sharpness=sharpness)
         earlier = replace(earlier, indices=indices, weights=weights)

@@ -18,6 +18,7 @@ from scoup.query.queried_field import QueriedField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene.paths import upwards
 from scoup.view.packing import byte_planes, fine_fractions, fractions, packed
 from scoup.view.shown import MOST_GAUSSIANS, shown_rows
 from scoup.view.unit_codes import UnitCodes
@@ -95,7 +96,7 @@ def scene_data(
 def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[float], list[float], float]:
     """The direction that is up, the point that the cameras look at, and how far they are from it.
 
-    Up is the mean of the cameras' upward axes. The point is the one nearest to all view axes. Without cameras, or if
+    Up is as the cameras were held (``upwards``). The point is the one nearest to all view axes. Without cameras, or if
     their axes are parallel, it is the median of the means, and the distance twice the median distance from it.
     """
     finite = gaussians.means[gaussians.finite()].double().cpu()
@@ -110,9 +111,8 @@ def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[fl
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     if cameras is None or not len(cameras):
         return up.tolist(), middle.tolist(), max(2 * around, least)
-    upward = -torch.stack([camera.viewmat[1, :3] for camera in cameras]).mean(0)
-    if float(upward.norm()) > 1e-6:
-        up = upward / upward.norm()
+    held = upwards(cameras)
+    up = up if held is None else held
     places = torch.stack([camera.position for camera in cameras])
     axes = torch.stack([camera.viewmat[2, :3] for camera in cameras])
     across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None, :]  # [V, 3, 3]

@@ -1,0 +1,122 @@
+"""scoup label: one of several words for every Gaussian, in files for other programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import tyro
+
+from scoup.base.counts import counted
+from scoup.base.file_names import check_folder, unique_slugs
+from scoup.base.staging import check_outputs, staged
+from scoup.cli.console import Console
+from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionGroups
+from scoup.cli.query_options import CameraOptions, TextOptions, check_texts
+
+if TYPE_CHECKING:
+    from scoup.field.language_field import LanguageField
+    from scoup.query.label import GaussianLabels
+    from scoup.scene.cameras import Camera
+
+Output = Literal["sidecar", "ids", "colors", "glb", "clouds", "maps", "sheet"]
+USUAL: tuple[Output, ...] = ("sidecar", "ids", "colors", "sheet")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Label(TextOptions, CameraOptions):
+    """Give every Gaussian the best of a list of words, or none of them, and write that for other programs.
+
+    A word counts for the Gaussians that `scoup select` finds for it, unless it is not in the scene. Of several words
+    for one Gaussian the one answered at the finer level counts, then the most relevant.
+    """
+
+    option_groups: ClassVar[OptionGroups] = {
+        "words": "words threshold presence always",
+        "output": "out outputs",
+    }
+
+    texts: Annotated[
+        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="WORD [WORD ...]", help_behavior_hint="")
+    ] = ()
+    """Names of things, for example "kettle" "wooden table"; they are numbered from 0 in this order."""
+    words: OptionalPath = None
+    """A list of further words, one a line."""
+    out: OptionalPath = None
+    """Folder to write. Default: <name of FIELD>_labels here."""
+    outputs: tuple[Output, ...] = USUAL
+    """What is written. sidecar: labels.npy, a number each Gaussian, -1 for none, and labels.json, what the numbers
+    mean. ids: labels.ply, the splat with an integer property `label`. colors: colored.ply, the splat in the colours
+    of the words. sheet: labels.png, some views with a legend. glb: labels.glb with EXT_mesh_features. clouds: a point
+    cloud a word. maps: a PNG with palette for each camera, and coco.json."""
+    threshold: OptionalNumber = None
+    """A word counts for Gaussians above this, 0 to 1, once relevancy is rescaled over the scene. Default: where its
+    answer changes least."""
+    presence: OptionalNumber = None
+    """A word is in the scene if its z-score is at least this. Default: 1.5, where the table of --text has 16 words or
+    more."""
+    always: Flag = False
+    """Take every word as one of something in the scene."""
+
+    def run(self, console: Console) -> None:
+        """Label and write."""
+        from scoup.query.label import label
+        from scoup.query.label_files import label_files, save_label_views, save_labels
+        from scoup.query.presence import presence_threshold
+
+        words = self._words()
+        out = self.out or Path(f"{self.field.stem}_labels")
+        check_folder(out)
+        field = self.open_field()
+        cameras = self._cameras(field)
+        outputs = self.outputs if cameras or self.outputs != USUAL else USUAL[:-1]
+        texts = self.encode(field, words)
+        present_from = None if self.always else presence_threshold(texts, self.presence)
+        # Only the words decide the names of files, so that what cannot be written is known before the work.
+        stems = unique_slugs(camera.stem for camera in cameras)
+        files = label_files(words, outputs, stems)
+        check_outputs(out, files, self.overwrite)
+        labels = label(field, texts.with_everyday(), self.threshold, present_from)
+        with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
+            save_labels(field, labels, hidden, outputs, self.gaussians)
+            views = dict(zip(stems, cameras, strict=True))
+            blind = save_label_views(field, labels, views, hidden, outputs, progress)
+            if views:
+                self.check_seen(blind, len(views))
+        _report(console, labels, out, [name for name in files if (out / name).exists()])
+
+    def _words(self) -> tuple[str, ...]:
+        """Those of the command line and those of the list, each once."""
+        from scoup.io.reading import existing_file, read_text
+        from scoup.view.vocabulary import read_words
+
+        listed: tuple[str, ...] = ()
+        if self.words is not None:
+            listed = read_words(str(self.words), read_text(existing_file(self.words, "a list of words")))
+        words = tuple(dict.fromkeys((*self.texts, *listed)))
+        check_texts(words)
+        return words
+
+    def _cameras(self, field: LanguageField) -> list[Camera]:
+        """Those named; by default all, or none if the field holds none and no output needs them."""
+        wanted = set(self.outputs) & {"maps", "sheet"}
+        if not wanted or (
+            self.outputs == USUAL and not self.camera and self.scene is None and not field.cameras
+        ):
+            return []
+        return (self if self.camera else replace(self, camera=("all",))).open_cameras(field)
+
+
+def _report(console: Console, labels: GaussianLabels, out: Path, files: list[str]) -> None:
+    """Say what each word got, and what is written."""
+    from scoup.query.label_files import label_record
+
+    record: dict[str, Any] = label_record(labels)
+    for one in record["classes"]:
+        absent = "" if one["present"] else f" (not in this scene, z-score {one['z_score']})"
+        console.say(f"{one['name']}: {counted(one['gaussians'], 'Gaussian')}{absent}")
+    console.say(f"none of these: {counted(record['none']['gaussians'], 'Gaussian')}")
+    for name in files:
+        console.say(f"{out / name}")
+    console.result({"out": out, "files": files, **record})

@@ -1,0 +1,112 @@
+"""COCO's JSON of annotated images: what is in which pixels, with boxes (cocodataset.org, "Data format")."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scoup.base.atomic import write_text
+from scoup.base.errors import InputError
+
+
+@dataclass(frozen=True)
+class CocoAnnotations:
+    """Annotated images, one added after the other.
+
+    Attributes:
+        categories: names, numbered from 1 as COCO does.
+        images, annotations: entries of the file.
+
+    Raises:
+        InputError: a category is named twice.
+    """
+
+    categories: tuple[str, ...]
+    images: list[dict[str, Any]] = field(default_factory=list)
+    annotations: list[dict[str, Any]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if len(set(self.categories)) < len(self.categories):
+            raise InputError(f"categories differ by their names: {', '.join(self.categories)}")
+
+    def add(
+        self,
+        file_name: str,
+        size: tuple[int, int],
+        masks: Sequence[np.ndarray | None],
+        scores: Sequence[float | None] | None = None,
+    ) -> None:
+        """Add an image; categories without a pixel get no annotation.
+
+        Args:
+            file_name: of the image.
+            size: (width, height) in pixels.
+            masks: one a category, [H, W] boolean; None is empty.
+            scores: of each category, 0 to 1.
+
+        Raises:
+            InputError: sizes do not fit.
+        """
+        width, height = size
+        number = len(self.images) + 1
+        self.images.append({"id": number, "file_name": file_name, "width": width, "height": height})
+        for category, mask in enumerate(masks, start=1):
+            if mask is None or not mask.any():
+                continue
+            if mask.shape != (height, width):
+                raise InputError(f"{file_name}: a mask of {list(mask.shape)} is not of {width} x {height}")
+            rows, columns = mask.any(1).nonzero()[0], mask.any(0).nonzero()[0]
+            x, y = int(columns[0]), int(rows[0])
+            entry = {
+                "id": len(self.annotations) + 1,
+                "image_id": number,
+                "category_id": category,
+                "segmentation": {"size": [height, width], "counts": run_lengths(mask)},
+                "area": int(mask.sum()),
+                "bbox": [x, y, int(columns[-1]) + 1 - x, int(rows[-1]) + 1 - y],
+                "iscrowd": 0,
+            }
+            score = None if scores is None else scores[category - 1]
+            self.annotations.append(entry if score is None else {**entry, "score": round(score, 4)})
+
+    def write(self, path: str | Path, overwrite: bool = False) -> None:
+        """Write the file.
+
+        Raises:
+            OutputExistsError, InputError: as ``atomic.check_output``.
+        """
+        content = {
+            "images": self.images,
+            "annotations": self.annotations,
+            "categories": [{"id": number, "name": name} for number, name in enumerate(self.categories, 1)],
+        }
+        write_text(path, json.dumps(content, separators=(",", ":")), overwrite)
+
+
+def run_lengths(mask: np.ndarray) -> str:
+    """A mask [H, W] as COCO's compressed run lengths: down the columns, of pixels outside and inside in turn.
+
+    A length is written as its difference from the one two before it, five bits a character, lowest first; the sixth bit
+    says that more follow (``rleToString`` of cocoapi's maskApi.c).
+    """
+    flat = np.asarray(mask, bool).ravel(order="F")
+    ends = np.flatnonzero(flat[1:] != flat[:-1]) + 1
+    bounds = np.concatenate([[0], ends, [len(flat)]])
+    lengths = np.diff(bounds).tolist()
+    if len(flat) and flat[0]:
+        lengths = [0, *lengths]  # the first length is of pixels outside
+    characters: list[str] = []
+    for place, length in enumerate(lengths):
+        value = length - lengths[place - 2] if place > 2 else length
+        more = True
+        while more:
+            part = value & 31
+            value >>= 5
+            more = value != -1 if part & 16 else value != 0
+            characters.append(chr(48 + (part | 32 if more else part)))
+    return "".join(characters)

@@ -1,0 +1,237 @@
+"""Gaussians in glTF files (.glb, .gltf): KHR_gaussian_splatting in its ratified form, uncompressed.
+
+Scales and opacities are linear in the file, quaternions x, y, z, w, and one attribute holds one SH coefficient.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from scoup.base.atomic import atomic_file
+from scoup.base.errors import InputError, ScoupWarning
+from scoup.io.splats.activation import keep_finite, unit_quats
+from scoup.io.splats.gltf_document import GltfDocument, read_document
+from scoup.io.splats.gltf_features import (
+    FEATURES,
+    METADATA,
+    GaussianFeatures,
+    features_json,
+    id_set,
+    metadata_json,
+    primitive_ids,
+    stored_ids,
+    table_columns,
+    table_names,
+)
+from scoup.io.splats.gltf_nodes import SPLATS, placed_splats, splat_primitives
+from scoup.io.splats.gltf_primitive import (
+    DEFAULTS,
+    EXPORT_PLAIN,
+    SH_DEGREE,
+    Columns,
+    read_primitive,
+    sh_names,
+    transformed,
+)
+from scoup.io.splats.gltf_write import GltfBuilder
+from scoup.scene.gaussians import SH_C0, Gaussians
+
+_UNDERSTOOD = {SPLATS, FEATURES, METADATA, "KHR_mesh_quantization"}
+# What they concern are meshes beside the Gaussians.
+_OF_SURFACES = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")
+_REPEATS = 32  # bytes of Gaussians for a byte of the file; beyond it nodes repeat a mesh to no end
+
+
+def read_gltf(path: str | Path) -> Gaussians:
+    """Read the Gaussians of a .glb or .gltf file, of all nodes of its scene, in the frame of the world.
+
+    Buffers may be inside, or in files beside or below it. Values that no node transforms are kept bit by bit.
+
+    Raises:
+        MissingFileError: it, or a file that it needs, is not there.
+        FileFormatError: it is not glTF 2, holds no Gaussians, holds them compressed, or is damaged.
+
+    Warns:
+        ScoupWarning: rows with values that are not finite (or no rotation) were dropped, or the file asks for
+            another kernel, colour space, projection or sorting than Gaussians here have.
+    """
+    document = read_document(path)
+    return _read(document, [])[0]
+
+
+def read_gltf_features(path: str | Path) -> GaussianFeatures | None:
+    """The classes of the Gaussians that ``read_gltf`` gives, in the same order; None where the file has none.
+
+    Of several sets of feature ids the first one with a property table counts.
+
+    Raises:
+        MissingFileError, FileFormatError: as ``read_gltf``, or several property tables are in use.
+    """
+    document = read_document(path)
+    placed: list[tuple[dict[str, Any], int]] = []
+    kept = _read(document, placed)[1]
+    sets = [id_set(document, primitive) for primitive, _ in placed]
+    used = [item for item in sets if item is not None]
+    if not used:
+        return None
+    if any(item["propertyTable"] != used[0]["propertyTable"] for item in used):
+        raise document.error("its Gaussians have several property tables", "merge them into one table")
+    names = table_names(document, used[0]["propertyTable"])
+    columns = [primitive_ids(document, primitive, count) for primitive, count in placed]
+    ids = np.concatenate(
+        [
+            np.full(count, -1) if column is None else column
+            for column, (_, count) in zip(columns, placed, strict=True)
+        ]
+    )
+    ids[ids >= len(names)] = -1
+    label = used[0].get("label", "label")
+    try:
+        return GaussianFeatures(torch.from_numpy(ids[kept]), names, label if isinstance(label, str) else "")
+    except InputError as error:
+        raise document.error(f"its classes cannot be used ({error})") from error
+
+
+def write_gltf(
+    gaussians: Gaussians,
+    path: str | Path,
+    overwrite: bool = False,
+    features: GaussianFeatures | None = None,
+) -> None:
+    """Write a .glb file, or a .gltf file with its buffer inside.
+
+    All float32 values are kept bit by bit, but for what glTF does not allow: quaternions are normalised, opacities
+    clipped to 0..1, scales made positive. Coefficients of SH above degree 3 and rows that are not finite are left
+    out. The frame is kept: glTF takes +Y for up, while Gaussians have whatever axes they were trained with.
+
+    Args:
+        gaussians: at least one.
+        features: the class of each, for viewers that style by class.
+
+    Raises:
+        OutputExistsError, InputError: as ``atomic.check_output``; or the suffix is another, no Gaussians are left, or
+            ``features`` is not of as many.
+
+    Warns:
+        ScoupWarning: rows or coefficients were left out.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        raise InputError(f"{path}: glTF files end in .glb or .gltf; give such a name")
+    if features is not None and len(features.ids) != len(gaussians):
+        raise InputError(f"features are of {len(features.ids):,} Gaussians, not of {len(gaussians):,}")
+    finite, kept = keep_finite(**_writable(gaussians, path), source=str(path))
+    if not len(finite):
+        raise InputError(f"{path}: glTF cannot hold a scene without Gaussians; there are none to write")
+    if features is not None:
+        features = GaussianFeatures(features.ids[torch.from_numpy(kept)], features.names, features.label)
+    builder = GltfBuilder()
+    root = _root(builder, finite, features)
+    parts = builder.glb(root) if path.suffix.lower() == ".glb" else builder.gltf(root)
+    with atomic_file(path, overwrite) as stream:
+        stream.writelines(parts)
+
+
+def _read(document: GltfDocument, placed: list[tuple[dict[str, Any], int]]) -> tuple[Gaussians, np.ndarray]:
+    """Gaussians and which rows were kept; ``placed`` receives the primitives in order and their numbers of rows."""
+    _check_extensions(document)
+    found: list[Columns] = []
+    local: dict[int, Columns] = {}
+    total = 0
+    for primitive, similarity in placed_splats(document):
+        if id(primitive) not in local:
+            local[id(primitive)] = read_primitive(document, primitive)
+        columns = local[id(primitive)]
+        total += sum(column.nbytes for column in columns.values())
+        if total > _REPEATS * document.data_bytes:
+            raise document.error("repeats its Gaussians far too often", "apply its instances, or remove them")
+        found.append(columns if similarity is None else transformed(columns, similarity))
+        placed.append((primitive, len(columns["means"])))
+    if not found:
+        raise _no_gaussians(document)
+    bases = max(columns["sh"].shape[1] for columns in found)
+    for place, columns in enumerate(found):  # primitives may have different degrees
+        missing = bases - columns["sh"].shape[1]
+        if missing:
+            found[place] = {**columns, "sh": np.pad(columns["sh"], ((0, 0), (0, missing), (0, 0)))}
+    joined = {name: np.concatenate([columns[name] for columns in found]) for name in found[0]}
+    return keep_finite(**joined, source=str(document.path))
+
+
+def _check_extensions(document: GltfDocument) -> None:
+    for name in document.names("extensionsRequired"):
+        if name not in _UNDERSTOOD and not name.startswith(_OF_SURFACES):
+            raise document.error(f"needs the extension {name[:60]!a}, which is not read", EXPORT_PLAIN)
+
+
+def _no_gaussians(document: GltfDocument) -> Exception:
+    if any(splat_primitives(document, mesh) for mesh in range(len(document.entries("meshes")))):
+        return document.error("its Gaussians stand in no node of its scene", "add them to the scene")
+    return document.error(
+        f"holds no Gaussians ({SPLATS}), but a mesh or nothing",
+        "export the trained splat, as PLY or with that extension",
+    )
+
+
+def _writable(gaussians: Gaussians, path: Path) -> Columns:
+    values = {
+        name: getattr(gaussians, name).detach().cpu().numpy()
+        for name in ("means", "quats", "scales", "opacities", "sh")
+    }
+    bases = (SH_DEGREE + 1) ** 2
+    if values["sh"].shape[1] > bases:
+        warnings.warn(
+            f"{path}: glTF has spherical harmonics up to degree {SH_DEGREE}; those above are left out",
+            ScoupWarning,
+            stacklevel=4,
+        )
+    return {
+        "means": values["means"],
+        "quats": unit_quats(values["quats"]),
+        "scales": np.abs(values["scales"]),
+        "opacities": values["opacities"].clip(0.0, 1.0),
+        "sh": values["sh"][:, :bases],
+    }
+
+
+def _root(builder: GltfBuilder, gaussians: Gaussians, features: GaussianFeatures | None) -> dict[str, Any]:
+    """The JSON of one primitive, whose columns go to ``builder``."""
+    sh, opacities = gaussians.sh.numpy(), gaussians.opacities.numpy()[:, None]
+    attributes = {
+        "POSITION": builder.add_attribute(gaussians.means.numpy(), bounds=True),
+        "COLOR_0": builder.add_attribute(_fallback(sh[:, 0], opacities), normalised=True),
+        f"{SPLATS}:ROTATION": builder.add_attribute(np.roll(gaussians.quats.numpy(), -1, axis=1)),
+        f"{SPLATS}:SCALE": builder.add_attribute(gaussians.scales.numpy()),
+        f"{SPLATS}:OPACITY": builder.add_attribute(opacities),
+    }
+    for index, name in enumerate(sh_names(gaussians.sh_degree)):
+        attributes[name] = builder.add_attribute(sh[:, index])
+    primitive: dict[str, Any] = {"attributes": attributes, "mode": 0, "extensions": {SPLATS: dict(DEFAULTS)}}
+    root = {
+        "asset": {"version": "2.0", "generator": "SCOUP"},
+        "extensionsUsed": [SPLATS],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+    }
+    if features is not None:
+        attributes["_FEATURE_ID_0"] = builder.add_attribute(stored_ids(features))
+        primitive["extensions"][FEATURES] = features_json(features)
+        names, offsets, counts = (builder.add_view(data) for data in table_columns(features))
+        root["extensions"] = {METADATA: metadata_json(features, (names, offsets, counts))}
+        root["extensionsUsed"] = [SPLATS, FEATURES, METADATA]
+    return root
+
+
+def _fallback(base: np.ndarray, opacities: np.ndarray) -> np.ndarray:
+    """[N, 4] uint16 colour of SH degree 0 in linear RGB, and opacity, for viewers that show points only."""
+    with np.errstate(all="ignore"):
+        encoded = (base.astype(np.float64) * SH_C0 + 0.5).clip(0.0, 1.0)
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    return np.round(np.concatenate([linear, opacities], axis=1) * 65_535).astype(np.uint16)

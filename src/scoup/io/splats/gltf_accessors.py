@@ -1,0 +1,84 @@
+"""Accessors of glTF files: typed columns in their buffers."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+
+from scoup.io.splats.gltf_document import GltfDocument
+
+Integers = Literal["none", "normalised", "any"]
+"""Which integers an attribute may be stored as: none, those that stand for -1..1 or 0..1, or plain ones too."""
+
+BYTE, UNSIGNED_BYTE, SHORT, UNSIGNED_SHORT, FLOAT = 5120, 5121, 5122, 5123, 5126
+_COMPONENTS = {
+    BYTE: np.dtype("i1"),
+    UNSIGNED_BYTE: np.dtype("u1"),
+    SHORT: np.dtype("<i2"),
+    UNSIGNED_SHORT: np.dtype("<u2"),
+    FLOAT: np.dtype("<f4"),
+}
+_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+
+
+def accessor_count(document: GltfDocument, index: Any, what: str) -> int:
+    """Number of rows that an accessor says it has; nothing is read."""
+    entry = document.entry("accessors", index, what)
+    return document.whole(entry.get("count"), f"the count of {what}", low=1)
+
+
+def raw_accessor(document: GltfDocument, index: Any, kind: str, what: str) -> tuple[np.ndarray, bool]:
+    """A column as it stands in its buffer, and whether its integers are normalised.
+
+    Args:
+        index: of the accessor.
+        kind: its type, such as VEC3.
+        what: its name in messages.
+
+    Returns:
+        [N, width] of the type of the file, a view of the buffer.
+
+    Raises:
+        FileFormatError: it is of another type, points outside of its buffer, or is sparse.
+    """
+    entry = document.entry("accessors", index, what)
+    if entry.get("type") != kind:
+        raise document.error(f"{what} is not of type {kind}")
+    component = entry.get("componentType")
+    dtype = _COMPONENTS.get(component) if isinstance(component, int) else None
+    if dtype is None:
+        raise document.error(f"{what} has a component type that attributes cannot have")
+    if "sparse" in entry or "bufferView" not in entry:
+        raise document.error(f"{what} is a sparse accessor, which is not read", "export it without them")
+    count = accessor_count(document, index, what)
+    offset = document.whole(entry.get("byteOffset"), f"the offset of {what}", default=0)
+    data, stride = document.view(entry["bufferView"], what)
+    width = _WIDTHS[kind]
+    size = width * dtype.itemsize
+    stride = stride or size
+    if stride < size:
+        raise document.error(f"the rows of {what} overlap")
+    if offset + stride * (count - 1) + size > len(data):
+        raise document.error(f"{what} reaches beyond its buffer view")
+    rows = np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
+    return rows, entry.get("normalized") is True
+
+
+def read_accessor(
+    document: GltfDocument, index: Any, kind: str, what: str, integers: Integers = "none"
+) -> np.ndarray:
+    """The values of a column: [N, width] float32; see ``raw_accessor``.
+
+    Raises:
+        FileFormatError: also where it is stored as integers that ``integers`` does not allow.
+    """
+    rows, normalised = raw_accessor(document, index, kind, what)
+    if rows.dtype.kind == "f":
+        return rows.astype(np.float32)
+    if integers == "none" or (integers == "normalised" and not normalised):
+        raise document.error(f"{what} is stored as integers of a kind that it cannot have")
+    if not normalised:
+        return rows.astype(np.float32)
+    wide = rows.astype(np.float64) / np.iinfo(rows.dtype).max
+    return np.maximum(wide, -1.0).astype(np.float32)

@@ -1,0 +1,82 @@
+"""Videos, written by ffmpeg through imageio-ffmpeg (extra ``scoup[video]``)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from scoup.base.errors import InputError, ScoupError, WriteError
+from scoup.pictures.colors import Picture
+
+QUALITY = 7  # of imageio-ffmpeg, 0 to 10
+HOW_TO_GET_IT = "videos need the package imageio-ffmpeg: pip install 'scoup[video]', and run again"
+
+
+def check_video_writer() -> None:
+    """Check that videos can be written, before the work.
+
+    Raises:
+        ScoupError: the package is missing, or it finds no ffmpeg.
+    """
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise ScoupError(HOW_TO_GET_IT) from None
+    try:
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except RuntimeError as error:
+        raise ScoupError(
+            f"imageio-ffmpeg finds no ffmpeg ({error}); install it, or name it by IMAGEIO_FFMPEG_EXE"
+        ) from error
+
+
+def save_video(frames: Iterable[Picture], path: Path, frames_per_second: float) -> None:
+    """Write an mp4 (H.264), one picture after the other, replacing what is there. The same pictures give the same
+    bytes.
+
+    Args:
+        frames: [H, W, 3] uint8 each, of one size; an odd side loses its last row or column, which H.264 has no place
+            for.
+        path: of the file.
+        frames_per_second: its speed.
+
+    Raises:
+        ScoupError: as ``check_video_writer``.
+        InputError: there is no picture, one is of another size, or they are smaller than 2 x 2.
+        WriteError: ffmpeg fails.
+    """
+    check_video_writer()
+    import imageio_ffmpeg
+
+    writer, size = None, (0, 0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        for frame in frames:
+            height, width = (side - side % 2 for side in frame.shape[:2])
+            if writer is None:
+                if not height or not width:
+                    raise InputError(f"{path}: pictures of {frame.shape[1]} x {frame.shape[0]} make no video")
+                size = (width, height)
+                writer = imageio_ffmpeg.write_frames(
+                    str(path),
+                    size,
+                    fps=frames_per_second,  # pyright: ignore[reportArgumentType]  # any number does
+                    quality=QUALITY,
+                    macro_block_size=1,
+                    ffmpeg_log_level="error",
+                    # One thread and no notes on the encoder: the same bytes on every machine with this ffmpeg.
+                    output_params=["-threads", "1", "-fflags", "+bitexact", "-flags:v", "+bitexact"],
+                )
+                writer.send(None)
+            if (width, height) != size:
+                raise InputError(f"{path}: the pictures differ in size, and a video needs one size")
+            writer.send(np.ascontiguousarray(frame[:height, :width]))
+    except OSError as error:
+        raise WriteError(path, str(error).splitlines()[0] if str(error) else "ffmpeg failed") from error
+    finally:
+        if writer is not None:
+            writer.close()
+    if writer is None:
+        raise InputError(f"{path}: there is no picture to make a video of")

@@ -1,0 +1,92 @@
+"""Selections kept, removed, recoloured and faded: what an edit makes of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.query.answer import SceneAnswer
+from scoup.query.expression import Expression
+from scoup.query.queried_field import QueriedField
+from scoup.query.reshape import UNCHANGED, Reshaping, reshaped
+from scoup.scene.gaussians import SH_C0, Gaussians
+
+Edit = Literal["keep", "remove", "recolor", "fade"]
+
+
+def combined_answer(
+    field: QueriedField,
+    expression: Expression,
+    answers: Sequence[SceneAnswer],
+    wanted: Reshaping = UNCHANGED,
+) -> SceneAnswer:
+    """The answer to an expression, from those to its texts.
+
+    Args:
+        field: that was queried.
+        expression: of the texts.
+        answers: one for each of ``expression.texts`` in their order, from ``answer_scene``.
+        wanted: what is done to the selection afterwards.
+
+    Returns:
+        Relevancy, level, score, z-score and threshold are those of the text looked for with the largest score;
+        relevancy is the largest of all that are looked for. Of a single text it is that text's answer.
+    """
+    of_text = {answer.text: answer for answer in answers}
+    mask = expression.combine({text: answer.mask for text, answer in of_text.items()})
+    looked_for = [of_text[text] for text in expression.wanted]
+    best = max(looked_for, key=lambda answer: (answer.presence, answer.score))
+    relevancy = torch.stack([answer.relevancy for answer in looked_for]).amax(0)
+    if wanted.changes:
+        mask = reshaped(field.gaussians, mask, relevancy, wanted)
+    text = best.text if len(of_text) == 1 and expression.is_plain else str(expression)
+    presence = best.presence if expression.is_plain else bool(mask.any())
+    return replace(best, mask=mask, relevancy=relevancy, text=text, presence=presence)
+
+
+def edited(
+    gaussians: Gaussians,
+    mask: Tensor,
+    edit: Edit,
+    color: tuple[float, float, float] = (1.0, 0.36, 0.16),
+    opacity: float = 0.15,
+) -> Gaussians:
+    """What an edit of the Gaussians in a selection leaves.
+
+    Args:
+        gaussians: N of them.
+        mask: [N] boolean, the selection.
+        edit: "keep" leaves only the selection, "remove" all others; "recolor" gives the selection a colour, but leaves
+            it its light and shade, as far as they do not depend on the direction of view; "fade" scales its opacities.
+        color: of "recolor": red, green and blue, 0 to 1.
+        opacity: of "fade": what opacities are multiplied with, 0 to 1.
+
+    Raises:
+        InputError: a number is out of range.
+    """
+    if not 0 <= opacity <= 1 or not all(0 <= part <= 1 for part in color):
+        raise InputError(f"opacity and colour are 0 to 1, got {opacity} and {list(color)}")
+    mask = mask.to(gaussians.device)
+    if edit in ("keep", "remove"):
+        return gaussians.select(mask if edit == "keep" else ~mask)
+    if edit == "fade":
+        return replace(
+            gaussians, opacities=torch.where(mask, gaussians.opacities * opacity, gaussians.opacities)
+        )
+    sh = gaussians.sh.clone()
+    sh[mask] = 0
+    sh[mask, 0] = (_shaded(gaussians.sh[mask, 0] * SH_C0 + 0.5, color) - 0.5) / SH_C0
+    return replace(gaussians, sh=sh)
+
+
+def _shaded(rgb: Tensor, color: tuple[float, float, float]) -> Tensor:
+    """[M, 3]: a colour, as light as the colours [M, 3] are beside the usual one among them."""
+    lightness = rgb.clamp(0, 1).mean(1)
+    usual = lightness.median().clamp(min=0.05) if len(lightness) else lightness.new_ones(())
+    share = (lightness / usual).clamp(0.25, 1.75)[:, None]
+    return (rgb.new_tensor(color) * share).clamp(0, 1)

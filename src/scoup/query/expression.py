@@ -1,0 +1,202 @@
+"""Expressions over texts, such as "mug and not handle": which Gaussians or pixels answer several texts together."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from typing import TypeAlias
+
+from torch import Tensor
+
+from scoup.base.errors import InputError
+
+OPERATORS = ("and", "or", "not", "+", "-", "(", ")")
+_TOKEN = re.compile(r'"([^"]*)"|([()])|([^\s()"]+)')
+_GRAMMAR = 'write texts joined by and, or, not, + and -, for example "mug and not handle"'
+_DEEPEST = 50  # operators within operators
+
+
+@dataclass(frozen=True)
+class Operation:
+    """ "not" of one part, or "and" or "or" of two or more."""
+
+    operator: str
+    parts: tuple[Node, ...]
+
+
+Node: TypeAlias = "str | Operation"
+"""A text or an operation."""
+
+
+@dataclass(frozen=True)
+class Expression:
+    """Texts joined by operators.
+
+    Attributes:
+        root: see ``Node``.
+    """
+
+    root: Node
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """The texts, each once, in the order in which they stand."""
+        return tuple(dict.fromkeys(_texts(self.root)))
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Those of the texts that are looked for, which stand under no "not" or under two; all if there are none."""
+        return tuple(dict.fromkeys(_wanted(self.root, True))) or self.texts
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is texts alone, of which any may answer."""
+        return all(operator == "or" for operator in _operators(self.root))
+
+    def __str__(self) -> str:
+        return _said(self.root)
+
+    def combine(self, masks: Mapping[str, Tensor]) -> Tensor:
+        """The mask of the whole from boolean masks of its texts, of one shape."""
+        return _combined(self.root, masks)
+
+
+def parse_expression(words: Iterable[str]) -> Expression:
+    """An expression from the words of a command line.
+
+    ``not`` binds closest, then ``and``, then ``or``, ``+`` (the same) and ``-`` (and not), which stand for themselves
+    only between spaces; brackets group. A text may have several words. One in double quotes is taken as it stands, so
+    that ``'"salt and pepper"'`` is one text. Of words without an operator between them any may answer.
+
+    Args:
+        words: each a text, an operator, or an expression.
+
+    Raises:
+        InputError: it is no expression.
+    """
+    given = list(words)
+    tokens: list[str] = []
+    for word in given:
+        part = [word.lower()] if word.lower() in OPERATORS else ["(", *_tokens(word), ")"]
+        if tokens and tokens[-1] == ")" and part[0] == "(":
+            tokens.append("or")
+        tokens += part
+    reader = _Reader(tokens, " ".join(given))
+    root = reader.union()
+    if reader.rest:
+        raise reader.refusal(f"{reader.rest[0]!r} is not expected")
+    return Expression(root)
+
+
+def _tokens(text: str) -> list[str]:
+    """Operators as they are, and texts with a mark before them that tells them from operators."""
+    tokens: list[str] = []
+    quotes = text.count('"')
+    if quotes % 2:
+        raise InputError(f"{text}: a double quote is not closed; {_GRAMMAR}")
+    for quoted, bracket, word in _TOKEN.findall(text):
+        if bracket or word.lower() in OPERATORS:
+            tokens.append(bracket or word.lower())
+        elif word and tokens and tokens[-1].startswith("="):
+            tokens[-1] += f" {word}"
+        elif word or quoted.strip():
+            tokens.append(f"={word}" if word else f'"{quoted.strip()}')
+    return tokens
+
+
+class _Reader:
+    """Takes tokens from the left."""
+
+    def __init__(self, tokens: list[str], source: str) -> None:
+        self.rest, self.source, self.depth = tokens, source, 0
+
+    def refusal(self, problem: str) -> InputError:
+        return InputError(f"{self.source}: {problem}; {_GRAMMAR}")
+
+    def union(self) -> Node:
+        left, before = self.intersection(), self.depth
+        while self.rest and self.rest[0] in ("or", "+", "-"):
+            operator = self.rest.pop(0)
+            right = self.intersection()
+            if operator == "-":
+                left = self.joined("and", left, Operation("not", (right,)))
+            else:
+                left = self.joined("or", left, right)
+        self.depth = before
+        return left
+
+    def intersection(self) -> Node:
+        left = self.factor()
+        while self.rest and self.rest[0] == "and":
+            self.rest.pop(0)
+            left = self.joined("and", left, self.factor())
+        return left
+
+    def joined(self, operator: str, left: Node, right: Node) -> Node:
+        if isinstance(left, Operation) and left.operator == operator:
+            return Operation(operator, (*left.parts, right))
+        self.deeper()
+        return Operation(operator, (left, right))
+
+    def deeper(self) -> None:
+        self.depth += 1
+        if self.depth > _DEEPEST:
+            raise self.refusal("too many operators stand within each other")
+
+    def factor(self) -> Node:
+        if not self.rest:
+            raise self.refusal("a text is missing at the end")
+        token = self.rest.pop(0)
+        if token[0] in '="':
+            return token[1:]
+        if token not in ("not", "("):
+            raise self.refusal(f"a text is missing before {token!r}")
+        before = self.depth
+        self.deeper()
+        inner: Node = Operation("not", (self.factor(),)) if token == "not" else self.union()
+        if token == "(" and (not self.rest or self.rest.pop(0) != ")"):
+            raise self.refusal("a bracket is not closed")
+        self.depth = before
+        return inner
+
+
+def _texts(node: Node) -> list[str]:
+    return [node] if isinstance(node, str) else [text for part in node.parts for text in _texts(part)]
+
+
+def _operators(node: Node) -> list[str]:
+    if isinstance(node, str):
+        return []
+    return [node.operator, *(operator for part in node.parts for operator in _operators(part))]
+
+
+def _wanted(node: Node, positive: bool) -> list[str]:
+    if isinstance(node, str):
+        return [node] if positive else []
+    positive = positive != (node.operator == "not")
+    return [text for part in node.parts for text in _wanted(part, positive)]
+
+
+def _combined(node: Node, masks: Mapping[str, Tensor]) -> Tensor:
+    if isinstance(node, str):
+        return masks[node]
+    found = [_combined(part, masks) for part in node.parts]
+    if node.operator == "not":
+        return ~found[0]
+    return reduce(Tensor.logical_and if node.operator == "and" else Tensor.logical_or, found)
+
+
+def _said(node: Node, outer: str = "") -> str:
+    if isinstance(node, str):
+        return node if parses_as_text(node) else f'"{node}"'
+    if node.operator == "not":
+        return f"not {_said(node.parts[0], 'not')}"
+    said = f" {node.operator} ".join(_said(part, node.operator) for part in node.parts)
+    return f"({said})" if outer not in ("", node.operator) else said
+
+
+def parses_as_text(text: str) -> bool:
+    """Whether a text stands for itself without double quotes."""
+    return _tokens(text) == [f"={text}"] if '"' not in text else False

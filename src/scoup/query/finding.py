@@ -1,0 +1,65 @@
+"""Everything that a field says of one text: in its views, and in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from scoup.base.html import card
+from scoup.base.records import rounded_vector
+from scoup.pictures import as_picture
+from scoup.query.answer import Answer
+from scoup.query.locate import Location
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Finding:
+    """What one text gives in the views of some cameras, and in the world.
+
+    Attributes:
+        text: of the query.
+        answers: one a camera, in their order; as `scoup query` finds them.
+        location: where the thing is, by the Gaussians' own codes.
+    """
+
+    text: str
+    answers: tuple[Answer, ...]
+    location: Location
+
+    def __repr__(self) -> str:
+        seen = sum(answer.presence for answer in self.answers)
+        return f"Finding({self.text!r}: in {seen} of {len(self.answers)} views; {self.location!r})"
+
+    def _repr_html_(self) -> str:
+        facts = {name: value for name, value in self.location.record().items() if name != "box"}
+        best = self.best
+        picture = None if best is None else as_picture(best.pictures()["overlay"])
+        return card(f"{self.text!r}, best seen in {best.view if best else 'no view'}", facts, picture)
+
+    @property
+    def presence(self) -> bool:
+        """Whether the thing is in the scene, or in a view."""
+        return self.location.presence or any(answer.presence for answer in self.answers)
+
+    @property
+    def best(self) -> Answer | None:
+        """The answer in the view that fits best: present there, and with the largest score; None without a camera."""
+        return max(self.answers, key=lambda answer: (answer.presence, answer.score), default=None)
+
+    @property
+    def position(self) -> Tensor | None:
+        """[3] float64 world units, the middle of the thing; None if it is not there."""
+        return self.location.position
+
+    @property
+    def confidence(self) -> float:
+        """Of the location, 0..1; 0.5 is a draw with the canonical phrases."""
+        return self.location.confidence
+
+
+def answer_record(answer: Answer) -> dict[str, Any]:
+    """An answer as `scoup query` writes it into query.json: its record, and where its mask is in the world."""
+    position = answer.position
+    return {**answer.record(), "position": None if position is None else rounded_vector(position.tolist())}

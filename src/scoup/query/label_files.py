@@ -1,0 +1,178 @@
+"""Labels of Gaussians as files for other programs (docs/formats.md, "Labels")."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from scoup.base.atomic import atomic_file, write_text
+from scoup.base.counts import spread
+from scoup.base.file_names import unique_slugs
+from scoup.base.progress import Progress, no_progress
+from scoup.io import PlyTable, save_label_png, save_png, write_ply, write_ply_table
+from scoup.io.coco import CocoAnnotations
+from scoup.pictures import label_colors
+from scoup.query.edits import edited
+from scoup.query.label import NONE, NONE_NAME, GaussianLabels
+from scoup.query.label_maps import MOST_VIEWS, LabelSheet, label_map
+from scoup.query.queried_field import QueriedField
+from scoup.query.splat_table import SplatTable
+from scoup.raster import render_colors
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import SH_C0, Gaussians
+
+LabelOutput = Literal["sidecar", "ids", "colors", "glb", "clouds", "maps", "sheet"]
+SIDECAR = ("labels.npy", "labels.json")
+IDS, COLORS, GLB = "labels.ply", "colored.ply", "labels.glb"
+CLOUDS, MAPS, COCO, SHEET = "clouds", "maps", "maps/coco.json", "labels.png"
+PROPERTY = "label"
+GREY = 0.35  # of Gaussians without a word
+
+
+def label_files(words: Sequence[str], outputs: Sequence[str], views: Sequence[str]) -> list[str]:
+    """The names of all files that outputs make, within their folder.
+
+    Args:
+        words: of the labels.
+        outputs: ``LabelOutput`` each.
+        views: names of the label maps, without extension.
+    """
+    clouds = [f"{CLOUDS}/{name}.ply" for name in unique_slugs([*words, NONE_NAME])]
+    of = {
+        "sidecar": list(SIDECAR),
+        "ids": [IDS],
+        "colors": [COLORS],
+        "glb": [GLB],
+        "clouds": clouds,
+        "maps": [COCO, *(f"{MAPS}/{view}.png" for view in views)],
+        "sheet": [SHEET],
+    }
+    return [name for output in outputs for name in of[output]]
+
+
+def save_labels(
+    field: QueriedField,
+    labels: GaussianLabels,
+    folder: Path,
+    outputs: Sequence[str],
+    geometry: Path | None = None,
+) -> None:
+    """Write all outputs but those of views, into an empty folder.
+
+    Args:
+        field: that was labelled, with its geometry.
+        labels: of its Gaussians.
+        folder: made if it is missing.
+        outputs: ``LabelOutput`` each.
+        geometry: where the splat is; by default where the field says.
+    """
+    gaussians = field.gaussians.to("cpu")
+    folder.mkdir(parents=True, exist_ok=True)
+    if "sidecar" in outputs:
+        with atomic_file(folder / SIDECAR[0]) as stream:
+            np.lib.format.write_array(stream, labels.ids.numpy().astype(np.int32), allow_pickle=False)
+        write_text(folder / SIDECAR[1], json.dumps(label_record(labels), indent=1) + "\n")
+    if "ids" in outputs:
+        write_ply_table(SplatTable.of(field, geometry).with_column(PROPERTY, labels.ids, NONE), folder / IDS)
+    if "colors" in outputs:
+        write_ply(labelled_colors(gaussians, labels), folder / COLORS)
+    if "glb" in outputs:
+        from scoup.io.splats.gltf import GaussianFeatures, write_gltf
+
+        write_gltf(gaussians, folder / GLB, features=GaussianFeatures(labels.ids, labels.names, PROPERTY))
+    if "clouds" in outputs:
+        names = [*labels.names, NONE_NAME]
+        for name, file in zip(names, unique_slugs(names), strict=True):
+            write_ply_table(point_cloud(gaussians.select(labels.mask(name))), folder / CLOUDS / f"{file}.ply")
+
+
+def save_label_views(
+    field: QueriedField,
+    labels: GaussianLabels,
+    cameras: Mapping[str, Camera],
+    folder: Path,
+    outputs: Sequence[str],
+    progress: Progress = no_progress,
+) -> list[Camera]:
+    """Write the outputs "maps" and "sheet", if they are among ``outputs``.
+
+    Args:
+        field, labels, outputs: as for ``save_labels``.
+        cameras: the views, by the names of their maps without extension; for a sheet alone some are chosen.
+        folder: to write into.
+        progress: called after each view.
+
+    Returns:
+        The cameras that see nothing of the field.
+    """
+    maps, colors = "maps" in outputs, label_colors(len(labels.names))
+    shown = set(spread(list(cameras), MOST_VIEWS)) if "sheet" in outputs else set()
+    wanted = [name for name in cameras if maps or name in shown]
+    coco, sheet, blind = CocoAnnotations(labels.names), LabelSheet(labels), []
+    for done, name in enumerate(wanted, start=1):
+        camera = cameras[name]
+        projection = field.project(camera)
+        if not field.is_visible(projection):
+            blind.append(camera)
+        numbers = label_map(field, projection, labels)
+        if maps:
+            save_label_png(numbers, colors, folder / MAPS / f"{name}.png")
+            masks = [(numbers == number).numpy() for number in range(len(labels.names))]
+            coco.add(camera.name, (camera.width, camera.height), masks)
+        if name in shown:
+            sheet.add(camera.name, numbers, render_colors(field.gaussians, camera, projection).cpu())
+        progress("label maps", done, len(wanted))
+    if maps:
+        coco.write(folder / COCO)
+    if shown:
+        save_png(sheet.picture(), folder / SHEET)
+    return blind
+
+
+def label_record(labels: GaussianLabels) -> dict[str, Any]:
+    """What the numbers of a file of labels mean, as plain JSON values."""
+    counts, colors = labels.counts(), label_colors(len(labels.names)).tolist()
+    classes = [
+        {
+            "id": number,
+            "name": name,
+            "color": colors[number],
+            "gaussians": counts[name],
+            "level": labels.levels[number],
+            "present": labels.presence[number],
+            **({} if labels.z_scores is None else {"z_score": _finite(labels.z_scores[number])}),
+        }
+        for number, name in enumerate(labels.names)
+    ]
+    none = {"id": NONE, "name": NONE_NAME, "gaussians": counts[NONE_NAME]}
+    return {"gaussians": len(labels.ids), "classes": classes, "none": none}
+
+
+def labelled_colors(gaussians: Gaussians, labels: GaussianLabels) -> Gaussians:
+    """The Gaussians in the colours of their words, with their own light and shade; those of none of the words grey."""
+    colors = torch.from_numpy(label_colors(len(labels.names)).copy()).double() / 255
+    shown = edited(gaussians, labels.ids == NONE, "recolor", (GREY, GREY, GREY))
+    for number, color in enumerate(colors.tolist()):
+        shown = edited(shown, labels.ids == number, "recolor", (color[0], color[1], color[2]))
+    return shown
+
+
+def point_cloud(gaussians: Gaussians) -> PlyTable:
+    """Centres and colours of Gaussians as vertices of a PLY, for programs that know point clouds only."""
+    kinds = [*((name, "<f4") for name in "xyz"), *((name, "u1") for name in ("red", "green", "blue"))]
+    rows = np.zeros(len(gaussians), dtype=kinds)
+    rgb = (gaussians.sh[:, 0] * SH_C0 + 0.5).clamp(0, 1).mul(255).round().byte().numpy()
+    for column, name in enumerate("xyz"):
+        rows[name] = gaussians.means[:, column].numpy()
+    for column, name in enumerate(("red", "green", "blue")):
+        rows[name] = rgb[:, column]
+    return PlyTable(Path("<memory>"), rows)
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 3) if np.isfinite(value) else None  # JSON knows no infinity

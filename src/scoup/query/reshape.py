@@ -1,0 +1,112 @@
+"""Selections of Gaussians made larger, smaller or whole by who is near whom in space."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.query.locate import LONGEST_LINK, NEIGHBOURS, connected_parts
+from scoup.scene.gaussians import Gaussians
+
+MOST_STEPS = 1000
+
+
+@dataclass(frozen=True)
+class Reshaping:
+    """How a selection is changed; in this order.
+
+    Attributes:
+        largest: keep only the connected part that weighs most, as ``scoup.query.locate`` does.
+        shrink: so many times, leave out the Gaussians that have a neighbour outside.
+        grow: so many times, add the neighbours of those inside.
+        within: add every Gaussian whose centre is at most this far from the centre of one inside, in world units.
+
+    Raises:
+        InputError: a number is negative, not finite or beyond ``MOST_STEPS``.
+    """
+
+    largest: bool = False
+    shrink: int = 0
+    grow: int = 0
+    within: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("shrink", "grow"):
+            if not 0 <= getattr(self, name) <= MOST_STEPS:
+                raise InputError(f"{name} must be 0 to {MOST_STEPS}, got {getattr(self, name)}")
+        if not (self.within >= 0 and math.isfinite(self.within)):
+            raise InputError(f"within must be a distance of 0 or more, got {self.within}")
+
+    @property
+    def changes(self) -> bool:
+        """Whether it does anything."""
+        return self != UNCHANGED
+
+
+UNCHANGED = Reshaping()
+
+
+def reshaped(gaussians: Gaussians, mask: Tensor, relevancy: Tensor, wanted: Reshaping) -> Tensor:
+    """[N] boolean: a selection, changed.
+
+    Neighbours of a Gaussian are the ``NEIGHBOURS`` nearest, as far as they are not much further away than usual among
+    those inside. Gaussians with values that are not finite have none, and are not added.
+
+    Args:
+        gaussians: N of them, on any device.
+        mask: [N] boolean, the selection.
+        relevancy: [N], by which parts are weighed, with the opacities.
+        wanted: see there.
+    """
+    means = gaussians.means.cpu().double()
+    usable = torch.isfinite(means).all(1)
+    inside = (mask.cpu() & usable)[usable].numpy()
+    points = means[usable].numpy()
+    if wanted.largest and inside.any():
+        weights = (gaussians.opacities.cpu().double().clamp(0, 1) * relevancy.cpu().double())[usable].numpy()
+        parts = connected_parts(points[inside])
+        kept = parts == np.bincount(parts, np.nan_to_num(weights[inside])).argmax()
+        inside[inside] = kept
+    if (wanted.shrink or wanted.grow) and inside.any() and len(points) > 1:
+        near = _Neighbours(points, inside)
+        for _ in range(wanted.shrink):
+            inside &= ~near.any_of(~inside)
+        for _ in range(wanted.grow):
+            inside |= near.any_of(inside)
+    if wanted.within and inside.any():
+        inside |= near_points(points, inside, wanted.within)
+    out = torch.zeros(len(mask), dtype=torch.bool)
+    out[usable] = torch.from_numpy(inside)
+    return out
+
+
+def near_points(points: NDArray[np.float64], inside: NDArray[np.bool_], distance: float) -> NDArray[np.bool_]:
+    """[N] boolean: the points [N, 3] at most this far from one of those inside."""
+    from scipy.spatial import KDTree
+
+    nearest = KDTree(points[inside]).query(points, workers=-1)[0]
+    return np.asarray(nearest) <= distance
+
+
+class _Neighbours:
+    """The links from points to their nearest others that are not much longer than usual among those inside."""
+
+    def __init__(self, points: NDArray[np.float64], inside: NDArray[np.bool_]) -> None:
+        from scipy.spatial import KDTree
+
+        count = min(NEIGHBOURS, len(points) - 1)
+        lengths, nearest = (
+            np.asarray(each) for each in KDTree(points).query(points, k=count + 1, workers=-1)
+        )
+        self._nearest = nearest
+        self._linked = lengths <= LONGEST_LINK * np.median(lengths[inside][:, -1])
+
+    def any_of(self, members: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """[N] boolean: whether a point is linked to any of these, itself included."""
+        return (members[self._nearest] & self._linked).any(1)

@@ -1,0 +1,87 @@
+"""The relevancy of a scene to a text from cameras on the move, frame by frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.base.errors import InputError
+from scoup.pictures import captioned, heat_overlay
+from scoup.pictures.colors import Picture
+from scoup.query.edit_picture import best_camera
+from scoup.query.locate import Location
+from scoup.query.queried_field import QueriedField
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.paths import camera_path, turntable, upwards
+
+Motion = Literal["path", "turntable"]
+SHARE = 0.35  # of the picture's height that a thing takes on a turntable
+
+
+def moving_cameras(
+    field: QueriedField, place: Location, cameras: Cameras, motion: Motion, count: int
+) -> Cameras:
+    """The cameras of a video.
+
+    Args:
+        field: that is shown.
+        place: of the thing, for a turntable.
+        cameras: through which the path leads, or one of which the turntable begins at.
+        motion: "path" leads through the cameras; "turntable" goes around the thing.
+        count: of frames.
+
+    Raises:
+        InputError: the thing is nowhere, or the cameras make no path.
+    """
+    if motion == "path":
+        return camera_path(cameras, count)
+    if place.position is None or place.box is None:
+        raise InputError(f"{place.answer.text}: is not in this scene, so there is nothing to turn around")
+    up = upwards(cameras)
+    if up is None:
+        raise InputError("these cameras do not tell which direction is up, which a turntable needs")
+    first = best_camera(field, place.answer.mask, list(cameras))
+    size = float(place.box.extent.norm())
+    arm = first.position - place.position
+    near = size / SHARE / (first.height / first.fy)
+    away = max(min(near, float(arm.norm())), 0.75 * size)
+    closer = Camera.look_at(
+        place.position + arm * (away / max(float(arm.norm()), 1e-12)),
+        place.position,
+        first.name,
+        first.width,
+        first.height,
+        first.fy,
+        up,
+    )
+    return turntable(closer, place.position, up, count)
+
+
+def heat_frames(
+    field: QueriedField, query: Tensor, canonical: Tensor, place: Location, cameras: Cameras
+) -> Iterator[Picture]:
+    """Heat maps of one text with one title, at one level and with one scale of colours, [H, W, 3] uint8 each.
+
+    Args:
+        field: that is queried.
+        query: [D] unit vector of the text.
+        canonical: [P, D].
+        place: of the text, whose answer names the level.
+        cameras: of the frames.
+    """
+    answer = place.answer
+    level = field.level_index(answer.level)
+    known = answer.relevancy[(field.code_weights[:, level] > 0).any(1).cpu()]
+    low = float(known.median()) if len(known) else 0.0
+    span = (low, max(answer.score, low)) if math.isfinite(answer.score) else (0.0, 1.0)
+    remark = f"level {answer.level}" if answer.presence else "not in this scene"
+    for camera in cameras:
+        projection = field.project(camera)
+        heat = field.relevancy(camera, query[None], canonical, projection)[level, 0].cpu()
+        rgb = raster.render_colors(field.gaussians, camera, projection).cpu()
+        yield captioned(heat_overlay(torch.nan_to_num(heat, low), rgb, span), answer.text, remark)

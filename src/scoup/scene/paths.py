@@ -1,0 +1,104 @@
+"""Cameras on the way: from view to view, or around a thing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from scoup.base.counts import spread
+from scoup.base.errors import InputError
+from scoup.scene.cameras import Camera, Cameras
+
+MOST_STOPS = 40  # cameras that a path leads through
+LEAST_TURN = 0.02  # mean squared sine of angles between horizontal axes from which these tell what is up
+
+
+def camera_path(cameras: Cameras, count: int) -> Cameras:
+    """Cameras on a smooth path through those of a scene, in the order of their names, with the lens of the first.
+
+    Args:
+        cameras: of the scene; of more than ``MOST_STOPS`` so many, evenly spread.
+        count: of cameras on the path.
+
+    Raises:
+        InputError: there is no camera, or ``count`` is below 1.
+    """
+    from scipy.interpolate import PchipInterpolator
+    from scipy.spatial.transform import Rotation, Slerp
+
+    if not len(cameras) or count < 1:
+        raise InputError(f"a path of {count} cameras through {len(cameras)} is none")
+    stops = spread(list(cameras), MOST_STOPS)
+    first = stops[0]
+    if len(stops) == 1:
+        return Cameras(replace(first, name=_name(number), image_path=None) for number in range(count))
+    places = np.stack([camera.position.numpy() for camera in stops])
+    turns = Rotation.from_matrix(np.stack([camera.viewmat[:3, :3].numpy().T for camera in stops]))
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    # Times follow distances, so that the speed is even; a camera that only turns takes its time, too.
+    times = np.concatenate([[0.0], np.cumsum(np.maximum(steps, 0.2 * max(steps.mean(), 1e-9)))])
+    moments = np.linspace(0, times[-1], count)
+    between, turned = PchipInterpolator(times, places)(moments), Slerp(times, turns)(moments).as_matrix()
+    poses = np.concatenate([turned, between[:, :, None]], axis=2)
+    size = (first.width, first.height)
+    return Cameras(Camera.from_c2w(_name(number), pose, first.K, *size) for number, pose in enumerate(poses))
+
+
+def turntable(camera: Camera, centre: Tensor | ArrayLike, up: Tensor | ArrayLike, count: int) -> Cameras:
+    """Cameras on a circle around a point, which all look at it, with the lens and distance of one; they begin there.
+
+    Args:
+        camera: where the circle begins.
+        centre: [3] the point, in world units.
+        up: [3] the direction that the circle goes around.
+        count: of cameras, evenly on the circle.
+
+    Raises:
+        InputError: the camera is at the point or straight above or below it, or ``count`` is below 1.
+    """
+    from scipy.spatial.transform import Rotation
+
+    point, axis = (torch.as_tensor(each, dtype=torch.float64).numpy() for each in (centre, up))
+    arm = camera.position.numpy() - point
+    length = np.linalg.norm(axis)
+    if (
+        count < 1
+        or not length > 0
+        or not np.linalg.norm(np.cross(arm, axis)) > 1e-6 * np.linalg.norm(arm) * length
+    ):
+        raise InputError(
+            f"{count} cameras cannot turn around {point.tolist()} from {camera.position.tolist()}"
+        )
+    angles = np.arange(count) * (2 * math.pi / count)
+    arms = Rotation.from_rotvec(angles[:, None] * (axis / length)).apply(arm)
+    size = (camera.width, camera.height)
+    return Cameras(
+        Camera.look_at(point + arm, point, _name(number), *size, camera.fy, axis)
+        for number, arm in enumerate(arms)
+    )
+
+
+def upwards(cameras: Cameras) -> Tensor | None:
+    """[3] float64 unit vector, the direction that is up in the world as cameras were held; None if they do not tell.
+
+    People hold cameras level, and tilt them up and down: up is the direction that is most at right angles to the
+    cameras' horizontal axes. Where these hardly differ, as in views from one side, it is the mean of the cameras'
+    upward axes.
+    """
+    if not len(cameras):
+        return None
+    poses = torch.stack([camera.viewmat[:3, :3] for camera in cameras])
+    mean = -poses[:, 1].mean(0)
+    sizes, axes = torch.linalg.eigh(poses[:, 0].T @ poses[:, 0] / len(poses))
+    up = axes[:, 0] if float(sizes[1]) > LEAST_TURN and float(sizes[0]) < 0.5 * float(sizes[1]) else mean
+    up = up if float(up @ mean) >= 0 else -up
+    return up / up.norm() if float(mean.norm()) > 1e-6 else None
+
+
+def _name(number: int) -> str:
+    return f"frame_{number:05d}.png"

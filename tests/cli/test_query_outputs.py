@@ -1,0 +1,100 @@
+"""scoup query: arrays, COCO, videos and places, and the same from Python."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli_support import refused, run, run_json
+from scoup.field.language_field import LanguageField
+
+pytestmark = pytest.mark.usefixtures("here")
+TEXTS = ("kettle", "mug")
+
+
+def test_arrays_and_coco_hold_the_answers():
+    record = run_json(
+        "query", "f.scoup", *TEXTS, "--camera", "all", "--npz", "--coco", "--pictures", "none", "--out", "a"
+    )
+    assert record["sheets"] == []
+    field = LanguageField.load("f.scoup")
+    coco = json.loads(Path("a/coco.json").read_text())
+    assert [image["file_name"] for image in coco["images"]] == list(
+        field.cameras.names if field.cameras else ()
+    )
+    areas = {(one["image_id"], one["category_id"]): one["area"] for one in coco["annotations"]}
+    for number, camera in enumerate(field.cameras or ()):
+        answers = field.query(list(TEXTS), camera)
+        with np.load(f"a/{camera.stem}/relevancy.npz", allow_pickle=False) as arrays:
+            assert arrays["texts"].tolist() == list(TEXTS)
+            assert arrays["levels"].tolist() == [answer.level for answer in answers]
+            assert arrays["relevancy"].dtype == np.float32
+            for row, answer in enumerate(answers):
+                assert np.array_equal(arrays["relevancy"][row], answer.heat.numpy())
+                assert np.array_equal(arrays["mask"][row], answer.mask.numpy())
+                assert areas.get((number + 1, row + 1), 0) == int(answer.mask.sum())
+        entry = record["answers"][2 * number]
+        assert entry["files"] == {"npz": f"a/{camera.stem}/relevancy.npz"}
+    again = run_json("query", "f.scoup", *TEXTS, "--camera", "all", "--npz", "--out", "b")
+    assert again["answers"][0]["files"]["npz"] == "b/view_00/relevancy.npz"
+    assert Path("a/view_00/relevancy.npz").read_bytes() == Path("b/view_00/relevancy.npz").read_bytes()
+
+
+def test_python_says_what_the_command_line_says():
+    record = run_json("query", "f.scoup", *TEXTS, "--camera", "all", "--out", "a")
+    field = LanguageField.load("f.scoup")
+    findings = field.ask(list(TEXTS))
+    for number, finding in enumerate(findings):
+        assert finding.text == TEXTS[number]
+        assert {"text": finding.text, **finding.location.record()} == record["places"][number]
+        entries = [entry for entry in record["answers"] if entry["text"] == finding.text]
+        for answer, entry in zip(finding.answers, entries, strict=True):
+            position = entry.pop("position")
+            assert {"camera": answer.view, "text": answer.text, **answer.record()} == entry
+            assert (answer.position is None) == (position is None)
+            if answer.position is not None:
+                assert answer.position.tolist() == pytest.approx(position, rel=1e-4, abs=1e-5)
+    alone = field.ask("kettle")
+    assert alone.location.record() == findings[0].location.record()
+    assert alone.best is not None
+    assert alone.best.score == max(answer.score for answer in alone.answers)
+
+
+def test_places_in_metres():
+    record = run_json("query", "f.scoup", "kettle", "--out", "a", "--metres-per-unit", "0.5")
+    (place,) = record["places"]
+    assert place["position_metres"] == pytest.approx([0.5 * part for part in place["position"]], rel=1e-4)
+    out = run("query", "f.scoup", "kettle", "--out", "b", "--metres-per-unit", "0.5")[1]
+    assert re.search(r"in the world  kettle: at \[.*\], extent .* \(.* m\), confidence", out)
+
+
+@pytest.mark.parametrize("motion", ["path", "turntable"])
+def test_videos(motion):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    record = run_json(
+        "query", "f.scoup", *TEXTS, "--video", motion, "--frames", "5", "--out", "a", "--always"
+    )
+    assert record["videos"] == [f"a/{text}_{motion}.mp4" for text in TEXTS]
+    for path in record["videos"]:
+        reader = ffmpeg.read_frames(path)
+        width, height = next(reader)["size"]
+        pictures = [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader]
+        assert len(pictures) == 5
+        assert any(np.abs(pictures[0].astype(int) - other).max() > 20 for other in pictures[1:])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--frames", "0"], "--frames must be 1 to"),
+        (["--frames-per-second", "0"], "--frames-per-second must be 0.1 to 100"),
+        (["--metres-per-unit", "-1"], "--metres-per-unit must be above 0"),
+        (["kettle", "--coco"], "stands twice"),
+    ],
+)
+def test_bad_options(options, said):
+    assert said in refused("query", "f.scoup", "kettle", *options)

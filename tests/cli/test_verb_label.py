@@ -1,0 +1,95 @@
+"""scoup label."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cli_support import refused, run, run_json
+from scoup.field.language_field import LanguageField
+from scoup.io import load_gaussians, read_ply_table
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+def test_the_main_path():
+    code, out, err = run("label", "f.scoup", "kettle", "mug")
+    assert (code, err) == (0, "")
+    labels = LanguageField.load("f.scoup").label(["kettle", "mug"])
+    counts = labels.counts()
+    assert f"kettle: {counts['kettle']} Gaussians" in out
+    assert f"none of these: {counts['none']} Gaussians" in out
+    folder = Path("f_labels")
+    assert {path.name for path in folder.iterdir()} == {
+        "labels.npy", "labels.json", "labels.ply", "colored.ply", "labels.png",
+    }  # fmt: skip
+    assert np.load(folder / "labels.npy").tolist() == labels.ids.tolist()
+    assert read_ply_table(folder / "labels.ply").rows["label"].tolist() == labels.ids.tolist()
+    before = read_ply_table("scene/point_cloud.ply").rows
+    after = read_ply_table(folder / "labels.ply").rows
+    assert all((before[name] == after[name]).all() for name in before.dtype.names or ())
+    assert len(load_gaussians(folder / "colored.ply")) == 150
+    with Image.open(folder / "labels.png") as picture:
+        assert picture.width == 1500
+    assert "already exists" in refused("label", "f.scoup", "kettle")
+
+
+def test_every_output():
+    outputs = ("sidecar", "ids", "colors", "glb", "clouds", "maps", "sheet")
+    record = run_json("label", "f.scoup", "kettle", "mug", "--out", "all", "--outputs", *outputs)
+    found = {path.relative_to("all").as_posix() for path in Path("all").rglob("*") if path.is_file()}
+    assert found == set(record["files"])
+    assert {
+        "labels.glb",
+        "clouds/kettle.ply",
+        "clouds/none.ply",
+        "maps/view_01.png",
+        "maps/coco.json",
+    } <= found
+    coco = json.loads(Path("all/maps/coco.json").read_text())
+    assert len(coco["images"]) == 4
+    assert [one["name"] for one in coco["categories"]] == ["kettle", "mug"]
+    one = run_json(
+        "label", "f.scoup", "kettle", "mug", "--out", "one", "--outputs", "maps", "--camera", "view_01"
+    )
+    assert set(one["files"]) == {"maps/view_01.png", "maps/coco.json"}
+    assert Path("one/maps/view_01.png").read_bytes() == Path("all/maps/view_01.png").read_bytes()
+
+
+def test_words_of_a_list():
+    Path("words.txt").write_text("mug\n\nkettle\nmug\n")
+    listed = run_json("label", "f.scoup", "--words", "words.txt", "--out", "listed", "--outputs", "sidecar")
+    given = run_json("label", "f.scoup", "mug", "kettle", "--out", "given", "--outputs", "sidecar")
+    assert listed["classes"] == given["classes"]
+    assert [one["name"] for one in listed["classes"]] == ["mug", "kettle"]
+    assert "expected" in refused("label", "f.scoup", "--words", "missing.txt")
+    Path("empty.txt").write_text("\n")
+    assert "holds no word" in refused("label", "f.scoup", "--words", "empty.txt")
+
+
+def test_without_cameras_there_is_no_sheet():
+    field = LanguageField.load("f.scoup")
+    LanguageField(field.code_indices, field.code_weights, field.codebook, field.info, field.gaussians).save(
+        "bare.scoup"
+    )
+    command = ("label", "bare.scoup", "kettle", "--text", "scene/words.npz")
+    assert "labels.png" not in run_json(*command, "--out", "a")["files"]
+    assert "holds no cameras" in refused(*command, "--out", "b", "--outputs", "maps")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "name at least one text"),
+        (["spoon"], "no text embedding named 'spoon'"),
+        (["kettle", "--out", "f.scoup"], "is a file"),
+        (["kettle", "--threshold", "2"], "threshold must be 0 to 1"),
+        (["kettle", "--outputs", "maps", "--camera", "view_99"], "view_99"),
+    ],
+)
+def test_bad_input(arguments, said):
+    assert said in refused("label", "f.scoup", *arguments)

@@ -1,0 +1,217 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gltf_samples import SPLATS, columns_of, foreign, packed
+from io_samples import same_gaussians, some_cameras, some_gaussians
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.io.splats.gltf import read_gltf, read_gltf_features
+from scoup.io.splats.gltf_rotation import quat_from_rotation, rotated_sh, rotation_from_quat
+from scoup.raster import view_colors
+from scoup.raster.projection import rotation_matrices
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+
+
+def test_interleaved_rows_and_several_primitives(tmp_path):
+    gaussians = some_gaussians(5, 1)
+    root, binary = foreign(columns_of(gaussians), stride=100)
+    assert same_gaussians(read_gltf(packed(tmp_path / "a.glb", root, binary)), gaussians)
+    flat, flat_binary = foreign(columns_of(some_gaussians(3, 0, seed=1)))
+    for view in flat["bufferViews"]:
+        view["byteOffset"] += len(binary)
+    for accessor in flat["accessors"]:
+        accessor["bufferView"] += 1
+    other = flat["meshes"][0]["primitives"][0]
+    other["attributes"] = {key: value + len(root["accessors"]) for key, value in other["attributes"].items()}
+    root["meshes"][0]["primitives"] += [{"attributes": {}, "mode": 4}, other]
+    root["accessors"] += flat["accessors"]
+    root["bufferViews"] += flat["bufferViews"]
+    both = read_gltf(packed(tmp_path / "b.glb", root, binary + flat_binary))
+    assert len(both) == 8
+    assert torch.equal(both.sh[:5], gaussians.sh)
+    assert not both.sh[5:, 1:].any()
+    assert torch.equal(both.sh[5:, :1], some_gaussians(3, 0, seed=1).sh)
+
+
+def test_integers(tmp_path):
+    generator = np.random.default_rng(0)
+    quats = generator.integers(-127, 128, (9, 4), dtype=np.int8)
+    quats[:, 3] = -128
+    columns = {
+        "POSITION": generator.integers(-(2**15), 2**15, (9, 3)).astype("<i2"),
+        f"{SPLATS}:ROTATION": quats,
+        f"{SPLATS}:SCALE": generator.integers(0, 2**16, (9, 3)).astype("<u2"),
+        f"{SPLATS}:OPACITY": generator.integers(0, 256, (9, 1), dtype=np.uint8),
+        f"{SPLATS}:SH_DEGREE_0_COEF_0": generator.normal(size=(9, 3)).astype("<f4"),
+    }
+    names = (f"{SPLATS}:ROTATION", f"{SPLATS}:SCALE", f"{SPLATS}:OPACITY")
+    root, binary = foreign(columns, normalised=names)
+    gaussians = read_gltf(packed(tmp_path / "a.glb", root, binary))
+    assert torch.equal(gaussians.means, torch.from_numpy(columns["POSITION"].astype(np.float32)))
+    expected = np.maximum(quats[:, [3, 0, 1, 2]] / 127, -1)
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(gaussians.quats, expected, atol=1e-6)
+    np.testing.assert_allclose(gaussians.scales, columns[names[1]] / 65_535, rtol=1e-6)
+    np.testing.assert_allclose(gaussians.opacities, columns[names[2]][:, 0] / 255, rtol=1e-6)
+    root, binary = foreign(columns, normalised=names[:2])
+    with pytest.raises(FileFormatError, match="OPACITY is stored as integers"):
+        read_gltf(packed(tmp_path / "b.glb", root, binary))
+
+
+def covariances(gaussians: Gaussians) -> torch.Tensor:
+    axes = rotation_matrices(gaussians.quats.double()) * gaussians.scales.double()[:, None]
+    return axes @ axes.transpose(1, 2)
+
+
+QUAT = np.array([0.3, -0.5, 0.7, 0.2]) / np.linalg.norm([0.3, -0.5, 0.7, 0.2])  # w, x, y, z
+
+
+@pytest.mark.parametrize("as_matrix", [True, False])
+def test_nodes_bring_gaussians_to_the_world(tmp_path, as_matrix):
+    gaussians = some_gaussians(20, 3)
+    rotation = rotation_from_quat(QUAT)
+    assert rotation is not None
+    np.testing.assert_allclose(rotation_matrices(torch.from_numpy(QUAT)[None])[0], rotation, atol=1e-12)
+    scale, shift = 2.5, np.array([1.0, -2.0, 3.0])
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = scale * rotation, shift
+    root, binary = foreign(columns_of(gaussians))
+    inner: dict[str, Any] = {
+        "mesh": 0,
+        "rotation": [*QUAT[1:].tolist(), float(QUAT[0])],
+        "scale": [scale] * 3,
+    }
+    inner["translation"] = shift.tolist()
+    if as_matrix:
+        inner = {"mesh": 0, "matrix": matrix.T.ravel().tolist()}
+    # The outer node turns y to z, so that the order of the two shows.
+    outer = np.array([[1, 0, 0, 5], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+    root["nodes"] = [{"children": [1], "matrix": outer.T.ravel().tolist()}, inner]
+    moved = read_gltf(packed(tmp_path / "a.glb", root, binary))
+    whole = outer @ matrix
+    means = gaussians.means.double().numpy() @ whole[:3, :3].T + whole[:3, 3]
+    np.testing.assert_allclose(moved.means, means, rtol=1e-6, atol=1e-6)
+    linear = torch.from_numpy(whole[:3, :3])
+    expected = linear @ covariances(gaussians) @ linear.T
+    torch.testing.assert_close(covariances(moved), expected, rtol=1e-4, atol=1e-7)
+    torch.testing.assert_close(moved.quats.norm(dim=1), torch.ones(20))
+    # A camera that moves along sees the same colours.
+    camera = some_cameras(1)[0]
+    pose = np.linalg.inv(camera.viewmat.numpy())
+    turned = np.eye(4)
+    turned[:3, :3] = whole[:3, :3] / scale @ pose[:3, :3]
+    turned[:3, 3] = whole[:3, :3] @ pose[:3, 3] + whole[:3, 3]
+    view = torch.from_numpy(np.linalg.inv(turned))
+    along = Camera(camera.name, view, camera.K, camera.width, camera.height)
+    torch.testing.assert_close(view_colors(moved, along), view_colors(gaussians, camera), rtol=0, atol=2e-5)
+    unturned = Gaussians(moved.means, moved.quats, moved.scales, moved.opacities, gaussians.sh)
+    assert (view_colors(unturned, along) - view_colors(gaussians, camera)).abs().max() > 0.1
+
+
+def test_rotations_of_harmonics_form_a_group():
+    sh = some_gaussians(4, 3).sh.numpy()
+    half_turn = np.diag([1.0, -1.0, -1.0])
+    np.testing.assert_allclose(rotated_sh(rotated_sh(sh, half_turn), half_turn), sh, atol=1e-6)
+    rotation = rotation_from_quat(QUAT)
+    assert rotation is not None
+    np.testing.assert_allclose(rotated_sh(rotated_sh(sh, rotation), rotation.T), sh, atol=2e-6)
+    np.testing.assert_allclose(np.abs(quat_from_rotation(half_turn)), [0, 1, 0, 0])
+    np.testing.assert_allclose(quat_from_rotation(rotation), QUAT, atol=1e-12)
+
+
+def test_instances_scenes_and_nodes_without_a_scene(tmp_path):
+    gaussians = some_gaussians(4, 0)
+    root, binary = foreign(columns_of(gaussians))
+    root["nodes"] = [{"mesh": 0}, {"mesh": 0, "translation": [10, 0, 0]}]
+    root["scenes"] = [{"nodes": [0]}, {"nodes": [0, 1]}]
+    assert len(read_gltf(packed(tmp_path / "a.glb", root, binary))) == 4
+    twice = read_gltf(packed(tmp_path / "a.glb", {**root, "scene": 1}, binary))
+    assert torch.equal(twice.means[4:], gaussians.means + torch.tensor([10.0, 0, 0]))
+    assert same_gaussians(twice.select(torch.arange(4)), gaussians)
+    del root["scenes"]
+    assert len(read_gltf(packed(tmp_path / "a.glb", root, binary))) == 8
+
+
+def test_features_of_others(tmp_path):
+    gaussians = some_gaussians(4, 0)
+    columns = columns_of(gaussians) | {"_FEATURE_ID_3": np.array([[1], [0], [np.nan], [7]], np.float32)}
+    root, binary = foreign(columns)
+    primitive = root["meshes"][0]["primitives"][0]
+    ids = {"featureCount": 3, "attribute": 3, "propertyTable": 1, "nullFeatureId": 0}
+    primitive["extensions"]["EXT_mesh_features"] = {"featureIds": [{"featureCount": 4}, ids]}
+    names = "stone|wood|a".replace("|", "").encode()
+    start = len(binary)
+    binary += names.ljust(12, b"\0") + bytes([0, 5, 9, 10])
+    root["bufferViews"] += [
+        {"buffer": 0, "byteOffset": start, "byteLength": 10},
+        {"buffer": 0, "byteOffset": start + 12, "byteLength": 4},
+    ]
+    texts = {"values": len(root["bufferViews"]) - 2, "stringOffsets": len(root["bufferViews"]) - 1}
+    table = {"class": "x", "count": 3, "properties": {"height": {"values": 0}}}
+    table["properties"]["material"] = {**texts, "stringOffsetType": "UINT8"}
+    root["extensions"] = {"EXT_structural_metadata": {"propertyTables": [{}, table]}}
+    root["nodes"] = [{"mesh": 0}, {"mesh": 0, "translation": [1, 0, 0]}]
+    root["scenes"] = [{"nodes": [0, 1]}]
+    features = read_gltf_features(packed(tmp_path / "a.glb", root, binary))
+    assert features is not None
+    assert features.names == ("stone", "wood", "a")
+    assert features.ids.tolist() == [1, -1, -1, -1] * 2
+    table["count"] = 2**40
+    with pytest.raises(FileFormatError, match="offsets of names reach beyond"):
+        read_gltf_features(packed(tmp_path / "a.glb", root, binary))
+
+
+def test_files_beside_and_below(tmp_path):
+    gaussians = some_gaussians(4, 1)
+    root, binary = foreign(columns_of(gaussians))
+    place = tmp_path / "scene" / "data"
+    place.mkdir(parents=True)
+    (place / "a b.bin").write_bytes(binary)
+    (place / "short.bin").write_bytes(binary[:-1])
+    path = tmp_path / "scene" / "a.gltf"
+
+    def write(uri: str) -> Path:
+        buffers = [{"byteLength": len(binary), "uri": uri}]
+        path.write_text(json.dumps({**root, "buffers": buffers}))
+        return path
+
+    assert same_gaussians(read_gltf(write("data/a%20b.bin")), gaussians)
+    (tmp_path / "secret.bin").write_bytes(binary)
+    (place / "link.bin").symlink_to(tmp_path / "secret.bin")
+    for uri in [
+        "../secret.bin",
+        "data/../../secret.bin",
+        "%2E%2E/secret.bin",
+        "data/link.bin",
+        str(tmp_path / "secret.bin"),
+        "file://" + str(tmp_path / "secret.bin"),
+        "https://localhost/a.bin",
+        "data\\a.bin",
+        "",
+        "a%00b",
+    ]:
+        with pytest.raises(FileFormatError, match="not a file in its folder"):
+            read_gltf(write(uri))
+    with pytest.raises(MissingFileError, match="a buffer of"):
+        read_gltf(write("other.bin"))
+    with pytest.raises(FileFormatError, match="cut short"):
+        read_gltf(write("data/short.bin"))
+    with pytest.raises(FileFormatError, match="base64 is damaged"):
+        read_gltf(write("data:application/octet-stream;base64,????"))
+    with pytest.raises(FileFormatError, match="not base64"):
+        read_gltf(write("data:text/plain,hello"))
+
+
+def test_warnings_of_other_kinds_of_gaussians(tmp_path):
+    gaussians = some_gaussians(2, 0)
+    root, binary = foreign(columns_of(gaussians))
+    root["meshes"][0]["primitives"][0]["extensions"][SPLATS]["colorSpace"] = "lin_rec709_display"
+    with pytest.warns(ScoupWarning, match="its colorSpace is 'lin_rec709_display'"):
+        read_gltf(packed(tmp_path / "a.glb", root, binary))

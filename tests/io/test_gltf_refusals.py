@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import pytest
+
+from gltf_samples import SPLATS, columns_of, foreign, packed
+from io_samples import some_gaussians
+from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.splats.gltf import read_gltf, write_gltf
+
+
+def refusals() -> dict[str, tuple[Any, str]]:
+    """What is done to a valid file, and what is said about it."""
+
+    def primitive(root: dict[str, Any]) -> dict[str, Any]:
+        return root["meshes"][0]["primitives"][0]
+
+    def compress(root: dict[str, Any]) -> None:
+        primitive(root)["extensions"][SPLATS]["extensions"] = {f"{SPLATS}_compression_spz_2": {}}
+
+    def node(**values: Any) -> Any:
+        return lambda root: root["nodes"][0].update(values)
+
+    def accessor(**values: Any) -> Any:
+        return lambda root: root["accessors"][2].update(values)
+
+    def view(**values: Any) -> Any:
+        return lambda root: root["bufferViews"][2].update(values)
+
+    shear = [1, 0, 0, 0, 0.5, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+    return {
+        "spz": (compress, "are compressed"),
+        "required": (lambda root: root.update(extensionsRequired=["KHR_meshopt"]), "needs the extension"),
+        "mesh": (lambda root: primitive(root).update(extensions={}), "holds no Gaussians"),
+        "no node": (lambda root: root.update(scenes=[{"nodes": []}]), "stand in no node"),
+        "triangles": (lambda root: primitive(root).update(mode=4), "not points"),
+        "draft": (
+            lambda root: primitive(root)["attributes"].pop(f"{SPLATS}:SCALE"),
+            "have no KHR_gaussian_splatting:SCALE",
+        ),
+        "partial": (
+            lambda root: primitive(root)["attributes"].pop(f"{SPLATS}:SH_DEGREE_1_COEF_1"),
+            "have no KHR_gaussian_splatting:SH_DEGREE_1_COEF_1",
+        ),
+        "stretch": (node(scale=[1, 1, 2]), "stretches, shears or flattens"),
+        "flat": (node(scale=[0, 0, 0]), "stretches, shears or flattens"),
+        "shear": (node(matrix=shear), "stretches, shears or flattens"),
+        "mirror": (node(scale=[-1, 1, 1]), "mirrors"),
+        "inverted": (node(scale=[-1, -1, -1]), "mirrors"),
+        "huge": (node(matrix=[10**400] + [0] * 15), "finite number"),
+        "overflow": (
+            lambda root: root.update(
+                nodes=[{"scale": [1e300] * 3, "children": [1]}, {"mesh": 0, "scale": [1e300] * 3}]
+            ),
+            "not finite",
+        ),
+        "quaternion": (node(rotation=[0, 0, 0, 0]), "not a quaternion"),
+        "perspective": (node(matrix=[1, 0, 0, 1] + [0] * 12), "does not end with"),
+        "cycle": (node(children=[0]), "below itself"),
+        "two parents": (
+            lambda root: root.update(nodes=[{"mesh": 0, "children": [1, 1]}, {}]),
+            "several parents",
+        ),
+        "child": (node(children=[5]), r"nodes\[5\], but nodes has 1"),
+        "count": (accessor(count=2**40), "different counts"),
+        "zero": (accessor(count=0), "whole number from 1"),
+        "offset": (accessor(byteOffset=2**52), "beyond its buffer view"),
+        "negative": (accessor(byteOffset=-4), "whole number from 0"),
+        "sparse": (accessor(sparse={}), "sparse accessor"),
+        "type": (accessor(type="VEC4"), "not of type VEC3"),
+        "component": (accessor(componentType=5125), "component type"),
+        "view": (accessor(bufferView=99), "has 8"),
+        "stride": (view(byteStride=4), "rows of .* overlap"),
+        "length": (view(byteLength=2**50), "beyond its buffer"),
+        "buffer": (view(buffer=1), "but buffers has 1"),
+        "version": (lambda root: root.update(asset={"version": "1.0"}), "other than 2"),
+        "no version": (lambda root: root.update(asset=3), "not glTF 2"),
+        "list": (lambda root: root.update(nodes={}), "nodes is not a list"),
+    }
+
+
+@pytest.mark.parametrize("case", refusals())
+def test_refusals(tmp_path, case):
+    change, message = refusals()[case]
+    root, binary = foreign(columns_of(some_gaussians(3, 1)))
+    change(root)
+    with pytest.raises(FileFormatError, match=message) as caught:
+        read_gltf(packed(tmp_path / "a.glb", root, binary))
+    assert "\n" not in str(caught.value)
+    assert caught.value.remedy
+
+
+def test_counts_beyond_all_columns(tmp_path):
+    root, binary = foreign(columns_of(some_gaussians(3, 1)))
+    for accessor in root["accessors"]:
+        accessor["count"] = 2**40
+    with pytest.raises(FileFormatError, match="beyond its buffer view"):
+        read_gltf(packed(tmp_path / "a.glb", root, binary))
+
+
+def test_a_mesh_repeated_to_no_end(tmp_path):
+    root, binary = foreign(columns_of(some_gaussians(3000, 0)))
+    root["nodes"] = [{"mesh": 0, "translation": [place, 0, 0]} for place in range(1000)]
+    root["scenes"] = [{"nodes": list(range(1000))}]
+    with pytest.raises(FileFormatError, match="repeats its Gaussians"):
+        read_gltf(packed(tmp_path / "a.glb", root, binary))
+
+
+def test_wrong_containers(tmp_path):
+    path = tmp_path / "a.glb"
+    write_gltf(some_gaussians(3, 0), path)
+    data = path.read_bytes()
+    size = struct.unpack_from("<I", data, 12)[0]
+    for damaged, message in [
+        (b"", "is empty"),
+        (b"hello", "JSON is damaged"),
+        (b'{"a": NaN}', "JSON is damaged"),
+        (b"[" * 100_000, "JSON is damaged"),
+        (b"[]", "not glTF 2"),
+        (data[:11], "within its header"),
+        (data[:-1], "header says"),
+        (data + b"\0", "header says"),
+        (data[:4] + struct.pack("<I", 1) + data[8:], "other than 2"),
+        (data[:12] + struct.pack("<I", 2**32 - 1) + data[16:], "beyond its end"),
+        (data[: 20 + size] + struct.pack("<I", 2**31) + data[24 + size :], "beyond its end"),
+        (data[:16] + b"JSOM" + data[20:], "does not begin with JSON"),
+        (data[: 24 + size] + b"BIM\0" + data[28 + size :], "has no data"),
+    ]:
+        path.write_bytes(damaged)
+        with pytest.raises(FileFormatError, match=message):
+            read_gltf(path)
+    with pytest.raises(MissingFileError):
+        read_gltf(tmp_path / "none.glb")

@@ -1,0 +1,115 @@
+"""What edits make of Gaussians and of fields."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import pytest
+import torch
+
+from query.conftest import Queried
+from scoup.base.errors import InputError
+from scoup.query.answering import answer_scene
+from scoup.query.edit_picture import best_camera, edit_picture
+from scoup.query.edits import combined_answer, edited
+from scoup.query.expression import parse_expression
+from scoup.query.locate import location
+from scoup.query.videos import moving_cameras
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import SH_C0
+from support import random_gaussians
+
+
+@pytest.mark.parametrize("edit", ["keep", "remove"])
+def test_keep_and_remove_are_parts(edit: Literal["keep", "remove"]) -> None:
+    gaussians = random_gaussians(20, seed=0)
+    mask = torch.arange(20) % 3 == 0
+    found = edited(gaussians, mask, edit)
+    assert found.means.equal(gaussians.means[mask if edit == "keep" else ~mask])
+
+
+def test_recoloured_gaussians_keep_light_and_shade() -> None:
+    gaussians = random_gaussians(30, seed=1)
+    mask = torch.arange(30) < 12
+    found = edited(gaussians, mask, "recolor", (0.2, 0.6, 0.4))
+    assert found.sh[~mask].equal(gaussians.sh[~mask])
+    assert not found.sh[mask, 1:].any()
+    assert found.opacities.equal(gaussians.opacities)
+    before, after = ((each.sh[mask, 0] * SH_C0 + 0.5).mean(1) for each in (gaussians, found))
+    order = before.clamp(0, 1).argsort()
+    assert (after[order].diff() >= -1e-6).all()
+    assert not edited(gaussians, mask & False, "recolor").sh.ne(gaussians.sh).any()
+
+
+def test_faded_gaussians_are_fainter() -> None:
+    gaussians = random_gaussians(30, seed=2)
+    mask = torch.arange(30) < 12
+    found = edited(gaussians, mask, "fade", opacity=0.25)
+    assert found.opacities.equal(torch.where(mask, gaussians.opacities * 0.25, gaussians.opacities))
+    for wrong in (-0.1, 1.1, float("nan")):
+        with pytest.raises(InputError, match="0 to 1"):
+            edited(gaussians, mask, "fade", opacity=wrong)
+        with pytest.raises(InputError, match="0 to 1"):
+            edited(gaussians, mask, "recolor", (wrong, 0, 0))
+
+
+def test_an_expression_is_answered_by_its_texts(queried: Queried) -> None:
+    field, texts = queried.field, queried.texts
+    answers = answer_scene(field, texts)
+    masks = {answer.text: answer.mask for answer in answers}
+    expression = parse_expression(["word 1 and not word 2"])
+    two = [answer for answer in answers if answer.text in expression.texts]
+    found = combined_answer(field, expression, two)
+    assert found.mask.equal(masks["word 1"] & ~masks["word 2"])
+    assert found.relevancy.equal(two[0].relevancy)
+    assert (found.level, found.score, found.text) == (two[0].level, two[0].score, "word 1 and not word 2")
+    alone = combined_answer(field, parse_expression(["word 1"]), two[:1])
+    assert alone.record() == two[0].record()
+    assert alone.text == "word 1"
+    both = combined_answer(field, parse_expression(["word 1", "word 2"]), two)
+    assert both.relevancy.equal(torch.maximum(two[0].relevancy, two[1].relevancy))
+    assert both.score == max(each.score for each in two)
+
+
+def test_a_field_goes_with_its_edited_splat(queried: Queried) -> None:
+    field = queried.field
+    mask = torch.arange(len(field)) < 20
+    faded = field.with_gaussians(edited(field.gaussians, mask, "fade", opacity=0.5))
+    assert faded.code_indices.equal(field.code_indices)
+    assert faded.gaussians.opacities[:20].equal(field.gaussians.opacities[:20] * 0.5)
+    assert faded.info.provenance["selected_from"] == field.fingerprint
+    with pytest.raises(InputError, match="codes of"):
+        field.with_gaussians(field.gaussians.select(mask))
+
+
+def test_the_camera_that_sees_most_is_taken(queried: Queried) -> None:
+    field = queried.field
+    assert field.cameras is not None
+    away = Camera.look_at((0, 0, -50), (0, 0, -100), "away.png", 40, 30, 30.0, up=(0, 1, 0))
+    mask = torch.ones(len(field), dtype=torch.bool)
+    chosen = best_camera(field, mask, [away, *field.cameras])
+    assert chosen.name != "away.png"
+    picture = edit_picture(field, edited(field.gaussians, mask, "remove"), mask, chosen, "everything")
+    middle, third = picture.shape[0] // 2, picture.shape[1] // 3
+    before = picture[middle : middle + 40, 16 : third - 16]
+    after = picture[middle : middle + 40, 2 * third + 16 : 3 * third - 16]
+    assert before.max() > 40
+    assert after.max() == 0  # nothing is left
+    with pytest.raises(InputError, match="no camera"):
+        best_camera(field, mask, [])
+
+
+def test_a_turntable_needs_a_thing(queried: Queried) -> None:
+    field = queried.field
+    answer = answer_scene(field, queried.texts)[0]
+    place = location(field, answer)
+    assert field.cameras is not None
+    moving = moving_cameras(field, place, field.cameras, "turntable", 6)
+    assert place.position is not None
+    distances = torch.stack([(camera.position - place.position).norm() for camera in moving])
+    assert torch.allclose(distances, distances[0].expand(6))
+    nowhere = location(field, combined_answer(field, parse_expression(["word 0 and not word 0"]), [answer]))
+    assert nowhere.position is None
+    with pytest.raises(InputError, match="nothing to turn around"):
+        moving_cameras(field, nowhere, field.cameras, "turntable", 6)
+    assert len(moving_cameras(field, nowhere, Cameras(list(field.cameras)), "path", 6)) == 6

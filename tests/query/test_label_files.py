@@ -1,0 +1,115 @@
+"""Labels of Gaussians as files and as maps of views."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from query.conftest import Queried
+from scoup import raster
+from scoup.io import read_ply, read_ply_table
+from scoup.pictures import label_colors
+from scoup.query.label import NONE, GaussianLabels, label
+from scoup.query.label_files import label_files, label_record, labelled_colors, save_label_views, save_labels
+from scoup.query.label_maps import AT_A_TIME, label_map
+from scoup.scene.gaussians import SH_C0
+
+ALL = ("sidecar", "ids", "colors", "glb", "clouds", "maps", "sheet")
+
+
+@pytest.fixture(scope="module")
+def labels(queried: Queried) -> GaussianLabels:
+    return label(queried.field, queried.texts)
+
+
+def literal_map(queried: Queried, labels: GaussianLabels) -> np.ndarray:
+    """Pixel by pixel the words' shares of its light, by one render a word."""
+    projection = queried.field.project(queried.camera)
+    numbers = [NONE, *range(len(labels.names))]
+    shares = []
+    for number in numbers:
+        mask = (labels.ids == number).float()[:, None]
+        shares.append(raster.render_channels(projection, mask)[0][..., 0].numpy())
+    painted = np.sum(shares, 0) >= 0.5
+    return np.where(painted, np.array(numbers)[np.argmax(shares, 0)], NONE)
+
+
+def test_maps_show_the_word_that_paints_most(queried: Queried, labels: GaussianLabels) -> None:
+    found = label_map(queried.field, queried.field.project(queried.camera), labels)
+    assert np.array_equal(found.numpy(), literal_map(queried, labels))
+    assert len(found.unique()) > 3
+
+
+def test_maps_of_more_words_than_are_rendered_together(queried: Queried) -> None:
+    count = 2 * AT_A_TIME + 5
+    ids = torch.arange(len(queried.field)).int() % (count + 1) - 1
+    names = tuple(f"thing {number}" for number in range(count))
+    many = GaussianLabels(ids, names, torch.ones(len(ids)), None, (True,) * count, ("m",) * count)
+    found = label_map(queried.field, queried.field.project(queried.camera), many)
+    assert np.array_equal(found.numpy(), literal_map(queried, many))
+
+
+def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:
+    cameras = {"first": queried.camera}
+    save_labels(queried.field, labels, tmp_path, ALL)
+    assert save_label_views(queried.field, labels, cameras, tmp_path, ALL) == []
+    found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert found == set(label_files(labels.names, ALL, list(cameras)))
+    ids = np.load(tmp_path / "labels.npy", allow_pickle=False)
+    assert ids.dtype == np.int32
+    assert ids.tolist() == labels.ids.tolist()
+    table = read_ply_table(tmp_path / "labels.ply")
+    assert table.rows["label"].tolist() == labels.ids.tolist()
+    assert table.rows["label"].dtype.kind == "i"
+    record = json.loads((tmp_path / "labels.json").read_text())
+    assert record == json.loads(json.dumps(label_record(labels)))
+    for entry in record["classes"]:
+        assert entry["gaussians"] == int((labels.ids == entry["id"]).sum())
+        assert entry["level"] in queried.field.levels
+    for name, file in ((labels.names[0], "word-0"), ("none", "none")):
+        cloud = read_ply_table(tmp_path / "clouds" / f"{file}.ply")
+        means = np.stack([cloud.rows[axis] for axis in "xyz"], 1)
+        assert np.array_equal(means, queried.field.gaussians.means[labels.mask(name)].numpy())
+    with Image.open(tmp_path / "maps" / "first.png") as picture:
+        assert picture.mode == "P"
+        assert np.array_equal(np.asarray(picture).astype(int) - 1, literal_map(queried, labels))
+        assert np.array_equal(np.array(picture.getpalette()).reshape(-1, 3)[1:12], label_colors(11))
+    coco = json.loads((tmp_path / "maps" / "coco.json").read_text())
+    areas = {entry["category_id"] - 1: entry["area"] for entry in coco["annotations"]}
+    counts = np.bincount(literal_map(queried, labels).ravel() + 1, minlength=12)[1:]
+    assert areas == {number: count for number, count in enumerate(counts.tolist()) if count}
+
+
+def test_ids_in_a_glb(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:
+    from scoup.io.splats.gltf import read_gltf, read_gltf_features
+
+    save_labels(queried.field, labels, tmp_path, ("glb",))
+    features = read_gltf_features(tmp_path / "labels.glb")
+    assert features is not None
+    assert features.ids.tolist() == labels.ids.tolist()
+    assert features.names == labels.names
+    assert read_gltf(tmp_path / "labels.glb").means.equal(queried.field.gaussians.means)
+
+
+def test_colours_are_those_of_the_words(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:
+    shown = labelled_colors(queried.field.gaussians, labels)
+    save_labels(queried.field, labels, tmp_path, ("colors",))
+    assert torch.allclose(read_ply(tmp_path / "colored.ply").sh, shown.sh, atol=1e-6)
+    assert shown.means.equal(queried.field.gaussians.means)
+    rgb = shown.sh[:, 0] * SH_C0 + 0.5
+    grey = rgb[labels.ids == NONE]
+    assert (grey.amax(1) - grey.amin(1) < 1e-5).all()
+    for number, color in enumerate(label_colors(len(labels.names)).astype(float)):
+        own = rgb[labels.ids == number]
+        if len(own):
+            # A colour times a lightness keeps its proportions, unless a channel is full.
+            full = own.amax(1) >= 1 - 1e-4
+            shares = (own / own.amax(1, keepdim=True))[~full]
+            assert torch.allclose(
+                shares, torch.from_numpy(color / color.max()).float().expand_as(shares), atol=1e-3
+            )

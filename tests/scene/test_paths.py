@@ -1,0 +1,91 @@
+"""Cameras on the way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from scoup.base.errors import InputError
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.paths import MOST_STOPS, camera_path, turntable, upwards
+
+UP = np.array([0.2, -0.9, 0.4]) / np.linalg.norm([0.2, -0.9, 0.4])
+
+
+def ring(count: int, share: float = 1.0, tilt: float = 0.6) -> Cameras:
+    """Cameras on a part of a circle about a tilted axis, looking down at its middle."""
+    first = np.cross(UP, [1.0, 0.0, 0.0])
+    first /= np.linalg.norm(first)
+    second = np.cross(UP, first)
+    angles = 2 * math.pi * share * np.arange(count) / count
+    places = [math.cos(a) * first + math.sin(a) * second + tilt * UP for a in angles]
+    return Cameras(
+        Camera.look_at(place, np.zeros(3), f"{number:03d}.png", 40, 30, 35.0, UP)
+        for number, place in enumerate(places)
+    )
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_up_is_what_level_cameras_tell(share: float) -> None:
+    found = upwards(ring(12, share))
+    assert found is not None
+    assert float(found @ torch.from_numpy(UP)) > 0.9999
+
+
+def test_up_of_views_from_one_side_is_the_mean_of_theirs() -> None:
+    found = upwards(ring(3, 0.01))
+    mean = -torch.stack([camera.viewmat[1, :3] for camera in ring(3, 0.01)]).mean(0)
+    assert found is not None
+    assert torch.allclose(found, mean / mean.norm())
+    assert upwards(Cameras([])) is None
+
+
+def test_a_path_begins_and_ends_at_the_cameras_and_leads_through_them() -> None:
+    cameras = ring(6, 0.6)
+    path = camera_path(cameras, 101)
+    assert len(path) == 101
+    for end, camera in ((path[0], cameras[0]), (path[100], cameras[5])):
+        assert torch.allclose(end.viewmat, camera.viewmat, atol=1e-9)
+    places = torch.stack([camera.position for camera in path])
+    for camera in cameras:
+        assert float((places - camera.position).norm(dim=1).min()) < 0.02
+    steps = (places[1:] - places[:-1]).norm(dim=1)
+    assert float(steps.max()) < 3 * float(steps.mean())
+    assert len(set(path.names)) == 101
+    assert (path[7].width, path[7].height, path[7].fx) == (40, 30, 35.0)
+
+
+def test_paths_of_many_or_one_camera() -> None:
+    assert len(camera_path(ring(3 * MOST_STOPS), 10)) == 10
+    alone = camera_path(ring(1), 4)
+    assert len(alone) == 4
+    assert all(torch.equal(camera.viewmat, ring(1)[0].viewmat) for camera in alone)
+    same = Cameras(Camera(f"{n}.png", ring(1)[0].viewmat, ring(1)[0].K, 40, 30) for n in range(3))
+    assert torch.isfinite(torch.stack([camera.viewmat for camera in camera_path(same, 9)])).all()
+    for cameras, count in ((Cameras([]), 5), (ring(3), 0)):
+        with pytest.raises(InputError, match="path"):
+            camera_path(cameras, count)
+
+
+def test_a_turntable_keeps_distance_and_height() -> None:
+    camera, centre = ring(5)[2], np.array([0.1, 0.2, -0.1])
+    cameras = turntable(camera, centre, UP, 8)
+    arms = torch.stack([each.position for each in cameras]) - torch.from_numpy(centre)
+    assert torch.allclose(arms[0], camera.position - torch.from_numpy(centre))
+    assert torch.allclose(arms.norm(dim=1), arms[0].norm().expand(8))
+    assert torch.allclose(arms @ torch.from_numpy(UP), (arms[0] @ torch.from_numpy(UP)).expand(8))
+    for each in cameras:
+        seen = each.viewmat[:3, :3] @ torch.from_numpy(centre) + each.viewmat[:3, 3]
+        assert torch.allclose(seen[:2], torch.zeros(2, dtype=torch.float64), atol=1e-9)
+        assert seen[2] > 0
+    assert torch.allclose(arms[4] + arms[0], 2 * (arms[0] @ torch.from_numpy(UP)) * torch.from_numpy(UP))
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (0.0, 0.0, 3.0)])
+def test_what_a_camera_cannot_turn_around_is_refused(centre: tuple[float, float, float]) -> None:
+    camera = Camera.look_at((0, 0, 0), (1, 0, 0), "a.png", 4, 3, 5.0)
+    with pytest.raises(InputError, match="cannot turn around"):
+        turntable(camera, centre, (0, 0, 1), 5)
