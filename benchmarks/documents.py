@@ -21,7 +21,7 @@ from typing import Any
 
 import tyro
 
-from benchmarks import answers, fewer_pixels, selection, threshold, viewer
+from benchmarks import answers, fewer_pixels, labels, selection, threshold, viewer
 from benchmarks.coding_tables import compared_table
 from benchmarks.documents_claims import CLEAN, LAYOUTS, NOISE, claims_table
 from scoup.bench import markdown
@@ -220,6 +220,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "claims": lambda: claims_table(record),
     "thresholds": lambda: threshold.table(record("threshold")["rules"]),
     "selections": lambda: selection.table(record("selection")["scores"]),
+    "labels": lambda: labels.table(record("labels")["scores"]),
     "absence": absence,
     "scannet": lambda: points("eval-scannet", "mIoU"),
     "scenesplat": lambda: points("eval-scenesplat", "f-mIoU"),

@@ -1,11 +1,10 @@
-"""Where things are and which they are, against the truth: ``field.locate`` and ``field.label`` on synthetic scenes.
+"""Where things are, against the truth: ``field.locate`` and boxes in views on synthetic scenes.
 
     python -m benchmarks.locate --scenes table-4 hall-3 --out docs/benchmarks/locate.json
 
 Each scene is built by the default settings and queried for every object and group of a single thing. The position is
 compared with the middle of the thing's true Gaussians, in diagonals of the box around them, with and without strays
-left off; extents by the ratio of the boxes' diagonals, Gaussians by their intersection over union. Labels are compared
-with the true object of each Gaussian that has a code. In the held-out views, boxes around the main parts of the mask,
+left off; extents by the ratio of the boxes' diagonals, Gaussians by their intersection over union. In the held-out views, boxes around the main parts of the mask,
 the connected part that holds the point alone, and the whole mask are compared with the true boxes; "stretched" is the
 share of boxes more than twice as large as the true one.
 """
@@ -76,7 +75,7 @@ def main(
         write_json(out, record, overwrite)
 
 
-COLUMNS = {"median_error": 12, "within_quarter": 14, "extent": 6, "iou": 6, "stretched": 9, "accuracy": 8}
+COLUMNS = {"median_error": 12, "within_quarter": 14, "extent": 6, "iou": 6, "stretched": 9}
 
 
 def without_infinite(row: dict[str, Any]) -> dict[str, Any]:
@@ -116,11 +115,7 @@ def measure(scene_name: str, n_gaussians: int) -> list[dict[str, Any]]:
             "within_quarter": float((errors <= 0.25).float().mean()),
             "extent": float(extents.median()), "iou": float(overlaps.mean()),
         })  # fmt: skip
-    return [
-        *rows,
-        labels_row(scene_name, scene, field, encoder),
-        *box_rows(scene_name, scene, field, encoder),
-    ]
+    return [*rows, *box_rows(scene_name, scene, field, encoder)]
 
 
 def true_things(scene: DemoScene) -> list[Named]:
@@ -176,19 +171,6 @@ def extent(field: scoup.LanguageField, thing: Named, mask: Tensor) -> float:
 def overlap(first: Tensor, second: Tensor) -> float:
     """Intersection over union of two masks."""
     return int((first & second).sum()) / max(1, int((first | second).sum()))
-
-
-def labels_row(name: str, scene: DemoScene, field: scoup.LanguageField, encoder: Encoder) -> dict[str, Any]:
-    """Labels by the names of all objects, over the Gaussians that have a code."""
-    names = scene.parts.names("m")
-    labels = field.label(list(names), encoder=encoder)
-    truth = ids_at(scene, "m")
-    judged = field.coded() & (truth >= 0)
-    overlaps = [overlap(truth[judged] == each, labels.ids[judged] == each) for each in range(len(names))]
-    return {
-        "scene": name, "what": "labels", "things": len(names), "iou": sum(overlaps) / len(overlaps),
-        "accuracy": float((labels.ids[judged] == truth[judged]).float().mean()),
-    }  # fmt: skip
 
 
 def box_rows(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 import scoup
 from cli_support import run, write_scene
@@ -49,3 +52,61 @@ def test_rasterise_once_code_often(scene):
     printed = example("03_rasterise_once_code_often.py", scene)
     assert "32 atoms" in printed
     assert "64 atoms" in printed
+
+
+@pytest.fixture(scope="module")
+def field(scene: Path) -> Path:
+    path = scene.parent / "f.scoup"
+    assert run("build", scene, "--out", path, "--n-atoms", 8, "--effort", "fast")[0] == 0
+    return path
+
+
+def test_own_embeddings(scene, tmp_path):
+    scene = Path(shutil.copytree(scene, tmp_path / "scene"))
+    for number, path in enumerate(sorted((scene / "images").iterdir())):
+        pixels = np.random.default_rng(number).integers(0, 256, np.asarray(Image.open(path)).shape, np.uint8)
+        Image.fromarray(pixels).save(path)
+    printed = example("04_own_embeddings.py", scene, "red")
+    assert printed.startswith("red in view_00.png: pixel (")
+
+
+def test_adding_views(scene):
+    printed = example("05_adding_views.py", scene, scene / "words.npz", "kettle").splitlines()
+    assert [line.split(":")[0] for line in printed] == ["2 views", "3 views", "4 views"]
+    assert all("Location('kettle'" in line for line in printed)
+
+
+def test_robot(scene, field):
+    printed = example("06_robot.py", field, scene / "words.npz", "kettle", 0.5)
+    place = scoup.LanguageField.load(field).locate("kettle", encoder=scene / "words.npz")
+    assert printed.startswith(f"kettle: {place.said(0.5)}")
+    assert "m ahead" in printed
+
+
+def test_label_and_export(scene, field, tmp_path):
+    printed = example("07_label_and_export.py", field, scene / "words.npz", tmp_path / "out", "kettle", "mug")
+    assert "GaussianLabels(150 Gaussians" in printed
+    for name in ("labels.ply", "labels.glb", "clouds/kettle.ply", "maps/coco.json", "maps/view_00.png"):
+        assert name in printed.splitlines()
+        assert (tmp_path / "out" / name).is_file()
+
+
+def test_beside_dense_uplift(scene):
+    printed = example("08_beside_dense_uplift.py", scene, scene / "words.npz", "kettle")
+    assert "bytes a Gaussian: 36 sparse, 192 dense" in printed
+    assert printed.count("correlation of relevancies") == 3
+
+
+def test_many_scenes(scene, field, tmp_path):
+    rest = tmp_path / "rest.scoup"
+    assert (
+        run("select", field, "kettle", "--edit", "remove", "--text", scene / "words.npz", "--out", rest)[0]
+        == 0
+    )
+    printed = example("09_many_scenes.py", scene / "words.npz", "kettle", rest, field)
+    assert {line.split(":")[0] for line in printed.splitlines()} == {str(rest), str(field)}
+
+
+def test_every_example_is_run():
+    tests = Path(__file__).read_text()
+    assert all(path.name in tests for path in EXAMPLES.glob("*.py"))

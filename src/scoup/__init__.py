@@ -22,6 +22,7 @@ _HOMES = {
     "save_gaussians": "scoup.io",
     "load_cameras": "scoup.io",
     "load_regions": "scoup.io",
+    "load_image": "scoup.io",
     "Codebook": "scoup.coding",
     "fit_codes": "scoup.coding",
     "project": "scoup.raster",
@@ -37,6 +38,9 @@ _HOMES = {
     "answer_view": "scoup.query.answering",
     "answer_scene": "scoup.query.answering",
     "Location": "scoup.query.locate",
+    "Finding": "scoup.query.finding",
+    "SceneAnswer": "scoup.query.answer",
+    "Reshaping": "scoup.query.reshape",
     "GaussianLabels": "scoup.query.label",
     "encode_texts": "scoup.query.text_vectors",
     "localize": "scoup.query.localize",
@@ -54,15 +58,19 @@ if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField as LanguageField
     from scoup.io import load_cameras as load_cameras
     from scoup.io import load_gaussians as load_gaussians
+    from scoup.io import load_image as load_image
     from scoup.io import load_regions as load_regions
     from scoup.io import save_gaussians as save_gaussians
     from scoup.models.text import TextEncoder as TextEncoder
     from scoup.query.answer import Answer as Answer
+    from scoup.query.answer import SceneAnswer as SceneAnswer
     from scoup.query.answering import answer_scene as answer_scene
     from scoup.query.answering import answer_view as answer_view
+    from scoup.query.finding import Finding as Finding
     from scoup.query.label import GaussianLabels as GaussianLabels
     from scoup.query.localize import localize as localize
     from scoup.query.locate import Location as Location
+    from scoup.query.reshape import Reshaping as Reshaping
     from scoup.query.segment import segment as segment
     from scoup.query.select import select as select
     from scoup.query.text_vectors import encode_texts as encode_texts

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base.errors import InputError
@@ -68,7 +69,7 @@ SOLVERS: dict[str, Solver] = {"adam": _adam, "exact": _exact}
 
 
 def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of the user
-    embeddings: Tensor,  # [R, D]
+    embeddings: Tensor | ArrayLike,  # [R, D]
     n_atoms: int = 64,
     k: int = 4,
     solver: str = "exact",
@@ -89,7 +90,7 @@ def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of 
     nothing: the values are the atoms, followed by zeros, and a code is one atom (``scoup.coding.distinct``).
 
     Args:
-        embeddings: [R, D] floating point, one row a region.
+        embeddings: [R, D] floating point, one row a region; a tensor or a numpy array.
         n_atoms: L, 1 to 65536.
         k: K, the most atoms a code may use, 1 to 64.
         solver: one of ``SOLVERS``; "exact" (the default) reaches a lower loss than the paper's "adam" in a fraction of

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from scoup.base.brief import brief
 from scoup.base.errors import InputError
 from scoup.coding.encode import encode
 from scoup.coding.kmeans import spherical_kmeans
@@ -49,6 +50,8 @@ class Codebook:
     atoms: Tensor  # [L, D]
     codes: SparseCodes
     report: CodingReport
+
+    __repr__ = brief
 
     def encode(self, rows: Tensor) -> Encoded:
         """Codes of new rows [R, D] with these atoms, and which rows the atoms explain badly.

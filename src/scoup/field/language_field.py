@@ -50,6 +50,8 @@ class LanguageField(FieldQueries):
         geometry_path: the file with the geometry.
         cameras: of the views it was built from, so that it can be queried without its scene folder.
 
+    Codes and codebook may be given as numpy arrays.
+
     Attributes:
         path: the file it was read from or last saved to, if any.
 
@@ -60,15 +62,16 @@ class LanguageField(FieldQueries):
 
     def __init__(
         self,
-        code_indices: Tensor,
-        code_weights: Tensor,
-        codebook: Tensor,
+        code_indices: Tensor | ArrayLike,
+        code_weights: Tensor | ArrayLike,
+        codebook: Tensor | ArrayLike,
         info: FieldInfo,
         gaussians: Gaussians | None = None,
         geometry_path: Path | None = None,
         cameras: Cameras | None = None,
     ) -> None:
-        code_weights = code_weights.to(torch.float16)
+        code_indices, codebook = torch.as_tensor(code_indices), torch.as_tensor(codebook)
+        code_weights = torch.as_tensor(code_weights).to(torch.float16)
         check_codes(code_indices, code_weights, codebook, info)
         self.code_indices = code_indices
         self.code_weights = code_weights

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
+from scoup.base.brief import brief
 from scoup.base.errors import InputError
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.smoothing import box_mean
@@ -27,9 +30,13 @@ class Localization:
     level: int
     score: float
 
+    __repr__ = brief
+
 
 def localize(
-    relevancy: Tensor, preset: QueryPreset = QUERY_PRESETS["default"], averaged: Tensor | None = None
+    relevancy: Tensor | ArrayLike,
+    preset: QueryPreset = QUERY_PRESETS["default"],
+    averaged: Tensor | None = None,
 ) -> Localization:
     """The most relevant place in one view.
 
@@ -44,6 +51,7 @@ def localize(
     Raises:
         InputError: relevancy has another shape, or is empty.
     """
+    relevancy = torch.as_tensor(relevancy)
     averaged = averaged_relevancy(relevancy, preset) if averaged is None else averaged
     peaks = averaged.flatten(1).amax(1)
     level = int(peaks.argmax())

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup.base.brief import brief
 from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.query.answer import SceneAnswer
@@ -36,6 +37,8 @@ class OrientedBox:
     centre: Tensor  # [3]
     axes: Tensor  # [3, 3]
     extent: Tensor  # [3]
+
+    __repr__ = brief
 
     def record(self) -> dict[str, Any]:
         """The box as plain JSON values, rounded."""

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
+from scoup.base.brief import brief
 from scoup.query.localize import Localization, averaged_relevancy, localize
 from scoup.query.presets import QUERY_PRESETS, LevelChoice, QueryPreset
 from scoup.query.smoothing import mask_sums, smoothed_masks
@@ -43,6 +45,8 @@ class Segmentation:
     coverage: float
     threshold: float
 
+    __repr__ = brief
+
     def core(self) -> Tensor:
         """[H, W] boolean: the more relevant half of the mask; of an empty mask, the most relevant pixels.
 
@@ -54,7 +58,9 @@ class Segmentation:
 
 
 def segment(
-    relevancy: Tensor, preset: QueryPreset = QUERY_PRESETS["default"], averaged: Tensor | None = None
+    relevancy: Tensor | ArrayLike,
+    preset: QueryPreset = QUERY_PRESETS["default"],
+    averaged: Tensor | None = None,
 ) -> Segmentation:
     """The pixels of one view that answer a query.
 
@@ -66,7 +72,7 @@ def segment(
     Raises:
         InputError: relevancy has another shape, or is empty.
     """
-    found = level_masks(relevancy, preset, averaged)
+    found = level_masks(torch.as_tensor(relevancy), preset, averaged)
     peaks, areas, sums = mask_sums(found.smoothed, found.masks)
     level = _chosen_level(found, preset.level_choice, peaks, areas, sums)
     mask = found.masks[level]

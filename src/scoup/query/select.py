@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
+from scoup.base.brief import brief
 from scoup.base.errors import InputError
 from scoup.query.neighbours import Neighbourhood
 from scoup.query.queried_field import QueriedField
@@ -39,11 +41,13 @@ class Selection:
     score: float
     threshold: float
 
+    __repr__ = brief
+
 
 def select(
     field: QueriedField,
-    queries: Tensor,  # [D] or [Q, D]
-    canonical: Tensor,  # [P, D]
+    queries: Tensor | ArrayLike,  # [D] or [Q, D]
+    canonical: Tensor | ArrayLike,  # [P, D]
     threshold: float | None = None,
     neighbours: int | None = None,
     rescaled: bool = True,
@@ -72,7 +76,9 @@ def select(
     Raises:
         InputError: shapes do not fit, ``neighbours`` is below 1, or the threshold is not 0 to 1.
     """
+    queries = torch.as_tensor(queries)
     rows = queries if queries.dim() == 2 else queries[None]
+    canonical = torch.as_tensor(canonical)
     masks = [found.mask for found in select_each(field, rows, canonical, threshold, neighbours, rescaled)]
     if queries.dim() == 1:
         return masks[0]

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.arguments import check_arguments
+from scoup.base.brief import brief
 from scoup.base.counts import counted
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder
@@ -46,6 +47,8 @@ class TextVectors:
     canonical: Tensor  # [P, D]
     everyday: Tensor  # [B, D]
     source: str = ""
+
+    __repr__ = brief
 
     def of(self, texts: Sequence[str]) -> Tensor:
         """[len(texts), D] vectors of some of the texts."""

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from scoup.base.brief import brief
 from scoup.base.errors import InputError
 from scoup.base.native import native_core
 
@@ -33,6 +34,7 @@ class SparseCodes:
         indices: [R, K] uint8 (uint16 beyond 256 atoms), the atoms of each row.
         weights: [R, K] float32, not negative, largest first, summing to 1. An empty row has only zeros. Indices with
             weight zero have no meaning.
+            Both may be given as numpy arrays.
         n_atoms: L, the size of the codebook.
 
     Raises:
@@ -43,7 +45,11 @@ class SparseCodes:
     weights: Tensor  # [R, K]
     n_atoms: int
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
+        for name in ("indices", "weights"):
+            object.__setattr__(self, name, torch.as_tensor(getattr(self, name)))
         if self.indices.dim() != 2 or self.indices.shape != self.weights.shape:
             raise InputError(
                 f"indices {list(self.indices.shape)} and weights {list(self.weights.shape)} must both be [R, K]"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from scoup.base.brief import brief
 from scoup.base.counts import counted, listed
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card
@@ -34,6 +35,8 @@ class RegionMap:
 
     labels: Tensor  # [H, W]
     embeddings: Tensor  # [R, D]
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         labels = torch.as_tensor(self.labels)

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from scoup.base.backends import load_backend
@@ -91,7 +91,7 @@ class GaussianCodes:
 def vote(
     sums: RegionSums,
     codes: Sequence[SparseCodes],
-    codebook: Tensor,  # [S, L, D]
+    codebook: Tensor | ArrayLike,  # [S, L, D]
     rounds: int = 1,
     keep: int | None = 4,
     keep_between: int | None = None,
@@ -123,6 +123,7 @@ def vote(
         InputError: a view has no sums or a region no code, numbers make no sense, or the backend cannot be used.
     """
     _check_numbers(rounds, keep)
+    codebook = torch.as_tensor(codebook)
     _check_codes(sums, codes, codebook)
     grams = torch.stack([stable_products(atoms, atoms) for atoms in codebook.float().cpu()])
     views = _views_of(sums)
@@ -152,7 +153,9 @@ def vote(
         indices, weights = one_round(keep_between or keep or codes[0].k, earlier, last=False)
         if earlier is None:
             earlier = EarlierRound(indices, weights, torch.zeros(len(codes)))
-            deviations = processes.gather(prepare(spread(list(views), SAMPLED_VIEWS)).deviations(earlier, share))
+            deviations = processes.gather(
+                prepare(spread(list(views), SAMPLED_VIEWS)).deviations(earlier, share)
+            )
             sharpness = sharpness_from([torch.cat(of_level) for of_level in zip(*deviations, strict=True)])
             earlier = replace(earlier, sharpness=sharpness)
         earlier = replace(earlier, indices=indices, weights=weights)

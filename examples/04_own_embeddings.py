@@ -1,0 +1,51 @@
+"""Masks and embeddings of your own, as numpy arrays: here tiles of the photographs, described by their colours.
+
+    python examples/04_own_embeddings.py demo/scene red
+
+Put your segmenter and your image model in the place of ``tiles`` and ``describe``: any masks, any vectors of one
+length. Texts need vectors of the same kind; here a few colours serve as words.
+"""
+
+import sys
+
+import numpy as np
+
+import scoup
+
+COLORS = {
+    "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1), "white": (1, 1, 1), "black": (0, 0, 0),
+    "object": (0.5, 0.5, 0.5), "things": (0.6, 0.5, 0.4), "stuff": (0.4, 0.5, 0.6), "texture": (0.5, 0.6, 0.5),
+}  # fmt: skip
+LEVELS = {"s": 12, "m": 6, "l": 3}  # tiles along each side, fine to coarse
+
+
+def tiles(height: int, width: int, count: int) -> np.ndarray:
+    """[H, W] the number of each pixel's tile; -1 would be no region."""
+    rows, columns = (np.arange(side) * count // side for side in (height, width))
+    return (rows[:, None] * count + columns).astype(np.int32)
+
+
+def describe(rgb: np.ndarray) -> np.ndarray:
+    """[.., 4] of colours [.., 3] in 0..1: red, green and blue less their mean, and lightness."""
+    mean = rgb.mean(-1, keepdims=True)
+    return np.concatenate([rgb - mean, 0.3 * (mean - 0.5) + 0.01], -1)
+
+
+scene, word = sys.argv[1:3]
+gaussians = scoup.load_gaussians(scene)
+cameras = scoup.load_cameras(scene)
+maps = {}
+for camera in cameras:
+    pixels = scoup.load_image(camera).numpy()
+    maps[camera.name] = {}
+    for level, count in LEVELS.items():
+        labels = tiles(camera.height, camera.width, count)
+        means = np.stack([pixels[labels == number].mean(0) for number in range(count**2)])
+        maps[camera.name][level] = scoup.RegionMap(labels, describe(means))  # pyright: ignore[reportArgumentType]
+
+field = scoup.build(gaussians, cameras, scoup.Regions.from_maps(maps), check_fit=False)
+words = {name: describe(np.array(color, float)) for name, color in COLORS.items()}
+answer = field.query(word, cameras[0], encoder=words)
+print(
+    f"{word} in {answer.view}: pixel {answer.point}, {answer.coverage:.0%} of the view, level {answer.level}"
+)

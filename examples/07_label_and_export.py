@@ -1,0 +1,22 @@
+"""Name every Gaussian by a list of words, and write that for other programs: PLY with ids, GLB, clouds, label maps.
+
+python examples/07_label_and_export.py demo/demo.scoup demo/scene/text.npz labels teapot mug kettle
+"""
+
+import sys
+from pathlib import Path
+
+import scoup
+from scoup.query.label_files import save_label_views, save_labels
+
+path, words, out, *names = sys.argv[1:]
+field = scoup.LanguageField.load(path)
+labels = field.label(names, encoder=words)
+print(labels)
+outputs = ("sidecar", "ids", "glb", "clouds", "maps", "sheet")
+save_labels(field, labels, Path(out), outputs)
+cameras = {camera.stem: camera for camera in field.cameras or ()}
+save_label_views(field, labels, cameras, Path(out), outputs)
+for file in sorted(Path(out).rglob("*")):
+    if file.is_file():
+        print(file.relative_to(out))

@@ -1,0 +1,35 @@
+"""What sparse codes cost and keep, beside dense uplift of whole embeddings, from the same region sums.
+
+    python examples/08_beside_dense_uplift.py demo/scene demo/scene/text.npz teapot
+
+Dense uplift keeps the mean embedding of each Gaussian: D numbers a level. It is the reference for what codes lose.
+"""
+
+import sys
+
+import torch
+
+import scoup
+from scoup.baselines.dense import dense_uplift
+from scoup.baselines.method import MethodSettings
+from scoup.baselines.rasterised_scene import UpliftInputs
+
+scene, words, thing = sys.argv[1:4]
+gaussians = scoup.load_gaussians(scene)
+cameras = scoup.load_cameras(scene)
+regions = scoup.load_regions(scene, cameras)
+sums = scoup.region_sums(gaussians, cameras, regions)
+field = scoup.build(gaussians, cameras, regions, embedding_model=words, sums=sums)
+inputs = UpliftInputs(sums, [regions.embeddings(level)[0] for level in regions.levels])
+dense = dense_uplift(inputs, MethodSettings(seed=0))
+
+texts = field.text_vectors(thing)
+sparse_relevancy = field.gaussian_relevancy(texts.queries, texts.canonical)[:, 0]
+dense_relevancy = dense.gaussian_relevancy(texts.queries, texts.canonical)[:, 0]
+indices, weights = field.code_indices, field.code_weights
+size = (indices.element_size() + weights.element_size()) * indices.shape[1] * indices.shape[2]
+print(f"bytes a Gaussian: {size} sparse, {dense.bytes_per_gaussian:.0f} dense")
+for level, name in enumerate(field.levels):
+    both = field.coded() & dense.coded()[level]
+    pair = torch.stack([sparse_relevancy[level, both], dense_relevancy[level, both]])
+    print(f"level {name}: correlation of relevancies {float(torch.corrcoef(pair)[0, 1]):.3f}")

@@ -1,0 +1,18 @@
+"""Ask several fields the same: which of the rooms has it, and where.
+
+python examples/09_many_scenes.py demo/scene/text.npz teapot demo/demo.scoup other.scoup
+"""
+
+import sys
+
+import scoup
+
+words, thing, *paths = sys.argv[1:]
+encoder = scoup.TextEncoder.open(words)  # once for all
+found = []
+for path in paths:
+    field = scoup.LanguageField.load(path)
+    found.append((field.locate(thing, encoder=encoder), path))
+found.sort(key=lambda pair: (pair[0].presence, pair[0].answer.z_score or pair[0].answer.score), reverse=True)
+for place, path in found:
+    print(f"{path}: {place}")

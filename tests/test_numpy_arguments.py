@@ -1,0 +1,72 @@
+"""Numpy arrays in the place of tensors: the same results from every public function that takes tensors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import scoup
+from support import small_scene, unit
+
+
+@pytest.fixture(scope="module")
+def made():
+    gaussians, cameras, regions = small_scene(count=60, views=2)
+    return gaussians, cameras, regions, scoup.region_sums(gaussians, cameras, regions)
+
+
+def test_a_field_from_arrays_is_the_same_field(made):
+    gaussians, cameras, regions, _ = made
+    field = scoup.build(gaussians, cameras, regions, scoup.BuildSettings(n_atoms=8))
+    names = ("means", "quats", "scales", "opacities", "sh")
+    arrays = scoup.Gaussians(*(getattr(gaussians, name).double().numpy() for name in names))
+    assert arrays.fingerprint() == gaussians.fingerprint()
+    maps = {
+        name: {
+            level: scoup.RegionMap(found.labels.numpy().astype(np.int64), found.embeddings.numpy())
+            for level in regions.levels
+            for found in [regions.load(name, level)]
+        }
+        for name in regions.view_names
+    }
+    again = scoup.build(arrays, cameras, scoup.Regions.from_maps(maps), scoup.BuildSettings(n_atoms=8))
+    assert again.code_indices.equal(field.code_indices)
+    assert again.code_weights.equal(field.code_weights)
+    codes = field.code_indices.numpy(), field.code_weights.numpy(), field.codebook.numpy()
+    copy = scoup.LanguageField(*codes, field.info, gaussians)
+    queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(4, 16))
+    expected = field.gaussian_relevancy(queries, canonical)
+    assert copy.gaussian_relevancy(queries.numpy(), canonical.numpy()).equal(expected)
+    found = copy.relevancy(cameras[0], queries.numpy(), canonical.numpy())
+    assert found.equal(field.relevancy(cameras[0], queries, canonical))
+    mask = scoup.select(field, queries.numpy(), canonical.numpy())
+    assert mask.equal(scoup.select(field, queries, canonical))
+    assert len(field[mask[0].numpy()]) == int(mask[0].sum())
+    maps = field.relevancy(cameras[0], queries[:1], canonical)[:, 0]
+    assert scoup.localize(maps.numpy()).pixel == scoup.localize(maps).pixel
+    assert scoup.segment(maps.numpy()).mask.equal(scoup.segment(maps).mask)
+
+
+def test_codes_from_arrays_are_the_same_codes(made):
+    _, _, regions, sums = made
+    books = [scoup.fit_codes(regions.embeddings(level)[0], 8) for level in regions.levels]
+    arrays = [scoup.fit_codes(regions.embeddings(level)[0].numpy(), 8) for level in regions.levels]
+    codebook = torch.stack([book.atoms for book in books])
+    assert all(one.atoms.equal(other.atoms) for one, other in zip(books, arrays, strict=True))
+    pairs = [(book.codes.indices.numpy(), book.codes.weights.numpy()) for book in books]
+    codes = [scoup.SparseCodes(*pair, 8) for pair in pairs]  # pyright: ignore[reportArgumentType]
+    found = scoup.vote(sums, codes, codebook.numpy(), rounds=2)
+    expected = scoup.vote(sums, [book.codes for book in books], codebook, rounds=2)
+    assert found.indices.equal(expected.indices)
+    assert found.weights.equal(expected.weights)
+
+
+def test_a_camera_from_arrays_is_the_same_camera(made):
+    camera = made[1][0]
+    again = scoup.Camera("a.png", camera.viewmat.numpy(), camera.K.numpy(), camera.width, camera.height)
+    assert again.viewmat.equal(camera.viewmat)
+    place = np.linalg.inv(camera.viewmat.numpy())
+    assert torch.allclose(
+        scoup.Camera.from_c2w("a.png", place, camera.K.numpy(), 40, 30).viewmat, camera.viewmat
+    )
