@@ -4,9 +4,9 @@
 
 Each scene is built by the default settings and queried for every object and group of a single thing. The position is
 compared with the middle of the thing's true Gaussians, in diagonals of the box around them, with and without strays
-left off; extents by the ratio of the boxes' diagonals, Gaussians by their intersection over union. In the held-out views, boxes around the main parts of the mask,
-the connected part that holds the point alone, and the whole mask are compared with the true boxes; "stretched" is the
-share of boxes more than twice as large as the true one.
+left off; extents by the ratio of the boxes' diagonals, Gaussians by their intersection over union. In the held-out
+views, boxes around the main parts of the mask, the connected part that holds the point alone, and the whole mask are
+compared with the true boxes; "stretched" is the share of boxes more than twice as large as the true one.
 """
 
 from __future__ import annotations
