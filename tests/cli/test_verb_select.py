@@ -271,6 +271,8 @@ def test_a_picture_shows_before_and_after():
         (["--out", "a.ply", "--picture", "a.jpg"], "ends in .png"),
         (["--out", "a.ply", "--metres-per-unit", "0"], "--metres-per-unit must be above 0"),
         (["--out", "a.splat", "--edit", "ids"], "no column of ids"),
+        (["--out", "a.ply", "--edit", "ids", "--grow", "1"], "numbers texts"),
+        (["-", "mug", "--out", "a.ply", "--edit", "ids"], "numbers texts"),
         (["--out", "a.ply", "--edit", "remove", "--within", "1000"], "try a higher --threshold"),
     ],
 )

@@ -17,6 +17,7 @@ from scoup.cli.query_options import CameraOptions, TextOptions, absence_message,
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.query.answer import SceneAnswer
+    from scoup.query.expression import Expression
     from scoup.query.locate import Location
     from scoup.scene.gaussians import Gaussians
 
@@ -86,19 +87,33 @@ class Select(TextOptions, CameraOptions):
 
     def run(self, console: Console) -> None:
         """Choose, change and write."""
-        from scoup.query.answering import answer_scene
+        from scoup.base.errors import InputError
         from scoup.query.edits import combined_answer
         from scoup.query.expression import parse_expression
         from scoup.query.locate import location
-        from scoup.query.presence import presence_threshold
         from scoup.query.reshape import Reshaping
 
         check_texts(self.texts)
         expression = parse_expression(self.texts)
         shape = Reshaping(self.largest, self.shrink, self.grow, self.within)
         self._check_options()
+        if self.edit == "ids" and (shape.changes or not expression.is_plain):
+            raise InputError("--edit ids numbers texts: give them without and, or, not, and without a shape")
         field = self.open_field()
         self._check_out(field)
+        answers, absent = self._answers(field, expression)
+        for message in absent:
+            console.say(message)
+        whole = combined_answer(field, expression, answers, shape)
+        self._check_found(whole, absent)
+        written = self._write(field, whole, answers)
+        self._report(console, answers, whole, written, location(field, whole))
+
+    def _answers(self, field: LanguageField, expression: Expression) -> tuple[list[SceneAnswer], list[str]]:
+        """The answer to each text, and what is said of those that are not there."""
+        from scoup.query.answering import answer_scene
+        from scoup.query.presence import presence_threshold
+
         texts = self.encode(field, expression.texts)
         present_from = None if self.always else presence_threshold(texts, self.presence)
         answers = answer_scene(
@@ -115,12 +130,7 @@ class Select(TextOptions, CameraOptions):
             for answer in answers
             if not answer.presence
         ]
-        for message in absent:
-            console.say(message)
-        whole = combined_answer(field, expression, answers, shape)
-        self._check_found(whole, absent)
-        written = self._write(field, whole, answers)
-        self._report(console, answers, whole, written, location(field, whole))
+        return answers, absent
 
     def _check_options(self) -> None:
         from scoup.base.errors import InputError
