@@ -483,15 +483,13 @@ def test_a_file_where_a_model_belongs():
     ("name", "said"),
     [
         (
-            "a.spz",
-            "splats in .spz files are not read; convert it with splat-transform (splat-transform a.spz a.ply), or open "
+            "a.lcc",
+            "splats in .lcc files are not read; convert it with splat-transform (splat-transform a.lcc a.ply), or open "
             "it in the SuperSplat editor",
         ),
-        ("a.sog", "splats in .sog files are not read; convert it with splat-transform"),
-        ("a.ksplat", "splats in .ksplat files are not read; convert it with splat-transform"),
         (
-            "a.glb",
-            ".glb files are not read, whether they hold a splat or a mesh; export the trained splat as PLY",
+            "a.usdz",
+            ".usdz files are not read, whether they hold a splat or a mesh; export the trained splat as PLY",
         ),
         (
             "a.las",

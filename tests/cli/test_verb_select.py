@@ -142,7 +142,7 @@ def test_the_splat_itself_is_never_replaced():
 
 def test_bad_options():
     ask = ("select", "f.scoup", "kettle", "--out")
-    assert "use .ply" in refused(*ask, "a.obj")
+    assert "use one of .ply" in refused(*ask, "a.obj")
     assert "--threshold must be 0 to 1" in refused(*ask, "a.ply", "--threshold", "nan")
     assert "--neighbours must be 0 or more" in refused(*ask, "a.ply", "--neighbours", "-1")
     assert "name at least one text" in refused("select", "f.scoup", "--out", "a.ply")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
 import os
 import struct
 import sys
@@ -25,7 +26,7 @@ from io_samples import (
     some_gaussians,
     some_regions,
 )
-from scoup.base.errors import ScoupError, ScoupWarning
+from scoup.base.errors import MissingFileError, ScoupError, ScoupWarning
 from scoup.io import (
     load_cameras,
     load_gaussians,
@@ -37,6 +38,7 @@ from scoup.io import (
     save_regions,
     write_colmap,
     write_inria_cameras,
+    write_spz,
     write_transforms,
 )
 from scoup.io.splats.gltf import read_gltf, read_gltf_features, write_gltf
@@ -82,6 +84,15 @@ def read_all_gltf(path: Path) -> None:
     read_gltf_features(path)
 
 
+def read_unpacked_spz(path: Path) -> None:
+    """Damage within the compressed stream, which its checksum would hide."""
+    packed = path.with_suffix(".packed.spz")
+    if not path.is_file():
+        raise MissingFileError(path, "is not there")
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    load_gaussians(packed)
+
+
 def read_image(folder: Path) -> None:
     for camera in load_cameras(folder / "scene", missing_images="keep"):
         load_image(replace(camera, image_path=folder / "scene" / "images" / camera.name))
@@ -91,6 +102,9 @@ TARGETS = {
     "ply": Target("a.ply", lambda folder: load_gaussians(folder / "a.ply")),
     "ascii ply": Target("ascii.ply", lambda folder: load_gaussians(folder / "ascii.ply")),
     "compressed ply": Target("packed.ply", lambda folder: load_gaussians(folder / "packed.ply")),
+    "spz": Target("a.spz", lambda folder: load_gaussians(folder / "a.spz")),
+    "spz of streams": Target("streams.spz", lambda folder: load_gaussians(folder / "streams.spz")),
+    "spz, unpacked": Target("a.unpacked", lambda folder: read_unpacked_spz(folder / "a.unpacked")),
     "splat": Target("a.splat", lambda folder: load_gaussians(folder / "a.splat")),
     "glb": Target("a.glb", lambda folder: read_all_gltf(folder / "a.glb")),
     "gltf": Target("a.gltf", lambda folder: read_all_gltf(folder / "a.gltf")),
@@ -122,6 +136,9 @@ def sample() -> Iterator[Path]:
         features = GaussianFeatures(torch.tensor([0, 1, -1, 1]), ("chair", "table"))
         write_gltf(some_gaussians(4), folder / "a.glb", features=features)
         write_gltf(some_gaussians(4), folder / "a.gltf", features=features)
+        save_gaussians(some_gaussians(4), folder / "a.spz")
+        write_spz(some_gaussians(4), folder / "streams.spz", version=4)
+        (folder / "a.unpacked").write_bytes(gzip.decompress((folder / "a.spz").read_bytes()))
         save_compressed_ply(folder / "packed.ply", count=4)
         save_checkpoint(some_gaussians(4), folder / "ckpts" / "ckpt_1_rank0.pt")
         names = table_from_gaussians(some_gaussians(1, degree=0)).names

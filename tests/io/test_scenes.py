@@ -211,15 +211,15 @@ def test_no_gaussians(tmp_path):
         load_gaussians(tmp_path / "none.ply")
     with pytest.raises(MissingFileError, match="holds no trained splat"):
         load_gaussians(tmp_path)
-    (tmp_path / "a.spz").write_bytes(b"x")
+    (tmp_path / "a.lcc").write_bytes(b"x")
     with pytest.raises(
-        FileFormatError, match=r"spz files are not read; convert it with splat-transform .* a.spz a.ply"
+        FileFormatError, match=r"lcc files are not read; convert it with splat-transform .* a.lcc a.ply"
     ):
-        load_gaussians(tmp_path / "a.spz")
+        load_gaussians(tmp_path / "a.lcc")
     (tmp_path / "a.txt").write_bytes(b"x")
     with pytest.raises(FileFormatError, match="not a kind of splat"):
         load_gaussians(tmp_path / "a.txt")
-    with pytest.raises(InputError, match=r"use \.ply or \.splat"):
+    with pytest.raises(InputError, match=r"use one of \.ply, "):
         save_gaussians(some_gaussians(), tmp_path / "a.obj")
     save_gaussians(some_gaussians(0), tmp_path / "empty.ply")
     with pytest.raises(FileFormatError, match="holds no Gaussians"):

@@ -46,7 +46,7 @@ class Build(ViewOptions):
     scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
     """Folder with cameras (and usually the photographs), or a cameras file."""
     gaussians: OptionalPath = None
-    """The trained splat: .ply, .splat, or a gsplat checkpoint. Default: the one in SCENE."""
+    """The trained splat: .ply, .splat, .spz, .glb and more, or a gsplat checkpoint. Default: the one in SCENE."""
     out: OptionalPath = None
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
     model: OptionalText = None

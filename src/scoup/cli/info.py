@@ -21,7 +21,7 @@ class Info(Common):
     """Say what is in a file or folder: a field, a splat, cameras, a scene, region features, a table of words."""
 
     path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
-    """A .scoup, .ply, .splat, .pt, .npz, .json or .safetensors file, or a folder."""
+    """A .scoup, .npz, .json or .safetensors file, a splat (.ply, .splat, .spz, .glb, .pt and more), or a folder."""
 
     def run(self, console: Console) -> None:
         """Find out the kind, check the contents, and print what they are."""
@@ -41,7 +41,8 @@ class Info(Common):
 
 
 _READ = (
-    "read are fields (.scoup), splats (.ply, .splat, .pt), cameras (transforms.json, cameras.json, COLMAP's .bin and "
+    "read are fields (.scoup), splats (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .pt), cameras (transforms.json, "
+    "cameras.json, COLMAP's .bin and "
     ".txt), tables of words (.npz, .json, .safetensors), and folders of scenes and region features"
 )
 
@@ -129,9 +130,10 @@ def _geometry(field: LanguageField) -> str | None:
     return str(field.geometry_path) + ("" if field.geometry_path.exists() else " (not there)")
 
 
+SPLATS = (".ply", ".splat", ".spz", ".glb", ".gltf", ".ksplat", ".sog", ".pt", ".pth", ".ckpt")
 _KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
     ".scoup": _field,
-    **dict.fromkeys((".ply", ".splat", ".pt", ".pth", ".ckpt"), _splat),
+    **dict.fromkeys(SPLATS, _splat),
     **dict.fromkeys((".npz", ".safetensors"), _word_table),
     **dict.fromkeys((".bin", ".txt"), _cameras),
     ".json": _json,

@@ -9,7 +9,6 @@ from scoup.io.regions.convert import ConvertReport, convert_regions
 from scoup.io.regions.load import load_regions, save_regions
 from scoup.io.scenes import (
     camera_photographs,
-    check_splat_name,
     default_preset,
     find_cameras,
     find_gaussians,
@@ -17,6 +16,8 @@ from scoup.io.scenes import (
     load_gaussians,
     save_gaussians,
 )
+from scoup.io.splats.formats import check_splat_name
+from scoup.io.splats.gltf import GaussianFeatures, read_gltf, read_gltf_features, write_gltf
 from scoup.io.splats.gsplat_checkpoint import read_gsplat_checkpoint
 from scoup.io.splats.ply import (
     PlyTable,
@@ -27,10 +28,13 @@ from scoup.io.splats.ply import (
     write_ply,
     write_ply_table,
 )
+from scoup.io.splats.ply_compressed_write import write_compressed_ply
 from scoup.io.splats.splat import read_splat, write_splat
+from scoup.io.splats.spz import read_spz, write_spz
 
 __all__ = [
     "ConvertReport",
+    "GaussianFeatures",
     "PlyTable",
     "as_stored",
     "atomic_file",
@@ -49,12 +53,15 @@ __all__ = [
     "load_regions",
     "read_cfg_args",
     "read_colmap",
+    "read_gltf",
+    "read_gltf_features",
     "read_gsplat_checkpoint",
     "read_inria_cameras",
     "read_ply",
     "read_ply_table",
     "read_points",
     "read_splat",
+    "read_spz",
     "read_tracks",
     "read_transforms",
     "save_gaussians",
@@ -62,10 +69,13 @@ __all__ = [
     "save_png",
     "save_regions",
     "write_colmap",
+    "write_compressed_ply",
+    "write_gltf",
     "write_inria_cameras",
     "write_ply",
     "write_ply_table",
     "write_splat",
+    "write_spz",
     "write_text",
     "write_transforms",
 ]

@@ -17,11 +17,10 @@ from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.reading import Distorted
+from scoup.io.splats.formats import READERS, WRITERS, check_splat_name, written_suffix
 from scoup.io.splats.gsplat_checkpoint import read_gsplat_checkpoint
 from scoup.io.splats.other_formats import READ, other_format
-from scoup.io.splats.ply import read_ply, write_ply
 from scoup.io.splats.scenesplat import is_scenesplat, read_scenesplat
-from scoup.io.splats.splat import read_splat, write_splat
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 
@@ -29,6 +28,9 @@ CameraFormat = Literal["colmap", "nerfstudio", "inria"]
 
 _SPARSE = ("sparse", "sparse_pc")  # COLMAP's folder of models, and what nerfstudio makes of it
 _CHECKPOINTS = (".pt", ".pth", ".ckpt")
+_IN_FOLDERS = tuple(
+    suffix for suffix in READERS if suffix not in (".glb", ".gltf")
+)  # which may hold meshes as well
 _MOST_FOLDERS = 100  # looked into for scenes
 
 
@@ -48,7 +50,8 @@ def load_gaussians(path: str | Path) -> Gaussians:
     """Load a trained splat, on the CPU.
 
     Args:
-        path: a PLY of 3D Gaussian Splatting, a .splat file, a gsplat checkpoint (.pt) or its ``ckpts``
+        path: a PLY of 3D Gaussian Splatting (also PlayCanvas's compressed one), a .splat, .spz, .glb, .gltf, .ksplat
+            or .sog file, a gsplat checkpoint (.pt) or its ``ckpts``
             folder, the output folder of Inria's code (its last iteration is taken), a folder with SceneSplat's
             arrays (coord.npy and so on), or a folder with one such file.
 
@@ -65,50 +68,25 @@ def load_gaussians(path: str | Path) -> Gaussians:
         gaussians = read_scenesplat(path)
     elif path.is_dir() or path.suffix.lower() in _CHECKPOINTS:
         gaussians = read_gsplat_checkpoint(path)
-    elif path.suffix.lower() == ".splat":
-        gaussians = read_splat(path)
     else:
-        gaussians = read_ply(path)
+        gaussians = READERS[path.suffix.lower()](path)
     if not len(gaussians):
         raise FileFormatError(path, "holds no Gaussians with finite values", "export the splat again")
     return gaussians
 
 
 def save_gaussians(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
-    """Write a splat as .ply (Inria's layout) or .splat, by the extension of ``path``.
+    """Write a splat in the format of the suffix: .ply (Inria's layout), .compressed.ply (PlayCanvas), .splat, .spz,
+    .glb, .gltf, .ksplat or .sog. All but .ply round values (docs/formats.md).
 
     Raises:
-        InputError: another extension.
+        InputError: another suffix, or values that the format has no place for.
         OutputExistsError: the file exists and ``overwrite`` is false.
+        ScoupError: the format needs a package that is not there.
     """
     check_arguments("save_gaussians", gaussians=(gaussians, Gaussians), path=(path, PATH))
-    suffix = Path(path).suffix.lower()
-    if suffix == ".ply":
-        write_ply(gaussians, path, overwrite)
-    elif suffix == ".splat":
-        write_splat(gaussians, path, overwrite)
-    else:
-        raise InputError(
-            f"{path}: cannot write Gaussians as {suffix or 'a file without extension'}; use .ply or .splat"
-        )
-
-
-def check_splat_name(path: str | Path, also: str = "") -> None:
-    """Refuse a name that ``save_gaussians`` would not write to, before any work.
-
-    Args:
-        path: the output.
-        also: what else the caller writes, for the message.
-
-    Raises:
-        InputError: its extension is that of no splat that is written.
-    """
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".ply", ".splat"):
-        or_else = f", or {also}" if also else ""
-        raise InputError(
-            f"{path}: cannot write Gaussians as {suffix or 'a file without extension'}; use .ply or .splat{or_else}"
-        )
+    check_splat_name(path)
+    WRITERS[written_suffix(path)](gaussians, path, overwrite)
 
 
 def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:
@@ -127,7 +105,7 @@ def find_gaussians(path: str | Path) -> Path:
     """
     path = Path(path)
     if os.path.isfile(path):
-        if path.suffix.lower() not in (".ply", ".splat", *_CHECKPOINTS):
+        if path.suffix.lower() not in (*READERS, *_CHECKPOINTS):
             raise FileFormatError(
                 path, *(other_format(path) or ("is not a kind of splat known here", f"give {READ}"))
             )
@@ -146,12 +124,12 @@ def find_gaussians(path: str | Path) -> Path:
     found = [
         item
         for item in sorted(path.iterdir())
-        if item.suffix.lower() in (".ply", ".splat") and item.is_file() and item.name != "input.ply"
+        if item.suffix.lower() in _IN_FOLDERS and item.is_file() and item.name != "input.ply"
     ]
     if len(found) != 1:
         names = listed([item.name for item in found], 5)
         problem = f"holds {len(found)} splats ({names})" if found else "holds no trained splat"
-        raise MissingFileError(path, problem, "name the .ply, .splat or .pt file itself")
+        raise MissingFileError(path, problem, "name the file of the splat itself")
     return found[0]
 
 

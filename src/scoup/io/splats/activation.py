@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import torch
 
 from scoup.base.counts import counted
-from scoup.base.errors import ScoupWarning
+from scoup.base.errors import InputError, ScoupWarning
 from scoup.scene.gaussians import Gaussians
 
 UNIT_TOLERANCE = 1e-6  # of the squared norm: what float32 rounding of a unit quaternion stays well within
@@ -83,6 +84,21 @@ def keep_finite(
         arrays = [array[kept] for array in arrays]
     tensors = [torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)) for array in arrays]
     return Gaussians(*tensors), kept
+
+
+def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarray]:
+    """means, quats, scales, opacities (0 to 1) and sh as float64, for a writer that has no place for other values.
+
+    Raises:
+        InputError: some Gaussians have values that are not finite; an infinite opacity is 1.
+    """
+    if not bool((gaussians.finite() & torch.isfinite(gaussians.sh).flatten(1).all(1)).all()):
+        raise InputError(f"{path}: some Gaussians have values that are not finite; leave these out first")
+    arrays = {
+        name: getattr(gaussians, name).detach().cpu().numpy().astype(np.float64)
+        for name in ("means", "quats", "scales", "opacities", "sh")
+    }
+    return {**arrays, "opacities": arrays["opacities"].clip(0, 1)}
 
 
 def _settled(raw: np.ndarray, wanted: np.ndarray, forward: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-READ = ".ply, .splat, or a gsplat checkpoint (.pt)"
+from scoup.io.splats.formats import READERS
+
+READ = f"{', '.join(READERS)}, or a gsplat checkpoint (.pt)"
 """Splats that are read, for messages."""
 
-_SPLATS = (".spz", ".sog", ".ksplat", ".lcc")  # those that splat-transform reads
-_OTHER_SPLATS = (".usdz", ".glb", ".gltf")
+_SPLATS = (".lcc",)  # those that splat-transform reads
+_OTHER_SPLATS = (".usdz",)
 _NOT_SPLATS = (".obj", ".fbx", ".stl", ".off", ".las", ".laz", ".e57", ".pcd", ".pts")
 _ARCHIVES = (".gz", ".zip", ".7z", ".tar", ".tgz", ".rar", ".zst", ".xz", ".bz2")
 

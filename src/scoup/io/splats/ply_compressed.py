@@ -12,9 +12,9 @@ from scoup.io.splats.ply_header import read_header
 from scoup.io.splats.ply_rows import read_rows
 from scoup.scene.gaussians import MAX_SH_DEGREE, SH_C0, Gaussians
 
-_BLOCK = 256
+BLOCK = 256  # Gaussians
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-_SH_RANGE = 8.0  # bytes of higher SH cover -4 to 4
+SH_RANGE = 8.0  # bytes of higher SH cover -4 to 4
 
 
 def is_compressed(names: tuple[str, ...]) -> bool:
@@ -40,9 +40,9 @@ def read_compressed(path: Path, vertices: np.ndarray) -> Gaussians:
         raise _damaged(path, "has packed properties that are not uint")
     header = read_header(path, "chunk")
     blocks = read_rows(header)
-    if len(blocks) * _BLOCK < len(vertices):
+    if len(blocks) * BLOCK < len(vertices):
         raise _damaged(path, f"has {len(blocks)} chunks for {len(vertices)} vertices")
-    block = np.arange(len(vertices)) // _BLOCK
+    block = np.arange(len(vertices)) // BLOCK
     with np.errstate(all="ignore"):  # ranges may hold anything; rows that are not finite are dropped
         centers = _within(path, blocks, block, "", "xyz", _three(packed["packed_position"]))
         log_scales = _within(path, blocks, block, "scale_", "xyz", _three(packed["packed_scale"]))
@@ -112,8 +112,10 @@ def _higher_sh(path: Path, elements: tuple[str, ...], count: int) -> np.ndarray:
         raise _damaged(path, f"has {len(rows)} SH rows of {len(names)} for {count} vertices")
     if not ordered:
         return np.zeros((count, 0, 3))
-    values = np.stack([rows[name] for name in ordered], axis=1) * (_SH_RANGE / 255.0) - _SH_RANGE / 2
-    return values.reshape(count, 3, -1).transpose(0, 2, 1)
+    stored = np.stack([rows[name] for name in ordered], axis=1)
+    # A byte stands for the middle of its 256th; the first and the last for the ends.
+    shares = np.where(stored == 0, 0.0, np.where(stored == 255, 1.0, (stored + 0.5) / 256.0))
+    return ((shares - 0.5) * SH_RANGE).reshape(count, 3, len(ordered) // 3).transpose(0, 2, 1)
 
 
 def _damaged(path: Path, problem: str) -> FileFormatError:

@@ -1,0 +1,107 @@
+""".ksplat and .sog, read and written through the package gaussforge (extra ``scoup[splats]``).
+
+Its compiled code ends the whole process on some damaged files, so it works in a process of its own, with limits of
+memory and time. What it does to the values of Gaussians is said in docs/formats.md.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from scoup.base.atomic import atomic_file
+from scoup.base.errors import FileFormatError, ScoupError
+from scoup.io.reading import existing_file
+from scoup.io.splats.ply import gaussians_from_table, read_ply_table, write_ply
+from scoup.scene.gaussians import Gaussians
+
+HOW_TO_GET_IT = "needs the package gaussforge: pip install 'scoup[splats]', and run again"
+_LEAST_SECONDS = 120
+_SECONDS_A_MEGABYTE = 2.0
+_LEAST_MEMORY, _MEMORY_A_BYTE = 4 << 30, 200
+_WHAT_IT_IS = "it is damaged or not of this kind; copy it again, or convert it to PLY with splat-transform"
+_PROGRAM = """
+import sys
+source, kind, target, wanted, memory = sys.argv[1:]
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_AS, (int(memory), int(memory)))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+except ImportError:
+    pass
+import gaussforge
+with open(source, "rb") as stream:
+    content = stream.read()
+converted = gaussforge.GaussForge().convert(content, kind, wanted)
+if "error" in converted or not len(converted["data"]):
+    sys.exit(3)
+with open(target, "wb") as stream:
+    stream.write(converted["data"])
+"""
+
+
+def read_through_gaussforge(path: str | Path) -> Gaussians:
+    """Read a .ksplat or .sog file.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is damaged.
+        ScoupError: gaussforge is not installed.
+
+    Warns:
+        ScoupWarning: rows with values that are not finite were dropped.
+    """
+    path = existing_file(path, "a splat")
+    with tempfile.TemporaryDirectory(prefix="scoup-") as folder:
+        made = Path(folder) / "splat.ply"
+        if not _convert(path, path.suffix.lower()[1:], made, "ply"):
+            raise FileFormatError(path, "cannot be read by gaussforge", _WHAT_IT_IS)
+        try:
+            table = read_ply_table(made)
+            return gaussians_from_table(table)[0]
+        except FileFormatError as error:
+            raise FileFormatError(path, f"is damaged (converted, it {error.problem})", _WHAT_IT_IS) from error
+
+
+def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
+    """Write a .ksplat or .sog file.
+
+    Raises:
+        OutputExistsError, InputError: as ``atomic.check_output``.
+        ScoupError: gaussforge is not installed, or fails.
+    """
+    path = Path(path)
+    with tempfile.TemporaryDirectory(prefix="scoup-") as folder:
+        plain, made = Path(folder) / "splat.ply", Path(folder) / "converted"
+        write_ply(gaussians, plain)
+        if not _convert(plain, "ply", made, path.suffix.lower()[1:]):
+            raise ScoupError(f"{path}: gaussforge cannot write these Gaussians; give another format")
+        with atomic_file(path, overwrite) as stream:
+            stream.write(made.read_bytes())
+
+
+def _convert(source: Path, kind: str, target: Path, wanted: str) -> bool:
+    """Whether gaussforge has converted a file, in a process of its own."""
+    if not _is_installed():
+        raise ScoupError(f".{wanted if kind == 'ply' else kind} {HOW_TO_GET_IT}")
+    size = source.stat().st_size
+    memory = _LEAST_MEMORY + _MEMORY_A_BYTE * size
+    seconds = _LEAST_SECONDS + _SECONDS_A_MEGABYTE * size / 1e6
+    command = [sys.executable, "-I", "-c", _PROGRAM, str(source), kind, str(target), wanted, str(memory)]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=seconds)
+    except subprocess.TimeoutExpired:
+        raise FileFormatError(
+            source, f"takes gaussforge more than {seconds:.0f} seconds", _WHAT_IT_IS
+        ) from None
+    return done.returncode == 0 and target.is_file()
+
+
+def _is_installed() -> bool:
+    try:
+        return importlib.util.find_spec("gaussforge") is not None
+    except ValueError:  # it was tried before, in vain
+        return False

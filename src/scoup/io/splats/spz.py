@@ -1,0 +1,179 @@
+"""Niantic's .spz: about 20 bytes a Gaussian, compressed; versions 1 to 4 (github.com/nianticlabs/spz).
+
+Axes in the file are those of OpenGL (right, up, back), axes of 3D Gaussian Splatting are right, down, forward: y and z
+change their signs on the way, as in the format's own tools.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from scoup.base.atomic import atomic_file
+from scoup.base.errors import InputError, ScoupWarning
+from scoup.io.reading import existing_file, read_bytes
+from scoup.io.splats.activation import finite_arrays, keep_finite, scales_from_logs, unit_quats
+from scoup.io.splats.spz_container import SpzHeader, read_container, write_container
+from scoup.scene.gaussians import Gaussians
+
+VERSIONS = (1, 2, 3, 4)
+MOST_BITS = 16  # after the binary point of a coordinate
+_COLOR = 0.15  # of a base colour's coefficient in a byte
+_STEPS = (8, 16)  # of a byte, for coefficients of degree 1 and of higher degrees
+_ROOT = math.sqrt(0.5)  # the largest value of a component that is not the largest
+_SIGNS = np.array([1.0, -1.0, -1.0])  # of positions, and of the vector of a quaternion
+# A real spherical harmonic changes its sign as the product of axes does that it is odd in, here y and z. The last is
+# even in both; the format's own tools turn it all the same, and files are read as they were meant.
+_SH_SIGNS = np.array([1 if sign == "+" else -1 for sign in "--+-++-+-+--+-+-+-++-+--"], float)
+
+
+def read_spz(path: str | Path) -> Gaussians:
+    """Read a .spz file of version 1 to 4.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is damaged, cut short, or of a newer version.
+        ScoupError: version 4 needs the package zstandard.
+
+    Warns:
+        ScoupWarning: rows with values that are not finite were dropped.
+    """
+    path = existing_file(path, "a .spz file")
+    header, parts = read_container(path, read_bytes(path))
+    count = header.count
+    byte = {name: np.frombuffer(part, np.uint8).reshape(count, -1) for name, part in parts.items() if count}
+    if not count:
+        byte = {name: np.zeros((0, size), np.uint8) for name, size in _one(header).sizes.items()}
+    with np.errstate(all="ignore"):
+        sh = np.empty((count, (header.degree + 1) ** 2, 3))
+        sh[:, 0] = (byte["colors"] / 255.0 - 0.5) / _COLOR
+        higher = (byte["sh"].astype(np.float64) - 128.0) / 128.0
+        sh[:, 1:] = higher.reshape(count, sh.shape[1] - 1, 3) * _SH_SIGNS[: sh.shape[1] - 1, None]
+        return keep_finite(
+            means=(_positions(header, byte["positions"]) * _SIGNS).astype(np.float32),
+            quats=unit_quats(_quats(byte["rotations"])),
+            scales=scales_from_logs(byte["scales"] / 16.0 - 10.0),
+            opacities=(byte["alphas"][:, 0] / 255.0).astype(np.float32),
+            sh=sh.astype(np.float32),
+            source=str(path),
+        )[0]
+
+
+def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, version: int = 3) -> None:
+    """Write a .spz file; docs/formats.md says how values are rounded.
+
+    Args:
+        gaussians: N of them; rows that are not finite are refused.
+        path: of the file.
+        overwrite: replace what is there.
+        version: 1 to 4. Most software reads 2 and 3.
+
+    Raises:
+        InputError: another version, a value that is not finite, or coordinates beyond 8,388,607 (65,504 in version 1).
+        OutputExistsError: as ``atomic.check_output``.
+        ScoupError: version 4 needs the package zstandard.
+
+    Warns:
+        ScoupWarning: coefficients of SH degree 4 were left out, which versions before 4 have no place for.
+    """
+    if version not in VERSIONS:
+        raise InputError(f"{path}: there is no version {version} of .spz; versions: 1, 2, 3, 4")
+    arrays = finite_arrays(gaussians, path)
+    means, sh = arrays["means"], arrays["sh"]
+    if sh.shape[1] > 16 and version < 4:
+        warnings.warn(f"{path}: SH degree 4 was cut to 3, for .spz {version}", ScoupWarning, stacklevel=2)
+        sh = sh[:, :16]
+    degree = round(sh.shape[1] ** 0.5) - 1
+    largest = float(np.abs(means).max(initial=0.0))
+    if largest > (65504 if version == 1 else (1 << 23) - 1):
+        raise InputError(f"{path}: .spz has no place for coordinates of {largest:.3g}; give another format")
+    bits = 0 if version == 1 else _fraction_bits(largest)
+    header = SpzHeader(version, len(means), degree, bits)
+    with np.errstate(all="ignore"):
+        parts = {
+            "positions": _packed_positions(header, means * _SIGNS),
+            "alphas": _bytes(arrays["opacities"] * 255.0),
+            "colors": _bytes(sh[:, 0] * (_COLOR * 255.0) + 127.5),
+            "scales": _bytes((np.log(np.abs(arrays["scales"])) + 10.0) * 16.0),
+            "rotations": _packed_quats(unit_quats(arrays["quats"]).astype(np.float64), version),
+            "sh": _packed_sh(sh[:, 1:]),
+        }
+    packed = write_container(header, parts)
+    with atomic_file(path, overwrite) as stream:
+        stream.write(packed)
+
+
+def _one(header: SpzHeader) -> SpzHeader:
+    return SpzHeader(header.version, 1, header.degree, header.fraction_bits)
+
+
+def _fraction_bits(largest: float) -> int:
+    """As many bits after the binary point as leave room for the largest coordinate in 24 bits with a sign."""
+    bits = MOST_BITS
+    while bits and round(largest * (1 << bits)) > (1 << 23) - 1:
+        bits -= 1
+    return bits
+
+
+def _positions(header: SpzHeader, packed: np.ndarray) -> np.ndarray:
+    """[N, 3] float64 in the file's axes."""
+    if header.version == 1:
+        return np.ascontiguousarray(packed).view("<f2").astype(np.float64).reshape(-1, 3)
+    parts = packed.reshape(-1, 3, 3).astype(np.int64)
+    fixed = parts[..., 0] | parts[..., 1] << 8 | parts[..., 2] << 16
+    return (fixed - ((fixed & 0x800000) << 1)) / float(1 << header.fraction_bits)
+
+
+def _packed_positions(header: SpzHeader, means: np.ndarray) -> bytes:
+    if header.version == 1:
+        return means.astype("<f2").tobytes()
+    fixed = np.rint(means * (1 << header.fraction_bits)).astype("<i4")
+    return np.ascontiguousarray(fixed).view(np.uint8).reshape(-1, 3, 4)[..., :3].tobytes()
+
+
+def _quats(packed: np.ndarray) -> np.ndarray:
+    """[N, 4] float64 quaternions w, x, y, z in our axes, of three bytes (x, y, z; w is not negative) or four."""
+    if packed.shape[1] == 3:
+        vector = packed / 127.5 - 1.0
+        w = np.sqrt(np.clip(1.0 - (vector**2).sum(1), 0.0, None))
+        return np.concatenate([w[:, None], vector * _SIGNS], axis=1)
+    word = np.ascontiguousarray(packed).view("<u4")[:, 0].astype(np.int64)
+    which = word >> 30  # the largest of x, y, z, w, which is not stored
+    others = np.stack([word >> 20 & 1023, word >> 10 & 1023, word & 1023], axis=1)
+    values = (others & 511) * (_ROOT / 511.0) * np.where(others & 512, -1.0, 1.0)
+    quats = np.empty((len(word), 4))
+    quats[np.arange(4)[None] != which[:, None]] = values.ravel()
+    quats[np.arange(len(word)), which] = np.sqrt(np.clip(1.0 - (values**2).sum(1), 0.0, None))
+    return np.concatenate([quats[:, 3:], quats[:, :3] * _SIGNS], axis=1)
+
+
+def _packed_quats(quats: np.ndarray, version: int) -> bytes:
+    turned = np.concatenate([quats[:, 1:] * _SIGNS, quats[:, :1]], axis=1)  # x, y, z, w
+    # A rotation of zeros has no direction; files cannot say so.
+    turned = np.where(np.isfinite(turned).all(1, keepdims=True), turned, [0.0, 0.0, 0.0, 1.0])
+    if version < 3:
+        positive = np.where(turned[:, 3:] < 0, -1.0, 1.0)
+        return _bytes(turned[:, :3] * positive * 127.5 + 127.5)
+    which = np.abs(turned).argmax(1)
+    rows = np.arange(len(turned))
+    turned *= np.where(turned[rows, which] < 0, -1.0, 1.0)[:, None]
+    others = turned[np.arange(4)[None] != which[:, None]].reshape(-1, 3)
+    magnitudes = np.floor(np.abs(others) / _ROOT * 511.0 + 0.5).astype(np.int64).clip(0, 511)
+    fields = magnitudes | (others < 0).astype(np.int64) << 9
+    word = which << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]
+    return word.astype("<u4").tobytes()
+
+
+def _packed_sh(higher: np.ndarray) -> bytes:
+    """Coefficients [N, B - 1, 3] as bytes, rounded to steps that compress well."""
+    signed = higher * _SH_SIGNS[: higher.shape[1], None]
+    steps = np.where(np.arange(higher.shape[1]) < 3, _STEPS[0], _STEPS[1])[:, None]
+    whole = np.rint(signed * 128.0) + 128.0
+    return _bytes(np.floor((whole + steps // 2) / steps) * steps)
+
+
+def _bytes(values: np.ndarray) -> bytes:
+    return np.clip(np.nan_to_num(np.rint(values), nan=0.0), 0, 255).astype(np.uint8).tobytes()

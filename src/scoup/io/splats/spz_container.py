@@ -1,0 +1,196 @@
+"""The container of .spz files: one gzip stream (versions 1 to 3), or a header and a zstd stream an attribute (version
+4)."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from scoup.base.errors import FileFormatError, ScoupError
+
+MAGIC = 0x5053474E  # "NGSP"
+HOW_TO_GET_ZSTD = "version 4 of .spz needs the package zstandard: pip install 'scoup[splats]', and run again"
+ATTRIBUTES = ("positions", "alphas", "colors", "scales", "rotations", "sh")
+_START = struct.Struct(
+    "<IIIBBBB"
+)  # magic, version, count, SH degree, fraction bits, flags, reserved or streams
+_PLACE = struct.Struct("<I12x")  # of the table of streams; the rest of the header of version 4
+_STREAM = struct.Struct("<QQ")  # compressed and original size
+_HAS_EXTENSIONS = 2
+_MOST_DEGREE = 4
+_RATIO = (
+    1032  # deflate cannot shrink bytes further; for zstd the format's own reader has nearly the same limit
+)
+_DAMAGED = "the file is damaged; copy or export it again"
+
+
+@dataclass(frozen=True)
+class SpzHeader:
+    """What stands before the attributes.
+
+    Attributes:
+        version: 1 to 4.
+        count: N, of Gaussians.
+        degree: of the spherical harmonics, 0 to 4.
+        fraction_bits: bits after the binary point of a coordinate.
+    """
+
+    version: int
+    count: int
+    degree: int
+    fraction_bits: int
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Bytes of each attribute."""
+        row = {
+            "positions": 6 if self.version == 1 else 9,
+            "alphas": 1,
+            "colors": 3,
+            "scales": 3,
+            "rotations": 4 if self.version >= 3 else 3,
+            "sh": 3 * ((self.degree + 1) ** 2 - 1),
+        }
+        return {name: self.count * each for name, each in row.items()}
+
+
+def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, bytes]]:
+    """The header and the attributes' bytes, each of its full size.
+
+    Args:
+        path: of the file, for messages.
+        content: all of it.
+
+    Raises:
+        FileFormatError: it is damaged, cut short, of a newer version, or would unpack to more than its size allows.
+        ScoupError: it needs a package that is not there.
+    """
+    if content[:4] == MAGIC.to_bytes(4, "little"):
+        return _read_streams(path, content)
+    if content[:2] != b"\x1f\x8b":
+        raise FileFormatError(path, "is not a .spz file (neither gzip nor NGSP at its start)", _DAMAGED)
+    unpacker = zlib.decompressobj(16 + zlib.MAX_WBITS)
+    try:
+        start = unpacker.decompress(content, _START.size)
+        header, flags, _ = _header(path, start, len(content))
+        if flags & _HAS_EXTENSIONS:
+            problem = "has extensions in a version of .spz that does not say how long they are"
+            raise FileFormatError(path, problem, "export it again, as version 4 or without extensions")
+        wanted = sum(header.sizes.values())
+        body = unpacker.decompress(unpacker.unconsumed_tail, wanted) if wanted else b""
+        # The checksum is behind the last byte, and is compared only when that is asked for.
+        more = unpacker.decompress(unpacker.unconsumed_tail, 1)
+    except zlib.error as error:
+        raise FileFormatError(path, f"cannot be unpacked ({error})", _DAMAGED) from error
+    if len(body) != wanted or more or not unpacker.eof:
+        raise FileFormatError(path, f"does not hold the {header.count:,} Gaussians its header says", _DAMAGED)
+    parts, place = {}, 0
+    for name, size in header.sizes.items():
+        parts[name] = body[place : place + size]
+        place += size
+    return header, parts
+
+
+def write_container(header: SpzHeader, parts: Mapping[str, bytes]) -> bytes:
+    """The bytes of a file; the same for the same header and attributes.
+
+    Raises:
+        ScoupError: version 4 needs a package that is not there.
+    """
+    start = (MAGIC, header.version, header.count, header.degree, header.fraction_bits, 0)
+    if header.version < 4:
+        packed = io.BytesIO()
+        with gzip.GzipFile("", "wb", 9, packed, mtime=0) as stream:
+            stream.write(_START.pack(*start, 0))
+            for name in ATTRIBUTES:
+                stream.write(parts[name])
+        return packed.getvalue()
+    # Without higher harmonics there is no stream of them; the format's own reader counts.
+    names = ATTRIBUTES if header.degree else ATTRIBUTES[:-1]
+    streams = [(_compressed(parts[name]), len(parts[name])) for name in names]
+    size = _START.size + _PLACE.size
+    table = b"".join(_STREAM.pack(len(stream), original) for stream, original in streams)
+    body = b"".join(stream for stream, _ in streams)
+    return _START.pack(*start, len(streams)) + _PLACE.pack(size) + table + body
+
+
+def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, bytes]]:
+    """``read_container`` of version 4; records of extensions before the table are skipped."""
+    header, _, count = _header(path, content, len(content))
+    if header.version < 4 or len(content) < _START.size + _PLACE.size:
+        raise FileFormatError(path, "is cut short, or its header is damaged", _DAMAGED)
+    (place,) = _PLACE.unpack_from(content, _START.size)
+    after = place + count * _STREAM.size
+    if (
+        place < _START.size + _PLACE.size
+        or after > len(content)
+        or count < len(ATTRIBUTES) - (not header.degree)
+    ):
+        raise FileFormatError(path, "has no whole table of streams", _DAMAGED)
+    parts = {}
+    for number, (name, size) in enumerate(header.sizes.items()):
+        if number >= count:
+            parts[name] = b""
+            continue
+        packed, original = _STREAM.unpack_from(content, place + number * _STREAM.size)
+        if original != size or after + packed > len(content):
+            problem = f"has {name} of {original} bytes for {header.count:,} Gaussians, or is cut short"
+            raise FileFormatError(path, problem, _DAMAGED)
+        parts[name] = _unpacked(path, content[after : after + packed], size)
+        after += packed
+    return header, parts
+
+
+def _header(path: Path, start: bytes, available: int) -> tuple[SpzHeader, int, int]:
+    """The header, its flags, and its last byte.
+
+    Args:
+        path: of the file.
+        start: its first bytes, unpacked.
+        available: bytes of the file, which limit the Gaussians that it can hold.
+    """
+    if len(start) < _START.size:
+        raise FileFormatError(path, "is cut short within its header", _DAMAGED)
+    magic, version, count, degree, bits, flags, last = _START.unpack_from(start)
+    if magic != MAGIC:
+        raise FileFormatError(path, "is a compressed file, but not of Gaussians (.spz)", "check the path")
+    if not 1 <= version <= 4:
+        problem = f"is of version {version} of .spz; versions 1 to 4 are read"
+        raise FileFormatError(path, problem, "export it again as an older version, or as PLY")
+    if degree > _MOST_DEGREE or bits > 23:
+        problem = f"says SH degree {degree} and {bits} bits of fractions, which cannot be"
+        raise FileFormatError(path, problem, _DAMAGED)
+    header = SpzHeader(version, count, degree, bits)
+    if sum(header.sizes.values()) > _RATIO * available:
+        problem = f"says {count:,} Gaussians, more than {available:,} bytes can hold"
+        raise FileFormatError(path, problem, _DAMAGED)
+    return header, flags, last
+
+
+def _compressed(content: bytes) -> bytes:
+    try:
+        import zstandard
+    except ImportError:
+        raise ScoupError(HOW_TO_GET_ZSTD) from None
+    return zstandard.ZstdCompressor(level=12).compress(content)
+
+
+def _unpacked(path: Path, packed: bytes, size: int) -> bytes:
+    """The contents of a zstd stream that must have ``size`` bytes; no more are unpacked than these and one."""
+    try:
+        import zstandard
+    except ImportError:
+        raise ScoupError(f"{path}: {HOW_TO_GET_ZSTD}") from None
+    try:
+        with zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(packed) as stream:
+            content = stream.read(size + 1)
+    except (zstandard.ZstdError, MemoryError) as error:
+        raise FileFormatError(path, f"cannot be unpacked ({error})", _DAMAGED) from error
+    if len(content) != size:
+        raise FileFormatError(path, f"has a stream that does not unpack to its {size:,} bytes", _DAMAGED)
+    return content

@@ -1,0 +1,103 @@
+""".ksplat and .sog, through gaussforge: what becomes of the values, and damaged files, which crash it."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from io_samples import some_gaussians
+from scoup.base.errors import FileFormatError, ScoupError
+from scoup.io import load_gaussians, save_gaussians
+from scoup.io.splats import gaussforge_formats
+from scoup.scene.gaussians import Gaussians
+
+pytest.importorskip("gaussforge", reason="gaussforge is not installed")
+
+
+def wide(count: int, degree: int = 1) -> Gaussians:
+    """Gaussians that lie apart, so that each can be found again by its place."""
+    made = some_gaussians(count, degree, seed=3)
+    return Gaussians(made.means * 10, made.quats, made.scales, made.opacities, made.sh.clamp(-1, 1))
+
+
+def test_ksplat_keeps_order_and_shape_and_rounds_colours_to_bytes(tmp_path: Path) -> None:
+    given = wide(40)
+    save_gaussians(given, tmp_path / "a.ksplat")
+    found = load_gaussians(tmp_path / "a.ksplat")
+    assert found.means.equal(given.means)
+    assert torch.allclose(found.scales, given.scales, rtol=1e-5)
+    assert float((found.quats * given.quats).sum(1).abs().min()) > 0.999999
+    assert float((found.opacities - given.opacities).abs().max()) <= 1 / 255 + 1e-6
+    assert float((found.sh[:, 0] - given.sh[:, 0]).abs().max()) <= 1 / 255 / 0.28 + 1e-4
+    assert torch.allclose(found.sh[:, 1:], given.sh[:, 1:], atol=1e-5)
+
+
+def test_sog_gives_the_same_gaussians_in_another_order(tmp_path: Path) -> None:
+    given = wide(300)
+    save_gaussians(given, tmp_path / "a.sog")
+    found = load_gaussians(tmp_path / "a.sog")
+    assert len(found) == len(given)
+    nearest = torch.cdist(found.means, given.means).argmin(1)
+    assert sorted(nearest.tolist()) == list(range(300))
+    assert nearest.tolist() != list(range(300))
+    same = given.select(nearest)
+    assert float((found.means - same.means).abs().max()) < 0.01
+    assert float((found.quats * same.quats).sum(1).abs().min()) > 0.999
+    assert float((found.opacities - same.opacities).abs().max()) < 0.1
+    # The order is the same each time, so that a field built on the file fits it.
+    assert load_gaussians(tmp_path / "a.sog").fingerprint() == found.fingerprint()
+    save_gaussians(given, tmp_path / "b.sog")
+    assert (tmp_path / "b.sog").read_bytes() == (tmp_path / "a.sog").read_bytes()
+
+
+@pytest.mark.parametrize("suffix", [".ksplat", ".sog"])
+def test_damaged_files_are_refused_and_do_not_end_the_process(tmp_path: Path, suffix: str) -> None:
+    save_gaussians(wide(30), tmp_path / f"a{suffix}")
+    valid = (tmp_path / f"a{suffix}").read_bytes()
+    generator = random.Random(5)
+    refused = 0
+    for number in range(12):
+        content = bytearray(valid[: generator.randrange(len(valid))] if number % 2 else valid)
+        for _ in range(8 * (number % 2 == 0)):
+            content[generator.randrange(len(content))] = generator.randrange(256)
+        path = tmp_path / f"damaged{suffix}"
+        path.write_bytes(content)
+        with contextlib.suppress(FileFormatError):
+            load_gaussians(path)
+            refused -= 1
+        refused += 1
+    assert refused >= 5
+    (tmp_path / f"empty{suffix}").write_bytes(b"")
+    with pytest.raises(FileFormatError, match=f"empty{suffix}: cannot be read by gaussforge; it is damaged"):
+        load_gaussians(tmp_path / f"empty{suffix}")
+
+
+def test_a_converter_that_crashes_or_hangs_is_a_refusal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.sog").write_bytes(b"x")
+    crash = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
+    monkeypatch.setattr(gaussforge_formats, "_PROGRAM", crash)
+    with pytest.raises(FileFormatError, match="cannot be read by gaussforge"):
+        load_gaussians(tmp_path / "a.sog")
+    with pytest.raises(ScoupError, match="cannot write"):
+        save_gaussians(wide(3), tmp_path / "b.sog")
+    assert not (tmp_path / "b.sog").exists()
+    monkeypatch.setattr(gaussforge_formats, "_PROGRAM", "import time; time.sleep(60)")
+    monkeypatch.setattr(gaussforge_formats, "_LEAST_SECONDS", 0.5)
+    with pytest.raises(FileFormatError, match="takes gaussforge more than"):
+        load_gaussians(tmp_path / "a.sog")
+
+
+def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.ksplat").write_bytes(b"x")
+    monkeypatch.setitem(sys.modules, "gaussforge", None)
+    with pytest.raises(ScoupError, match=r"pip install 'scoup\[splats\]'"):
+        load_gaussians(tmp_path / "a.ksplat")
+    with pytest.raises(ScoupError, match=r"pip install 'scoup\[splats\]'"):
+        save_gaussians(wide(3), tmp_path / "b.sog")

@@ -1,0 +1,229 @@
+""".spz: round trips with the rounding that the format has, against its layout written out and an independent
+library."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from io_samples import same_gaussians, some_gaussians
+from scoup.base.errors import FileFormatError, InputError, ScoupWarning
+from scoup.io import load_gaussians, read_spz, save_gaussians, write_ply, write_spz
+from scoup.io.splats.spz import MOST_BITS
+from scoup.raster.spherical_harmonics import _basis
+from scoup.scene.gaussians import Gaussians
+
+# Steps of the stored values, halved, with a little for float32.
+SCALE = 0.5 / 16 + 1e-5  # of the logarithm
+OPACITY = 0.5 / 255 + 1e-6
+COLOR = 0.5 / 255 / 0.15 + 1e-5
+SH = (4 / 128 + 1 / 256 + 1e-6, 8 / 128 + 1 / 256 + 1e-6)  # degree 1, higher degrees
+DEGREES = {3: 0.2, 4: 0.2}  # of a rotation, by version; three bytes hold less
+GRADES = 13.0
+
+
+def tame(count: int, degree: int, seed: int, largest: float = 4.0) -> Gaussians:
+    """Gaussians within the ranges of the format."""
+    made = some_gaussians(count, degree, seed)
+    sh = made.sh.clamp(-3, 3)
+    sh[:, 1:] = sh[:, 1:].clamp(-0.9, 0.9)
+    means = made.means / made.means.abs().max().clamp(min=1e-3) * largest
+    return Gaussians(means, made.quats, made.scales.clamp(5e-5, 300), made.opacities, sh)
+
+
+def angles(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
+    """Degrees between rotations."""
+    return torch.rad2deg(2 * torch.acos((one.double() * other.double()).sum(1).abs().clamp(max=1)))
+
+
+def check_rounding(given: Gaussians, found: Gaussians, version: int) -> None:
+    assert len(found) == len(given)
+    largest = float(given.means.abs().max())
+    bits = MOST_BITS
+    while largest * 2**bits > 2**23 - 1:
+        bits -= 1
+    step = float(given.means.abs().max()) * 2**-11 if version == 1 else 0.5 * 2.0**-bits
+    assert float((found.means - given.means).abs().max()) <= step + 1e-6 * largest
+    assert float((found.scales.log() - given.scales.log()).abs().max()) <= SCALE
+    assert float((found.opacities - given.opacities).abs().max()) <= OPACITY
+    assert float((found.sh[:, 0] - given.sh[:, 0]).abs().max()) <= COLOR
+    assert float(angles(found.quats, given.quats).max()) <= DEGREES.get(version, GRADES)
+    for first, last, bound in ((1, 4, SH[0]), (4, 25, SH[1])):
+        if given.sh.shape[1] > first:
+            difference = (found.sh[:, first:last] - given.sh[:, first:last]).abs()
+            assert float(difference.max()) <= bound
+
+
+@settings(max_examples=40)
+@given(
+    st.integers(1, 30),
+    st.integers(0, 3),
+    st.sampled_from([1, 2, 3, 4]),
+    st.sampled_from([0.5, 127.0, 60000.0]),
+    st.integers(0, 2**31),
+)
+def test_round_trips_round_as_stated(tmp_path_factory, count, degree, version, largest, seed) -> None:
+    path = tmp_path_factory.mktemp("spz") / "a.spz"
+    given = tame(count, degree, seed, largest)
+    write_spz(given, path, version=version)
+    found = read_spz(path)
+    check_rounding(given, found, version)
+    write_spz(found, path, overwrite=True, version=version)
+    again = read_spz(path)
+    assert float((again.means - found.means).abs().max()) <= 1e-6 * largest
+    assert again.opacities.equal(found.opacities)
+    assert torch.allclose(again.sh, found.sh, atol=1e-6)
+
+
+def test_the_layout_of_version_3_is_niantics(tmp_path: Path) -> None:
+    """One Gaussian, byte by byte: axes right, up, back; x, y, z, w; the largest of the rotation left out."""
+    quats = torch.tensor([[0.5, 0.1, -0.2, 0.8]])
+    quats = quats / quats.norm()
+    sh = torch.zeros(1, 4, 3)
+    sh[0, 0], sh[0, 1:] = torch.tensor([0.4, -0.4, 0.0]), torch.tensor([[0.25], [0.5], [-0.25]])
+    one = Gaussians(
+        torch.tensor([[1.5, 2.0, -3.0]]), quats, torch.tensor([[1.0, 0.1, 0.01]]), torch.tensor([0.5]), sh
+    )
+    write_spz(one, tmp_path / "a.spz")
+    content = gzip.decompress((tmp_path / "a.spz").read_bytes())
+    magic, version, count, degree, bits, flags, reserved = struct.unpack_from("<IIIBBBB", content)
+    assert (magic, version, count, degree, flags, reserved) == (0x5053474E, 3, 1, 1, 0, 0)
+    body = content[16:]
+    fixed = [int.from_bytes(body[start : start + 3], "little", signed=True) / 2**bits for start in (0, 3, 6)]
+    assert fixed == [1.5, -2.0, 3.0]
+    assert body[9] == 128
+    assert list(body[10:13]) == [round(c * 0.15 * 255 + 127.5) for c in (0.4, -0.4, 0.0)]
+    assert list(body[13:16]) == [round((np.log(s) + 10) * 16) for s in (1.0, 0.1, 0.01)]
+    word = int.from_bytes(body[16:20], "little")
+    # In the file's axes y and z turn round, so x, y, z, w are 0.1, 0.2, -0.8, 0.5 up to length: z is the largest.
+    norm = float(np.linalg.norm([0.5, 0.1, -0.2, 0.8]))
+    stored = [-0.1 / norm, -0.2 / norm, -0.5 / norm]
+    assert word >> 30 == 2
+    for shift, value in zip((20, 10, 0), stored, strict=True):
+        field = word >> shift & 1023
+        assert (field >> 9 == 1) == (value < 0)
+        assert (field & 511) / 511 * 0.5**0.5 == pytest.approx(abs(value), abs=1e-3)
+    # Y_1-1 ~ y, Y_10 ~ z, Y_11 ~ x.
+    assert [body[20 + 3 * n] for n in range(3)] == [128 - 32, 128 - 64, 128 - 32]
+    assert len(body) == 29
+
+
+@pytest.mark.parametrize("version", [2, 3, 4])
+def test_an_independent_library_reads_the_same(tmp_path: Path, version: int) -> None:
+    """gaussforge leaves the axes of the file as they are; the values are the same."""
+    gaussforge = pytest.importorskip("gaussforge", reason="gaussforge is not installed")
+    given = tame(50, 3, 7)
+    write_spz(given, tmp_path / "a.spz", version=version)
+    ours = read_spz(tmp_path / "a.spz")
+    library = gaussforge.GaussForge()
+    (tmp_path / "a.ply").write_bytes(library.convert((tmp_path / "a.spz").read_bytes(), "spz", "ply")["data"])
+    theirs = load_gaussians(tmp_path / "a.ply")
+    axes = torch.tensor([1.0, -1.0, -1.0])
+    assert torch.allclose(theirs.means * axes, ours.means, atol=1e-5)
+    assert torch.allclose(theirs.scales, ours.scales, rtol=1e-4)
+    assert torch.allclose(theirs.opacities, ours.opacities, atol=1e-4)
+    turned = torch.cat([theirs.quats[:, :1], theirs.quats[:, 1:] * axes], 1)
+    assert float(angles(turned, ours.quats).max()) < 0.1
+    odd = [1 if sign == "+" else -1 for sign in "--+-++-+-+--+-+"]
+    assert torch.allclose(theirs.sh[:, 1:] * torch.tensor(odd)[:, None], ours.sh[:, 1:], atol=1e-5)
+    write_ply(given, tmp_path / "b.ply")
+    (tmp_path / "b.spz").write_bytes(library.convert((tmp_path / "b.ply").read_bytes(), "ply", "spz")["data"])
+    written = read_spz(tmp_path / "b.spz")
+    assert torch.allclose(written.means * axes, given.means, atol=2**-12)
+    assert torch.allclose(written.opacities, ours.opacities, atol=1e-2)
+
+
+def test_colours_turn_with_the_axes() -> None:
+    """A Gaussian shows the same colour from the same side: the signs of the harmonics are those of y and z turned
+    round."""
+    directions = torch.nn.functional.normalize(
+        torch.randn(9, 3, generator=torch.Generator().manual_seed(1)), dim=1
+    )
+    flipped = directions * torch.tensor([1.0, -1.0, -1.0])
+    signs = torch.tensor([1.0 if sign == "+" else -1.0 for sign in "--+-++-+-+--+-+-+-++-+--"])
+    found, expected = _basis(flipped, 4), _basis(directions, 4) * signs
+    # But for the last one, which the format's own tools turn, although it is even in both.
+    assert torch.allclose(found[:, :23], expected[:, :23], atol=1e-5)
+
+
+def test_ugly_values_are_mended(tmp_path: Path) -> None:
+    ugly = some_gaussians(4, 0)
+    scales = torch.tensor([[0.0, 1e-30, 1.0], [1e30, 1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
+    opacities = torch.tensor([0.0, 1.0, torch.inf, -0.5])
+    write_spz(Gaussians(ugly.means, ugly.quats, scales, opacities, ugly.sh), tmp_path / "a.spz")
+    found = read_spz(tmp_path / "a.spz")
+    assert found.opacities.tolist() == [0.0, 1.0, 1.0, 0.0]
+    assert found.scales[0, 0] == pytest.approx(np.exp(-10), rel=1e-4)
+    assert found.scales[1, 0] == pytest.approx(np.exp(255 / 16 - 10), rel=1e-4)
+    for name, value, said in (
+        ("means", torch.nan, "not finite"),
+        ("sh", torch.inf, "not finite"),
+        ("opacities", torch.nan, "not finite"),
+        ("quats", torch.nan, "not finite"),
+        ("means", 1e9, "no place"),
+    ):
+        values = {
+            field: getattr(ugly, field).clone() for field in ("means", "quats", "scales", "opacities", "sh")
+        }
+        values[name].view(-1)[0] = value
+        with pytest.raises(InputError, match=said):
+            write_spz(Gaussians(**values), tmp_path / "b.spz")
+    with pytest.raises(InputError, match="no version 5"):
+        write_spz(ugly, tmp_path / "b.spz", version=5)
+    assert not (tmp_path / "b.spz").exists()
+
+
+def test_degree_4_is_for_version_4(tmp_path: Path) -> None:
+    given = tame(5, 4, 3)
+    write_spz(given, tmp_path / "a.spz", version=4)
+    check_rounding(given, read_spz(tmp_path / "a.spz"), 4)
+    with pytest.warns(ScoupWarning, match="cut to 3"):
+        write_spz(given, tmp_path / "b.spz")
+    assert read_spz(tmp_path / "b.spz").sh_degree == 3
+
+
+def test_the_same_gaussians_give_the_same_bytes(tmp_path: Path) -> None:
+    for version in (1, 2, 3, 4):
+        for name in ("a.spz", "b.spz"):
+            write_spz(some_gaussians(9, 1), tmp_path / name, overwrite=True, version=version)
+        assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
+    save_gaussians(some_gaussians(9, 1), tmp_path / "c.spz")
+    assert same_gaussians(load_gaussians(tmp_path / "c.spz"), read_spz(tmp_path / "c.spz"))
+
+
+def packed(*header: int, body: bytes = b"") -> bytes:
+    return gzip.compress(struct.pack("<IIIBBBB", *header) + body)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "not a .spz file"),
+        (b"PK\x03\x04", "not a .spz file"),
+        (gzip.compress(b"abc"), "cut short within its header"),
+        (gzip.compress(b"these are not the bytes you are looking for"), "not of Gaussians"),
+        (packed(0x5053474E, 9, 1, 0, 12, 0, 0, body=bytes(20)), "version 9"),
+        (packed(0x5053474E, 3, 1, 7, 12, 0, 0, body=bytes(20)), "cannot be"),
+        (packed(0x5053474E, 3, 2, 0, 12, 0, 0, body=bytes(20)), "does not hold the 2 Gaussians"),
+        (packed(0x5053474E, 3, 1, 0, 12, 0, 0, body=bytes(21)), "does not hold the 1 Gaussians"),
+        (packed(0x5053474E, 3, 2**32 - 1, 3, 12, 0, 0), "more than"),
+        (packed(0x5053474E, 3, 1, 0, 12, 2, 0, body=bytes(20)), "extensions"),
+        (packed(0x5053474E, 3, 1, 0, 12, 0, 0, body=bytes(20))[:-9], "does not hold|cannot be unpacked"),
+        (struct.pack("<IIIBBBBI12x", 0x5053474E, 4, 1, 0, 12, 0, 5, 32), "no whole table"),
+        (struct.pack("<IIIBBBBI12x", 0x5053474E, 4, 1, 0, 12, 0, 5, 8) + bytes(90), "no whole table"),
+        (struct.pack("<IIIBBBBI12x", 0x5053474E, 4, 1, 0, 12, 0, 5, 32) + bytes(90), "positions of 0 bytes"),
+        (struct.pack("<IIIBBBB", 0x5053474E, 3, 1, 0, 12, 0, 5), "cut short, or its header"),
+    ],
+)
+def test_damaged_files_are_named(tmp_path: Path, content: bytes, said: str) -> None:
+    (tmp_path / "a.spz").write_bytes(content)
+    with pytest.raises(FileFormatError, match=said) as error:
+        load_gaussians(tmp_path / "a.spz")
+    assert "\n" not in str(error.value)
