@@ -1,29 +1,47 @@
-"""scoup convert: region features from one layout to the other."""
+"""scoup convert: region features from one layout to the other, and fields of other systems."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalText, WritesCommon
+from scoup.cli.options import OptionalPath, OptionalText, OptionGroups, WritesCommon
+
+if TYPE_CHECKING:
+    from scoup.field.language_field import LanguageField
+
+_ARRAYS = (".npy", ".pt")
+_CHECKPOINTS = (".pth", ".ckpt")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(WritesCommon):
-    """Write region features in the other layout: LangSplat's _s.npy and _f.npy, or one compact file a view.
+    """Convert region features or fields of other systems; what SOURCE is decides.
 
-    Labels are kept exactly. Embeddings are, too, with --bits 32; with 16 they are rounded to float16.
+    A folder of region features (or a scene) is written in the other layout: LangSplat's _s.npy and _f.npy, or one
+    compact file a view. Labels are kept exactly; embeddings, too, with --bits 32. With --autoencoder, LangSplat's three
+    numbers a region (language_features_dim3) become embeddings again.
+    An array of features, one row a Gaussian (.npy or .pt, [N, D] or [N, levels, D]), becomes a field by sparse coding.
+    A checkpoint of LangSplatV2 (chkpnt10000.pth) becomes a field with its codebook and codes; of a folder NAME_1 those
+    of NAME_2 and NAME_3 are taken, too.
     """
 
+    option_groups: ClassVar[OptionGroups] = {
+        "regions": "to bits autoencoder",
+        "field": "gaussians n_atoms k seed",
+    }
+
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SOURCE", help_behavior_hint="")]
-    """Folder of region features, or a scene with language_features in it."""
+    """Folder of region features, array of features, or checkpoint."""
     target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TARGET", help_behavior_hint="")]
-    """Folder to write."""
+    """Folder or .scoup to write."""
+    model: OptionalText = None
+    """Id of the model that made the embeddings, or a table of words. Default: as SOURCE says; most say nothing."""
     to: Annotated[
         Literal["compact", "langsplat"] | None,
         tyro.conf.arg(metavar="{compact,langsplat}", help_behavior_hint=""),
@@ -31,16 +49,43 @@ class Convert(WritesCommon):
     """Layout to write. Default: the one that SOURCE is not in."""
     bits: Literal[16, 32] = 16
     """Bits of a stored embedding number in the compact layout."""
-    model: OptionalText = None
-    """Id of the model that made the embeddings. Default: as SOURCE says; LangSplat's layout does not."""
+    autoencoder: OptionalPath = None
+    """LangSplat's best_ckpt.pth, which decodes language_features_dim3."""
+    gaussians: OptionalPath = None
+    """The splat that the features belong to, in its order."""
+    n_atoms: int = 128
+    """Atoms of each codebook that features are coded by."""
+    k: int = 4
+    """Atoms of a Gaussian's code."""
+    seed: int = 0
+    """Of the codebook."""
 
     def run(self, console: Console) -> None:
         """Convert and report."""
-        from scoup.io import convert_regions
+        from scoup.base.errors import FileFormatError
 
+        suffix = self.source.suffix.lower()
+        if self.source.is_dir() or not self.source.exists():
+            self._convert_regions(console)
+        elif suffix in _ARRAYS:
+            self._convert_features(console)
+        elif suffix in _CHECKPOINTS:
+            self._convert_checkpoints(console)
+        else:
+            raise FileFormatError(
+                self.source,
+                "is nothing that is converted here",
+                "give a folder of region features, an array of features (.npy, .pt) or LangSplatV2's checkpoint (.pth)",
+            )
+
+    def _convert_regions(self, console: Console) -> None:
+        from scoup.io import convert_regions
+        from scoup.io.regions.langsplat_autoencoder import read_autoencoder
+
+        decode = None if self.autoencoder is None else read_autoencoder(self.autoencoder)
         with console.progress() as progress:
             report = convert_regions(
-                self.source, self.target, self.to, self.bits, self.model, self.overwrite, progress
+                self.source, self.target, self.to, self.bits, self.model, self.overwrite, progress, decode
             )
         before, after = (size / report.views / 1e3 for size in (report.bytes_before, report.bytes_after))
         console.say(
@@ -54,5 +99,76 @@ class Convert(WritesCommon):
                 "views": report.views,
                 "bytes_before": report.bytes_before,
                 "bytes_after": report.bytes_after,
+            }
+        )
+
+    def _convert_features(self, console: Console) -> None:
+        from scoup.base.errors import InputError
+        from scoup.io import default_preset, find_gaussians, load_gaussians
+        from scoup.uplift.foreign import field_from_features, read_features
+
+        self._check_field()
+        if self.gaussians is None:
+            raise InputError(f"{self.source}: name the splat that the features belong to with --gaussians")
+        path = find_gaussians(self.gaussians)
+        gaussians, features = load_gaussians(path), read_features(self.source)
+        with console.progress() as progress:
+            field = field_from_features(
+                gaussians,
+                features,
+                self.n_atoms,
+                self.k,
+                embedding_model=self._model(),
+                seed=self.seed,
+                raster_preset=default_preset(path),
+                progress=progress,
+            )
+        field.geometry_path = path
+        self._save(console, field, embed_geometry=False)
+
+    def _convert_checkpoints(self, console: Console) -> None:
+        from scoup.uplift.foreign import field_from_langsplatv2, langsplatv2_levels
+
+        self._check_field()
+        paths = langsplatv2_levels(self.source)
+        for path in paths:
+            console.say(f"{path}: read")
+        field = field_from_langsplatv2(paths, self.k, self._model())
+        self._save(console, field, embed_geometry=True)
+
+    def _check_field(self) -> None:
+        from scoup.base.errors import InputError
+        from scoup.io import check_output
+
+        if self.target.suffix.lower() != ".scoup":
+            raise InputError(f"{self.target}: {self.source} becomes a field; give a name that ends in .scoup")
+        check_output(self.target, self.overwrite)
+
+    def _model(self) -> str:
+        """The model that the field is to name; a table relative to the field."""
+        import os
+
+        from scoup.models.word_table import is_table
+
+        if self.model is None or not is_table(self.model):
+            return self.model or ""
+        return Path(os.path.relpath(self.model, self.target.absolute().parent)).as_posix()
+
+    def _save(self, console: Console, field: LanguageField, embed_geometry: bool) -> None:
+        field.save(self.target, self.overwrite, embed_geometry=embed_geometry)
+        cosines = field.info.provenance.get("mean_cosine", {})
+        kept = "".join(f", {level}: mean cosine {cosine:.3f}" for level, cosine in cosines.items())
+        console.say(
+            f"{self.target}: {counted(len(field), 'Gaussian')}, {counted(field.n_atoms, 'atom')}, "
+            f"levels {', '.join(field.levels)}{kept}"
+        )
+        console.result(
+            {
+                "out": self.target,
+                "gaussians": len(field),
+                "coded": int(field.coded().sum()),
+                "levels": list(field.levels),
+                "atoms": field.n_atoms,
+                "mean_cosine": cosines,
             }
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,12 +13,21 @@ from scoup.base.counts import counted, listed
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.cameras.colmap import is_model, read_colmap
+from scoup.io.cameras.gsplat_frame import in_gsplat_frame
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms
-from scoup.io.cameras.trained_frame import in_trained_frame
+from scoup.io.cameras.trained_frame import TRAINED_FRAME, in_trained_frame
+from scoup.io.cameras.training_run import (
+    GSPLAT_CONFIG,
+    gsplat_data,
+    is_gsplat_results,
+    is_nerfstudio_run,
+    nerfstudio_data,
+)
 from scoup.io.reading import Distorted
 from scoup.io.splats.formats import READERS, WRITERS, check_splat_name, written_suffix
-from scoup.io.splats.gsplat_checkpoint import read_gsplat_checkpoint
+from scoup.io.splats.gsplat_checkpoint import exported_splat, read_gsplat_checkpoint
+from scoup.io.splats.nerfstudio_checkpoint import is_splatfacto_name, read_splatfacto, splat_of_run
 from scoup.io.splats.other_formats import READ, other_format
 from scoup.io.splats.scenesplat import is_scenesplat, read_scenesplat
 from scoup.scene.cameras import Cameras
@@ -36,14 +45,16 @@ _MOST_FOLDERS = 100  # looked into for scenes
 
 @dataclass(frozen=True)
 class CameraSource:
-    """Where the cameras of a scene are: format, file or model folder, folders that may hold images, and other models
-    of COLMAP beside the one taken.
+    """Where the cameras of a scene are: format, file or model folder, folders that may hold images, other models of
+    COLMAP beside the one taken, and what says in which frame the splat was trained: dataparser_transforms.json of
+    nerfstudio, or cfg.yml of gsplat, whose trainer moves the world.
     """
 
     format: CameraFormat
     path: Path
     roots: tuple[Path, ...]
     others: tuple[Path, ...] = ()
+    frame: Path | None = None
 
 
 def load_gaussians(path: str | Path) -> Gaussians:
@@ -51,8 +62,8 @@ def load_gaussians(path: str | Path) -> Gaussians:
 
     Args:
         path: a PLY of 3D Gaussian Splatting (also PlayCanvas's compressed one), a .splat, .spz, .glb, .gltf, .ksplat
-            or .sog file, a gsplat checkpoint (.pt) or its ``ckpts``
-            folder, the output folder of Inria's code (its last iteration is taken), a folder with SceneSplat's
+            or .sog file; a gsplat checkpoint (.pt) or its ``ckpts`` folder; the output folder of a training by
+            nerfstudio (splatfacto), by gsplat or by Inria's code (the last step is taken); a folder with SceneSplat's
             arrays (coord.npy and so on), or a folder with one such file.
 
     Raises:
@@ -66,6 +77,8 @@ def load_gaussians(path: str | Path) -> Gaussians:
     path = find_gaussians(path)
     if is_scenesplat(path):
         gaussians = read_scenesplat(path)
+    elif is_splatfacto_name(path):
+        gaussians = read_splatfacto(path)
     elif path.is_dir() or path.suffix.lower() in _CHECKPOINTS:
         gaussians = read_gsplat_checkpoint(path)
     else:
@@ -92,6 +105,9 @@ def save_gaussians(gaussians: Gaussians, path: str | Path, overwrite: bool = Fal
 def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:
     """The rasteriser preset of a splat: "gsplat" for checkpoints of its trainer and for SceneSplat's arrays, which were
     trained with it, otherwise "inria"."""
+    folder = Path(path)
+    if is_nerfstudio_run(folder) or is_gsplat_results(folder):
+        return "gsplat"
     path = find_gaussians(path)
     return "gsplat" if path.is_dir() or path.suffix.lower() in _CHECKPOINTS else "inria"
 
@@ -118,6 +134,10 @@ def find_gaussians(path: str | Path) -> Path:
         return latest_point_cloud(path)
     if is_scenesplat(path):
         return path
+    if is_nerfstudio_run(path):
+        return splat_of_run(path)
+    if is_gsplat_results(path) and not any((path / "ckpts").glob("*.pt")):
+        return exported_splat(path)
     if (path / "ckpts").is_dir() or any(path.glob("ckpt_*_rank*.pt")):
         return path
     # Inria's code copies the sparse points beside its cameras as input.ply.
@@ -145,7 +165,8 @@ def load_cameras(
 
     Args:
         path: a scene folder as COLMAP, nerfstudio or Inria's code leave it, or a transforms.json,
-            cameras.json or COLMAP model folder itself.
+            cameras.json or COLMAP model folder itself; or the output folder of a training by nerfstudio or gsplat,
+            whose data are then found, and the cameras brought to the frame of the splat.
         images: the folder with the photographs; by default ``images``, else ``images_2``, ``_4``, ``_8``.
         downscale: take the images (and cameras) at 1/downscale of full size, from ``images_<downscale>``
             if there is one. Intrinsics always follow the image size.
@@ -181,9 +202,12 @@ def load_cameras(
             stacklevel=2,
         )
     cameras = _read(source, distorted)
-    if dataparser_transforms is not None:
+    frame = source.frame if dataparser_transforms is None else Path(dataparser_transforms)
+    if frame is not None and frame.name == GSPLAT_CONFIG:
+        cameras = in_gsplat_frame(cameras, source.path)
+    elif frame is not None:
         transforms = source.path if source.format == "nerfstudio" else None
-        cameras = in_trained_frame(cameras, dataparser_transforms, transforms)
+        cameras = in_trained_frame(cameras, frame, transforms)
     return attach_images(cameras, source.path, source.roots, images, downscale, missing_images)
 
 
@@ -219,6 +243,12 @@ def find_cameras(path: str | Path) -> CameraSource:
             path, "there is no such file or folder (a scene was expected)", "check the path"
         )
     inria = [path / "cameras.json"]
+    if is_nerfstudio_run(path):
+        return _source_of_run(path)
+    if is_gsplat_results(path):
+        data, normalised = gsplat_data(path)
+        source = find_cameras(data)
+        return replace(source, frame=path / GSPLAT_CONFIG if normalised else None)
     candidates = [
         *(inria if (path / "point_cloud").is_dir() else []),
         path / "sparse",
@@ -236,6 +266,22 @@ def find_cameras(path: str | Path) -> CameraSource:
     raise MissingFileError(
         path, "holds no cameras (sparse/0, transforms.json or cameras.json)", where_cameras_are(path)
     )
+
+
+def _source_of_run(run: Path) -> CameraSource:
+    """The cameras of the data that a run of nerfstudio was trained on.
+
+    Raises:
+        MissingFileError: the data or the frame of the training are not there.
+    """
+    data, from_colmap = nerfstudio_data(run)
+    frame = run / TRAINED_FRAME
+    if not frame.is_file():
+        problem = "is not there; without it nobody knows in which frame the splat was trained"
+        raise MissingFileError(frame, problem, "copy it from the machine of the training")
+    transforms = data / "transforms.json"
+    source = find_cameras(data if from_colmap or not transforms.is_file() else transforms)
+    return replace(source, frame=frame)
 
 
 def scene_folder(path: str | Path) -> Path:

@@ -11,7 +11,8 @@ from scoup.base.errors import FileFormatError
 from scoup.io.reading import matrix, number, read_json
 from scoup.scene.cameras import Cameras
 
-_WHAT = "nerfstudio's dataparser_transforms.json"
+TRAINED_FRAME = "dataparser_transforms.json"
+_WHAT = f"nerfstudio's {TRAINED_FRAME}"
 _BEFORE_IT_WAS_NAMED = [
     [0, 1, 0, 0],
     [1, 0, 0, 0],

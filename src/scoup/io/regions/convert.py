@@ -12,6 +12,7 @@ from scoup.base.locks import is_folder_lock
 from scoup.base.progress import Progress, no_progress
 from scoup.base.staging import staged
 from scoup.io.regions import compact, langsplat
+from scoup.io.regions.langsplat_autoencoder import Decoder
 from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, write_manifest
 from scoup.io.regions.store import RegionStore
 from scoup.io.regions.views import FOLDER_NAME, view_files
@@ -44,6 +45,7 @@ def convert_regions(
     embedding_model: str | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
+    decode: Decoder | None = None,
 ) -> ConvertReport:
     """Write the region features of a folder in the other layout, into another folder.
 
@@ -58,6 +60,7 @@ def convert_regions(
         bits: of a stored embedding number in the compact layout, 16 or 32.
         embedding_model: id of the model that made the embeddings, where the source does not tell.
         overwrite: replace views that are there already.
+        decode: what turns the stored numbers of regions into embeddings (``langsplat_autoencoder.read_autoencoder``).
 
     Raises:
         MissingFileError: there is no such folder, or it has no region features.
@@ -95,6 +98,9 @@ def convert_regions(
         for done, stem in enumerate(stems):
             view = store.open_view(stem)
             regions = replace(view.read(), name=view.name)
+            if decode is not None:
+                rows = {level: decode(stored) for level, stored in regions.embeddings.items()}
+                regions = replace(regions, embeddings=rows)
             if to_layout == "langsplat":  # the files of LangSplat alone
                 regions = replace(regions, photograph="")
             after += out.write(regions, stem)

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import os
-import pickle
 import re
-import zipfile
 from collections import defaultdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.io.reading import existing_file, read_bytes
+from scoup.io.reading import existing_file
 from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
+from scoup.io.torch_file import load_torch
 from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
 _NAME = re.compile(r"ckpt_(\d{1,12})_rank(\d{1,6})\.pt")
+_EXPORT = re.compile(r"point_cloud_(\d{1,12})\.ply")
 _SHAPES = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh0": (1, 3), "shN": (-1, 3)}
 _WHAT = "a checkpoint of gsplat's trainer"
-_PICKLE = b"\x80"
-_OBJECTS = "holds Python objects other than tensors; it was not opened, because that could run code"
 _WITHOUT_OBJECTS = (
     "give the ckpt_*_rank*.pt that gsplat's trainer wrote, or a PLY; if you trust the file, save its tensors alone "
     "where it was made: torch.save({'splats': {name: tensor}}, path)"
@@ -60,6 +57,23 @@ def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
     )[0]
 
 
+def exported_splat(results: str | Path) -> Path:
+    """The splat of the last step that gsplat's trainer exported: ply/point_cloud_<step>.ply.
+
+    Raises:
+        MissingFileError: there is none.
+    """
+    steps = {
+        int(found[1]): file
+        for file in (Path(results) / "ply").glob("point_cloud_*.ply")
+        if (found := _EXPORT.fullmatch(file.name))
+    }
+    if not steps:
+        problem = "holds no ckpts/ckpt_<step>_rank<r>.pt and no ply/point_cloud_<step>.ply"
+        raise MissingFileError(results, problem, "give a folder of gsplat's trainer with its splat")
+    return steps[max(steps)]
+
+
 def latest_ranks(folder: str | Path) -> list[Path]:
     """The files of the latest step in a ckpts folder (or in the one inside ``folder``), in order of rank.
 
@@ -93,7 +107,7 @@ def latest_ranks(folder: str | Path) -> list[Path]:
 
 
 def _read_splats(path: Path) -> dict[str, np.ndarray]:
-    content = _load(path)
+    content = load_torch(path, _WHAT, _WITHOUT_OBJECTS)
     splats = content.get("splats") if isinstance(content, dict) else None
     if not isinstance(splats, dict):
         raise FileFormatError(path, "has no 'splats' in it", f"it should be {_WHAT}")
@@ -141,24 +155,3 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
             f"it should be {_WHAT}",
         )
     return result
-
-
-def _load(path: Path) -> Any:
-    if not zipfile.is_zipfile(path) and read_bytes(path)[:1] == _PICKLE:
-        raise FileFormatError(
-            path, "is a bare Python pickle, which is not opened: that could run code", _WITHOUT_OBJECTS
-        )
-    try:
-        with zipfile.ZipFile(path) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-        # torch stores without compression; one that unpacks to more than its size would fill the memory.
-        if unpacked > os.path.getsize(path):
-            raise ValueError("unpacks to more than its size")
-        return torch.load(path, map_location="cpu", weights_only=True)
-    except pickle.UnpicklingError as error:
-        if "GLOBAL" not in str(error):  # so torch calls what is no tensor
-            raise FileFormatError(path, "is damaged", "copy it again") from error
-        raise FileFormatError(path, _OBJECTS, _WITHOUT_OBJECTS) from error
-    except Exception as error:  # damaged or foreign archives raise nearly everything inside torch
-        reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
-        raise FileFormatError(path, f"cannot be loaded ({reason})", f"it should be {_WHAT}") from error

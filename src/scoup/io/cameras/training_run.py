@@ -1,0 +1,131 @@
+"""Folders that trainers write: nerfstudio's runs and gsplat's results. Which data they were trained on.
+
+Their configurations are YAML with tags that name Python objects. They are never loaded: the few lines that are needed
+are read as text.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from scoup.base.errors import MissingFileError
+from scoup.io.cameras.trained_frame import TRAINED_FRAME
+from scoup.io.reading import read_text
+
+GSPLAT_CONFIG = "cfg.yml"
+_ABOVE = 8  # folders above a run that are looked into for its data
+_KEY = re.compile(r"^( *)data: *(.*)$")
+
+
+def is_nerfstudio_run(folder: str | Path) -> bool:
+    """Whether a folder is an output of nerfstudio's training."""
+    folder = Path(folder)
+    beside = (folder / "nerfstudio_models").is_dir() or (folder / TRAINED_FRAME).is_file()
+    return (folder / "config.yml").is_file() and beside
+
+
+def is_gsplat_results(folder: str | Path) -> bool:
+    """Whether a folder is an output of gsplat's trainer."""
+    folder = Path(folder)
+    return (folder / GSPLAT_CONFIG).is_file() and any((folder / name).is_dir() for name in ("ckpts", "ply"))
+
+
+def nerfstudio_data(run: Path) -> tuple[Path, bool]:
+    """The data of a run of nerfstudio, and whether its cameras were read from COLMAP's model.
+
+    Raises:
+        MissingFileError: the configuration names no data, or they are not on this machine.
+        FileFormatError: it is no text.
+    """
+    config = run / "config.yml"
+    text = read_text(config)
+    remedy = (
+        "give the scene folder with its cameras (--scene SCENE where the splat is given) and "
+        f"--dataparser-transforms {run / TRAINED_FRAME}"
+    )
+    named = _named_path(text)
+    if named is None:
+        raise MissingFileError(config, "does not say where the data of the training are", remedy)
+    return _on_this_machine(named, run, config, remedy), "ColmapDataParserConfig" in text
+
+
+def gsplat_data(results: Path) -> tuple[Path, bool]:
+    """The data of gsplat's results, and whether the trainer normalised their world.
+
+    Raises:
+        MissingFileError: the configuration names no data, or they are not on this machine.
+        FileFormatError: it is no text.
+    """
+    config = results / GSPLAT_CONFIG
+    text = read_text(config)
+    remedy = f"copy the COLMAP scene it was trained on beside {results}, with the folder name given there"
+    named = _plain(text, "data_dir")
+    if named is None:
+        raise MissingFileError(config, "does not say where the data of the training are (data_dir)", remedy)
+    normalised = (_plain(text, "normalize_world_space") or "true").lower() == "true"
+    return _on_this_machine(named, results, config, remedy), normalised
+
+
+def _named_path(text: str) -> str | None:
+    """The first path that a key ``data`` of nerfstudio's config names: a string, or a list of the parts of a path."""
+    lines = text.splitlines()
+    for number, line in enumerate(lines):
+        found = _KEY.match(line)
+        if found is None:
+            continue
+        value = re.sub(r"^&\w+ *", "", found[2]).strip()
+        if value.startswith("!!python/object/apply:pathlib."):
+            parts = _items(lines[number + 1 :], len(found[1]))
+            if parts:
+                return "/".join(parts).replace("//", "/", 1)
+        elif value and not value.startswith(("!", "*", "{", "[")) and value not in ("null", "~"):
+            return value.strip("'\"")
+    return None
+
+
+def _items(lines: list[str], indent: int) -> list[str]:
+    """The items of the list that begins at the first line, no less indented than its key."""
+    items = []
+    for line in lines:
+        stripped = line.lstrip(" ")
+        if not stripped.startswith("- ") or len(line) - len(stripped) < indent:
+            break
+        items.append(stripped[2:].strip().strip("'\""))
+    return items
+
+
+def _plain(text: str, key: str) -> str | None:
+    """The plain value of a key at the beginning of a line; None for none."""
+    found = re.search(rf"^{key}: *(.*?) *$", text, re.MULTILINE)
+    if (
+        found is None
+        or not found[1]
+        or found[1] in ("null", "~")
+        or found[1].startswith(("!", "&", "*", "{"))
+    ):
+        return None
+    return found[1].strip("'\"")
+
+
+def _on_this_machine(named: str, run: Path, config: Path, remedy: str) -> Path:
+    """Where the data that a configuration names are: as named, or below a folder above the run."""
+    path = Path(named.replace("\\", "/"))
+    if path.exists():
+        return path
+    above = [run.absolute(), *list(run.absolute().parents)[:_ABOVE]]
+    parts = [part for part in path.parts if part not in (path.anchor, "..")]
+    # The longest end of the named path that is there, with cameras in it: data are moved with their last folders.
+    for start in range(len(parts)):
+        for folder in above:
+            place = folder.joinpath(*parts[start:])
+            if _holds_cameras(place):
+                return place
+    raise MissingFileError(config, f"was trained on {named}, which is not on this machine", remedy)
+
+
+def _holds_cameras(place: Path) -> bool:
+    """Whether a path is transforms.json, or a folder that may be the data of a training."""
+    if place.is_file():
+        return place.suffix == ".json"
+    return any((place / name).exists() for name in ("transforms.json", "sparse", "colmap/sparse"))

@@ -1,0 +1,87 @@
+"""Checkpoints of LangSplatV2 (chkpnt<step>.pth): Gaussians with a codebook and logits of sparse codes, one file a
+level.
+
+Read from ZhaoYujie2002/LangSplatV2, ``scene/gaussian_model.py`` (``capture`` with features, 14 entries) and
+``utils/vq_utils.py`` (``get_weights_and_indices``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scoup.base.errors import FileFormatError
+from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
+from scoup.io.torch_file import float_tensor, load_torch
+from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
+
+_WHAT = "a checkpoint of LangSplatV2 (chkpnt<step>.pth, trained with features)"
+_WITHOUT_OBJECTS = "give the chkpnt<step>.pth that LangSplatV2 wrote"
+_ENTRIES = 14  # of what is captured with features; without, there are 12
+
+
+@dataclass(frozen=True, eq=False)
+class LangSplatV2Level:
+    """What a checkpoint holds.
+
+    Attributes:
+        gaussians: N of them.
+        logits: [N, V, L] float32, of the codes by each of V codebooks.
+        codebooks: [V, L, D] float32.
+    """
+
+    gaussians: Gaussians
+    logits: np.ndarray  # [N, V, L]
+    codebooks: np.ndarray  # [V, L, D]
+
+
+def read_langsplatv2(path: str | Path) -> LangSplatV2Level:
+    """Read a checkpoint with torch's restricted loader: nothing in it is run.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is damaged, holds objects other than tensors, or was saved without features.
+
+    Warns:
+        ScoupWarning: rows with values that are not finite were dropped.
+    """
+    path = Path(path)
+    content = load_torch(path, _WHAT, _WITHOUT_OBJECTS, numpy_numbers=True)
+    captured = content[0] if isinstance(content, (tuple, list)) and len(content) == 2 else None
+    if not isinstance(captured, (tuple, list)) or len(captured) < _ENTRIES - 2:
+        raise FileFormatError(path, "holds no captured Gaussians", f"it should be {_WHAT}")
+    if len(captured) < _ENTRIES:
+        problem = "was saved without language features (12 entries)"
+        raise FileFormatError(path, problem, "give a checkpoint of the training with --include_feature")
+    means = _floats(path, captured[1], (-1, 3), "xyz")
+    count = len(means)
+    rest = _floats(path, captured[3], (count, -1, 3), "features_rest")
+    logits = _floats(path, captured[7], (count, -1), "language_feature_logits")
+    codebooks = _floats(path, captured[8], (-1, -1, -1), "language_feature_codebooks")
+    layers, size = codebooks.shape[:2]
+    if rest.shape[1] + 1 not in {(degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1)}:
+        raise FileFormatError(
+            path, f"has {rest.shape[1]} higher coefficients, no whole SH degree", f"it should be {_WHAT}"
+        )
+    if not size or logits.shape[1] != layers * size:
+        problem = f"has {logits.shape[1]} logits a Gaussian for {layers} codebooks of {size}"
+        raise FileFormatError(path, problem, "the file is damaged; copy it again")
+    if not (np.isfinite(logits).all() and np.isfinite(codebooks).all()):
+        problem = "has logits or codebooks that are not finite"
+        raise FileFormatError(path, problem, "the training diverged, or the file is damaged")
+    gaussians, kept = keep_finite(
+        means=means,
+        quats=unit_quats(_floats(path, captured[5], (count, 4), "rotation")),
+        scales=scales_from_logs(_floats(path, captured[4], (count, 3), "scaling")),
+        opacities=opacities_from_logits(_floats(path, captured[6], (count, 1), "opacity")[:, 0]),
+        sh=np.concatenate([_floats(path, captured[2], (count, 1, 3), "features_dc"), rest], axis=1),
+        source=str(path),
+    )
+    return LangSplatV2Level(gaussians, logits.reshape(count, layers, size)[kept], codebooks)
+
+
+def _floats(path: Path, value: Any, shape: tuple[int, ...], name: str) -> np.ndarray:
+    return float_tensor(path, value, shape, name, _WHAT)

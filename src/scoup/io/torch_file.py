@@ -1,0 +1,101 @@
+"""Files of torch.save that hold tensors and plain containers: read with torch's restricted loader."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import zipfile
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.errors import FileFormatError
+from scoup.io.reading import existing_file, read_bytes
+
+_PICKLE = b"\x80"
+_OBJECTS = "holds Python objects other than tensors; it was not opened, because that could run code"
+_FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+
+
+def load_torch(path: str | Path, what: str, without_objects: str, numpy_numbers: bool = False) -> Any:
+    """The content of a file of torch.save; nothing in it is run.
+
+    Args:
+        path: the file.
+        what: its kind, for messages.
+        without_objects: the remedy where it holds Python objects.
+        numpy_numbers: allow single numpy numbers beside the tensors, as in Inria's checkpoints.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is damaged, or holds Python objects.
+    """
+    path = existing_file(path, what)
+    if not zipfile.is_zipfile(path) and read_bytes(path)[:1] == _PICKLE:
+        raise FileFormatError(
+            path, "is a bare Python pickle, which is not opened: that could run code", without_objects
+        )
+    try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+        # torch stores without compression; one that unpacks to more than its size would fill the memory.
+        if unpacked > os.path.getsize(path):
+            raise ValueError("unpacks to more than its size")
+        with _allowed(numpy_numbers):
+            return torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        if "GLOBAL" not in str(error):  # so torch calls what is no tensor
+            raise FileFormatError(path, "is damaged", "copy it again") from error
+        raise FileFormatError(path, _OBJECTS, without_objects) from error
+    except Exception as error:  # damaged or foreign archives raise nearly everything inside torch
+        reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
+        raise FileFormatError(path, f"cannot be loaded ({reason})", f"it should be {what}") from error
+
+
+def float_tensor(path: Path, value: Any, shape: tuple[int, ...], name: str, what: str) -> np.ndarray:
+    """[...] float32 of a tensor in a file.
+
+    Args:
+        path: the file.
+        value: what it holds under ``name``.
+        shape: expected; -1 takes any side.
+        name, what: of the tensor and of the kind of file, for messages.
+
+    Raises:
+        FileFormatError: it is no tensor of floats of this shape, or claims more numbers than its file has.
+    """
+    sound = (
+        isinstance(value, Tensor)
+        and value.layout == torch.strided
+        and value.dtype in _FLOATS
+        and value.device.type == "cpu"
+        and value.dim() == len(shape)
+        # Views with zero strides can claim any size: a tensor has to fit into its file.
+        and value.numel() * value.element_size() <= os.path.getsize(path)
+        and all(wanted in (-1, side) for wanted, side in zip(shape, value.shape, strict=True))
+    )
+    if not sound:
+        found = f"{value.dtype} {list(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+        expected = ", ".join("?" if side < 0 else str(side) for side in shape)
+        problem = f"{name} is {found}, expected floats [{expected}]"
+        raise FileFormatError(path, problem, f"it should be {what}")
+    return value.detach().float().numpy()
+
+
+def _allowed(numpy_numbers: bool) -> AbstractContextManager[Any]:
+    """In this context torch's restricted loader takes single numpy numbers, if that is wanted; since torch 2.5."""
+    if not numpy_numbers or not hasattr(torch.serialization, "safe_globals"):
+        return nullcontext()
+    return torch.serialization.safe_globals(_number_types())
+
+
+def _number_types() -> list[Any]:
+    """What a pickled numpy float consists of, under the names of old and new numpy."""
+    scalar = type(np.float64(0)).__reduce__(np.float64(0))[0]  # type: ignore[arg-type]
+    names = ("numpy.core.multiarray.scalar", "numpy._core.multiarray.scalar")
+    kinds = [type(np.dtype(kind)) for kind in (np.float32, np.float64, np.int64)]
+    return [*((scalar, name) for name in names), np.dtype, *kinds]

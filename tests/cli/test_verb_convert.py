@@ -1,0 +1,92 @@
+"""scoup convert: region features, and what other systems leave."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cli_support import refused, run, run_json
+from foreign_samples import LangSplatAutoencoder, save_langsplatv2
+from scoup.field.language_field import LanguageField
+from scoup.io import load_cameras, load_gaussians, load_regions
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+def test_features_become_a_field_that_can_be_queried():
+    field = LanguageField.load("f.scoup")
+    np.save("features.npy", field.gaussian_features("m").numpy())
+    command = (
+        "convert",
+        "features.npy",
+        "new.scoup",
+        "--gaussians",
+        "scene/point_cloud.ply",
+        "--n-atoms",
+        "8",
+    )
+    code, out, err = run(*command, "--model", "scene/words.npz")
+    assert (code, err) == (0, "")
+    assert "new.scoup: 150 Gaussians, 8 atoms, levels m, m: mean cosine" in out
+    assert run_json("info", "new.scoup")["geometry"].endswith("point_cloud.ply")
+    texts = field.text_vectors("kettle", "scene/words.npz")
+    pair = [LanguageField.load(path).gaussian_relevancy(texts.queries, texts.canonical)[level, 0]
+            for path, level in (("f.scoup", 1), ("new.scoup", 0))]  # fmt: skip
+    assert torch.corrcoef(torch.stack(pair))[0, 1] > 0.9
+    assert run_json("select", "new.scoup", "kettle", "--out", "a.ply", "--always")["written"]
+    assert "already exists" in refused(*command)
+
+
+def test_checkpoints_of_langsplatv2_become_a_field():
+    gaussians = load_gaussians("scene/point_cloud.ply")
+    for level in (1, 2, 3):
+        save_langsplatv2(gaussians, Path(f"out/kitchen_{level}/chkpnt10000.pth"), seed=level)
+    record = run_json("convert", "out/kitchen_2/chkpnt10000.pth", "v2.scoup", "--model", "scene/words.npz")
+    assert record["levels"] == ["s", "m", "l"]
+    assert record["gaussians"] == record["coded"] == 150
+    query = run_json("query", "v2.scoup", "kettle", "--scene", "scene", "--out", "answers", "--always")
+    assert query["answers"][0]["box"] is not None
+
+
+def test_the_autoencoders_features_become_embeddings():
+    torch.manual_seed(1)
+    network = LangSplatAutoencoder([8, 3], [8, 16], dim=16).eval()
+    torch.save(network.state_dict(), "best_ckpt.pth")
+    regions = load_regions("scene/language_features", load_cameras("scene"))
+    small, expected = Path("scene/language_features_dim3"), {}
+    small.mkdir()
+    for path in Path("scene/language_features").glob("*_f.npy"):
+        rows = torch.from_numpy(np.load(path))
+        with torch.no_grad():
+            codes = network.encode(rows)
+            expected[path.name.split("_f.npy")[0]] = network.decode(codes).numpy()
+        np.save(small / path.name, codes.numpy())
+        labels = path.name.replace("_f.npy", "_s.npy")
+        (small / labels).write_bytes((path.parent / labels).read_bytes())
+    record = run_json("convert", small, "decoded", "--autoencoder", "best_ckpt.pth", "--bits", "32")
+    assert record["views"] == 4
+    found = load_regions("decoded", load_cameras("scene"))
+    for name in regions.view_names:
+        rows = np.concatenate([found.load(name, level).embeddings.numpy() for level in found.levels])
+        np.testing.assert_allclose(rows, expected[Path(name).stem][-len(rows) :], atol=1e-5)
+    assert "decodes rows of 3 numbers" in refused(
+        "convert", "scene/language_features", "other", "--autoencoder", "best_ckpt.pth"
+    )
+
+
+def test_bad_input():
+    np.save("features.npy", np.ones((149, 16), np.float32))
+    Path("a.txt").write_text("x")
+    gaussians = ("--gaussians", "scene/point_cloud.ply")
+    for arguments, said in (
+        (["features.npy", "a.scoup"], "--gaussians"),
+        (["features.npy", "folder", *gaussians], "ends in .scoup"),
+        (["features.npy", "a.scoup", *gaussians], "not one row for each of 150 Gaussians"),
+        (["a.txt", "a.scoup"], "is nothing that is converted here"),
+        (["none", "there"], "none"),
+        (["scene/words.npz", "a.scoup"], "is nothing that is converted here"),
+    ):
+        assert said in refused("convert", *arguments)

@@ -1,0 +1,276 @@
+"""Output folders of nerfstudio and gsplat: the splat, and cameras in its frame, by naming the folder."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from io_samples import same_gaussians, save_checkpoint, save_images, some_cameras, some_gaussians
+from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io import (
+    default_preset,
+    load_cameras,
+    load_gaussians,
+    save_gaussians,
+    write_colmap,
+    write_transforms,
+)
+from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import SH_C0, Gaussians
+
+CONFIG = """!!python/object:nerfstudio.engine.trainer.TrainerConfig
+_target: !!python/name:nerfstudio.engine.trainer.Trainer ''
+data: {data}
+experiment_name: kitchen
+pipeline: !!python/object:nerfstudio.pipelines.base_pipeline.VanillaPipelineConfig
+  datamanager: !!python/object:nerfstudio.data.datamanagers.full_images_datamanager.FullImageDatamanagerConfig
+    dataparser: !!python/object:nerfstudio.data.dataparsers.{parser}
+      data: *id001
+"""
+PARTS = """&id001 !!python/object/apply:pathlib.PosixPath
+{items}"""
+
+
+def pixels(gaussians: Gaussians, cameras: Cameras) -> torch.Tensor:
+    """[V, N, 2] where each mean is seen."""
+    seen = []
+    for camera in cameras:
+        points = gaussians.means.double() @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+        image = points @ camera.K.T
+        seen.append(image[:, :2] / image[:, 2:])
+    return torch.stack(seen)
+
+
+def moved(gaussians: Gaussians, transform: np.ndarray) -> Gaussians:
+    """The means in another world."""
+    matrix = torch.from_numpy(transform)
+    means = (gaussians.means.double() @ matrix[:3, :3].T + matrix[:3, 3]).float()
+    return Gaussians(means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
+
+
+def some_similarity(seed: int = 3) -> tuple[np.ndarray, float]:
+    """[4, 4] rotation and translation, and a scale."""
+    generator = np.random.default_rng(seed)
+    rotation, _ = np.linalg.qr(generator.normal(size=(3, 3)))
+    transform = np.eye(4)
+    transform[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
+    transform[:3, 3] = generator.normal(size=3)
+    return transform, 0.4
+
+
+def save_splatfacto(gaussians: Gaussians, path: Path, older: bool = False) -> None:
+    """What nerfstudio's trainer writes of a step."""
+    prefix = "_model." if older else "_model.gauss_params."
+    values = {
+        "means": gaussians.means, "quats": gaussians.quats * 3, "scales": gaussians.scales.log(),
+        "opacities": torch.logit(gaussians.opacities)[:, None],
+        "features_dc": gaussians.sh[:, 0] if gaussians.sh_degree else torch.logit(gaussians.sh[:, 0] * SH_C0 + 0.5),
+        "features_rest": gaussians.sh[:, 1:],
+    }  # fmt: skip
+    pipeline = {prefix + name: torch.nn.Parameter(value.clone()) for name, value in values.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torch.save(
+        {"step": 29999, "pipeline": {**pipeline, "_model.other": torch.zeros(3)}, "optimizers": {}}, path
+    )
+
+
+def save_run(run: Path, data: str, parser: str = "nerfstudio_dataparser.NerfstudioDataParserConfig") -> None:
+    """config.yml and dataparser_transforms.json."""
+    run.mkdir(parents=True, exist_ok=True)
+    items = "".join(
+        f"- {part}\n" for part in (["/"] if data.startswith("/") else []) + data.strip("/").split("/")
+    )
+    (run / "config.yml").write_text(CONFIG.format(data=PARTS.format(items=items), parser=parser))
+    transform, scale = some_similarity()
+    record = {"transform": transform[:3].tolist(), "scale": scale}
+    (run / "dataparser_transforms.json").write_text(json.dumps(record))
+
+
+@pytest.mark.parametrize("older", [False, True])
+@pytest.mark.parametrize("degree", [0, 3])
+def test_splats_of_nerfstudio_are_read(tmp_path: Path, degree: int, older: bool) -> None:
+    given = some_gaussians(9, degree)
+    given.sh.clamp_(-1, 1)
+    run = tmp_path / "outputs/kitchen/splatfacto/2026-01-01_000000"
+    save_run(run, "data/kitchen")
+    save_splatfacto(some_gaussians(4, degree), run / "nerfstudio_models/step-000009999.ckpt", older)
+    save_splatfacto(given, run / "nerfstudio_models/step-000029999.ckpt", older)
+    for path in (run, run / "nerfstudio_models/step-000029999.ckpt"):
+        found = load_gaussians(path)
+        assert found.means.equal(given.means)
+        for name in ("quats", "scales", "opacities", "sh"):
+            assert torch.allclose(getattr(found, name), getattr(given, name), rtol=1e-5, atol=2e-6), name
+        assert default_preset(path) == "gsplat"
+
+
+def test_an_exported_splat_serves_where_there_is_no_checkpoint(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    save_run(run, "data")
+    with pytest.raises(MissingFileError, match="0 exported splats"):
+        load_gaussians(run)
+    (run / "exports" / "splat").mkdir(parents=True)
+    save_gaussians(some_gaussians(5), run / "exports" / "splat" / "splat.ply")
+    assert len(load_gaussians(run)) == 5
+    assert default_preset(run) == "gsplat"
+    (run / "nerfstudio_models").mkdir()
+    torch.save(
+        {"pipeline": {"_model.field.mlp": torch.zeros(3)}}, run / "nerfstudio_models/step-000000001.ckpt"
+    )
+    with pytest.raises(FileFormatError, match="another method of nerfstudio"):
+        load_gaussians(run)
+
+
+@pytest.mark.parametrize(
+    "parser", ["nerfstudio_dataparser.NerfstudioDataParserConfig", "colmap_dataparser.ColmapDataParserConfig"]
+)
+@pytest.mark.parametrize("absolute", [True, False])
+def test_cameras_of_a_run_fit_its_splat(tmp_path: Path, parser: str, absolute: bool) -> None:
+    """The splat was trained where dataparser_transforms.json puts the original world, applied_transform included."""
+    data, run = tmp_path / "data/kitchen", tmp_path / "outputs/kitchen/splatfacto/1"
+    world, gaussians = some_cameras(4), some_gaussians(6)
+    transform, scale = some_similarity()
+    trained = moved(gaussians, np.diag([scale, scale, scale, 1]) @ transform)
+    if parser.startswith("colmap"):
+        write_colmap(world, data / "sparse/0")
+    else:
+        # What ns-process-data did to the cameras is written beside them, and is part of the transform of the run.
+        applied = np.array([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0.0]])
+        (data / "x").mkdir(parents=True)
+        processed = Cameras(camera.moved(applied[:, :3], applied[:, 3], 1.0) for camera in world)
+        write_transforms(processed, data / "transforms.json")
+        content = json.loads((data / "transforms.json").read_text())
+        (data / "transforms.json").write_text(json.dumps({**content, "applied_transform": applied.tolist()}))
+    save_images(world, data / "images")
+    save_run(run, str(data) if absolute else "somewhere/else/data/kitchen", parser)
+    found = load_cameras(run)
+    assert found.names == world.names
+    assert torch.allclose(pixels(trained, found), pixels(gaussians, world), rtol=1e-3, atol=1e-3)
+    assert all(camera.image_path is not None for camera in found)
+
+
+def test_what_a_run_lacks_is_named_with_the_remedy(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    save_run(run, "/nowhere/my-kitchen")
+    with pytest.raises(MissingFileError, match=r"trained on /nowhere/my-kitchen, which .*--dataparser"):
+        load_cameras(run)
+    (run / "config.yml").write_text("method_name: splatfacto\n")
+    with pytest.raises(MissingFileError, match="does not say where the data"):
+        load_cameras(run)
+    write_colmap(some_cameras(2), tmp_path / "my-kitchen/sparse/0")
+    save_run(run, "/nowhere/my-kitchen", "colmap_dataparser.ColmapDataParserConfig")
+    assert len(load_cameras(run, missing_images="keep")) == 2
+    (run / "nerfstudio_models").mkdir()
+    (run / "dataparser_transforms.json").unlink()
+    with pytest.raises(MissingFileError, match=r"dataparser_transforms.json: is not there.*copy it"):
+        load_cameras(run)
+
+
+def oracle(camtoworlds: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """gsplat 1.5's examples/datasets: similarity_from_cameras (strict_scaling False, center_method "focus"),
+    align_principal_axes, and the turn that follows them in Parser, in its own steps."""
+    t, R = camtoworlds[:, :3, 3], camtoworlds[:, :3, :3]
+    ups = np.sum(R * np.array([0, -1.0, 0]), axis=-1)
+    world_up = np.mean(ups, axis=0)
+    world_up /= np.linalg.norm(world_up)
+    up_camspace = np.array([0.0, -1.0, 0.0])
+    c = (up_camspace * world_up).sum()
+    cross = np.cross(world_up, up_camspace)
+    skew = np.array([[0.0, -cross[2], cross[1]], [cross[2], 0.0, -cross[0]], [-cross[1], cross[0], 0.0]])
+    R_align = np.eye(3) + skew + (skew @ skew) * 1 / (1 + c) if c > -1 else np.diag([-1.0, 1.0, 1.0])
+    R = R_align @ R
+    fwds = np.sum(R * np.array([0, 0.0, 1.0]), axis=-1)
+    t = (R_align @ t[..., None])[..., 0]
+    nearest = t + (fwds * -t).sum(-1)[:, None] * fwds
+    translate = -np.median(nearest, axis=0)
+    transform = np.eye(4)
+    transform[:3, 3] = translate
+    transform[:3, :3] = R_align
+    scale = 1.0 / np.median(np.linalg.norm(t + translate, axis=-1))
+    transform[:3, :] *= scale
+    points = points @ transform[:3, :3].T + transform[:3, 3]
+    centroid = np.median(points, axis=0)
+    eigenvalues, eigenvectors = np.linalg.eigh(np.cov(points - centroid, rowvar=False))
+    eigenvectors = eigenvectors[:, eigenvalues.argsort()[::-1]]
+    if np.linalg.det(eigenvectors) < 0:
+        eigenvectors[:, 0] *= -1
+    second = np.eye(4)
+    second[:3, :3] = eigenvectors.T
+    second[:3, 3] = -eigenvectors.T @ centroid
+    points = points @ second[:3, :3].T + second[:3, 3]
+    transform = second @ transform
+    if np.median(points[:, 2]) > np.mean(points[:, 2]):
+        transform = np.diag([1.0, -1.0, -1.0, 1.0]) @ transform
+    return transform
+
+
+def save_results(folder: Path, data: Path, normalise: Any = "true") -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = ["data_dir: " + str(data), "data_factor: 4"]
+    lines += [] if normalise is None else [f"normalize_world_space: {normalise}"]
+    lines += ["strategy: !!python/object:gsplat.strategy.DefaultStrategy", "  refine: 1", ""]
+    (folder / "cfg.yml").write_text("\n".join(lines))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_cameras_of_gsplats_results_fit_its_splat(tmp_path: Path, seed: int) -> None:
+    world = some_cameras(5, seed=seed)
+    generator = np.random.default_rng(seed)
+    points = generator.normal(size=(60, 3)) * [3, 1, 0.4] + 0.2
+    write_colmap(world, tmp_path / "garden/sparse/0", (points, np.zeros((60, 3), np.uint8)))
+    c2w = np.stack([np.linalg.inv(camera.viewmat.numpy()) for camera in world])
+    gaussians = some_gaussians(8)
+    trained = moved(gaussians, oracle(c2w, points.astype(np.float32).astype(float)))
+    for normalise, splat in (("true", trained), (None, trained), ("false", gaussians)):
+        results = tmp_path / f"results_{normalise}"
+        save_results(results, tmp_path / "garden", normalise)
+        save_checkpoint(splat, results / "ckpts/ckpt_29999_rank0.pt")
+        cameras = load_cameras(results, missing_images="keep")
+        expected = pixels(gaussians, world)
+        near = expected.abs() < 1e3
+        assert torch.allclose(
+            pixels(load_gaussians(results), cameras)[near], expected[near], rtol=1e-3, atol=5e-2
+        )
+        assert default_preset(results) == "gsplat"
+
+
+def test_results_without_checkpoints_have_an_exported_splat(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    save_results(results, tmp_path / "nowhere")
+    (results / "ply").mkdir()
+    with pytest.raises(MissingFileError, match=r"no ply/point_cloud_<step>\.ply"):
+        load_gaussians(results)
+    for step, count in ((6999, 3), (29999, 5)):
+        save_gaussians(some_gaussians(count), results / f"ply/point_cloud_{step}.ply")
+    assert len(load_gaussians(results)) == 5
+    assert default_preset(results) == "gsplat"
+    with pytest.raises(MissingFileError, match="which is not on this machine"):
+        load_cameras(results)
+    (results / "cfg.yml").write_text("result_dir: results\n")
+    with pytest.raises(MissingFileError, match=r"does not say .*data_dir"):
+        load_cameras(results)
+
+
+def test_a_world_without_points_is_refused(tmp_path: Path) -> None:
+    write_colmap(
+        some_cameras(3), tmp_path / "garden/sparse/0", (np.zeros((2, 3)), np.zeros((2, 3), np.uint8))
+    )
+    save_results(tmp_path / "results", tmp_path / "garden")
+    (tmp_path / "results/ckpts").mkdir()
+    with pytest.raises(FileFormatError, match="too few to normalise"):
+        load_cameras(tmp_path / "results", missing_images="keep")
+
+
+def test_a_checkpoint_is_known_by_its_name(tmp_path: Path) -> None:
+    given = some_gaussians(9, 0)
+    run = tmp_path / "run"
+    save_run(run, "data")
+    save_splatfacto(given, run / "nerfstudio_models/step-000000009.ckpt")
+    (tmp_path / "copy").mkdir()
+    shutil.copy(run / "nerfstudio_models/step-000000009.ckpt", tmp_path / "copy")
+    assert same_gaussians(load_gaussians(run), load_gaussians(tmp_path / "copy/step-000000009.ckpt"))

@@ -1,0 +1,151 @@
+"""Fields of other systems answer as their own features do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from foreign_samples import save_langsplatv2
+from io_samples import some_gaussians
+from scoup.base.errors import FileFormatError, InputError
+from scoup.field.language_field import LanguageField
+from scoup.query.relevancy import relevancy
+from scoup.uplift import foreign
+from scoup.uplift.foreign import (
+    field_from_features,
+    field_from_langsplatv2,
+    langsplatv2_levels,
+    read_features,
+)
+from support import unit
+
+
+def queries(dim: int) -> tuple[torch.Tensor, torch.Tensor]:
+    random = torch.Generator().manual_seed(9)
+    return unit(torch.randn(5, dim, generator=random)), unit(torch.randn(4, dim, generator=random))
+
+
+def literal_features(logits: torch.Tensor, codebook: torch.Tensor, k: int) -> torch.Tensor:
+    """[N, D] as LangSplatV2 makes them: ``softmax_to_topk_soft_code`` times the codebook."""
+    soft = logits.softmax(1)
+    values, places = torch.topk(soft, k, dim=1)
+    kept = torch.zeros_like(soft).scatter_(1, places, values)
+    kept = kept / (kept.sum(1, keepdim=True) + 1e-10)
+    return unit(kept @ codebook)
+
+
+def test_langsplatv2_answers_as_its_own_features_do(tmp_path: Path) -> None:
+    given = some_gaussians(40, 1)
+    paths, features = [], []
+    for level in (1, 2, 3):
+        path = tmp_path / f"teatime_{level}" / "chkpnt10000.pth"
+        logits, books = save_langsplatv2(given, path, seed=level)
+        paths.append(path)
+        features.append(literal_features(logits, books[0], 4))
+    assert langsplatv2_levels(paths[1]) == paths
+    field = field_from_langsplatv2(paths)
+    assert field.levels == ("s", "m", "l")
+    assert field.code_indices.shape == (40, 3, 4)
+    wanted, canonical = queries(16)
+    found = field.gaussian_relevancy(wanted, canonical)
+    for level, rows in enumerate(features):
+        expected = relevancy((rows @ wanted.T).T[None], (rows @ canonical.T).T[None])[0]
+        assert torch.allclose(found[level], expected, atol=2e-3)  # weights are float16
+        assert torch.allclose(field.gaussian_features(level), rows, atol=2e-3)
+    field.save(tmp_path / "a.scoup")
+    again = LanguageField.load(tmp_path / "a.scoup")
+    assert again.gaussian_relevancy(wanted, canonical).equal(found)
+    assert again.info.provenance["converted_from"] == "LangSplatV2"
+
+
+def test_one_level_and_several_codebooks(tmp_path: Path) -> None:
+    given = some_gaussians(12, 0)
+    path = tmp_path / "room" / "chkpnt30000.pth"
+    logits, books = save_langsplatv2(given, path, layers=2)
+    assert langsplatv2_levels(path) == [path]
+    field = field_from_langsplatv2([path], k=3)
+    assert field.levels == ("m",)
+    assert field.code_indices.shape == (12, 1, 6)
+    parts = [literal_soft(logits[:, 8 * n : 8 * n + 8], 3) @ books[n] for n in range(2)]
+    assert torch.allclose(field.gaussian_features(0), unit(parts[0] + parts[1]), atol=2e-3)
+
+
+def literal_soft(logits: torch.Tensor, k: int) -> torch.Tensor:
+    values, places = torch.topk(logits.softmax(1), k, dim=1)
+    return torch.zeros_like(logits).scatter_(1, places, values / values.sum(1, keepdim=True))
+
+
+def test_levels_of_different_splats_are_refused(tmp_path: Path) -> None:
+    for number in (1, 2, 3):
+        save_langsplatv2(some_gaussians(5 + (number == 3), 0), tmp_path / f"a_{number}" / "c.pth")
+    with pytest.raises(FileFormatError, match="another splat"):
+        field_from_langsplatv2(langsplatv2_levels(tmp_path / "a_1" / "c.pth"))
+    with pytest.raises(InputError, match="k must be 1 to 8"):
+        field_from_langsplatv2([tmp_path / "a_1" / "c.pth"], k=9)
+    with pytest.raises(InputError, match="at least one"):
+        field_from_langsplatv2([])
+
+
+def clustered(count: int, dim: int = 16, kinds: int = 6) -> torch.Tensor:
+    random = torch.Generator().manual_seed(3)
+    centres = torch.randn(kinds, dim, generator=random)
+    rows = centres[torch.randint(kinds, (count,), generator=random)]
+    return rows + 0.05 * torch.randn(count, dim, generator=random)
+
+
+@pytest.mark.parametrize("levels", [None, 3])
+def test_features_become_codes_that_answer_alike(levels: int | None) -> None:
+    given = some_gaussians(200, 0)
+    rows = clustered(200) if levels is None else torch.stack([clustered(200)] * levels, 1)
+    rows = rows * torch.rand(200, *[1] * (rows.dim() - 1)) * 50  # only directions count
+    field = field_from_features(given, rows.numpy(), n_atoms=12, k=3)
+    assert field.levels == (("m",) if levels is None else ("s", "m", "l"))
+    assert min(field.info.provenance["mean_cosine"].values()) > 0.99
+    wanted, canonical = queries(16)
+    known = unit(rows if levels is None else rows[:, 0])
+    expected = relevancy((known @ wanted.T).T[None], (known @ canonical.T).T[None])[0]
+    assert float((field.gaussian_relevancy(wanted, canonical)[0] - expected).abs().mean()) < 0.05
+    again = field_from_features(given, rows, n_atoms=12, k=3)
+    assert again.code_indices.equal(field.code_indices)
+    assert again.code_weights.equal(field.code_weights)
+
+
+def test_unknown_rows_have_no_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foreign, "LEARNED_FROM", 30)
+    monkeypatch.setattr(foreign, "ROWS_AT_A_TIME", 16)
+    rows = clustered(100)
+    rows[3], rows[50], rows[99] = 0, torch.nan, torch.inf
+    field = field_from_features(some_gaussians(100, 0), rows, n_atoms=12, k=2)
+    assert (~field.coded()).nonzero()[:, 0].tolist() == [3, 50, 99]
+    with pytest.raises(InputError, match="no Gaussian has a feature"):
+        field_from_features(some_gaussians(5, 0), torch.zeros(5, 8))
+    with pytest.raises(InputError, match=r"\[99, 1, 16\] are not one row for each of 100"):
+        field_from_features(some_gaussians(100, 0), rows[:99])
+    with pytest.raises(InputError, match="2 names"):
+        field_from_features(some_gaussians(100, 0), rows, levels=("a", "b"))
+
+
+def test_arrays_are_read_from_files(tmp_path: Path) -> None:
+    rows = clustered(9)
+    np.save(tmp_path / "a.npy", rows.numpy())
+    np.save(tmp_path / "half.npy", rows.half().numpy())
+    torch.save(rows, tmp_path / "a.pt")
+    assert np.array_equal(read_features(tmp_path / "a.npy"), rows.numpy())
+    assert np.array_equal(read_features(tmp_path / "a.pt"), rows.numpy())
+    assert read_features(tmp_path / "half.npy").dtype == np.float16
+    field = field_from_features(some_gaussians(9, 0), read_features(tmp_path / "half.npy"), n_atoms=8)
+    assert len(field) == 9
+    torch.save({"a": rows}, tmp_path / "dict.pt")
+    torch.save(torch.zeros(1).expand(10**9, 3), tmp_path / "large.pt")
+    np.save(tmp_path / "whole.npy", np.zeros((4, 4), int))
+    np.save(tmp_path / "flat.npy", np.zeros(4))
+    (tmp_path / "a.txt").write_text("1 2 3")
+    for name, said in (
+        ("dict.pt", "holds no tensor"), ("large.pt", "more numbers than it holds"), ("whole.npy", "expected floats"),
+        ("flat.npy", "expected floats"), ("a.txt", "no array of features"), ("none.npy", "no such file"),
+    ):  # fmt: skip
+        with pytest.raises(FileFormatError, match=said):
+            read_features(tmp_path / name)
