@@ -32,7 +32,10 @@ def test_the_main_path_says_what_it_found():
     lines = out.splitlines()
     assert re.match(r"view_00\.png  kettle: score [01]\.\d\d at level", lines[0])
     assert lines[1].startswith("view_00.png  wooden table: score 0.")
-    assert [line.split(":")[0] for line in lines[2:4]] == ["in the world  kettle", "in the world  wooden table"]
+    assert [line.split(":")[0] for line in lines[2:4]] == [
+        "in the world  kettle",
+        "in the world  wooden table",
+    ]
     assert lines[4:] == [
         "f_queries/sheet.png: the answers as pictures",
         "f_queries/query.json: 2 answers",

@@ -8,12 +8,10 @@ from typing import Any
 _LONGEST = 60  # characters of a value that is no tensor
 
 
-def brief(instance: Any) -> str:
+def brief(self: Any) -> str:
     """What ``repr`` says of a dataclass: its fields, tensors by type and shape. Assign it to ``__repr__``."""
-    parts = (
-        f"{field.name}={_value(getattr(instance, field.name))}" for field in fields(instance) if field.repr
-    )
-    return f"{type(instance).__name__}({', '.join(parts)})"
+    parts = (f"{field.name}={_value(getattr(self, field.name))}" for field in fields(self) if field.repr)
+    return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def _value(value: Any) -> str:
