@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,19 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from scoup.scene.gaussians import Gaussians
+from scoup.scene.gaussians import SH_C0, Gaussians
+
+CONFIG = """!!python/object:nerfstudio.engine.trainer.TrainerConfig
+_target: !!python/name:nerfstudio.engine.trainer.Trainer ''
+data: {data}
+experiment_name: kitchen
+pipeline: !!python/object:nerfstudio.pipelines.base_pipeline.VanillaPipelineConfig
+  datamanager: !!python/object:nerfstudio.data.datamanagers.full_images_datamanager.FullImageDatamanagerConfig
+    dataparser: !!python/object:nerfstudio.data.dataparsers.{parser}
+      data: *id001
+"""
+PARTS = """&id001 !!python/object/apply:pathlib.PosixPath
+{items}"""
 
 
 def captured(
@@ -78,3 +91,49 @@ class LangSplatAutoencoder(nn.Module):
         for layer in self.decoder:
             rows = layer(rows)
         return rows / rows.norm(dim=-1, keepdim=True)
+
+
+def some_similarity(seed: int = 3) -> tuple[np.ndarray, float]:
+    """[4, 4] rotation and translation, and a scale."""
+    generator = np.random.default_rng(seed)
+    rotation, _ = np.linalg.qr(generator.normal(size=(3, 3)))
+    transform = np.eye(4)
+    transform[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
+    transform[:3, 3] = generator.normal(size=3)
+    return transform, 0.4
+
+
+def save_splatfacto(gaussians: Gaussians, path: Path, older: bool = False) -> None:
+    """What nerfstudio's trainer writes of a step."""
+    prefix = "_model." if older else "_model.gauss_params."
+    values = {
+        "means": gaussians.means, "quats": gaussians.quats * 3, "scales": gaussians.scales.log(),
+        "opacities": torch.logit(gaussians.opacities)[:, None],
+        "features_dc": gaussians.sh[:, 0] if gaussians.sh_degree else torch.logit(gaussians.sh[:, 0] * SH_C0 + 0.5),
+        "features_rest": gaussians.sh[:, 1:],
+    }  # fmt: skip
+    pipeline = {prefix + name: torch.nn.Parameter(value.clone()) for name, value in values.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torch.save(
+        {"step": 29999, "pipeline": {**pipeline, "_model.other": torch.zeros(3)}, "optimizers": {}}, path
+    )
+
+
+def save_run(run: Path, data: str, parser: str = "nerfstudio_dataparser.NerfstudioDataParserConfig") -> None:
+    """config.yml and dataparser_transforms.json."""
+    run.mkdir(parents=True, exist_ok=True)
+    items = "".join(
+        f"- {part}\n" for part in (["/"] if data.startswith("/") else []) + data.strip("/").split("/")
+    )
+    (run / "config.yml").write_text(CONFIG.format(data=PARTS.format(items=items), parser=parser))
+    transform, scale = some_similarity()
+    record = {"transform": transform[:3].tolist(), "scale": scale}
+    (run / "dataparser_transforms.json").write_text(json.dumps(record))
+
+
+def save_results(folder: Path, data: Path, normalise: Any = "true") -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = ["data_dir: " + str(data), "data_factor: 4"]
+    lines += [] if normalise is None else [f"normalize_world_space: {normalise}"]
+    lines += ["strategy: !!python/object:gsplat.strategy.DefaultStrategy", "  refine: 1", ""]
+    (folder / "cfg.yml").write_text("\n".join(lines))

@@ -11,6 +11,7 @@ import pytest
 
 from cli_support import QUICK, refused, run, run_json, write_scene
 from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png, write_colmap
+from scoup.io.splats.formats import READERS
 from scoup.io.splats.ply import read_ply
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera, Cameras
@@ -52,7 +53,7 @@ def test_info_reads_a_splat_once(monkeypatch: pytest.MonkeyPatch):
         read.append(path)
         return read_ply(path)
 
-    monkeypatch.setattr("scoup.io.scenes.read_ply", counted_read)
+    monkeypatch.setitem(READERS, ".ply", counted_read)
     assert "fit" in run_json("info", "scene")
     assert read == [Path("scene/point_cloud.ply")]
 

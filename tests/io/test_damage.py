@@ -18,6 +18,13 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from foreign_samples import (
+    LangSplatAutoencoder,
+    save_langsplatv2,
+    save_results,
+    save_run,
+    save_splatfacto,
+)
 from io_samples import (
     save_checkpoint,
     save_compressed_ply,
@@ -41,6 +48,8 @@ from scoup.io import (
     write_spz,
     write_transforms,
 )
+from scoup.io.langsplatv2 import read_langsplatv2
+from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 from scoup.io.splats.gltf import read_gltf, read_gltf_features, write_gltf
 from scoup.io.splats.gltf_features import GaussianFeatures
 from scoup.io.splats.ply import table_from_gaussians
@@ -109,6 +118,20 @@ TARGETS = {
     "glb": Target("a.glb", lambda folder: read_all_gltf(folder / "a.glb")),
     "gltf": Target("a.gltf", lambda folder: read_all_gltf(folder / "a.gltf")),
     "checkpoint": Target("ckpts/ckpt_1_rank0.pt", lambda folder: load_gaussians(folder / "ckpts")),
+    "splatfacto": Target(
+        "run/nerfstudio_models/step-000000009.ckpt", lambda folder: load_gaussians(folder / "run")
+    ),
+    "config.yml": Target(
+        "run/config.yml", lambda folder: load_cameras(folder / "run", missing_images="keep")
+    ),
+    "dataparser_transforms.json": Target(
+        "run/dataparser_transforms.json", lambda folder: load_cameras(folder / "run", missing_images="keep")
+    ),
+    "cfg.yml": Target(
+        "results/cfg.yml", lambda folder: load_cameras(folder / "results", missing_images="keep")
+    ),
+    "LangSplatV2": Target("v2.pth", lambda folder: read_langsplatv2(folder / "v2.pth")),
+    "autoencoder": Target("best_ckpt.pth", lambda folder: read_autoencoder(folder / "best_ckpt.pth")),
     "cameras.bin": Target("scene/sparse/0/cameras.bin", lambda folder: load_cameras(folder / "scene")),
     "images.bin": Target("scene/sparse/0/images.bin", lambda folder: load_cameras(folder / "scene")),
     "points3D.bin": Target(
@@ -162,6 +185,12 @@ def sample() -> Iterator[Path]:
         write_inria_cameras(cameras, folder / "cameras.json")
         (folder / "cfg_args").write_text("Namespace(sh_degree=3, source_path='a', eval=False)")
         save_regions(some_regions(some_cameras(1, width=8, height=6)), folder / "features")
+        save_run(folder / "run", "scene", "colmap_dataparser.ColmapDataParserConfig")
+        save_splatfacto(some_gaussians(4), folder / "run" / "nerfstudio_models" / "step-000000009.ckpt")
+        save_results(folder / "results", folder / "scene")
+        (folder / "results" / "ckpts").mkdir()
+        save_langsplatv2(some_gaussians(4), folder / "v2.pth")
+        torch.save(LangSplatAutoencoder([4, 3], [4, 8], dim=8).state_dict(), folder / "best_ckpt.pth")
         yield folder
 
 

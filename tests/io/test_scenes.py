@@ -20,10 +20,10 @@ from io_samples import (
 )
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io import as_stored, default_preset, load_cameras, load_gaussians, load_image, save_gaussians
+from scoup.io.camera_sources import find_cameras
 from scoup.io.cameras.colmap import write_colmap
 from scoup.io.cameras.inria import write_inria_cameras
 from scoup.io.cameras.nerfstudio import write_transforms
-from scoup.io.scenes import find_cameras
 
 
 def colmap_scene(folder: Path, count: int = 3, images: str | None = "images", divisor: int = 1) -> Path:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
+from foreign_samples import save_results, save_run, save_splatfacto, some_similarity
 from io_samples import same_gaussians, save_checkpoint, save_images, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io import (
@@ -22,19 +22,7 @@ from scoup.io import (
     write_transforms,
 )
 from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import SH_C0, Gaussians
-
-CONFIG = """!!python/object:nerfstudio.engine.trainer.TrainerConfig
-_target: !!python/name:nerfstudio.engine.trainer.Trainer ''
-data: {data}
-experiment_name: kitchen
-pipeline: !!python/object:nerfstudio.pipelines.base_pipeline.VanillaPipelineConfig
-  datamanager: !!python/object:nerfstudio.data.datamanagers.full_images_datamanager.FullImageDatamanagerConfig
-    dataparser: !!python/object:nerfstudio.data.dataparsers.{parser}
-      data: *id001
-"""
-PARTS = """&id001 !!python/object/apply:pathlib.PosixPath
-{items}"""
+from scoup.scene.gaussians import Gaussians
 
 
 def pixels(gaussians: Gaussians, cameras: Cameras) -> torch.Tensor:
@@ -52,44 +40,6 @@ def moved(gaussians: Gaussians, transform: np.ndarray) -> Gaussians:
     matrix = torch.from_numpy(transform)
     means = (gaussians.means.double() @ matrix[:3, :3].T + matrix[:3, 3]).float()
     return Gaussians(means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
-
-
-def some_similarity(seed: int = 3) -> tuple[np.ndarray, float]:
-    """[4, 4] rotation and translation, and a scale."""
-    generator = np.random.default_rng(seed)
-    rotation, _ = np.linalg.qr(generator.normal(size=(3, 3)))
-    transform = np.eye(4)
-    transform[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
-    transform[:3, 3] = generator.normal(size=3)
-    return transform, 0.4
-
-
-def save_splatfacto(gaussians: Gaussians, path: Path, older: bool = False) -> None:
-    """What nerfstudio's trainer writes of a step."""
-    prefix = "_model." if older else "_model.gauss_params."
-    values = {
-        "means": gaussians.means, "quats": gaussians.quats * 3, "scales": gaussians.scales.log(),
-        "opacities": torch.logit(gaussians.opacities)[:, None],
-        "features_dc": gaussians.sh[:, 0] if gaussians.sh_degree else torch.logit(gaussians.sh[:, 0] * SH_C0 + 0.5),
-        "features_rest": gaussians.sh[:, 1:],
-    }  # fmt: skip
-    pipeline = {prefix + name: torch.nn.Parameter(value.clone()) for name, value in values.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    torch.save(
-        {"step": 29999, "pipeline": {**pipeline, "_model.other": torch.zeros(3)}, "optimizers": {}}, path
-    )
-
-
-def save_run(run: Path, data: str, parser: str = "nerfstudio_dataparser.NerfstudioDataParserConfig") -> None:
-    """config.yml and dataparser_transforms.json."""
-    run.mkdir(parents=True, exist_ok=True)
-    items = "".join(
-        f"- {part}\n" for part in (["/"] if data.startswith("/") else []) + data.strip("/").split("/")
-    )
-    (run / "config.yml").write_text(CONFIG.format(data=PARTS.format(items=items), parser=parser))
-    transform, scale = some_similarity()
-    record = {"transform": transform[:3].tolist(), "scale": scale}
-    (run / "dataparser_transforms.json").write_text(json.dumps(record))
 
 
 @pytest.mark.parametrize("older", [False, True])
@@ -209,14 +159,6 @@ def oracle(camtoworlds: np.ndarray, points: np.ndarray) -> np.ndarray:
     return transform
 
 
-def save_results(folder: Path, data: Path, normalise: Any = "true") -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    lines = ["data_dir: " + str(data), "data_factor: 4"]
-    lines += [] if normalise is None else [f"normalize_world_space: {normalise}"]
-    lines += ["strategy: !!python/object:gsplat.strategy.DefaultStrategy", "  refine: 1", ""]
-    (folder / "cfg.yml").write_text("\n".join(lines))
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_cameras_of_gsplats_results_fit_its_splat(tmp_path: Path, seed: int) -> None:
     world = some_cameras(5, seed=seed)
@@ -274,3 +216,23 @@ def test_a_checkpoint_is_known_by_its_name(tmp_path: Path) -> None:
     (tmp_path / "copy").mkdir()
     shutil.copy(run / "nerfstudio_models/step-000000009.ckpt", tmp_path / "copy")
     assert same_gaussians(load_gaussians(run), load_gaussians(tmp_path / "copy/step-000000009.ckpt"))
+
+
+def test_the_data_may_lie_in_the_folder_of_the_training(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    write_colmap(some_cameras(3), tmp_path / "sparse/0", (points, np.zeros((20, 3), np.uint8)))
+    save_results(tmp_path, tmp_path)
+    (tmp_path / "ckpts").mkdir()
+    assert len(load_cameras(tmp_path, missing_images="keep")) == 3
+    (tmp_path / "cfg.yml").unlink()
+    save_run(tmp_path, str(tmp_path), "colmap_dataparser.ColmapDataParserConfig")
+    assert len(load_cameras(tmp_path, missing_images="keep")) == 3
+
+
+def test_other_data_of_the_same_name_are_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder below the current one that has the name, but no cameras, is not what the training saw."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").mkdir()
+    write_colmap(some_cameras(2), tmp_path / "project/data/sparse/0")
+    save_run(tmp_path / "project/run", "data", "colmap_dataparser.ColmapDataParserConfig")
+    assert len(load_cameras(tmp_path / "project/run", missing_images="keep")) == 2

@@ -140,7 +140,7 @@ class Build(ViewOptions):
         """The file to write, after checking that it and what goes beside it may be written."""
         from scoup.base.errors import InputError
         from scoup.io import check_output
-        from scoup.io.scenes import scene_folder
+        from scoup.io.camera_sources import scene_folder
         from scoup.uplift.region_sums import sums_path
 
         out = self.out or Path(f"{scene_folder(self.scene).resolve().name}.scoup")

@@ -38,8 +38,8 @@ class ShowRegions(WritesCommon):
         """Load, draw, write."""
         from scoup.base.errors import InputError
         from scoup.io import check_output, load_cameras, load_image, load_regions, save_png
+        from scoup.io.camera_sources import scene_folder
         from scoup.io.regions.store import RegionStore
-        from scoup.io.scenes import scene_folder
         from scoup.pictures import regions_sheet
 
         if not 200 <= self.width <= 20_000:

@@ -1,6 +1,7 @@
 """Readers and writers: one module a format; all give and take the dataclasses of ``scene/``."""
 
 from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
+from scoup.io.camera_sources import find_cameras
 from scoup.io.cameras.colmap import read_colmap, read_points, read_tracks, write_colmap
 from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras, write_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms, write_transforms
@@ -10,7 +11,6 @@ from scoup.io.regions.load import load_regions, save_regions
 from scoup.io.scenes import (
     camera_photographs,
     default_preset,
-    find_cameras,
     find_gaussians,
     load_cameras,
     load_gaussians,

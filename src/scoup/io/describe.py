@@ -10,17 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.io.camera_sources import find_cameras, where_cameras_are
 from scoup.io.images import image_fault
 from scoup.io.regions.load import load_regions
 from scoup.io.regions.store import RegionStore
-from scoup.io.scenes import (
-    camera_photographs,
-    find_cameras,
-    find_gaussians,
-    load_cameras,
-    load_gaussians,
-    where_cameras_are,
-)
+from scoup.io.scenes import camera_photographs, find_gaussians, load_cameras, load_gaussians
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.oddities import oddities

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.camera_sources import find_cameras, scene_folder
 from scoup.io.regions.views import FOLDER_NAME
-from scoup.io.scenes import find_cameras, find_gaussians, scene_folder
+from scoup.io.scenes import find_gaussians
 
 
 def find_splat(scene: Path, gaussians: Path | None = None) -> Path:

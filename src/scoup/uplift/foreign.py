@@ -37,7 +37,7 @@ def read_features(path: str | Path) -> np.ndarray:
     """An array of features, one row a Gaussian: [N, D], or [N, S, D] of S levels.
 
     Args:
-        path: .npy (mapped, not read), .npz with one array, or .pt, .pth with one tensor.
+        path: .npy (mapped, not read), or .pt, .pth with one tensor.
 
     Raises:
         MissingFileError: there is no such file.

@@ -111,7 +111,7 @@ def _plain(text: str, key: str) -> str | None:
 def _on_this_machine(named: str, run: Path, config: Path, remedy: str) -> Path:
     """Where the data that a configuration names are: as named, or below a folder above the run."""
     path = Path(named.replace("\\", "/"))
-    if path.exists():
+    if _holds_cameras(path):
         return path
     above = [run.absolute(), *list(run.absolute().parents)[:_ABOVE]]
     parts = [part for part in path.parts if part not in (path.anchor, "..")]

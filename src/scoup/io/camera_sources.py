@@ -1,0 +1,194 @@
+"""Where the cameras of a scene are: every guess about folders and files of cameras is made here."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.cameras.colmap import is_model
+from scoup.io.cameras.inria import read_cfg_args
+from scoup.io.cameras.trained_frame import TRAINED_FRAME
+from scoup.io.cameras.training_run import (
+    GSPLAT_CONFIG,
+    gsplat_data,
+    is_gsplat_results,
+    is_nerfstudio_run,
+    nerfstudio_data,
+)
+
+CameraFormat = Literal["colmap", "nerfstudio", "inria"]
+
+_SPARSE = ("sparse", "sparse_pc")  # COLMAP's folder of models, and what nerfstudio makes of it
+_MOST_FOLDERS = 100  # looked into for scenes
+
+
+@dataclass(frozen=True)
+class CameraSource:
+    """Where the cameras of a scene are: format, file or model folder, folders that may hold images, other models of
+    COLMAP beside the one taken, and what says in which frame the splat was trained: dataparser_transforms.json of
+    nerfstudio, or cfg.yml of gsplat, whose trainer moves the world.
+    """
+
+    format: CameraFormat
+    path: Path
+    roots: tuple[Path, ...]
+    others: tuple[Path, ...] = ()
+    frame: Path | None = None
+
+
+def find_cameras(path: str | Path) -> CameraSource:
+    """Which cameras ``load_cameras`` reads for ``path``.
+
+    In a folder with ``point_cloud`` (an output of Inria's code) its cameras.json comes first; otherwise a
+    COLMAP model in ``sparse``, then transforms.json, then a model in ``colmap/sparse``, then cameras.json.
+
+    Raises:
+        MissingFileError: there are none.
+        FileFormatError: the file is of another kind.
+    """
+    path = Path(path)
+    if os.path.isfile(path):
+        return _source_of_file(path)
+    if not os.path.isdir(path):
+        raise MissingFileError(
+            path, "there is no such file or folder (a scene was expected)", "check the path"
+        )
+    if is_nerfstudio_run(path):
+        return _source_of_run(path)
+    if is_gsplat_results(path):
+        return _source_of_results(path)
+    return _source_of_folder(path)
+
+
+def _source_of_data(path: Path) -> CameraSource:
+    """The cameras of the data of a training, which may lie in the folder of the training itself."""
+    return _source_of_file(path) if path.is_file() else _source_of_folder(path)
+
+
+def _source_of_folder(path: Path) -> CameraSource:
+    inria = [path / "cameras.json"]
+    candidates = [
+        *(inria if (path / "point_cloud").is_dir() else []),
+        path / "sparse",
+        path / "transforms.json",
+        path / "colmap" / "sparse",
+        path,
+        *inria,
+    ]
+    for candidate in candidates:
+        if candidate.is_file():
+            return _source_of_file(candidate)
+        models = _models(candidate)
+        if models:
+            return CameraSource("colmap", models[0], (scene_folder(models[0]),), tuple(models[1:]))
+    raise MissingFileError(
+        path, "holds no cameras (sparse/0, transforms.json or cameras.json)", where_cameras_are(path)
+    )
+
+
+def _source_of_run(run: Path) -> CameraSource:
+    """The cameras of the data that a run of nerfstudio was trained on.
+
+    Raises:
+        MissingFileError: the data or the frame of the training are not there.
+    """
+    data, from_colmap = nerfstudio_data(run)
+    frame = run / TRAINED_FRAME
+    if not frame.is_file():
+        problem = "is not there; without it nobody knows in which frame the splat was trained"
+        raise MissingFileError(frame, problem, "copy it from the machine of the training")
+    transforms = data / "transforms.json"
+    source = _source_of_data(data if from_colmap or not transforms.is_file() else transforms)
+    return replace(source, frame=frame)
+
+
+def _source_of_results(results: Path) -> CameraSource:
+    """The cameras of the data that gsplat's trainer was given.
+
+    Raises:
+        MissingFileError, FileFormatError: they are not there, or no COLMAP scene.
+    """
+    data, normalised = gsplat_data(results)
+    source, config = _source_of_data(data), results / GSPLAT_CONFIG
+    if source.format != "colmap":
+        problem = f"names {data}, which is no COLMAP scene, as gsplat's trainer needs one"
+        raise FileFormatError(config, problem, "the file is damaged, or the data have changed since")
+    return replace(source, frame=config if normalised else None)
+
+
+def scene_folder(path: str | Path) -> Path:
+    """The scene that a path means: the folder of a cameras file, the one above COLMAP's ``sparse`` or ``sparse/0``, or
+    the folder itself.
+    """
+    path = Path(path)
+    folder = path.parent if path.is_file() else path
+    if not _models(folder):
+        return folder
+    scene = folder.absolute()
+    if scene.name == "0" or (scene.name.isdigit() and scene.parent.name in _SPARSE):
+        scene = scene.parent
+    for names in (_SPARSE, ("colmap",)):
+        if scene.name in names:
+            scene = scene.parent
+    # Keep a relative path relative: it is shorter in messages.
+    return scene if folder.is_absolute() else Path(os.path.relpath(scene))
+
+
+def _models(folder: Path) -> list[Path]:
+    """COLMAP's models in a folder: its numbered ones in order, and the folder itself."""
+    if not folder.is_dir():
+        return []
+    numbered = sorted(
+        (item for item in folder.iterdir() if item.name.isdigit()), key=lambda item: int(item.name)
+    )
+    return [item for item in (*numbered, folder) if is_model(item)]
+
+
+def where_cameras_are(path: Path) -> str:
+    """The remedy for a folder without cameras: the scene it is in, or the scenes in it, if there are any."""
+    above = list(path.absolute().parents)[:3]
+    if not path.is_absolute():
+        above = [Path(os.path.relpath(place)) for place in above]
+    below = [item for item in sorted(path.iterdir()) if item.is_dir()][:_MOST_FOLDERS]
+    for places, what in ((above, "give the scene it is in"), (below, "give one of the scenes in it")):
+        scenes = [str(place) for place in places if _has_cameras(place)][: 1 if places is above else 3]
+        if scenes:
+            return f"{what}: {', '.join(scenes)}"
+    return "give a scene folder of COLMAP, nerfstudio or Inria's code"
+
+
+def _has_cameras(folder: Path) -> bool:
+    files = ("transforms.json", "cameras.json")
+    return any((folder / name).is_file() for name in files) or bool(_models(folder / "sparse"))
+
+
+def _source_of_file(path: Path) -> CameraSource:
+    folder = path.parent
+    if path.suffix.lower() in (".bin", ".txt") and is_model(folder):
+        return CameraSource("colmap", folder, (scene_folder(folder),))
+    if path.suffix.lower() != ".json":
+        raise FileFormatError(
+            path, "is not a kind of camera file known here", "give transforms.json or cameras.json"
+        )
+    with open(path, "rb") as stream:
+        start = stream.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n")
+    # A list is Inria's, a mapping nerfstudio's, whatever the file is called.
+    if start.startswith(b"["):
+        return CameraSource("inria", path, _inria_roots(folder))
+    return CameraSource("nerfstudio", path, (folder,))
+
+
+def _inria_roots(folder: Path) -> tuple[Path, ...]:
+    """The folder itself, and the training data that cfg_args names if they are on this machine."""
+    if not (folder / "cfg_args").is_file():
+        return (folder,)
+    try:
+        source = read_cfg_args(folder / "cfg_args").get("source_path")
+    except FileFormatError:
+        return (folder,)  # only a hint for finding images, not worth refusing cameras for
+    if isinstance(source, str) and source and os.path.isdir(source):
+        return (folder, Path(source))
+    return (folder,)
