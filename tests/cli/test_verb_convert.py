@@ -90,3 +90,26 @@ def test_bad_input():
         (["scene/words.npz", "a.scoup"], "is nothing that is converted here"),
     ):
         assert said in refused("convert", *arguments)
+
+
+@pytest.mark.parametrize("suffix", [".compressed.ply", ".splat", ".spz", ".glb", ".gltf", ".ply"])
+def test_splats_become_others(suffix):
+    before = load_gaussians("scene/point_cloud.ply")
+    record = run_json("convert", "scene/point_cloud.ply", f"a{suffix}")
+    found = load_gaussians(f"a{suffix}")
+    assert record["gaussians"] == len(found) == len(before)
+    assert record["bytes"] == Path(f"a{suffix}").stat().st_size
+    assert torch.allclose(found.means, before.means, atol=0.05)
+    assert torch.allclose(found.opacities, before.opacities, atol=0.01)
+    assert run_json("info", f"a{suffix}")["kind"] == "splat"
+    assert "already exists" in refused("convert", "scene/point_cloud.ply", f"a{suffix}")
+    assert "is the source" in refused("convert", f"a{suffix}", f"a{suffix}", "--overwrite")
+
+
+def test_a_field_is_built_on_a_splat_of_another_format():
+    run_json("convert", "scene", "scene.spz")
+    run_json("build", "scene", "--gaussians", "scene.spz", "--out", "b.scoup", "--n-atoms", "8", "--effort", "fast",
+             "--model", "scene/words.npz")  # fmt: skip
+    chosen = run_json("select", "b.scoup", "kettle", "--out", "kettle.glb", "--always")
+    assert len(load_gaussians("kettle.glb")) == chosen["written"] > 0
+    assert run_json("label", "b.scoup", "kettle", "mug", "--out", "labels")["gaussians"] == 150

@@ -21,7 +21,10 @@ _CHECKPOINTS = (".pth", ".ckpt")
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(WritesCommon):
-    """Convert region features or fields of other systems; what SOURCE is decides.
+    """Convert splats, region features or fields of other systems; what SOURCE and TARGET are decides.
+
+    A splat (a file, or a folder with one) becomes another: .ply, .compressed.ply, .splat, .spz, .glb, .gltf, .ksplat,
+    .sog, by the suffix of TARGET.
 
     A folder of region features (or a scene) is written in the other layout: LangSplat's _s.npy and _f.npy, or one
     compact file a view. Labels are kept exactly; embeddings, too, with --bits 32. With --autoencoder, LangSplat's three
@@ -37,9 +40,9 @@ class Convert(WritesCommon):
     }
 
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SOURCE", help_behavior_hint="")]
-    """Folder of region features, array of features, or checkpoint."""
+    """Splat, folder of region features, array of features, or checkpoint."""
     target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TARGET", help_behavior_hint="")]
-    """Folder or .scoup to write."""
+    """Splat, folder or .scoup to write."""
     model: OptionalText = None
     """Id of the model that made the embeddings, or a table of words. Default: as SOURCE says; most say nothing."""
     to: Annotated[
@@ -65,7 +68,9 @@ class Convert(WritesCommon):
         from scoup.base.errors import FileFormatError
 
         suffix = self.source.suffix.lower()
-        if self.source.is_dir() or not self.source.exists():
+        if self._is_splat(self.target):
+            self._convert_splat(console)
+        elif self.source.is_dir() or not self.source.exists():
             self._convert_regions(console)
         elif suffix in _ARRAYS:
             self._convert_features(console)
@@ -75,8 +80,30 @@ class Convert(WritesCommon):
             raise FileFormatError(
                 self.source,
                 "is nothing that is converted here",
-                "give a folder of region features, an array of features (.npy, .pt) or LangSplatV2's checkpoint (.pth)",
+                "give a splat and the name of another, a folder of region features, features (.npy, .pt) or "
+                "LangSplatV2's checkpoint (.pth)",
             )
+
+    def _is_splat(self, path: Path) -> bool:
+        from scoup.io.splats.formats import WRITERS, written_suffix
+
+        return written_suffix(path) in WRITERS
+
+    def _convert_splat(self, console: Console) -> None:
+        from scoup.base.errors import InputError
+        from scoup.io import check_output, load_gaussians, save_gaussians
+
+        check_output(self.target, self.overwrite)
+        if self.target.exists() and self.source.exists() and self.target.samefile(self.source):
+            raise InputError(f"{self.target}: is the source; give another name")
+        gaussians = load_gaussians(self.source)
+        save_gaussians(gaussians, self.target, self.overwrite)
+        size = self.target.stat().st_size
+        console.say(
+            f"{self.target}: {counted(len(gaussians), 'Gaussian')}, SH degree {gaussians.sh_degree}, "
+            f"{size / len(gaussians):.1f} bytes each"
+        )
+        console.result({"out": self.target, "gaussians": len(gaussians), "bytes": size})
 
     def _convert_regions(self, console: Console) -> None:
         from scoup.io import convert_regions
