@@ -31,7 +31,7 @@ def test_compressed_files(tmp_path):
         gaussians.sh[:, 2, 1].numpy()[inner], (raw[inner, 4] + 0.5) / 32 - 4, atol=1e-6
     )
     assert set(gaussians.sh[:, 2, 1].numpy()[~inner].tolist()) <= {-4.0, 4.0}
-    with pytest.raises(FileFormatError, match=r"compressed PLY.*splat-transform"):
+    with pytest.raises(FileFormatError, match=r"compressed PLY.*scoup convert"):
         gaussians_from_table(read_ply_table(tmp_path / "a.ply"))
     whole = (tmp_path / "a.ply").read_bytes()
     (tmp_path / "a.ply").write_bytes(whole.replace(b"element chunk 2", b"element chunk 1"))

@@ -50,6 +50,10 @@ class Label(TextOptions, CameraOptions):
     mean. ids: labels.ply, the splat with an integer property `label`. colors: colored.ply, the splat in the colours
     of the words. sheet: labels.png, some views with a legend. glb: labels.glb with EXT_mesh_features. clouds: a point
     cloud a word. maps: a PNG with palette for each camera, and coco.json."""
+    camera: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
+    ] = ()
+    """Of maps and the sheet: name of a camera (with or without extension); repeat it for several. Default: all."""
     threshold: OptionalNumber = None
     """A word counts for Gaussians above this, 0 to 1, once relevancy is rescaled over the scene. Default: where its
     answer changes least."""

@@ -200,7 +200,7 @@ def _check_properties(table: PlyTable) -> tuple[str, ...]:
         raise FileFormatError(
             table.path,
             "is a compressed PLY (PlayCanvas), whose rows do not stand alone",
-            "convert it to a plain one: splat-transform in.ply out.ply",
+            "convert it to a plain one: scoup convert in.compressed.ply out.ply",
         )
     if missing:
         raise FileFormatError(
