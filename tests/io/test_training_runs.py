@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -166,7 +167,7 @@ def test_cameras_of_gsplats_results_fit_its_splat(tmp_path: Path, seed: int) -> 
     points = generator.normal(size=(60, 3)) * [3, 1, 0.4] + 0.2
     write_colmap(world, tmp_path / "garden/sparse/0", (points, np.zeros((60, 3), np.uint8)))
     c2w = np.stack([np.linalg.inv(camera.viewmat.numpy()) for camera in world])
-    gaussians = some_gaussians(8)
+    gaussians = replace(some_gaussians(60), means=torch.from_numpy(points).float())
     trained = moved(gaussians, oracle(c2w, points.astype(np.float32).astype(float)))
     for normalise, splat in (("true", trained), (None, trained), ("false", gaussians)):
         results = tmp_path / f"results_{normalise}"
@@ -179,6 +180,26 @@ def test_cameras_of_gsplats_results_fit_its_splat(tmp_path: Path, seed: int) -> 
             pixels(load_gaussians(results), cameras)[near], expected[near], rtol=1e-3, atol=5e-2
         )
         assert default_preset(results) == "gsplat"
+
+
+@pytest.mark.parametrize("turn", [(1.0, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)])
+def test_the_splat_tells_which_side_of_the_axes_is_which(tmp_path: Path, turn: tuple[float, ...]) -> None:
+    """Another version of the trainer, or another machine, turns the world by half about an axis."""
+    world, generator = some_cameras(5), np.random.default_rng(0)
+    points = generator.normal(size=(400, 3)) * [3, 1, 0.4] + generator.exponential(size=(400, 3))
+    write_colmap(world, tmp_path / "garden/sparse/0", (points, np.zeros((400, 3), np.uint8)))
+    c2w = np.stack([np.linalg.inv(camera.viewmat.numpy()) for camera in world])
+    given = some_gaussians(400)
+    gaussians = Gaussians(
+        torch.from_numpy(points).float(), given.quats, given.scales, given.opacities, given.sh
+    )
+    trained = moved(gaussians, np.diag([*turn, 1.0]) @ oracle(c2w, points.astype(np.float32).astype(float)))
+    save_results(tmp_path / "results", tmp_path / "garden")
+    save_checkpoint(trained, tmp_path / "results/ckpts/ckpt_29999_rank0.pt")
+    cameras = load_cameras(tmp_path / "results", missing_images="keep")
+    expected = pixels(gaussians, world)
+    near = expected.abs() < 1e3
+    assert torch.allclose(pixels(trained, cameras)[near], expected[near], rtol=1e-3, atol=0.1)
 
 
 def test_results_without_checkpoints_have_an_exported_splat(tmp_path: Path) -> None:

@@ -7,6 +7,8 @@ import warnings
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.counts import counted, listed
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
@@ -178,11 +180,19 @@ def load_cameras(
     cameras = _read(source, distorted)
     frame = source.frame if dataparser_transforms is None else Path(dataparser_transforms)
     if frame is not None and frame.name == GSPLAT_CONFIG:
-        cameras = in_gsplat_frame(cameras, source.path)
+        cameras = in_gsplat_frame(cameras, source.path, _means_of(frame.parent))
     elif frame is not None:
         transforms = source.path if source.format == "nerfstudio" else None
         cameras = in_trained_frame(cameras, frame, transforms)
     return attach_images(cameras, source.path, source.roots, images, downscale, missing_images)
+
+
+def _means_of(results: Path) -> np.ndarray | None:
+    """[N, 3] finite means of the splat in a folder of results; None where there is none."""
+    try:
+        return load_gaussians(results).means.double().numpy()
+    except InputError:  # the cameras may be wanted alone
+        return None
 
 
 def camera_photographs(path: str | Path, images: str | Path | None = None) -> list[tuple[str, Path]]:

@@ -12,11 +12,21 @@ from scoup.io.cameras.colmap import read_points
 from scoup.scene.cameras import Camera, Cameras
 
 _UP = np.array([0.0, -1.0, 0.0])
+_TURNS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+_CLEARLY = 0.7  # of the distance without a turn
+_COMPARED = 20_000  # points and means
 _REMEDY = "give cameras in the frame of the splat"
 
 
-def in_gsplat_frame(cameras: Cameras, model: Path) -> Cameras:
+def in_gsplat_frame(cameras: Cameras, model: Path, means: np.ndarray | None = None) -> Cameras:
     """All cameras of a COLMAP model in the frame of the splat that gsplat's trainer made of it.
+
+    Args:
+        cameras: of the model, all of them.
+        model: COLMAP's, with points.
+        means: [N, 3] of the splat, if it is at hand. Which side of the axes is which depends on the trainer's version
+            and machine: of the four turns that the axes leave open, that which brings the points nearest to the means
+            is taken, if it is clearly better than none.
 
     Raises:
         MissingFileError, FileFormatError: the model has no points, or too few for a frame.
@@ -25,6 +35,8 @@ def in_gsplat_frame(cameras: Cameras, model: Path) -> Cameras:
     if len(points) < 3 or not np.isfinite(points).all():
         raise FileFormatError(model, f"has {len(points)} points, too few to normalise the world by", _REMEDY)
     transform = gsplat_normalisation(list(cameras), points)
+    if means is not None and len(means) and np.isfinite(transform).all():
+        transform = _nearest_turn(transform, points, means) @ transform
     scale = float(np.cbrt(np.linalg.det(transform[:3, :3])))
     if not np.isfinite(transform).all() or not np.isfinite(scale) or scale <= 0:
         raise FileFormatError(model, "has cameras that give the world no direction or size", _REMEDY)
@@ -48,6 +60,17 @@ def gsplat_normalisation(cameras: Sequence[Camera], points: np.ndarray) -> np.nd
     if np.median(heights) > np.mean(heights):
         second = np.diag([1.0, -1.0, -1.0, 1.0]) @ second
     return second @ first
+
+
+def _nearest_turn(transform: np.ndarray, points: np.ndarray, means: np.ndarray) -> np.ndarray:
+    """[4, 4] none, or half a turn about an axis: what brings the moved points nearest to the means, by the median."""
+    from scipy.spatial import KDTree
+
+    tree = KDTree(means[:: max(1, len(means) // _COMPARED)])
+    some = points[:: max(1, len(points) // _COMPARED)] @ transform[:3, :3].T + transform[:3, 3]
+    distances = [float(np.median(tree.query(some * turn)[0])) for turn in _TURNS]
+    best = int(np.argmin(distances))
+    return np.diag([*_TURNS[best if distances[best] < _CLEARLY * distances[0] else 0], 1.0])
 
 
 def _from_cameras(c2w: np.ndarray) -> np.ndarray:
