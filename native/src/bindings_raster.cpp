@@ -32,19 +32,24 @@ void check_size(int64_t width, int64_t height) {
 struct PyScene {
     Scene scene;
     Buffer<SceneBlock> blocks;
+    Buffer<ChunkBounds> bounds;
 };
 
 PyScene py_scene(const Array& means, const Array& quats, const Array& scales, const Array& opacities,
-                 const std::optional<Array>& ties, bool many_views, int threads) {
+                 const std::optional<Array>& ties, bool many_views, bool in_memory, int threads) {
     const auto count = int64_t(means.ndim() > 0 ? means.shape(0) : 0);
     if (count >= std::numeric_limits<int32_t>::max()) throw std::invalid_argument("too many Gaussians for one view");
     PyScene made{{count, data_of<float>(means, "means", {count, 3}), data_of<float>(quats, "quats", {count, 4}),
                   data_of<float>(scales, "scales", {count, 3}), data_of<float>(opacities, "opacities", {count}),
                   ties ? data_of<int64_t>(*ties, "ties", {count}) : nullptr},
-                 {}};
+                 {}, {}};
     if (!many_views) return made;
-    made.blocks = without_lock([&] { return blocks_of(made.scene, sane(threads), python_signals()); });
-    made.scene.blocks = made.blocks.data();
+    if (in_memory) {
+        made.blocks = without_lock([&] { return blocks_of(made.scene, sane(threads), python_signals()); });
+        made.scene.blocks = made.blocks.data();
+    }
+    made.bounds = without_lock([&] { return bounds_of(made.scene, sane(threads), python_signals()); });
+    made.scene.bounds = made.bounds.data();
     return made;
 }
 
@@ -164,17 +169,18 @@ void bind_raster(nb::module_& m) {
         .def_ro("width", &Projection::width)
         .def_ro("height", &Projection::height)
         .def_ro("n_gaussians", &Projection::n_gaussians)
+        .def_ro("n_looked_at", &Projection::n_looked_at)
         .def_ro("n_visible", &Projection::n_visible)
         .def_prop_ro("n_pairs", [](const Projection& projection) { return projection.lists.size(); });
-    nb::class_<PyScene>(m, "Scene", "Gaussians to project; for many views, 48 bytes each are worked out beforehand.")
+    nb::class_<PyScene>(m, "Scene", "Gaussians to project; for many views, bounds of their chunks, and in memory 48 bytes each, are worked out beforehand.")
         .def(
             "__init__",
             [](PyScene* self, const Array& means, const Array& quats, const Array& scales, const Array& opacities,
-               const std::optional<Array>& ties, bool many_views, int threads) {
-                new (self) PyScene(py_scene(means, quats, scales, opacities, ties, many_views, threads));
+               const std::optional<Array>& ties, bool many_views, bool in_memory, int threads) {
+                new (self) PyScene(py_scene(means, quats, scales, opacities, ties, many_views, in_memory, threads));
             },
             nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"), nb::arg("ties").none(),
-            nb::arg("many_views"), nb::arg("threads"), nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(),
+            nb::arg("many_views"), nb::arg("in_memory"), nb::arg("threads"), nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(),
             nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>());
     m.def("project", &py_project, nb::arg("scene"), nb::arg("viewmat"), nb::arg("intrinsics"), nb::arg("width"), nb::arg("height"),
           nb::arg("near_alpha_max_stop"), nb::arg("stop_inclusive"), nb::arg("centred_clamp"), nb::arg("threads"));

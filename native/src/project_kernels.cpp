@@ -7,6 +7,17 @@ namespace {
 
 static_assert(kBlockRows % kGroup == 0);
 
+// The largest value that v[0] x + v[1] y + v[2] z takes in a box, a little more for its rounding.
+SCOUP_INLINE double largest(const double* v, const ChunkBounds& box) {
+    double sum = 0, size = 0;
+    for (int c = 0; c < 3; ++c) {
+        const double low = v[c] * double(box.low[c]), high = v[c] * double(box.high[c]);
+        const double larger = low > high ? low : high;
+        sum += larger, size += larger < 0 ? -larger : larger;
+    }
+    return sum + 1e-9 * size;
+}
+
 // Which rows of a block, from row `at` on, may be visible, by their centre and largest scale alone.
 struct Sieve {
     const Camera& camera;
@@ -21,7 +32,6 @@ struct Sieve {
 
     SCOUP_INLINE Longs operator()(const SceneBlock& block, int at) const {
         const double* v = camera.viewmat;
-        constexpr double kBlur = 1.9;  // what the low-pass adds to a half extent: 3.34 sqrt(0.3)
         const double right = camera.width - 0.5 - camera.cx, left = camera.cx - 0.5;
         const double bottom = camera.height - 0.5 - camera.cy, top = camera.cy - 0.5;
         const Doubles mx = doubles(block.mean[0] + at), my = doubles(block.mean[1] + at), mz = doubles(block.mean[2] + at);
@@ -33,6 +43,28 @@ struct Sieve {
         // Not `|`-ed from comparisons that NaN would pass: every test must hold.
         return (z > near) & (camera.fx * x + left * z + reach_x >= 0) & (camera.fx * x - right * z - reach_x <= 0) &
                (camera.fy * y + top * z + reach_y >= 0) & (camera.fy * y - bottom * z - reach_y <= 0);
+    }
+
+    // The same tests, each for the row of a chunk that would pass it best.
+    bool chunk(const ChunkBounds& bounds) const {
+        const double right = camera.width - 0.5 - camera.cx, left = camera.cx - 0.5;
+        const double bottom = camera.height - 0.5 - camera.cy, top = camera.cy - 0.5;
+        const double wide = spread_x * double(bounds.extent), high = spread_y * double(bounds.extent);
+        return bounds.extent >= 0 && passes(0, 0, 1, -near, bounds) && passes(camera.fx, 0, left + kBlur, wide, bounds) &&
+               passes(-camera.fx, 0, right + kBlur, wide, bounds) && passes(0, camera.fy, top + kBlur, high, bounds) &&
+               passes(0, -camera.fy, bottom + kBlur, high, bounds);
+    }
+
+  private:
+    static constexpr double kBlur = 1.9;  // what the low-pass adds to a half extent: 3.34 sqrt(0.3)
+
+    // Whether a x + b y + c z + d >= 0, in the camera's frame, somewhere in the box; rounding is forgiven.
+    bool passes(double a, double b, double c, double d, const ChunkBounds& bounds) const {
+        const double* v = camera.viewmat;
+        const double direction[3] = {a * v[0] + b * v[4] + c * v[8], a * v[1] + b * v[5] + c * v[9],
+                                     a * v[2] + b * v[6] + c * v[10]};
+        const double size = __builtin_fabs(a * v[3]) + __builtin_fabs(b * v[7]) + __builtin_fabs(c * v[11]) + __builtin_fabs(d);
+        return largest(direction, bounds) + (a * v[3] + b * v[7] + c * v[11]) + d + 1e-9 * size >= 0;
     }
 };
 
@@ -232,6 +264,11 @@ int64_t project(const Scene& scene, const Camera& camera, const Preset& preset, 
     return written;
 }
 
+bool may_see(const ChunkBounds& bounds, const Camera& camera, const Preset& preset) {
+    const Projector projector(camera, preset);
+    return Sieve(camera, preset, projector.widest_ray_x(), projector.widest_ray_y()).chunk(bounds);
+}
+
 // The geometry is that of find_painters in walk.h; rows go through side by side.
 void spans(const Projected& p, const TileRect& rect, Span* out) {
     const int width = rect.x1 - rect.x0, height = rect.y1 - rect.y0;
@@ -260,6 +297,6 @@ void spans(const Projected& p, const TileRect& rect, Span* out) {
 
 }  // namespace
 
-const ProjectKernels project_kernels = {project, spans};
+const ProjectKernels project_kernels = {project, may_see, spans};
 
 }  // namespace scoup::SCOUP_ISA

@@ -14,6 +14,8 @@ struct ProjectKernels {
     // depends on nothing else. Returns how many; the arrays hold one more than there are rows, which is scratch.
     int64_t (*project)(const Scene& scene, const Camera& camera, const Preset& preset, int64_t first, int64_t last,
                        Projected* out, TileRect* rects, float* depths);
+    // Whether a row of a chunk may be visible; false only if none is.
+    bool (*may_see)(const ChunkBounds& bounds, const Camera& camera, const Preset& preset);
     // Of each row of tiles of `rect`, those that the ellipse alpha >= 1/255, slightly widened, reaches.
     void (*spans)(const Projected& p, const TileRect& rect, Span* out);
 };

@@ -20,6 +20,15 @@ struct alignas(64) SceneBlock {
     float peak[kBlockRows];      // log2 of the opacity
 };
 
+// Rows are projected in chunks of so many blocks, each by one thread.
+constexpr int64_t kChunkBlocks = 1024;
+
+// Where the rows of a chunk that can be drawn lie; a chunk of no such row has a negative extent.
+struct ChunkBounds {
+    float low[3], high[3];  // of the means
+    float extent;           // largest scale
+};
+
 struct Scene {
     int64_t count;
     const float* means;      // [N, 3]
@@ -28,8 +37,10 @@ struct Scene {
     const float* opacities;  // [N]
     const int64_t* ties;     // [N] numbers that decide between equal depths, or null: the rows themselves
     const SceneBlock* blocks = nullptr;  // of these rows, or null: they are made as they are needed
+    const ChunkBounds* bounds = nullptr;  // of the chunks, or null: all of them are looked at in every view
 
     int64_t n_blocks() const { return (count + kBlockRows - 1) / kBlockRows; }
+    int64_t n_chunks() const { return (n_blocks() + kChunkBlocks - 1) / kChunkBlocks; }
 };
 
 struct SceneKernels {

@@ -42,6 +42,7 @@ class Numbers {
 struct Work {
     std::vector<float> means, quats, scales, opacities;
     scoup::Buffer<scoup::SceneBlock> blocks;
+    scoup::Buffer<scoup::ChunkBounds> bounds;
     scoup::Camera camera{};
     scoup::Preset preset{0.2, 0.99f, 1e-4f, false, true};
     std::vector<float> colours, code_weights, region_code_weights, grams, scores;
@@ -63,6 +64,7 @@ struct Work {
         }
         fill(quats, 4 * kGaussians, -1, 1);
         blocks = scoup::blocks_of(unprepared(), 1, kNever);
+        bounds = scoup::bounds_of(unprepared(), 1, kNever);
         for (int i = 0; i < 3; ++i) camera.viewmat[5 * i] = 1;
         camera.fx = camera.fy = kWidth / 1.5;
         camera.cx = kWidth / 2.0, camera.cy = kHeight / 2.0;
@@ -86,6 +88,7 @@ struct Work {
     scoup::Projection project() const {
         scoup::Scene scene = unprepared();
         scene.blocks = blocks.data();
+        scene.bounds = bounds.data();
         return scoup::project(scene, camera, preset, 1, kNever);
     }
 

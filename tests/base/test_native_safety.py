@@ -46,8 +46,8 @@ def project(count: int = N, seed: int = 0, **changed: Any) -> Any:
     arguments: dict[str, Any] = scene_arrays(count, seed)
     arguments |= {"intrinsics": (40.0, 40.0, WIDTH / 2, HEIGHT / 2), "width": WIDTH, "height": HEIGHT}
     arguments |= {"near_alpha_max_stop": (0.2, 0.99, 1e-4), "stop_inclusive": False, "centred_clamp": True}
-    arguments |= {"ties": None, "many_views": True, "threads": 1} | changed
-    of_scene = ("means", "quats", "scales", "opacities", "ties", "many_views")
+    arguments |= {"ties": None, "many_views": True, "in_memory": True, "threads": 1} | changed
+    of_scene = ("means", "quats", "scales", "opacities", "ties", "many_views", "in_memory")
     scene = core.Scene(**{name: arguments.pop(name) for name in of_scene}, threads=1)
     return core.project(scene, **arguments)
 

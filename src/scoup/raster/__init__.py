@@ -16,14 +16,17 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeAlias, Union
 
+import torch
 from torch import Tensor
 
 from scoup.base.arguments import check_arguments
 from scoup.base.backends import load_backend
 from scoup.base.errors import InputError
+from scoup.base.scratch import MOST_ROWS_IN_MEMORY, scratch_array
 from scoup.raster.combinations import CombinedLabels as CombinedLabels
 from scoup.raster.combinations import combine as combine
 from scoup.raster.native import NativeProjection
+from scoup.raster.ordering import AT_A_TIME
 from scoup.raster.ordering import morton_order as morton_order
 from scoup.raster.ordering import restored as restored
 from scoup.raster.presets import RASTER_PRESETS as RASTER_PRESETS
@@ -83,8 +86,19 @@ def prepare_gaussians(gaussians: Gaussians, backend: str | None = None) -> Prepa
     if not module.PREPARES:
         return PreparedGaussians(bare, None, name)
     order = morton_order(gaussians.means)
-    moved = bare.select(order)
+    moved = bare.select(order) if len(order) <= MOST_ROWS_IN_MEMORY else _moved_to_disk(bare, order)
     return PreparedGaussians(moved, order, name, module.make_scene(moved, order, many_views=True))
+
+
+def _moved_to_disk(gaussians: Gaussians, order: Tensor) -> Gaussians:
+    """``gaussians.select(order)`` in temporary files, of which a view touches what it sees."""
+    moved: dict[str, Tensor] = {}
+    for field in dataclasses.fields(gaussians):
+        rows = getattr(gaussians, field.name)
+        moved[field.name] = torch.from_numpy(scratch_array(tuple(rows.shape), "float32"))
+        for into, part in zip(moved[field.name].split(AT_A_TIME), order.split(AT_A_TIME), strict=True):
+            into.copy_(rows[part])
+    return Gaussians(**moved)
 
 
 def project(

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.native import require_core
+from scoup.base.scratch import MOST_ROWS_IN_MEMORY
 from scoup.raster.presets import RasterPreset
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import check_atoms, code_arrays, decoded, index_dtype, stable_products
@@ -30,8 +31,8 @@ class NativeProjection:
         n_gaussians: N of the scene.
         width, height: image size in pixels.
         preset: the rasteriser constants used.
-        handle: what the compiled core keeps: 64 bytes a Gaussian of the scene and 4 bytes a pair of a Gaussian and
-            a tile of 16 x 16 pixels that it reaches.
+        handle: what the compiled core keeps: 64 bytes a Gaussian of the chunks that may be seen, and 4 bytes a pair of
+            a Gaussian and a tile of 16 x 16 pixels that it reaches.
     """
 
     n_gaussians: int
@@ -48,12 +49,13 @@ PREPARES = True  # by ``make_scene``, and the order of the rows matters to cache
 
 def make_scene(gaussians: Gaussians, ties: Tensor | None = None, many_views: bool = False) -> Any:
     """The Gaussians as the compiled core takes them. It refers to the tensors; ``many_views`` takes 48 bytes a Gaussian
-    more.
+    more, up to ``MOST_ROWS_IN_MEMORY`` of them.
 
     Args:
         gaussians: N Gaussians. What is changed in them later may or may not be seen.
         ties: [N] int64, decides between equal depths; by default the rows do.
-        many_views: compute what does not depend on the camera now, not for every projection.
+        many_views: compute what does not depend on the camera now, not for every projection, and pass over chunks of
+            8,192 rows that a camera cannot see.
     """
     with _refusals():
         return require_core().Scene(
@@ -63,6 +65,7 @@ def make_scene(gaussians: Gaussians, ties: Tensor | None = None, many_views: boo
             _array(gaussians.opacities),
             None if ties is None else _array(ties, torch.int64),
             many_views,
+            len(gaussians) <= MOST_ROWS_IN_MEMORY,
             torch.get_num_threads(),
         )
 

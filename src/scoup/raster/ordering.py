@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+AT_A_TIME = 1 << 20  # rows, whose numbers are in memory in double precision
 BITS = 21  # an axis: enough for rooms in scenes with a far-away background
 
 
@@ -19,11 +20,11 @@ def morton_order(means: Tensor) -> Tensor:
     """
     if not len(means):
         return torch.zeros(0, dtype=torch.int64, device=means.device)
-    points = torch.nan_to_num(means.double(), nan=0.0, posinf=0.0, neginf=0.0)
-    low = points.amin(0)
-    span = (points - low).amax().clamp(min=torch.finfo(torch.float64).tiny)
-    cells = ((points - low) / span * (2**BITS - 1)).long()
-    code = _spread(cells[:, 0]) | (_spread(cells[:, 1]) << 1) | (_spread(cells[:, 2]) << 2)
+    parts = means.split(AT_A_TIME)
+    low = torch.stack([_finite(part).amin(0) for part in parts]).amin(0)
+    span = torch.stack([(_finite(part) - low).amax() for part in parts]).amax()
+    span = span.clamp(min=torch.finfo(torch.float64).tiny)
+    code = torch.cat([_codes(_finite(part), low, span) for part in parts])
     return torch.argsort(code, stable=True)
 
 
@@ -40,6 +41,16 @@ def restored(rows: Tensor, order: Tensor) -> Tensor:
     else:
         out[order] = rows
     return out
+
+
+def _finite(means: Tensor) -> Tensor:
+    return torch.nan_to_num(means.double(), nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _codes(points: Tensor, low: Tensor, span: Tensor) -> Tensor:
+    """[N] int64 places on the curve."""
+    cells = ((points - low) / span * (2**BITS - 1)).long()
+    return _spread(cells[:, 0]) | (_spread(cells[:, 1]) << 1) | (_spread(cells[:, 2]) << 2)
 
 
 def _spread(cells: Tensor) -> Tensor:

@@ -120,7 +120,7 @@ class Gaussians:
         recoloured scene keeps its language field."""
         digest = hashlib.sha256(f"scoup-geometry-1:{len(self)}".encode())
         for tensor in (self.means, self.quats, self.scales, self.opacities):
-            digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+            digest.update(tensor.detach().cpu().contiguous().numpy().data)
         return digest.hexdigest()
 
 

@@ -24,7 +24,7 @@ from scoup.raster import restored
 from scoup.scene.codes import SparseCodes, index_dtype, stable_products
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import SAMPLED_VIEWS, EarlierRound, sharpness_from
-from scoup.uplift.storage.entries import Entries
+from scoup.uplift.storage.entries import BUCKET, Entries
 
 BATCHES = 16  # between which progress is reported and memory of a file is given back
 BACKENDS = {
@@ -139,14 +139,19 @@ def vote(
 
     def one_round(kept: int, earlier: EarlierRound | None, last: bool) -> tuple[Tensor, Tensor]:
         nonlocal done
-        found = []
+        n_rows = min(share.stop * BUCKET, sums.n_gaussians) - share.start * BUCKET
+        shape = (max(0, n_rows), len(codes), kept)  # a process may have no share
+        indices, weights = torch.empty(shape, dtype=index_dtype(codes[0].n_atoms)), torch.empty(shape)
         for batch in _batches(share):
             progress("vote", done, total)
-            found.append(everybody.round(kept, earlier, not last, batch))
+            rows = slice((batch.start - share.start) * BUCKET, (batch.stop - share.start) * BUCKET)
+            indices[rows], weights[rows] = everybody.round(kept, earlier, not last, batch)
             sums.forget_pages()
             done += 1
-        parts = [part for of_process in processes.gather(found) for part in of_process]
-        return torch.cat([indices for indices, _ in parts]), torch.cat([weights for _, weights in parts])
+        if processes.world == 1:
+            return indices, weights
+        parts = processes.gather((indices, weights))
+        return torch.cat([found for found, _ in parts]), torch.cat([found for _, found in parts])
 
     earlier = None
     for _ in range(1, rounds):

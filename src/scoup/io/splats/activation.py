@@ -7,7 +7,7 @@ values that read the same, bit by bit.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -70,20 +70,31 @@ def keep_finite(
     Warns:
         ScoupWarning: some rows were dropped; says how many.
     """
-    kept = np.isfinite(means).all(1) & np.isfinite(quats).all(1) & np.isfinite(scales).all(1)
-    kept &= np.isfinite(opacities) & np.isfinite(sh).all((1, 2))
     arrays = [means, quats, scales, opacities, sh]
-    dropped = len(kept) - int(kept.sum())
-    if dropped:
-        warnings.warn(
-            f"{source}: dropped {dropped:,} of {counted(len(kept), 'Gaussian')} with values that are not finite, or "
-            "without a rotation (a quaternion of zeros)",
-            ScoupWarning,
-            stacklevel=4,
-        )
+    kept = finite_rows(arrays)
+    if not kept.all():
+        warn_of_dropped(len(kept) - int(kept.sum()), len(kept), source, stacklevel=5)
         arrays = [array[kept] for array in arrays]
     tensors = [torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)) for array in arrays]
     return Gaussians(*tensors), kept
+
+
+def finite_rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """Boolean [N]: rows that are finite in all arrays [N, ...]."""
+    kept = np.ones(len(arrays[0]), bool)
+    for array in arrays:
+        kept &= np.isfinite(array).all(tuple(range(1, array.ndim)))
+    return kept
+
+
+def warn_of_dropped(dropped: int, total: int, source: str, stacklevel: int = 2) -> None:
+    """Say that some rows of a splat were left out."""
+    warnings.warn(
+        f"{source}: dropped {dropped:,} of {counted(total, 'Gaussian')} with values that are not finite, or "
+        "without a rotation (a quaternion of zeros)",
+        ScoupWarning,
+        stacklevel,
+    )
 
 
 def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarray]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError
+from scoup.base.scratch import MOST_ROWS_IN_MEMORY
 from scoup.io.splats.activation import (
     keep_finite,
     logits_from_opacities,
@@ -19,7 +20,7 @@ from scoup.io.splats.activation import (
 )
 from scoup.io.splats.ply_compressed import is_compressed, read_compressed
 from scoup.io.splats.ply_header import format_header, ply_type, read_header
-from scoup.io.splats.ply_rows import read_rows
+from scoup.io.splats.ply_rows import read_large, read_rows
 from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
 _CENTER = ("x", "y", "z")
@@ -123,6 +124,11 @@ def gaussians_from_table(table: PlyTable) -> tuple[Gaussians, np.ndarray]:
     Warns:
         ScoupWarning: some rows were dropped.
     """
+    return keep_finite(**_activated(table), source=str(table.path))
+
+
+def _activated(table: PlyTable) -> dict[str, np.ndarray]:
+    """Values of all rows by the names of ``Gaussians``, finite or not."""
     rest = _check_properties(table)
     bases = 1 + len(rest) // 3
     sh = np.empty((len(table), bases, 3), dtype=np.float32)
@@ -130,20 +136,20 @@ def gaussians_from_table(table: PlyTable) -> tuple[Gaussians, np.ndarray]:
     if rest:
         # The file is channel-major: all of red, then green, then blue.
         sh[:, 1:] = table.columns(rest).reshape(len(table), 3, bases - 1).transpose(0, 2, 1)
-    return keep_finite(
-        means=table.columns(_CENTER),
-        quats=unit_quats(table.columns(_ROTATION)),
-        scales=scales_from_logs(table.columns(_SCALE, np.float64)),
-        opacities=opacities_from_logits(table.columns(("opacity",), np.float64)[:, 0]),
-        sh=sh,
-        source=str(table.path),
-    )
+    return {
+        "means": table.columns(_CENTER),
+        "quats": unit_quats(table.columns(_ROTATION)),
+        "scales": scales_from_logs(table.columns(_SCALE, np.float64)),
+        "opacities": opacities_from_logits(table.columns(("opacity",), np.float64)[:, 0]),
+        "sh": sh,
+    }
 
 
 def read_ply(path: str | Path) -> Gaussians:
     """Read a 3D Gaussian Splatting PLY; properties are found by name, in any order, SH degree 0 to 4.
 
-    Compressed files as PlayCanvas and SuperSplat write them are read too.
+    Compressed files as PlayCanvas and SuperSplat write them are read too. Of more than ``MOST_ROWS_IN_MEMORY`` rows in
+    a binary file, the values are in temporary files (TMPDIR).
 
     Raises:
         MissingFileError: there is no such file.
@@ -152,7 +158,14 @@ def read_ply(path: str | Path) -> Gaussians:
     Warns:
         ScoupWarning: rows were dropped, or the file is longer than its header says.
     """
-    table = read_ply_table(path)
+    header = read_header(path)
+    if (
+        header.count > MOST_ROWS_IN_MEMORY
+        and header.encoding != "ascii"
+        and not is_compressed(header.dtype.names or ())
+    ):
+        return read_large(header, lambda rows: _activated(PlyTable(header.path, rows)))
+    table = PlyTable(header.path, read_rows(header), header.comments)
     if is_compressed(table.names):
         return read_compressed(table.path, table.rows)
     return gaussians_from_table(table)[0]

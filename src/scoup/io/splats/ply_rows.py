@@ -3,24 +3,61 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 
 import numpy as np
+import torch
 
 from scoup.base.errors import FileFormatError
+from scoup.base.scratch import scratch_array
+from scoup.io.splats.activation import finite_rows, warn_of_dropped
 from scoup.io.splats.ply_header import PlyHeader
+from scoup.scene.gaussians import Gaussians
+
+AT_A_TIME = 1 << 18  # rows of a large file
 
 
 def read_rows(header: PlyHeader) -> np.ndarray:
     """The rows a header describes: [N] structured."""
-    return _read_ascii(header) if header.encoding == "ascii" else _read_binary(header)
+    return _read_ascii(header) if header.encoding == "ascii" else _read_binary(header, 0, header.count)
 
 
-def _read_binary(header: PlyHeader) -> np.ndarray:
+def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.ndarray]]) -> Gaussians:
+    """Gaussians of the rows a binary header describes, read in parts, with all values in temporary files.
+
+    Args:
+        header: of a file of any size.
+        activate: values [M, ...] of some rows, by the names of ``Gaussians``.
+
+    Raises:
+        FileFormatError: the file cannot be read. WriteError: there is no room for the temporary files.
+
+    Warns:
+        ScoupWarning: rows that are not finite were dropped.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    count = 0
+    for first in range(0, header.count, AT_A_TIME):
+        part = activate(_read_binary(header, first, min(AT_A_TIME, header.count - first)))
+        kept = finite_rows(list(part.values()))
+        end = count + int(kept.sum())
+        for name, values in part.items():
+            if name not in arrays:
+                arrays[name] = scratch_array((header.count, *values.shape[1:]), np.float32)
+            arrays[name][count:end] = values[kept]
+        count = end
+    if count < header.count:
+        warn_of_dropped(header.count - count, header.count, str(header.path), stacklevel=4)
+    return Gaussians(**{name: torch.from_numpy(values[:count]) for name, values in arrays.items()})
+
+
+def _read_binary(header: PlyHeader, first: int, count: int) -> np.ndarray:
+    offset = header.offset + first * header.dtype.itemsize
     try:
-        rows = np.fromfile(header.path, dtype=header.dtype, count=header.count, offset=header.offset)
+        rows = np.fromfile(header.path, dtype=header.dtype, count=count, offset=offset)
     except OSError as error:
         raise FileFormatError(header.path, f"cannot be read ({error})", "check its permissions") from error
-    if len(rows) != header.count:
+    if len(rows) != count:
         raise FileFormatError(header.path, "was cut short while it was read", "copy it again")
     return rows
 

@@ -10,7 +10,6 @@ import json
 import mmap
 import os
 import struct
-import tempfile
 import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, WriteError
+from scoup.base.scratch import refused_temporary, temporary_file
 
 MAGIC = b"SCOUPREC"
 _HEAD = struct.Struct("<8sIQI")  # magic, CRC-32 and length of what follows, CRC-32 of the head so far
@@ -81,10 +81,7 @@ class RecordFile:
         Raises:
             WriteError: there is no such folder.
         """
-        try:
-            return cls(tempfile.TemporaryFile(prefix="scoup-", buffering=0), None, True)
-        except OSError as error:
-            raise _refused(None, error) from error
+        return cls(temporary_file(), None, True)
 
     @classmethod
     def open(cls, path: Path, writable: bool = False) -> RecordFile:
@@ -260,13 +257,7 @@ class RecordFile:
 
 def _refused(path: Path | None, error: OSError) -> WriteError:
     """The error of a file that cannot be written."""
-    if path is not None:
-        return WriteError.of(path, error)
-    remedy = "set the environment variable TMPDIR to a folder with more space"
-    where = (
-        f" in {tempfile.tempdir}" if tempfile.tempdir else ""
-    )  # None: no folder was found that can be used
-    return WriteError(f"temporary file{where}", error.strerror or str(error), remedy)
+    return refused_temporary(error) if path is None else WriteError.of(path, error)
 
 
 def _head(checksum: int, length: int) -> bytes:

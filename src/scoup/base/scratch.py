@@ -1,0 +1,57 @@
+"""Temporary files without a name, and large arrays in them, whose memory the system can take back."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from scoup.base.errors import WriteError
+
+MOST_ROWS_IN_MEMORY = 8_000_000
+"""Gaussians up to which everything about a scene is kept in memory; of more, most of it is in temporary files."""
+
+
+def temporary_file() -> IO[bytes]:
+    """A new file without a name, in the system's folder for such (TMPDIR); gone when it is closed.
+
+    Raises:
+        WriteError: there is no such folder.
+    """
+    try:
+        return tempfile.TemporaryFile(prefix="scoup-", buffering=0)
+    except OSError as error:
+        raise refused_temporary(error) from error
+
+
+def scratch_array(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    """Zeros in a temporary file that is mapped into memory; the file is gone with the array.
+
+    Raises:
+        WriteError: there is no room for it.
+    """
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if not size:
+        return np.zeros(shape, dtype)
+    with temporary_file() as stream:
+        try:
+            # Room is taken now: to write into a mapping that finds none would kill the process.
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(stream.fileno(), 0, size)
+            else:
+                stream.truncate(size)
+            return np.asarray(np.memmap(stream, dtype, "r+", shape=shape))
+        except OSError as error:
+            raise refused_temporary(error) from error
+
+
+def refused_temporary(error: OSError) -> WriteError:
+    """The error of a temporary file that cannot be written."""
+    # tempdir is None where no folder was found that can be used.
+    where = f" in {tempfile.tempdir}" if tempfile.tempdir else ""
+    remedy = "set the environment variable TMPDIR to a folder with more space"
+    return WriteError(f"temporary file{where}", error.strerror or str(error), remedy)
