@@ -113,6 +113,18 @@ def of_environment() -> Processes:
     return Processes(int(rank), int(world))
 
 
+def shard(text: str) -> Processes:
+    """One of several processes that need not be in touch, from "I/N": I counts from 1.
+
+    Raises:
+        InputError: it is no such text.
+    """
+    number, _, count = text.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise InputError(f"{text!r} is no shard; give I/N with I from 1 to N, such as 1/4")
+    return Processes(int(number) - 1, int(count))
+
+
 def device_of_process(device: str) -> str:
     """ "cuda" becomes the GPU of this process's local rank under torchrun; other devices stay as they are."""
     local = os.environ.get("LOCAL_RANK", "")

@@ -17,6 +17,7 @@ from scoup.cli.evaluate import EVAL
 from scoup.cli.extract import Extract
 from scoup.cli.info import Info
 from scoup.cli.label import Label
+from scoup.cli.merge import Merge
 from scoup.cli.options import Common
 from scoup.cli.parsing import Family, parse
 from scoup.cli.query import Query
@@ -52,6 +53,7 @@ SCOUP = Family(
         "regions": ShowRegions,
         "convert": Convert,
         "build": Build,
+        "merge": Merge,
         "update": Update,
         "query": Query,
         "select": Select,

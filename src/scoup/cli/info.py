@@ -18,10 +18,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Info(Common):
-    """Say what is in a file or folder: a field, a splat, cameras, a scene, region features, a table of words."""
+    """Say what is in a file or folder: a field, region sums, a splat, cameras, a scene, region features, a table of
+    words."""
 
     path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
-    """A .scoup, .npz, .json or .safetensors file, a splat (.ply, .splat, .spz, .glb, .pt and more), or a folder."""
+    """A .scoup, .sums, .npz, .json or .safetensors file, a splat (.ply, .spz, .glb, .pt and more), or a folder."""
 
     def run(self, console: Console) -> None:
         """Find out the kind, check the contents, and print what they are."""
@@ -41,9 +42,8 @@ class Info(Common):
 
 
 _READ = (
-    "read are fields (.scoup), splats (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .pt), cameras (transforms.json, "
-    "cameras.json, COLMAP's .bin and "
-    ".txt), tables of words (.npz, .json, .safetensors), and folders of scenes and region features"
+    "read are fields (.scoup), region sums (.sums), splats (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .pt), "
+    "cameras (transforms.json, cameras.json, COLMAP's .bin and .txt), tables of words (.npz, .json, .safetensors), and folders of scenes and region features"
 )
 
 
@@ -93,6 +93,32 @@ def _json(path: Path) -> dict[str, Any]:
     return (_cameras if isinstance(content, list) or has_frames else _word_table)(path)
 
 
+def _region_sums(path: Path) -> dict[str, Any]:
+    from contextlib import closing
+
+    from scoup.uplift.region_sums import RegionSums
+    from scoup.uplift.shards import Shard
+
+    with closing(RegionSums.open(path)) as sums:
+        shard = None if sums.inputs is None else Shard.kept(sums)
+        return {
+            "kind": "region sums" if shard is None else "shard",
+            "gaussians": sums.n_gaussians,
+            "levels": list(sums.levels),
+            "raster_preset": sums.raster_preset,
+            "weights": sums.weights,
+            "views": len(sums),
+            **(
+                {}
+                if shard is None
+                else {"of_views": shard.n_views, "embedding_model": shard.sources.embedding_model}
+            ),
+            "codes": "kept" if sums.codes else "none",
+            "bytes": sums.bytes,
+            "fingerprint": sums.fingerprint,
+        }
+
+
 def _field(path: Path) -> dict[str, Any]:
     from scoup.field.language_field import LanguageField
     from scoup.field.part_sizes import part_sizes
@@ -133,6 +159,7 @@ def _geometry(field: LanguageField) -> str | None:
 SPLATS = (".ply", ".splat", ".spz", ".glb", ".gltf", ".ksplat", ".sog", ".pt", ".pth", ".ckpt")
 _KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
     ".scoup": _field,
+    ".sums": _region_sums,
     **dict.fromkeys(SPLATS, _splat),
     **dict.fromkeys((".npz", ".safetensors"), _word_table),
     **dict.fromkeys((".bin", ".txt"), _cameras),

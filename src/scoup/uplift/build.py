@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
+
+import torch
 
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import ScoupWarning
@@ -12,7 +14,7 @@ from scoup.base.processes import at_work
 from scoup.base.progress import Progress, no_progress
 from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
-from scoup.scene.cameras import Cameras
+from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions
@@ -20,7 +22,7 @@ from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import build_record
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums, exchanged
-from scoup.uplift.region_codes import RegionEmbeddings, inputs_digest, learn_region_codes
+from scoup.uplift.region_codes import RegionCodes, RegionEmbeddings, inputs_digest, learn_region_codes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import vote
 
@@ -85,21 +87,73 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path, processes)
 
     codes = learn_region_codes(sums, embeddings, settings, device, processes, progress)
-    inputs = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
+    digest = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
     del embeddings  # the vote needs the codes only
     add_views(sums, gaussians, views, regions, backend, progress, processes)
-    sums = exchanged(sums, names, processes).of_views(names, codes.rows)
-
-    keep, atoms = settings.keep or None, codes.codebook.to(device)
-    found = vote(sums, codes.codes, atoms, settings.rounds, keep, backend=backend, progress=progress)
-    fit.check_coded(found.weights)
-    record = build_record(settings, inputs, sums, codes, found.sharpness)
-    info = FieldInfo(
-        sums.levels, embedding_model, sums.fingerprint, len(gaussians), settings.raster_preset, record
-    )
+    sums = exchanged(sums, names, processes)
     path = None if geometry_path is None else Path(geometry_path)
-    field = LanguageField(
-        found.indices, found.weights, codes.codebook, info, geometry_path=path, cameras=Cameras(views)
-    ).to(device)
+    sources = Sources(tuple(views), embedding_model, path)
+    field = voted(sums, codes, sources, settings, digest, device, backend, progress)
     field.attach(gaussians, known=True)
     return field
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """What a field says of its origin.
+
+    Attributes:
+        views: the cameras of the views it was built from.
+        embedding_model: id of the model the embeddings come from.
+        geometry_path: file of the Gaussians, if it is known.
+    """
+
+    views: tuple[Camera, ...]
+    embedding_model: str = ""
+    geometry_path: Path | None = None
+
+
+def voted(
+    sums: RegionSums,
+    codes: RegionCodes,
+    sources: Sources,
+    settings: BuildSettings,
+    digest: str,
+    device: torch.device,
+    backend: str | None = None,
+    progress: Progress = no_progress,
+) -> LanguageField:
+    """The last step of a build: all views vote. Its field has no Gaussians attached.
+
+    Args:
+        sums: of the views of ``sources``, on each process those of the Gaussians that it votes for.
+        codes: of the regions of these views.
+        sources, settings: of the build.
+        digest: of everything the codes depend on, for the record (``inputs_digest``).
+        device, backend: of the vote.
+        progress: called for the stage "vote".
+    """
+    sums = sums.of_views([view.name for view in sources.views], codes.rows)
+    found = vote(
+        sums, codes.codes, codes.codebook.to(device), settings.rounds, settings.keep or None, backend=backend,
+        progress=progress,
+    )  # fmt: skip
+    fit.check_coded(found.weights)
+    record = build_record(settings, digest, sums, codes, found.sharpness)
+    info = FieldInfo(
+        sums.levels,
+        sources.embedding_model,
+        sums.fingerprint,
+        sums.n_gaussians,
+        settings.raster_preset,
+        record,
+    )
+    cameras = Cameras(sources.views)
+    return LanguageField(
+        found.indices,
+        found.weights,
+        codes.codebook,
+        info,
+        geometry_path=sources.geometry_path,
+        cameras=cameras,
+    ).to(device)

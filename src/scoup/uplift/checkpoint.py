@@ -16,7 +16,7 @@ from scoup.base.processes import ALONE, Processes
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.rasterise import resumed
-from scoup.uplift.region_sums import RegionSums, sums_path
+from scoup.uplift.region_sums import RegionSums
 
 
 @contextmanager
@@ -25,13 +25,13 @@ def checkpoint(
     gaussians: Gaussians,
     regions: Regions,
     raster_preset: str = "inria",
-    keep: bool = False,
+    keep: Path | None = None,
     processes: Processes = ALONE,
     **how: Any,
 ) -> Iterator[RegionSums]:
     """The region sums of a build, in the file FIELD.partial; what an interrupted build has left there is continued.
 
-    At the end of the block the file becomes ``sums_path(field)`` or is removed. After an error it stays for the next
+    At the end of the block the file becomes ``keep`` or is removed. After an error it stays for the next
     build, but for an ``InputError`` before there was anything in it.
 
     Files of sums that builds by another number of processes have left are removed.
@@ -39,7 +39,7 @@ def checkpoint(
     Args:
         field: the file that is built; the caller has locked it (``base.locks``).
         gaussians, regions, raster_preset: of the build.
-        keep: the sums after the build.
+        keep: where the sums stay after the build; None for nowhere.
         processes: each has a file of its own. None may end the block before the field is written.
         how: further arguments of ``RegionSums``.
 
@@ -47,7 +47,7 @@ def checkpoint(
         InputError: several processes cannot keep sums.
         WriteError: files of other builds cannot be removed.
     """
-    if keep and processes.world > 1:
+    if keep is not None and processes.world > 1:
         raise InputError("--keep-sums works in one process; run without torchrun")
     path = field.with_name(_partial_name(field, processes.rank, processes.world))
     processes.of_first(lambda: _remove_others(field, processes.world))
@@ -59,8 +59,8 @@ def checkpoint(
         if sums.is_empty:
             path.unlink(missing_ok=True)
         raise
-    if keep:
-        path.replace(sums_path(field))
+    if keep is not None:
+        path.replace(keep)
     else:
         path.unlink(missing_ok=True)
 

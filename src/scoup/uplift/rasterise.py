@@ -212,8 +212,7 @@ def exchanged(sums: RegionSums, view_names: Sequence[str], processes: Processes)
     if processes.world == 1:
         return sums
     buckets = processes.share_range(sums.n_buckets)
-    kept_as = {"weights": sums.weights, "least_weight": sums.least_weight}
-    mine = RegionSums(sums.fingerprint, sums.order, sums.levels, sums.raster_preset, None, **kept_as)
+    mine = RegionSums.like(sums)
     for position, name in enumerate(view_names):
         view = processes.from_rank(sums.views.get(name), processes.owner(position))
         parts = tuple(part.of_buckets(buckets.start, buckets.stop) for part in view.parts)

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import accumulate
 from typing import Any
 
 import torch
@@ -49,11 +50,52 @@ class RegionEmbeddings:
         Raises:
             InputError: they cannot be coded: a level has none, or none but zeros, or the levels differ in size.
         """
+        return cls.unchecked(regions).checked()
+
+    @classmethod
+    def unchecked(cls, regions: Regions) -> RegionEmbeddings:
+        """The same of any views, also of too few to be coded."""
+        if not len(regions):
+            none: Rows = [{} for _ in regions.levels]
+            return cls(regions.levels, [torch.zeros(0, 0) for _ in regions.levels], none)
         of_levels, rows = zip(*(regions.embeddings(level) for level in regions.levels), strict=True)
-        sizes = {level: part.shape[1] for level, part in zip(regions.levels, of_levels, strict=True)}
+        return cls(regions.levels, of_levels, rows)
+
+    @classmethod
+    def joined(cls, parts: Sequence[tuple[RegionEmbeddings, str]]) -> RegionEmbeddings:
+        """Those of some views, in their order.
+
+        Args:
+            parts: embeddings that hold a view, and its name.
+
+        Raises:
+            InputError: they cannot be coded (``of``).
+        """
+        levels = parts[0][0].levels
+        blocks = [part.of_view(name) for part, name in parts]
+        rows: list[dict[str, slice]] = []
+        for of_level in zip(*blocks, strict=True):
+            ends = list(accumulate(map(len, of_level), initial=0))
+            rows.append({name: slice(*ends[i : i + 2]) for i, (_, name) in enumerate(parts)})
+        sizes = {block.shape[1] for of_view in blocks for block in of_view}
+        if len(sizes) > 1:
+            raise InputError(f"the views have embeddings of different sizes {sorted(sizes)}: they mix models")
+        return cls(levels, [torch.cat(of_level) for of_level in zip(*blocks, strict=True)], rows).checked()
+
+    def of_view(self, view_name: str) -> list[Tensor]:
+        """S x [R, D], the embeddings of the regions of one view."""
+        return [part[rows[view_name]] for part, rows in zip(self.of_levels, self.rows, strict=True)]
+
+    def checked(self) -> RegionEmbeddings:
+        """Themselves, if they can be coded.
+
+        Raises:
+            InputError: see ``of``.
+        """
+        sizes = {level: part.shape[1] for level, part in zip(self.levels, self.of_levels, strict=True)}
         if len(set(sizes.values())) > 1:
             raise InputError(f"the levels have embeddings of different sizes {sizes}: they mix models")
-        for level, part in zip(regions.levels, of_levels, strict=True):
+        for level, part in zip(self.levels, self.of_levels, strict=True):
             if not len(part):
                 raise InputError(f"level {level!r} has no regions in any view; every level needs some")
             if not part.any():
@@ -61,7 +103,7 @@ class RegionEmbeddings:
                     f"level {level!r} has only zero embeddings, as black photographs get from --embedder colors; check "
                     "the photographs, or extract the regions with a CLIP model"
                 )
-        return cls(tuple(regions.levels), of_levels, rows)
+        return self
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,19 +17,20 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError, InputError
+from scoup.base.processes import Processes
 from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.storage.entries import BUCKET, Entries, ViewRecord, pack
 from scoup.uplift.storage.matrices import csr_matrix, triplets_of
 from scoup.uplift.storage.record_file import Record, RecordFile
-from scoup.uplift.storage.store import MOST_IN_MEMORY, Store
+from scoup.uplift.storage.store import MOST_IN_MEMORY, Store, Stores
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-VERSION = 1
-SUMS, VIEW, REMOVED, CODES = "region sums", "view", "removed", "codes"
+VERSION = 2  # since then, files may hold inputs
+SUMS, VIEW, REMOVED, CODES, INPUTS = "region sums", "view", "removed", "codes", "inputs"
 
 Rows = Sequence[Mapping[str, slice]]
 """Per level, the rows of each view in the stacked embeddings (``Regions.embeddings``)."""
@@ -54,6 +55,7 @@ class RegionSums:
         views: by name, in the order in which they were added.
         rows: see ``Rows``; known where ``region_sums`` made them. ``matrix`` needs them.
         codes: what ``keep_codes`` was given last, None before.
+        inputs: the same of ``keep_inputs``.
     """
 
     def __init__(
@@ -80,12 +82,13 @@ class RegionSums:
         self.views: dict[str, ViewRecord] = {}
         self.rows: Rows | None = None
         self.codes: dict[str, Any] | None = None
+        self.inputs: dict[str, Any] | None = None
         self._place_of: dict[torch.device, Tensor] = {}
         self._same_order: Tensor | None = None
         if path is not None and path.exists():
             raise InputError(f"{path}: is there already; open it, or name another file")
         head = Record(SUMS, self._header(), {"order": self.order.int().numpy()})
-        self._store = Store(path, head, most_in_memory)
+        self._store: Store | Stores = Store(path, head, most_in_memory)
 
     @classmethod
     def of(
@@ -93,6 +96,12 @@ class RegionSums:
     ) -> RegionSums:
         """Empty sums of a scene; further arguments as above."""
         return cls(gaussians.fingerprint(), morton_order(gaussians.means), levels, raster_preset, **more)
+
+    @classmethod
+    def like(cls, other: RegionSums, path: Path | None = None) -> RegionSums:
+        """Empty sums of the same Gaussians and levels, kept in the same way (``is_like``)."""
+        kept_as = {"weights": other.weights, "least_weight": other.least_weight}
+        return cls(other.fingerprint, other.order, other.levels, other.raster_preset, path, **kept_as)
 
     @classmethod
     def open(cls, path: str | Path, writable: bool = False) -> RegionSums:
@@ -202,8 +211,7 @@ class RegionSums:
             )
         digest = "" if camera is None else camera.fingerprint()
         view = ViewRecord(digest, sums.labels_digest, tuple(self._packed(sums, order)))
-        header = {"name": view_name, "camera": view.camera_digest, "labels": view.labels_digest}
-        self._apply(self._store.append(VIEW, header, view.arrays()))
+        self._apply(self._store.append(VIEW, _view_header(view_name, view), view.arrays()))
 
     def remove(self, view_name: str) -> None:
         """Forget a view.
@@ -216,8 +224,34 @@ class RegionSums:
 
     def keep_codes(self, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
         """Keep the codes of the regions beside the sums, as JSON values and tensors."""
-        arrays = {name: tensor.cpu().contiguous().numpy() for name, tensor in tensors.items()}
-        self._apply(self._store.append(CODES, header, arrays))
+        self._keep(CODES, header, tensors)
+
+    def keep_inputs(self, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
+        """Keep what a merge has to know of the views beside the sums, as JSON values and tensors."""
+        self._keep(INPUTS, header, tensors)
+
+    def adopt(self, view_name: str, other: RegionSums) -> None:
+        """Add a view from other sums of the same Gaussians (``is_like``)."""
+        view = other._require(view_name)
+        self._apply(self._store.append(VIEW, _view_header(view_name, view), view.arrays()))
+
+    def is_like(self, other: RegionSums) -> bool:
+        """Whether others are of the same Gaussians and levels, made and kept in the same way."""
+        return self._header() == other._header() and torch.equal(self.order, other.order)
+
+    @classmethod
+    def joined(cls, parts: Sequence[RegionSums], holders: Mapping[str, RegionSums]) -> RegionSums:
+        """Sums of the views of several, sharing their memory and files; nothing can be added to them.
+
+        Args:
+            parts: which are alike (``is_like``).
+            holders: the one that each view is taken from, in the order of the views.
+        """
+        whole = copy.copy(parts[0])
+        whole.views = {name: part._require(name) for name, part in holders.items()}
+        whole.rows = whole.codes = whole.inputs = None
+        whole._store = Stores([part._store for part in parts])
+        return whole
 
     def of_views(self, view_names: Iterable[str], rows: Rows) -> RegionSums:
         """The same sums of some views only, sharing memory, with the rows of these views.
@@ -270,6 +304,10 @@ class RegionSums:
             "least_weight": self.least_weight,
         }
 
+    def _keep(self, kind: str, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
+        arrays = {name: tensor.cpu().contiguous().numpy() for name, tensor in tensors.items()}
+        self._apply(self._store.append(kind, header, arrays))
+
     def _apply(self, record: Record) -> None:
         """What a record changes."""
         if record.kind == VIEW:
@@ -281,9 +319,9 @@ class RegionSums:
             self.views[name] = view
         elif record.kind == REMOVED:
             self.views.pop(str(record.header["name"]), None)
-        elif record.kind == CODES:
+        elif record.kind in (CODES, INPUTS):
             tensors = {name: torch.from_numpy(np.array(part)) for name, part in record.arrays.items()}
-            self.codes = {"header": record.header, "tensors": tensors}
+            setattr(self, record.kind, {"header": record.header, "tensors": tensors})
         else:
             raise ValueError(f"a record of the kind {record.kind!r}")
 
@@ -315,6 +353,15 @@ class RegionSums:
         if device not in self._place_of:
             self._place_of[device] = torch.argsort(self.order).to(device)
         return self._place_of[device]
+
+
+def _view_header(view_name: str, view: ViewRecord) -> dict[str, Any]:
+    return {"name": view_name, "camera": view.camera_digest, "labels": view.labels_digest}
+
+
+def shard_path(field: Path, share: Processes) -> Path:
+    """Where a shard of a field's views is kept: beside it."""
+    return field.with_name(f"{field.name}.{share.rank + 1}-of-{share.world}.sums")
 
 
 def sums_path(field: Path) -> Path:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
+from scoup.base.errors import InputError
 from scoup.uplift.storage.record_file import Record, RecordFile, bytes_of
 
 MOST_IN_MEMORY = 256 << 20  # bytes; what comes after goes to a temporary file
@@ -81,3 +83,45 @@ class Store:
         """Close the file, if there is one."""
         if self._file is not None:
             self._file.close()
+
+
+@dataclass(frozen=True)
+class Stores:
+    """Several stores read as one.
+
+    Attributes:
+        parts: the stores.
+    """
+
+    parts: Sequence[Store | Stores]
+
+    path = None
+    writable = False
+
+    @property
+    def bytes(self) -> int:
+        """What all records take, in memory and on disk."""
+        return sum(part.bytes for part in self.parts)
+
+    @property
+    def bytes_in_memory(self) -> int:
+        """What the records that are kept there take."""
+        return sum(part.bytes_in_memory for part in self.parts)
+
+    def append(self, kind: str, header: dict[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Record:
+        """Refused.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError("region sums of several files can be read only")
+
+    def forget_pages(self) -> None:
+        """See ``RecordFile.forget_pages``."""
+        for part in self.parts:
+            part.forget_pages()
+
+    def close(self) -> None:
+        """Close all files."""
+        for part in self.parts:
+            part.close()
