@@ -17,7 +17,9 @@ NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.
 
 
 class ScoupError(Exception):
-    """Base of every error that a user can cause and mend. The command line prints it as one line, exit code 2."""
+    """Base of every error that a user can cause and mend. The command line prints it as one line."""
+
+    exit_code = 2
 
 
 class InputError(ScoupError, ValueError):
@@ -109,6 +111,35 @@ class WriteError(InputError):
     def at(self, path: Path) -> WriteError:
         """The same of another path: of the output that a temporary file would have become."""
         return WriteError(path, self.reason, self.remedy)
+
+
+class ProcessLostError(ScoupError):
+    """Another of the processes at one task has ended, or cannot be reached.
+
+    Args:
+        problem: what was seen of that.
+    """
+
+    exit_code = 1  # nobody has to mend anything: a second try may do
+
+    def __init__(self, problem: str) -> None:
+        self.problem = problem
+        super().__init__(
+            f"another of the processes at work together has ended, or cannot be reached ({problem}); what is done is "
+            "kept: start them all again, and they continue"
+        )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.problem,)
+
+
+SAID_ELSEWHERE = "said_elsewhere"
+"""Attribute of an error that ends several processes at one task: whether another of them tells the user."""
+
+
+def is_said_elsewhere(error: BaseException | None) -> bool:
+    """Whether another of the processes at work together tells the user of this end of them all."""
+    return getattr(error, SAID_ELSEWHERE, False)
 
 
 class OutputInUseError(InputError):

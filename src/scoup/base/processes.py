@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base.errors import SAID_ELSEWHERE, InputError, ProcessLostError
 
 Item = TypeVar("Item")
 
@@ -49,7 +50,8 @@ class Processes:
         """The item of one process, on each."""
         items = [item]
         if self.world > 1:
-            torch.distributed.broadcast_object_list(items, rank)
+            with _losses_named():
+                torch.distributed.broadcast_object_list(items, rank)
         assert items[0] is not None
         return items[0]
 
@@ -78,7 +80,8 @@ class Processes:
         if self.world == 1:
             return [item]
         items: list[Item] = [item] * self.world
-        torch.distributed.all_gather_object(items, item)
+        with _losses_named():
+            torch.distributed.all_gather_object(items, item)
         return items
 
 
@@ -146,8 +149,38 @@ def process_group(device: str) -> Iterator[Processes]:
         raise InputError("this torch cannot let several processes work together; run without torchrun")
     if device.startswith("cuda"):
         torch.cuda.set_device(device)
-    torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if device.startswith("cuda") else "gloo")
+    backend = "cpu:gloo,cuda:nccl" if device.startswith("cuda") else "gloo"
+    try:
+        with _losses_named():
+            meeting = torch.distributed.rendezvous("env://")  # pyright: ignore[reportPrivateImportUsage]
+            store, rank, world = next(meeting)
+            torch.distributed.init_process_group(backend, store=store, rank=rank, world_size=world)
+    except ValueError as error:  # a variable is missing
+        raise InputError(f"the processes cannot meet ({error}); start them with torchrun") from error
     try:
         yield processes
+    except (ProcessLostError, KeyboardInterrupt) as error:
+        setattr(error, SAID_ELSEWHERE, not _is_first_to_say(store))
+        raise
     finally:
         torch.distributed.destroy_process_group()
+
+
+def _is_first_to_say(store: Any) -> bool:
+    try:
+        return store.add(SAID_ELSEWHERE, 1) == 1
+    except RuntimeError:  # it has ended with the process that was lost
+        return True
+
+
+@contextmanager
+def _losses_named() -> Iterator[None]:
+    """What torch raises when a process cannot be reached, as an error for the user."""
+    try:
+        yield
+    except RuntimeError as error:
+        said = str(error)
+        if "allocate" in said or "out of memory" in said:
+            raise
+        # From the last line of a trace of C++, what stands after the source file.
+        raise ProcessLostError(re.sub(r"^\[.*?\] *", "", said.splitlines()[0])) from error

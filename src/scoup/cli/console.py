@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from scoup.base.errors import ScoupError, ScoupWarning, WriteError
+from scoup.base.errors import ScoupError, ScoupWarning, WriteError, is_said_elsewhere
 from scoup.base.progress import Progress, no_progress
 from scoup.cli.options import Common
 
@@ -63,8 +63,13 @@ class Console:
             self.warnings.append(message)
             print(f"warning: {message}", file=sys.stderr)
 
-    def fail(self, message: str, code: int) -> int:
-        """Print an error as one line, and in the JSON result; returns the exit code."""
+    def fail(self, message: str, code: int, error: BaseException | None = None) -> int:
+        """Print an error as one line, and in the JSON result; returns the exit code.
+
+        Of processes at work together, one says that one of them was lost, or that all were interrupted.
+        """
+        if is_said_elsewhere(error):
+            return code
         message = " ".join(message.splitlines())
         print(f"error: {message}", file=sys.stderr)
         self.result({"error": message})
@@ -101,8 +106,8 @@ def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
     """Run a verb; print errors that the user can correct as one line.
 
     Returns:
-        Exit code: 0 done, 2 bad input, 130 interrupted, 143 terminated. Faults of the program itself raise (exit
-        code 1).
+        Exit code: 0 done, 1 another process was lost, 2 bad input, 130 interrupted, 143 terminated. Faults of the
+        program itself raise (exit code 1).
     """
     console = Console(common)
 
@@ -122,10 +127,10 @@ def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
                 sys.stdout.flush()
             return 0
         except ScoupError as error:
-            return console.fail(str(error), 2)
+            return console.fail(str(error), error.exit_code, error)
         except KeyboardInterrupt as stop:
             word, code = ("terminated", 143) if isinstance(stop, Terminated) else ("interrupted", 130)
-            return console.fail(f"{word}; {console.kept()}", code)
+            return console.fail(f"{word}; {console.kept()}", code, stop)
         except MemoryError:
             return console.fail(_OUT_OF_MEMORY, 2)
         except BrokenPipeError:  # whoever read the output, such as head, has seen enough

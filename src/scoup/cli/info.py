@@ -43,7 +43,8 @@ class Info(Common):
 
 _READ = (
     "read are fields (.scoup), region sums (.sums), splats (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .pt), "
-    "cameras (transforms.json, cameras.json, COLMAP's .bin and .txt), tables of words (.npz, .json, .safetensors), and folders of scenes and region features"
+    "cameras (transforms.json, cameras.json, COLMAP's .bin and .txt), tables of words (.npz, .json, .safetensors), "
+    "and folders of scenes and region features"
 )
 
 

@@ -1,0 +1,134 @@
+"""Several processes at one build: one of them dies, or is in another network."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import torch
+
+from cli_support import QUICK, run
+from scoup.uplift.region_sums import RegionSums
+from support import HANGS, environments
+
+pytestmark = pytest.mark.usefixtures("here")
+RUN = "from scoup.cli.app import entry; entry()"
+DIES = """
+import os, signal
+from scoup.cli.app import entry
+from scoup.uplift.region_sums import RegionSums
+append = RegionSums.append
+def die(self, *arguments):
+    append(self, *arguments)
+    if os.environ["RANK"] == os.environ["DIES"] and len(self) == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+RegionSums.append = die
+entry()
+"""
+BUILD = ("build", "scene", *QUICK, "--out", "g.scoup", "--model", "scene/words.npz")
+
+
+def together(
+    ranks: Sequence[dict[str, str]], program: str = RUN, prefixes: Sequence[Sequence[str]] = ((), (), (), ())
+) -> list[tuple[int, str]]:
+    """The build in several processes; the exit code of each and what it said of errors."""
+    started = [
+        subprocess.Popen(
+            [*prefix, sys.executable, "-c", program, *BUILD],
+            env={**os.environ, "OMP_NUM_THREADS": "1", **rank},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for rank, prefix in zip(ranks, prefixes, strict=False)
+    ]
+    ended = [(process, process.communicate(timeout=HANGS)[1]) for process in started]
+    return [(process.returncode, err) for process, err in ended]
+
+
+@pytest.mark.parametrize("dies", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_process_that_dies_ends_all_with_one_message(dies: int) -> None:
+    """What is done is kept, and the same command goes on from there."""
+    with environments(3) as ranks:
+        ended = together([{**rank, "DIES": str(dies)} for rank in ranks], DIES)
+    assert [code for code, _ in ended] == [-9 if rank == dies else 1 for rank in range(3)]
+    said = [line for _, err in ended for line in err.splitlines() if line.startswith("error: ")]
+    assert len(said) == 1, said
+    assert "another of the processes at work together has ended" in said[0]
+    assert "Traceback" not in "".join(err for _, err in ended)
+    partial = sorted(Path().glob("g.scoup.partial.*"))
+    assert len(partial) == 3
+    assert not Path("g.scoup").exists()
+    views = [len(RegionSums.open(path)) for path in partial]
+    assert views[dies] == 1
+    assert sum(views) >= 3
+
+    with environments(3) as ranks:
+        ended = together(ranks)
+    assert [code for code, _ in ended] == [0, 0, 0], ended
+    assert Path("g.scoup").read_bytes() == Path("f.scoup").read_bytes()
+    assert not list(Path().glob("g.scoup.*"))
+
+
+@pytest.fixture
+def other_network() -> Iterator[tuple[str, list[str], str, str]]:
+    """Our address on a link to another network, how to start something there, and the names of the link's ends."""
+    name = f"scoup{uuid.uuid4().hex[:6]}"
+    here, there = f"{name}a", f"{name}b"
+    commands = [
+        f"netns add {name}",
+        f"link add {here} type veth peer name {there} netns {name}",
+        f"addr add 10.199.7.1/30 dev {here}",
+        f"link set {here} up",
+        f"-n {name} addr add 10.199.7.2/30 dev {there}",
+        f"-n {name} link set {there} up",
+        f"-n {name} link set lo up",
+    ]
+    with ExitStack() as stack:
+        for command in commands:
+            try:
+                done = subprocess.run(["ip", *command.split()], capture_output=True, text=True)
+            except FileNotFoundError:
+                pytest.skip("there is no program ip (iproute2)")
+            if done.returncode:
+                pytest.skip(f"no network of its own can be made here: ip {command}: {done.stderr.strip()}")
+            if command.startswith("netns"):
+                stack.callback(subprocess.run, ["ip", "netns", "del", name], check=True)
+        yield "10.199.7.1", ["ip", "netns", "exec", name], here, there
+
+
+def test_a_process_in_another_network(other_network: tuple[str, list[str], str, str]) -> None:
+    address, prefix, here, there = other_network
+    store = torch.distributed.TCPStore(  # pyright: ignore[reportPrivateImportUsage]
+        address, 0, is_master=True, wait_for_workers=False
+    )
+    shared = {
+        "WORLD_SIZE": "2",
+        "MASTER_ADDR": address,
+        "MASTER_PORT": str(store.port),
+        "TORCHELASTIC_USE_AGENT_STORE": "True",
+        "TORCHELASTIC_RESTART_COUNT": "0",
+    }
+    ranks = [
+        {**shared, "RANK": "0", "GLOO_SOCKET_IFNAME": here},
+        {**shared, "RANK": "1", "GLOO_SOCKET_IFNAME": there},
+    ]
+    ended = together(ranks, prefixes=[(), prefix])
+    assert [code for code, _ in ended] == [0, 0], ended
+    assert Path("g.scoup").read_bytes() == Path("f.scoup").read_bytes()
+
+
+def test_processes_that_cannot_meet_are_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RANK", "0")
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    for name in ("MASTER_ADDR", "MASTER_PORT"):
+        monkeypatch.delenv(name, raising=False)
+    code, _, err = run(*BUILD)
+    assert code == 2
+    assert "start them with torchrun" in err
