@@ -16,6 +16,7 @@ from scoup.base.errors import (
     MissingFileError,
     OutputExistsError,
     OutputInUseError,
+    ProcessLostError,
     ScoupError,
     UnknownNameError,
     WriteError,
@@ -31,6 +32,7 @@ ONE_OF_EACH = [
     OutputExistsError("a.scoup"),
     WriteError("a.scoup", "No space left on device", "free some space"),
     OutputInUseError("a.scoup", "process 5"),
+    ProcessLostError("Connection closed by peer"),
     UnknownNameError("camera", "b", [f"a{number}" for number in range(9)], "scene"),
 ]
 
