@@ -35,7 +35,7 @@ def load_torch(path: str | Path, what: str, without_objects: str, numpy_numbers:
         FileFormatError: it is damaged, or holds Python objects.
     """
     path = existing_file(path, what)
-    if not zipfile.is_zipfile(path) and read_bytes(path)[:1] == _PICKLE:
+    if _is_bare_pickle(path):
         raise FileFormatError(
             path, "is a bare Python pickle, which is not opened: that could run code", without_objects
         )
@@ -54,6 +54,15 @@ def load_torch(path: str | Path, what: str, without_objects: str, numpy_numbers:
     except Exception as error:  # damaged or foreign archives raise nearly everything inside torch
         reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
         raise FileFormatError(path, f"cannot be loaded ({reason})", f"it should be {what}") from error
+
+
+def _is_bare_pickle(path: Path) -> bool:
+    """Whether a file is a pickle and no archive."""
+    try:
+        archive = zipfile.is_zipfile(path)
+    except zipfile.BadZipFile:  # it ends as an archive does, in a way that zipfile does not take
+        archive = True
+    return not archive and read_bytes(path)[:1] == _PICKLE
 
 
 def float_tensor(path: Path, value: Any, shape: tuple[int, ...], name: str, what: str) -> np.ndarray:

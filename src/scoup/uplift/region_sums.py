@@ -289,7 +289,8 @@ class RegionSums:
     def triplets(
         self, view_name: str, level: int
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-        """(gaussian, region, weight) [T] of a view and level: rows of the scene, sorted, each pair once."""
+        """(gaussian, region, weight) [T] of a view and level: rows of the scene, sorted, each pair once; an InputError
+        where entries point outside."""
         return triplets_of(self.views[view_name], self.order.numpy(), level)
 
     # ---- within

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base.errors import FileFormatError
+from scoup.base.errors import FileFormatError, InputError
 from scoup.io.reading import matrix, number, read_json
 from scoup.scene.cameras import Cameras
 
@@ -47,7 +47,10 @@ def in_trained_frame(cameras: Cameras, path: str | Path, transforms: Path | None
             world = world @ np.linalg.inv(_rigid(transforms, applied, "applied_transform"))
         if "applied_scale" in done:
             scale /= _scale(transforms, done, "applied_scale")
-    return Cameras(camera.moved(world[:3, :3], world[:3, 3], scale) for camera in cameras)
+    try:
+        return Cameras(camera.moved(world[:3, :3], world[:3, 3], scale) for camera in cameras)
+    except InputError as error:
+        raise FileFormatError(path, f"moves cameras too far ({error})", "copy the file again") from error
 
 
 def _rigid(path: Path, value: Any, what: str) -> np.ndarray:
@@ -55,7 +58,9 @@ def _rigid(path: Path, value: Any, what: str) -> np.ndarray:
     moved = np.eye(4)
     moved[:3] = matrix(path, value, (3, 4), what)
     rotation = moved[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+    with np.errstate(all="ignore"):
+        straight = bool(np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-3)
+    if not straight or np.linalg.det(rotation) < 0:
         raise FileFormatError(path, f"{what} is not a rotation with a translation", "copy the file again")
     return moved
 

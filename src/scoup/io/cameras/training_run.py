@@ -6,6 +6,7 @@ are read as text.
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -126,6 +127,6 @@ def _on_this_machine(named: str, run: Path, config: Path, remedy: str) -> Path:
 
 def _holds_cameras(place: Path) -> bool:
     """Whether a path is transforms.json, or a folder that may be the data of a training."""
-    if place.is_file():
+    if os.path.isfile(place):  # Path.is_file raises for names that the system does not take
         return place.suffix == ".json"
-    return any((place / name).exists() for name in ("transforms.json", "sparse", "colmap/sparse"))
+    return any(os.path.exists(place / name) for name in ("transforms.json", "sparse", "colmap/sparse"))

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scoup.base.errors import InputError
+
 BUCKET = 256  # Gaussians whose entries lie together; a place among them is one byte
 MOST_COMBINATIONS = 1 << 16  # of one part of a view; what has more is kept in several parts
 
@@ -51,6 +53,24 @@ class Entries:
             and self.table.shape[1] == n_levels
         ):
             raise ValueError("arrays of other shapes")
+
+    def check_numbers(self, n_gaussians: int) -> None:
+        """Refuse numbers that point outside; nothing is read by them, and no memory taken, before.
+
+        Raises:
+            InputError: there is no such Gaussian, or no such combination of regions.
+        """
+        last = self.places[int(self.starts[-2]) :] if len(self.starts) > 1 else self.places
+        most = n_gaussians - BUCKET * max(0, len(self.starts) - 2)
+        if not (
+            self.starts[0] == 0
+            and self.starts[-1] == len(self.places)
+            and bool((self.starts[1:] >= self.starts[:-1]).all())
+            and int(last.max(initial=0)) < max(most, 1)
+            and int(self.combinations.max(initial=0)) < max(len(self.table), 1)
+            and (len(self.table) > 0 or not len(self.places))
+        ):
+            raise InputError("the region sums are damaged: no such Gaussian or combination of regions")
 
     def gaussians(self) -> NDArray[np.int64]:
         """[E] places in the order of the sums."""

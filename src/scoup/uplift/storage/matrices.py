@@ -17,9 +17,14 @@ if TYPE_CHECKING:
 def triplets_of(
     view: ViewRecord, order: NDArray[np.int64], level: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-    """(gaussian, region, weight) [T] of a view and level, sorted, each pair once; ``order`` [N] names the Gaussians."""
+    """(gaussian, region, weight) [T] of a view and level, sorted, each pair once; ``order`` [N] names the Gaussians.
+
+    Raises:
+        InputError: the numbers of the entries point outside.
+    """
     gaussians, regions, weights = [], [], []
     for part in view.parts:
+        part.check_numbers(len(order))
         region = part.table[:, level][part.combinations].astype(np.int64)
         there = region >= 0
         gaussians.append(order[part.gaussians()[there]])

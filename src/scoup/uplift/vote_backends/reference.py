@@ -29,6 +29,8 @@ class Vote:
     ) -> None:
         for level in codes:
             check_atoms(level.indices, level.n_atoms)
+        for view in views:
+            view.entries.check_numbers(n_gaussians)
         self._n_gaussians = n_gaussians
         self._views = views
         self._codes = [level.to(device) for level in codes]

@@ -1,0 +1,239 @@
+"""Containers taken apart and put together again, so that damage reaches what is inside: lengths and checksums fit."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import io
+import json
+import re
+import struct
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from scoup.field.artefact import NO_CHECKSUM, tensor_checksum, text_checksum
+
+_RECORD = struct.Struct("<8sIQI")
+_BASE64 = re.compile(rb"base64,([A-Za-z0-9+/=]*)")
+_CHUNKS_OF_PIXELS = b"IDAT"
+
+
+@dataclass(frozen=True)
+class Container:
+    """A kind of container.
+
+    Attributes:
+        split: the parts of a whole file.
+        join: a file of these parts, which may be damaged; given the whole file they came from.
+    """
+
+    split: Callable[[bytes], list[bytes]]
+    join: Callable[[bytes, Sequence[bytes]], bytes]
+
+
+def _split_zip(data: bytes) -> list[bytes]:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return [archive.read(entry) for entry in archive.infolist()]
+
+
+def _join_zip(data: bytes, parts: Sequence[bytes]) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as archive, zipfile.ZipFile(packed, "w") as made:
+        for entry, part in zip(archive.infolist(), parts, strict=True):
+            copy = zipfile.ZipInfo(entry.filename)
+            copy.compress_type = entry.compress_type
+            made.writestr(copy, part)
+    return packed.getvalue()
+
+
+def _split_streams(data: bytes) -> list[bytes]:
+    """Header and unpacked streams of .spz, version 4."""
+    import zstandard
+
+    (place,) = struct.unpack_from("<I", data, 16)
+    parts, after = [data[:16]], place + 16 * data[15]
+    for number in range(data[15]):
+        packed, original = struct.unpack_from("<QQ", data, place + 16 * number)
+        parts.append(zstandard.ZstdDecompressor().decompress(data[after : after + packed], original))
+        after += packed
+    return parts
+
+
+def _join_streams(data: bytes, parts: Sequence[bytes]) -> bytes:
+    import zstandard
+
+    packed = [zstandard.ZstdCompressor().compress(part) for part in parts[1:]]
+    table = b"".join(
+        struct.pack("<QQ", len(some), len(part)) for some, part in zip(packed, parts[1:], strict=True)
+    )
+    return parts[0] + data[16:32] + table + b"".join(packed)
+
+
+def _chunks(data: bytes) -> list[tuple[bytes, bytes]]:
+    """Kinds and contents of the chunks of a PNG, all pixels in one."""
+    found: list[tuple[bytes, bytes]] = []
+    place = 8
+    while place < len(data):
+        size, kind = struct.unpack_from(">I4s", data, place)
+        content = data[place + 8 : place + 8 + size]
+        if found and found[-1][0] == kind == _CHUNKS_OF_PIXELS:
+            content = found.pop()[1] + content
+        found.append((kind, content))
+        place += 12 + size
+    return found
+
+
+def _split_png(data: bytes) -> list[bytes]:
+    return [zlib.decompress(part) if kind == _CHUNKS_OF_PIXELS else part for kind, part in _chunks(data)]
+
+
+def _join_png(data: bytes, parts: Sequence[bytes]) -> bytes:
+    made = [data[:8]]
+    for (kind, _), part in zip(_chunks(data), parts, strict=True):
+        content = zlib.compress(part, 1) if kind == _CHUNKS_OF_PIXELS else part
+        made += [struct.pack(">I", len(content)), kind, content]
+        made.append(struct.pack(">I", zlib.crc32(kind + content)))
+    return b"".join(made)
+
+
+def _split_glb(data: bytes) -> list[bytes]:
+    (size,) = struct.unpack_from("<I", data, 12)
+    return [data[20 : 20 + size], data[28 + size :]]
+
+
+def _join_glb(data: bytes, parts: Sequence[bytes]) -> bytes:
+    text, binary = (part + b" " * (-len(part) % 4) for part in parts)
+    start = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(binary), len(text), b"JSON")
+    return start + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+
+
+def _split_base64(data: bytes) -> list[bytes]:
+    return [base64.b64decode(hit[1]) for hit in _BASE64.finditer(data)]
+
+
+def _join_base64(data: bytes, parts: Sequence[bytes]) -> bytes:
+    rest = iter(parts)
+    return _BASE64.sub(lambda _: b"base64," + base64.b64encode(next(rest)), data)
+
+
+def _split_safetensors(data: bytes) -> list[bytes]:
+    (size,) = struct.unpack_from("<Q", data)
+    return [data[8 : 8 + size], data[8 + size :]]
+
+
+def _join_safetensors(data: bytes, parts: Sequence[bytes]) -> bytes:
+    text = parts[0] + b" " * (-len(parts[0]) % 8)
+    return struct.pack("<Q", len(text)) + text + parts[1]
+
+
+def _split_field(data: bytes) -> list[bytes]:
+    """SCOUP's header, and the numbers of all tensors."""
+    text, body = _split_safetensors(data)
+    return [json.loads(text)["__metadata__"]["scoup"].encode(), body]
+
+
+def _join_field(data: bytes, parts: Sequence[bytes]) -> bytes:
+    """A field whose checksums agree, as far as its header is JSON still."""
+    from safetensors.torch import load
+
+    root = json.loads(_split_safetensors(data)[0])
+    text = parts[0].decode("utf-8", "replace")
+    root["__metadata__"]["scoup"] = text
+    first = _join_safetensors(data, [json.dumps(root).encode(), parts[1]])
+    try:
+        header = json.loads(text)
+        header |= {"checksums": {name: tensor_checksum(item) for name, item in load(first).items()}}
+    except Exception:  # safetensors has its own; what cannot be mended stays as it is
+        return first
+    text = json.dumps({**header, "checksum": NO_CHECKSUM}, sort_keys=True)
+    empty = f'"checksum": "{NO_CHECKSUM}"'
+    root["__metadata__"]["scoup"] = text.replace(empty, f'"checksum": "{text_checksum(text)}"', 1)
+    return _join_safetensors(data, [json.dumps(root).encode(), parts[1]])
+
+
+def _split_labels(data: bytes) -> list[bytes]:
+    """The unpacked label maps of a .regions file."""
+    from safetensors.numpy import load
+
+    return [
+        zlib.decompress(item.tobytes()) for name, item in load(data).items() if name.startswith("labels.")
+    ]
+
+
+def _join_labels(data: bytes, parts: Sequence[bytes]) -> bytes:
+    import numpy as np
+    from safetensors.numpy import load, save
+
+    tensors, rest = load(data), iter(parts)
+    for name in tensors:
+        if name.startswith("labels."):
+            tensors[name] = np.frombuffer(zlib.compress(next(rest), 1), np.uint8)
+    return save(tensors, json.loads(_split_safetensors(data)[0])["__metadata__"])
+
+
+def _split_npy(data: bytes) -> list[bytes]:
+    start = 10 + int.from_bytes(data[8:10], "little")
+    return [data[10:start], data[start:]]
+
+
+def _join_npy(data: bytes, parts: Sequence[bytes]) -> bytes:
+    text = parts[0][:65535]
+    return data[:8] + struct.pack("<H", len(text)) + text + parts[1]
+
+
+def _split_records(data: bytes) -> list[bytes]:
+    """JSON and arrays of each record of region sums, by turns."""
+    parts, place = [], 0
+    while place < len(data):
+        length = _RECORD.unpack_from(data, place)[2]
+        start = place + _RECORD.size
+        (size,) = struct.unpack_from("<Q", data, start)
+        parts += [data[start + 8 : start + 8 + size], data[start + 8 + size : start + length]]
+        place = start + length
+    return parts
+
+
+def _join_records(data: bytes, parts: Sequence[bytes]) -> bytes:
+    made = []
+    for text, body in zip(parts[::2], parts[1::2], strict=True):
+        content = struct.pack("<Q", len(text)) + text + body
+        head = [data[:8], zlib.crc32(content), len(content)]
+        made += [_RECORD.pack(*head, zlib.crc32(_RECORD.pack(*head, 0))), content]
+    return b"".join(made)
+
+
+def _split_ply(data: bytes) -> list[bytes]:
+    end = data.index(b"end_header")
+    return [data[:end], data[end:]]
+
+
+def _rejoined(data: bytes, parts: Sequence[bytes]) -> bytes:
+    return b"".join(parts)
+
+
+def _join_gzip(data: bytes, parts: Sequence[bytes]) -> bytes:
+    return gzip.compress(parts[0], 1, mtime=0)
+
+
+def joined(container: Container, data: bytes, parts: Sequence[bytes]) -> bytes:
+    """``container.join`` without what libraries say of strange parts."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return container.join(data, parts)
+
+
+GZIP = Container(lambda data: [gzip.decompress(data)], _join_gzip)
+ZIP = Container(_split_zip, _join_zip)
+STREAMS = Container(_split_streams, _join_streams)
+PNG = Container(_split_png, _join_png)
+GLB = Container(_split_glb, _join_glb)
+BASE64 = Container(_split_base64, _join_base64)
+SAFETENSORS = Container(_split_safetensors, _join_safetensors)
+FIELD = Container(_split_field, _join_field)
+LABELS = Container(_split_labels, _join_labels)
+NPY = Container(_split_npy, _join_npy)
+RECORDS = Container(_split_records, _join_records)
+PLY = Container(_split_ply, _rejoined)

@@ -1,0 +1,228 @@
+"""Damage: bytes in, other bytes out; the same for the same random numbers."""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+from collections.abc import Callable, Sequence
+from random import Random
+from typing import Any
+
+LONGEST = 1 << 19  # bytes that damage may add to a file
+_WHOLE = (0, 1, -1, 2, 7, 127, 128, 255, 256, 32767, 32768, 65535, 65536, 2**24, 2**31 - 1, 2**31, 2**32 - 1)
+_WIDE = (*_WHOLE, 10**12, 2**40, 2**48, 2**53, 2**62, 2**63 - 1, 2**63, 2**64 - 1, -(2**63))
+_FLOATS = tuple(map(float, ("nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "-0.0", "3.5e38", "1e18")))
+_NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_NUMBERS = [b"-1", b"0", b"nan", b"inf", b"-inf", b"1e400", b"1e308", b"-1e308", b"1e-400", b"0.5", b"4294967296",
+            b"2147483648", b"9223372036854775808", b"18446744073709551615", b"99999999999999999999", b"9" * 5000,
+            b"0x10", b"1_000", b"true", b"null", b"", b"--1", b"1e", b"\xef\xbc\x91", b"[]", b'"1"']  # fmt: skip
+_WORDS = [b"\0", b"\xff", b"\n", b"\r\n", b'"', b"'", b"\\", b"{", b"}", b"[", b"]", b",", b":", b" ", b"\xef\xbb\xbf",
+          b"\xed\xa0\x80", b"../../", b"/", b"#", b"null", b"{}", b"[]", b"\x1b[2J", b"\xe2\x80\xa8"]  # fmt: skip
+_VALUES: list[Any] = [None, True, False, "", "x", "nan", "..", "../../x", "\0", "\ud800", "é" * 300, [], {}, [[]],
+                      [None], {"": {}}, [0] * 1000, 0.5, *_WIDE, 10**30, *_FLOATS]  # fmt: skip
+
+
+def damaged(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    """The data, damaged at one to four places.
+
+    Args:
+        random: what decides.
+        data: whole file, or a part of one.
+        others: of the same kind, from which pieces may come.
+    """
+    result = data
+    textual = _is_text(data)
+    for _ in range(random.choice((1, 1, 1, 2, 2, 3, 4))):
+        ways = _OF_TEXT if textual and random.random() < 0.6 else _OF_BYTES
+        result = random.choice(ways)(random, result, others)
+    return result[: 4 * len(data) + LONGEST]
+
+
+def cut(random: Random, data: bytes, others: Sequence[bytes] = ()) -> bytes:
+    """The beginning of the data alone."""
+    return data[: random.randrange(len(data) + 1)]
+
+
+def _place(random: Random, data: bytes) -> int:
+    """A byte of the data: half of the time one of the first, where headers are."""
+    near = min(len(data), random.choice((16, 64, 256, 1024)))
+    return random.randrange((near if random.random() < 0.5 else len(data)) + 1)
+
+
+def _length(random: Random) -> int:
+    return random.choice((1, 2, 4, 8, random.randrange(1, 64), random.randrange(1, 4096)))
+
+
+def _flip(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    result = bytearray(data)
+    for _ in range(random.choice((1, 1, 2, 8, 32))):
+        if result:
+            result[min(_place(random, data), len(result) - 1)] ^= 1 << random.randrange(8)
+    return bytes(result)
+
+
+def _set(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    place = _place(random, data)
+    width = random.choice((1, 1, 2, 4, 8, 64))
+    byte = random.choice((0, 255, 127, 128, 1, random.randrange(256)))
+    return data[:place] + bytes([byte]) * len(data[place : place + width]) + data[place + width :]
+
+
+def _number(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    """A number of one to eight bytes in the place of whatever is there, often at a multiple of its width."""
+    kind = random.choice("bhiiqqfd")
+    order = random.choice("<<<>")
+    if kind in "fd":
+        value = random.choice(_FLOATS)
+        packed = struct.pack(order + "d", value) if kind == "d" else _float32(order, value)
+    else:
+        width = struct.calcsize(kind)
+        whole = random.choice(_WIDE) & (1 << 8 * width) - 1
+        packed = whole.to_bytes(width, "little" if order == "<" else "big")
+    place = _place(random, data)
+    if random.random() < 0.7:
+        place -= place % len(packed)
+    return data[:place] + packed + data[place + len(packed) :]
+
+
+def _float32(order: str, value: float) -> bytes:
+    try:
+        return struct.pack(order + "f", value)
+    except OverflowError:
+        return struct.pack(order + "f", float("inf"))
+
+
+def _near(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    """A little-endian number of four or eight bytes that becomes one more, one less, the double or the half."""
+    width = random.choice((1, 2, 4, 8))
+    place = _place(random, data)
+    old = int.from_bytes(data[place : place + width], "little")
+    new = random.choice((old + 1, old - 1, 2 * old, old // 2, -old, old * 1000)) % (1 << 8 * width)
+    return (
+        data[:place]
+        + new.to_bytes(width, "little")[: len(data[place : place + width])]
+        + data[place + width :]
+    )
+
+
+def _remove(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    place = _place(random, data)
+    return data[:place] + data[place + _length(random) :]
+
+
+def _repeat(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    place = _place(random, data)
+    piece = data[place : place + _length(random)] * random.choice((1, 1, 2, 100))
+    return data[:place] + piece[:LONGEST] + data[place:]
+
+
+def _insert(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    place = _place(random, data)
+    size = _length(random)
+    piece = random.choice((bytes(size), b"\xff" * size, random.randbytes(size)))
+    return data[:place] + piece + data[place:]
+
+
+def _move(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    source, place, size = _place(random, data), _place(random, data), _length(random)
+    piece = data[source : source + size]
+    return data[:place] + piece + data[place + len(piece) :]
+
+
+def _splice(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    other = random.choice(others) if others else data
+    if random.random() < 0.5:
+        return data[: _place(random, data)] + other[_place(random, other) :]
+    place, source, size = _place(random, data), _place(random, other), _length(random)
+    return data[:place] + other[source : source + size] + data[place + size :]
+
+
+def _lengthen(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    return data + random.choice((b"\0", b"\n", bytes(4096), random.randbytes(100), data[:LONGEST]))
+
+
+def _other_number(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    found = list(_NUMBER.finditer(data[: 1 << 16]))
+    if not found:
+        return _word(random, data, others)
+    result = data
+    for hit in sorted(
+        random.sample(found, min(len(found), random.choice((1, 1, 2)))), key=lambda h: -h.start()
+    ):
+        result = result[: hit.start()] + random.choice(_NUMBERS) + result[hit.end() :]
+    return result
+
+
+def _word(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    place = _place(random, data)
+    return data[:place] + random.choice(_WORDS) + data[place + random.choice((0, 0, 1, 3)) :]
+
+
+def _line(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    """A line removed, doubled, exchanged with another, or without one of its words."""
+    lines = data.split(b"\n")
+    one, other = random.randrange(len(lines)), random.randrange(len(lines))
+    words = lines[one].split(b" ")
+    match random.randrange(4):
+        case 0:
+            del lines[one]
+        case 1:
+            lines[other:other] = [lines[one]] * random.choice((1, 2, 50))
+        case 2:
+            lines[one], lines[other] = lines[other], lines[one]
+        case _:
+            del words[random.randrange(len(words))]
+            lines[one] = b" ".join(words)
+    return b"\n".join(lines)
+
+
+def _deep(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    """Brackets in brackets, closed or not."""
+    depth = random.choice((10, 150, 999, 5000, 100_000))
+    opened, closed = random.choice(((b"[", b"]"), (b'{"a":', b"}"), (b"(", b")"), (b"-", b"")))
+    place = _place(random, data)
+    inside = (opened * depth)[:LONGEST] + random.choice((b"", b"1", b"1" + closed * depth))
+    return data[:place] + inside + data[place:]
+
+
+def _json(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    """One value of JSON exchanged, removed or repeated; the text stays JSON."""
+    try:
+        root = json.loads(data)
+    except (ValueError, RecursionError):
+        return _other_number(random, data, others)
+    for _ in range(random.choice((1, 1, 2, 4))):
+        root = _changed(random, root)
+    return json.dumps(root).encode()
+
+
+def _changed(random: Random, value: Any) -> Any:
+    inner = isinstance(value, (dict, list)) and len(value) > 0
+    if inner and random.random() < 0.8:
+        keys = list(value) if isinstance(value, dict) else list(range(len(value)))
+        key = random.choice(keys)
+        match random.randrange(12):
+            case 0:
+                del value[key]
+            case 1 if isinstance(value, list):
+                value[key:key] = [value[key]] * random.choice((1, 2, 1000))
+            case 1 | 2:
+                value[key] = value[random.choice(keys)]
+            case _:
+                value[key] = _changed(random, value[key])
+        return value
+    if isinstance(value, (int, float)) and random.random() < 0.7:
+        return random.choice((*_WIDE, *_FLOATS, value + 1, value - 1, -value, value * 1000))
+    return random.choice((*_VALUES, [value], {"x": value}, str(value)[:100], [value] * 100))
+
+
+def _is_text(data: bytes) -> bool:
+    start = data[:200]
+    return bool(start) and sum(32 <= byte < 127 or byte in (9, 10, 13) for byte in start) > 0.95 * len(start)
+
+
+Way = Callable[[Random, bytes, Sequence[bytes]], bytes]
+_OF_BYTES: tuple[Way, ...] = (_flip, _flip, _set, _set, _number, _number, _number, _near, _remove, _repeat, _insert,
+                              _move, _splice, _lengthen, cut)  # fmt: skip
+_OF_TEXT: tuple[Way, ...] = (_other_number, _other_number, _word, _line, _deep, _json, _json, _json)

@@ -1,0 +1,242 @@
+"""Every reader of files: which file of the samples is damaged, and what reads it to the end."""
+
+from __future__ import annotations
+
+import gzip
+import importlib.util
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from benchmarks.hostile import containers as of
+from benchmarks.hostile.containers import Container
+from benchmarks.hostile.samples import PICTURES, SIZE
+from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.field.language_field import LanguageField
+from scoup.field.part_sizes import part_sizes
+from scoup.io import (
+    load_cameras,
+    load_gaussians,
+    load_image,
+    load_regions,
+    read_cfg_args,
+    read_points,
+    read_tracks,
+)
+from scoup.io.images import image_fault, read_mask
+from scoup.io.labelled_points import read_labelled_npy, read_labelled_ply
+from scoup.io.labels import read_labels
+from scoup.io.langsplatv2 import read_langsplatv2
+from scoup.io.regions.langsplat_autoencoder import read_autoencoder
+from scoup.io.regions.store import RegionStore
+from scoup.io.splats.gltf import read_gltf, read_gltf_features
+from scoup.models.word_table import load_table
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.codes import SparseCodes
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.vote import vote
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What reading a file may take: ``times`` its size, and ``megabytes`` more."""
+
+    times: int = 64
+    megabytes: int = 64
+
+    def bytes(self, size: int) -> int:
+        """For a file of so many bytes."""
+        return self.times * size + (self.megabytes << 20)
+
+    def __str__(self) -> str:
+        return f"{self.times:,} x + {self.megabytes} MB"
+
+
+MEMORY, PIXELS, UNPACKED = Memory(), Memory(64, 512), Memory(4000, 64)
+MOST_REGIONS = 16  # of a view that votes
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One reader of files.
+
+    Attributes:
+        file: of the samples, that is damaged.
+        read: reads it to the end, given the folder of the samples.
+        more: further valid samples that stand in its place.
+        containers: in which damage is put inside, with lengths and checksums that fit.
+        memory: what reading may take.
+        share: of the files that other readers are given; for those that start a process for every file.
+    """
+
+    file: str
+    read: Callable[[Path], object]
+    more: tuple[str, ...] = ()
+    containers: tuple[Container, ...] = ()
+    memory: Memory = MEMORY
+    share: float = 1.0
+
+
+def _splat(
+    file: str, *more: str, containers: tuple[Container, ...] = (), memory: Memory = MEMORY, share: float = 1.0
+) -> Reader:
+    return Reader(file, lambda folder: load_gaussians(folder / file), more, containers, memory, share)
+
+
+def _cameras(file: str, source: str, *more: str) -> Reader:
+    return Reader(file, lambda folder: load_cameras(folder / source, missing_images="keep"), more)
+
+
+def _sparse(file: str, model: str) -> Reader:
+    def read(folder: Path) -> None:
+        read_points(folder / model)
+        read_tracks(folder / model)
+
+    return Reader(file, read)
+
+
+def _gltf(file: str, *more: str, container: Container) -> Reader:
+    def read(folder: Path) -> None:
+        read_gltf(folder / file)
+        read_gltf_features(folder / file)
+
+    return Reader(file, read, more, (container,))
+
+
+def _unpacked_spz(folder: Path) -> None:
+    """Damage within the compressed stream, which its checksum would hide."""
+    packed, plain = folder / "a.packed.spz", folder / "a.unpacked"
+    if not plain.is_file():
+        raise MissingFileError(plain, "is not there")
+    packed.write_bytes(gzip.compress(plain.read_bytes(), 1))
+    load_gaussians(packed)
+
+
+def _regions(folder: Path) -> None:
+    camera = Camera("view_00.png", torch.eye(4), torch.tensor([[9.0, 0, 4], [0, 9, 3], [0, 0, 1]]), *SIZE)
+    regions = load_regions(folder, Cameras([camera]))
+    for level in regions.levels:
+        regions.load(regions.view_names[0], level)
+    store = RegionStore.open(folder)
+    view = store.view("view_00")
+    if view is not None:
+        view.read()
+
+
+def _origin(folder: Path) -> None:
+    from scoup.io.regions.langsplat import origin
+
+    origin(folder / "features", "view_00")
+
+
+def _field(file: str, *more: str) -> Reader:
+    def read(folder: Path) -> None:
+        field = LanguageField.load(folder / file)
+        part_sizes(folder / file)
+        len(field.gaussians)
+
+    return Reader(file, read, more, (of.SAFETENSORS, of.FIELD))
+
+
+def _sums(folder: Path) -> None:
+    """A file opened, its entries as triplets, and a round of the vote by every backend of the processor."""
+    path = folder / "a.sums"
+    sums = RegionSums.open(path)
+    try:
+        for name in sums.views:
+            for level in range(len(sums.levels)):
+                sums.triplets(name, level)
+        _vote(sums)
+    except FileFormatError:
+        raise
+    except InputError as error:  # whoever uses the sums knows their file
+        raise FileFormatError(path, str(error)) from error
+    finally:
+        sums.close()
+
+
+def _vote(sums: RegionSums) -> None:
+    counts = [sums.n_regions(name) for name in sums.views]
+    if not counts or not 0 < max(map(max, counts)) <= MOST_REGIONS:
+        return  # build refuses such sums, since its regions are others
+    rows = [{name: slice(0, MOST_REGIONS) for name in sums.views} for _ in sums.levels]
+    atoms = torch.arange(MOST_REGIONS)[:, None].to(torch.uint8)
+    codes = [SparseCodes(atoms, torch.ones(MOST_REGIONS, 1), MOST_REGIONS) for _ in sums.levels]
+    codebook = torch.eye(MOST_REGIONS).expand(len(sums.levels), -1, -1)
+    for backend in ("native", "reference"):
+        vote(sums.of_views(sums.views, rows), codes, codebook, keep=1, backend=backend)
+
+
+def _picture(file: str, *more: str, containers: tuple[Container, ...] = ()) -> Reader:
+    def read(folder: Path) -> None:
+        path = folder / "pictures" / file
+        matrix = torch.tensor([[9.0, 0, 16], [0, 9, 12], [0, 0, 1]])
+        image_fault(path)
+        load_image(Camera(file, torch.eye(4), matrix, 32, 24, path))
+        read_mask(path, 127)
+
+    places = tuple(f"pictures/{name}" for name in more)
+    return Reader(f"pictures/{file}", read, places, containers, PIXELS)
+
+
+def _words(file: str, *more: str, containers: tuple[Container, ...] = (), memory: Memory = MEMORY) -> Reader:
+    return Reader(file, lambda folder: load_table(folder / file), more, containers, memory)
+
+
+_SPZ = ("many.spz", "version1.spz", "version2.spz", "alike.spz")
+
+READERS: Mapping[str, Reader] = {
+    "ply": _splat("a.ply", "many.ply", containers=(of.PLY,)),
+    "ascii ply": _splat("ascii.ply", "ascii_many.ply", containers=(of.PLY,)),
+    "compressed ply": _splat("packed.ply", "packed_many.ply", containers=(of.PLY,)),
+    "splat": _splat("a.splat", "many.splat"),
+    "spz": _splat("a.spz", *_SPZ, containers=(of.GZIP,), memory=UNPACKED),
+    "spz of streams": _splat("version4.spz", "many4.spz", "alike4.spz", containers=(of.STREAMS,), memory=UNPACKED),
+    "spz, unpacked": Reader("a.unpacked", _unpacked_spz, memory=UNPACKED),
+    "glb": _gltf("a.glb", "many.glb", container=of.GLB),
+    "gltf": _gltf("a.gltf", "many.gltf", container=of.BASE64),
+    "checkpoint": Reader("ckpts/ckpt_1_rank0.pt", lambda folder: load_gaussians(folder / "ckpts"), ("other.pt",),
+                         containers=(of.ZIP,)),
+    "splatfacto": Reader("run/nerfstudio_models/step-000000009.ckpt", lambda folder: load_gaussians(folder / "run"),
+                         ("older.ckpt",), containers=(of.ZIP,)),
+    "LangSplatV2": Reader("v2.pth", lambda folder: read_langsplatv2(folder / "v2.pth"), containers=(of.ZIP,)),
+    "autoencoder": Reader("best_ckpt.pth", lambda folder: read_autoencoder(folder / "best_ckpt.pth"), containers=(of.ZIP,)),
+    "scenesplat": Reader("arrays/coord.npy", lambda folder: load_gaussians(folder / "arrays"),
+                         ("arrays/color.npy",), (of.NPY,)),
+    "labelled ply": Reader("labelled.ply", lambda folder: read_labelled_ply(folder / "labelled.ply"), (), (of.PLY,)),
+    "labelled npy": Reader("labelled/segment.npy", lambda folder: read_labelled_npy(
+        folder / "labelled/coord.npy", folder / "labelled/segment.npy"), (), (of.NPY,)),
+    "cameras.bin": _cameras("scene/sparse/0/cameras.bin", "scene"),
+    "images.bin": _cameras("scene/sparse/0/images.bin", "scene"),
+    "points3D.bin": _sparse("scene/sparse/0/points3D.bin", "scene/sparse/0"),
+    "cameras.txt": _cameras("text/sparse/cameras.txt", "text"),
+    "images.txt": _cameras("text/sparse/images.txt", "text"),
+    "points3D.txt": _sparse("text/sparse/points3D.txt", "text/sparse"),
+    "transforms.json": _cameras("transforms.json", "transforms.json"),
+    "cameras.json": _cameras("cameras.json", "cameras.json"),
+    "cfg_args": Reader("cfg_args", lambda folder: read_cfg_args(folder / "cfg_args")),
+    "config.yml": _cameras("run/config.yml", "run"),
+    "dataparser_transforms.json": _cameras("run/dataparser_transforms.json", "run"),
+    "cfg.yml": _cameras("results/cfg.yml", "results"),
+    "region labels": Reader("features/view_00_s.npy", lambda folder: _regions(folder / "features"), (), (of.NPY,)),
+    "region embeddings": Reader("features/view_00_f.npy", lambda folder: _regions(folder / "features"), (), (of.NPY,)),
+    "regions": Reader("packed/view_00.regions", lambda folder: _regions(folder / "packed"), (),
+                      (of.SAFETENSORS, of.LABELS), UNPACKED),
+    "regions.json": Reader("packed/regions.json", lambda folder: _regions(folder / "packed")),
+    "field": _field("a.scoup", "bytes.scoup"),
+    "field with a splat beside it": _field("linked.scoup"),
+    "region sums": Reader("a.sums", _sums, (), (of.RECORDS,)),
+    "words.npz": _words("words.npz", "single.npz", containers=(of.ZIP,)),
+    "words.json": _words("words.json"),
+    "words.safetensors": _words("words.safetensors", "joined.safetensors", containers=(of.SAFETENSORS,)),
+    "labels": Reader("labels/frame_1.json", lambda folder: read_labels(folder / "labels"), (), (), PIXELS),
+    "png": _picture("a.png", "grey.png", "palette.png", "deep.png", "bits.png", "empty.png", containers=(of.PNG,)),
+    "jpg": _picture("a.jpg", "progressive.jpg"),
+    "webp": _picture("a.webp", "lossless.webp"),
+    **{ending: _picture(f"a.{ending}") for ending in PICTURES if ending in ("bmp", "tif")},
+    **({ending: _splat(f"a.{ending}", share=0.1, containers=(of.ZIP,) * (ending == "sog"))
+        for ending in ("ksplat", "sog") if importlib.util.find_spec("gaussforge") is not None}),
+}  # fmt: skip
+"""By name. Those that other programs read for us are there where these programs are."""

@@ -1,0 +1,156 @@
+"""Many damaged files for one reader, read in processes that may end in any way, and what became of them."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, get_args
+
+from benchmarks.hostile.worker import Job, Outcome, Result, damaged_file, work
+from scoup.base.errors import InputError
+
+FAILURES = tuple(outcome for outcome in get_args(Outcome) if outcome not in ("accepted", "refused"))
+LEAST = 1 << 16  # bytes of a file that counts for multiples; smaller ones are lost in pages
+READERS = "benchmarks.hostile.readers:READERS"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What ends the reading of a file.
+
+    Attributes:
+        processor: seconds of it that one file may take.
+        wall: seconds without a word after which a process is ended; far more than ``processor``, for busy machines and
+            readers that wait for others.
+    """
+
+    processor: float = 10.0
+    wall: float = 300.0
+
+
+@dataclass
+class Trial:
+    """What became of the files of one reader.
+
+    Attributes:
+        name: of the reader.
+        outcomes: how many files had each.
+        failures: results that should not be.
+        most_grown: largest growth of the process in bytes.
+        most_times: largest growth as a multiple of the file's size, of files of at least ``LEAST`` bytes.
+    """
+
+    name: str
+    outcomes: Counter[str] = field(default_factory=Counter)
+    failures: list[Result] = field(default_factory=list)
+    most_grown: int = 0
+    most_times: float = 0.0
+
+    @property
+    def files(self) -> int:
+        return sum(self.outcomes.values())
+
+    def add(self, result: Result) -> None:
+        """Count a result."""
+        self.outcomes[result.outcome] += 1
+        self.most_grown = max(self.most_grown, result.grown)
+        if result.size >= LEAST:
+            self.most_times = max(self.most_times, result.grown / result.size)
+        if result.outcome in FAILURES:
+            self.failures.append(result)
+
+    def record(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "reader": self.name,
+            "files": self.files,
+            **{outcome: self.outcomes[outcome] for outcome in get_args(Outcome)},
+            "most_grown_bytes": self.most_grown,
+            "most_times_the_file": round(self.most_times, 2),
+        }
+
+
+def try_reader(
+    name: str,
+    samples: Path,
+    count: int,
+    seed: int = 0,
+    readers: str = READERS,
+    limits: Limits | None = None,
+    failures: Path | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Trial:
+    """Give a reader ``count`` damaged files.
+
+    Args:
+        name, readers: see ``worker.Job``.
+        samples: folder of valid files.
+        count: of files.
+        seed: of the damage.
+        limits: of a file.
+        failures: folder for the files that made the reader fail, and what it said.
+        progress: called with the number of files read.
+
+    Raises:
+        InputError: the reader does not take a valid sample.
+    """
+    trial, limits = Trial(name), limits or Limits()
+    while trial.files < count:
+        job = Job(readers, name, samples, seed, range(trial.files, count), limits.processor)
+        for result in _results(job, limits):
+            trial.add(result)
+            progress(trial.files)
+            if failures is not None and result.outcome in FAILURES:
+                _save(failures, job, result)
+    return trial
+
+
+def _results(job: Job, limits: Limits) -> list[Result]:
+    """Results of a process: of all files of the job, or up to the one at which it ended."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["torch"])
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=work, args=(sender, job), daemon=False)
+    process.start()
+    sender.close()
+    found: list[Result] = []
+    outcome: Outcome = "crash"
+    started = False
+    try:
+        while len(found) < len(job.numbers):
+            if started and not receiver.poll(limits.wall):
+                outcome = "hang"
+                break
+            result = receiver.recv()
+            if result.number < 0:
+                started = True
+                if result.outcome != "accepted":
+                    raise InputError(f"{job.name}: its valid sample is not read ({result.said})")
+            else:
+                found.append(result)
+    except EOFError:
+        pass
+    finally:
+        if len(found) < len(job.numbers):
+            process.kill()
+        process.join()
+    if not started:
+        raise InputError(
+            f"{job.name}: the process ended at its valid sample (exit status {process.exitcode})"
+        )
+    if len(found) < len(job.numbers):
+        number = job.numbers[len(found)]
+        said = "no word any more" if outcome == "hang" else f"exit status {process.exitcode}"
+        found.append(Result(number, len(damaged_file(job, number)), outcome, said))
+    return found
+
+
+def _save(folder: Path, job: Job, result: Result) -> None:
+    place = folder / job.name.replace(" ", "_").replace(",", "")
+    place.mkdir(parents=True, exist_ok=True)
+    stem = f"{result.number:06d}-{result.outcome.replace(' ', '-')}"
+    (place / f"{stem}{Path(job.reader.file).suffix}").write_bytes(damaged_file(job, result.number))
+    (place / f"{stem}.said").write_text(result.said + "\n", errors="backslashreplace")

@@ -1,0 +1,224 @@
+"""One small valid file or more of every format that is read, in one folder."""
+
+from __future__ import annotations
+
+import gzip
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from tests.foreign_samples import (
+    LangSplatAutoencoder,
+    save_langsplatv2,
+    save_results,
+    save_run,
+    save_splatfacto,
+)
+from tests.frozen_fields import small_field
+from tests.io_samples import (
+    save_checkpoint,
+    save_compressed_ply,
+    save_images,
+    some_cameras,
+    some_gaussians,
+    some_regions,
+)
+from tests.support import small_scene
+
+from scoup.field.language_field import LanguageField
+from scoup.io import (
+    as_stored,
+    save_gaussians,
+    save_png,
+    save_regions,
+    write_colmap,
+    write_inria_cameras,
+    write_spz,
+    write_transforms,
+)
+from scoup.io.labelled_points import LabelledPoints, write_labelled_ply
+from scoup.io.regions import compact
+from scoup.io.regions.manifest import RegionManifest, write_manifest
+from scoup.io.regions.views import ViewRegions
+from scoup.io.splats.gltf import write_gltf
+from scoup.io.splats.gltf_features import GaussianFeatures
+from scoup.io.splats.ply import table_from_gaussians
+from scoup.io.splats.scenesplat import write_scenesplat
+from scoup.models.word_table import save_table
+from scoup.scene.gaussians import Gaussians
+from scoup.uplift.rasterise import region_sums
+
+SIZE = (8, 6)  # of label maps and photographs
+MANY = 2000  # Gaussians of the larger files
+PICTURES = {"png": {}, "jpg": {"quality": 80}, "webp": {}, "bmp": {}, "tif": {"compression": "tiff_lzw"}}
+"""Endings of photographs, and how Pillow is to write them."""
+
+
+def write_samples(folder: Path) -> None:
+    """Write all of them."""
+    _write_splats(folder)
+    _write_checkpoints(folder)
+    _write_cameras(folder)
+    _write_regions(folder)
+    _write_fields(folder)
+    _write_words_and_labels(folder)
+    _write_pictures(folder / "pictures")
+
+
+def _write_splats(folder: Path) -> None:
+    few = some_gaussians(4)
+    for name in ("a.ply", "a.splat", "a.spz"):
+        save_gaussians(few, folder / name)
+        save_gaussians(some_gaussians(MANY, degree=0), folder / f"many{Path(name).suffix}")
+    _write_alike(folder)
+    for version in (1, 2, 4):
+        write_spz(few, folder / f"version{version}.spz", version=version)
+    write_spz(some_gaussians(MANY, degree=4), folder / "many4.spz", version=4)
+    (folder / "a.unpacked").write_bytes(gzip.decompress((folder / "a.spz").read_bytes()))
+    features = GaussianFeatures(torch.tensor([0, 1, -1, 1]), ("chair", "table"))
+    for ending in ("glb", "gltf"):
+        write_gltf(few, folder / f"a.{ending}", features=features)
+        write_gltf(some_gaussians(MANY, degree=0), folder / f"many.{ending}")
+    save_compressed_ply(folder / "packed.ply", count=4)
+    save_compressed_ply(folder / "packed_many.ply", count=MANY)
+    _write_ascii_ply(folder / "ascii.ply", few)
+    _write_ascii_ply(folder / "ascii_many.ply", some_gaussians(MANY, degree=0))
+    if importlib.util.find_spec("gaussforge") is not None:
+        for ending in ("ksplat", "sog"):
+            save_gaussians(few, folder / f"a.{ending}")
+    write_scenesplat(some_gaussians(5), folder / "arrays")
+    points = LabelledPoints(few.means, torch.arange(4))
+    write_labelled_ply(points, folder / "labelled.ply")
+    (folder / "labelled").mkdir()
+    np.save(folder / "labelled" / "coord.npy", few.means.numpy())
+    np.save(folder / "labelled" / "segment.npy", np.arange(4, dtype=np.int32))
+
+
+def _write_alike(folder: Path) -> None:
+    """Gaussians that are all alike: nothing shrinks further, so nothing grows more when it is read."""
+    one = some_gaussians(1, degree=0)
+    alike = Gaussians(*(getattr(one, name).expand(200_000, *getattr(one, name).shape[1:])
+                        for name in ("means", "quats", "scales", "opacities", "sh")))  # fmt: skip
+    write_spz(alike, folder / "alike.spz")
+    write_spz(alike.select(slice(9000)), folder / "alike4.spz", version=4)  # zstd would shrink more too far
+
+
+def _write_ascii_ply(path: Path, gaussians: Gaussians) -> None:
+    rows = table_from_gaussians(gaussians).rows
+    names = rows.dtype.names or ()
+    header = [
+        "ply",
+        "format ascii 1.0",
+        f"element vertex {len(rows)}",
+        *(f"property float {name}" for name in names),
+    ]
+    lines = [" ".join(f"{float(value):.4g}" for value in row) for row in rows.tolist()]
+    path.write_text("\n".join([*header, "end_header", *lines, ""]))
+
+
+def _write_checkpoints(folder: Path) -> None:
+    few = some_gaussians(4)
+    save_checkpoint(few, folder / "ckpts" / "ckpt_1_rank0.pt")
+    save_checkpoint(some_gaussians(3, degree=0), folder / "other.pt")
+    save_splatfacto(few, folder / "run" / "nerfstudio_models" / "step-000000009.ckpt")
+    save_splatfacto(few, folder / "older.ckpt", older=True)
+    save_langsplatv2(few, folder / "v2.pth")
+    torch.save(LangSplatAutoencoder([4, 3], [4, 8], dim=8).state_dict(), folder / "best_ckpt.pth")
+
+
+def _write_cameras(folder: Path) -> None:
+    cameras, means = some_cameras(2), some_gaussians(3).means.numpy()
+    points = (means.astype(float), (means > 0).astype("u1"))
+    write_colmap(cameras, folder / "scene" / "sparse" / "0", points)
+    write_colmap(cameras, folder / "text" / "sparse", points, text=True)
+    save_images(cameras, folder / "scene" / "images")
+    write_transforms(cameras, folder / "transforms.json")
+    write_inria_cameras(cameras, folder / "cameras.json")
+    (folder / "cfg_args").write_text("Namespace(sh_degree=3, source_path='a', eval=False)")
+    save_run(folder / "run", "scene", "colmap_dataparser.ColmapDataParserConfig")
+    save_results(folder / "results", Path("scene"))
+    (folder / "results" / "ckpts").mkdir()
+
+
+def _write_regions(folder: Path) -> None:
+    regions = some_regions(some_cameras(1, *SIZE))
+    save_regions(regions, folder / "features")
+    name, packed = regions.view_names[0], folder / "packed"
+    maps = {level: regions.load(name, level) for level in regions.levels}
+    view = ViewRegions(
+        name,
+        {level: item.labels.numpy() for level, item in maps.items()},
+        {level: item.embeddings.half().numpy() for level, item in maps.items()},
+        "0" * 64,
+    )
+    manifest = RegionManifest.of("compact", "a/model", {"least": 0.5}, 16)
+    write_manifest(packed, manifest)
+    compact.write_view(packed, "view_00", view, manifest.fingerprint)
+
+
+def _write_fields(folder: Path) -> None:
+    field = small_field()
+    field.geometry_path = None
+    field.save(folder / "a.scoup", embed_geometry=True)
+    field.save(folder / "bytes.scoup", embed_geometry=True, weight_bits=8)
+    _write_linked_field(field, folder)
+    gaussians, cameras, regions = small_scene(count=40, views=2, width=16, height=12)
+    sums = region_sums(gaussians, cameras, regions, path=folder / "a.sums")
+    sums.keep_codes({"step": 1}, {"codebook": torch.ones(3, 4)})
+    sums.close()
+
+
+def _write_linked_field(field: LanguageField, folder: Path) -> None:
+    """A field whose geometry is a file beside it."""
+    stored = as_stored(field.gaussians)
+    save_gaussians(stored, folder / "linked.ply")
+    info = replace(field.info, fingerprint=stored.fingerprint())
+    codes = (field.code_indices, field.code_weights, field.codebook)
+    LanguageField(*codes, info, stored, folder / "linked.ply").save(
+        folder / "linked.scoup", embed_geometry=False
+    )
+
+
+def _write_words_and_labels(folder: Path) -> None:
+    from safetensors.torch import save_file
+
+    vectors = torch.arange(1.0, 13.0).view(3, 4)
+    names = ["cup", "chair", "table"]
+    save_table(folder / "words.npz", names, vectors, model="a/model")
+    np.savez_compressed(folder / "single.npz", **dict(zip(names, vectors.numpy(), strict=True)))  # pyright: ignore[reportArgumentType]
+    rows = dict(zip(names, vectors.tolist(), strict=True))
+    (folder / "words.json").write_text(json.dumps({"model": "a/model", **rows}))
+    save_file(
+        dict(zip(names, vectors.clone(), strict=True)), folder / "words.safetensors", {"model": "a/model"}
+    )
+    save_file({"vectors": vectors}, folder / "joined.safetensors", {"names": json.dumps(names)})
+    things = [
+        {"category": "cup", "segmentation": [[1, 1], [9, 2.5], [5, 8]], "bbox": [1, 1, 9, 8]},
+        {"category": "chair", "segmentation": [[3, 3], [4, 4]]},
+    ]
+    (folder / "labels").mkdir()
+    content = {"info": {"name": "frame_1.jpg", "width": 32, "height": 24}, "objects": things}
+    (folder / "labels" / "frame_1.json").write_text(json.dumps(content))
+
+
+def _write_pictures(folder: Path) -> None:
+    """Photographs of every ending, and masks: grey, of one bit, and with a palette."""
+    from PIL import Image
+
+    folder.mkdir()
+    width, height = 32, 24
+    slope = np.add.outer(np.arange(height), np.arange(width))
+    pixels = np.stack([slope * 4, slope * 2, 255 - slope], axis=-1).astype(np.uint8)
+    for ending, more in PICTURES.items():
+        Image.fromarray(pixels).save(folder / f"a.{ending}", **more)
+    Image.fromarray(pixels).save(folder / "progressive.jpg", progressive=True)
+    Image.fromarray(pixels).save(folder / "lossless.webp", lossless=True)
+    Image.fromarray(pixels).save(folder / "deflated.tif", compression="tiff_adobe_deflate")
+    save_png(slope % 2 == 0, folder / "grey.png")
+    Image.fromarray(pixels).convert("P").save(folder / "palette.png")
+    Image.fromarray(slope.astype(np.uint16) * 700).save(folder / "deep.png")
+    Image.fromarray(slope % 3 == 0).save(folder / "bits.png")
+    Image.fromarray(np.zeros((2000, 2000), bool)).save(folder / "empty.png")

@@ -1,0 +1,211 @@
+"""The process that reads damaged files, one after another, and reports on each; it may crash, or never come back."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import importlib
+import os
+import resource
+import shutil
+import signal
+import tempfile
+import traceback
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from random import Random
+from typing import Literal
+
+import torch
+
+from benchmarks.hostile.containers import joined
+from benchmarks.hostile.mutation import cut, damaged
+from benchmarks.hostile.readers import Reader
+from scoup.base.errors import ScoupError, ScoupWarning
+
+Outcome = Literal["accepted", "refused", "other error", "memory", "hang", "crash"]
+_MMAP_THRESHOLD = -3  # of mallopt
+_REFUSED_MEMORY = (
+    "can't allocate memory",
+    "not enough memory",
+    "Cannot allocate memory",
+    "failed to allocate",
+)
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a process is to read.
+
+    Attributes:
+        readers: "module:table" of the readers.
+        name: of the reader.
+        samples: folder of valid files; it is copied.
+        seed: of the damage.
+        numbers: of the damaged files.
+        seconds: of the processor that one file may take.
+    """
+
+    readers: str
+    name: str
+    samples: Path
+    seed: int
+    numbers: range
+    seconds: float
+
+    @property
+    def reader(self) -> Reader:
+        module, table = self.readers.split(":")
+        return getattr(importlib.import_module(module), table)[self.name]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of one file.
+
+    Attributes:
+        number: of the file.
+        size: in bytes.
+        outcome: of its reading.
+        said: the error, in one line or as a traceback.
+        grown: most bytes by which the process grew while it read.
+    """
+
+    number: int
+    size: int
+    outcome: Outcome
+    said: str = ""
+    grown: int = 0
+
+
+class _Hung(BaseException):
+    """The seconds of a file have passed."""
+
+
+def damaged_file(job: Job, number: int) -> bytes:
+    """The file of a number: always the same one."""
+    random = Random(f"{job.seed} {job.name} {number}")
+    reader = job.reader
+    others = [(job.samples / name).read_bytes() for name in (reader.file, *reader.more)]
+    data = random.choice(others)
+    if random.random() < 0.1:
+        return cut(random, data)
+    if not reader.containers or random.random() < 0.35:
+        return damaged(random, data, others)
+    container = random.choice(reader.containers)
+    parts = container.split(data)
+    for _ in range(random.choice((1, 1, 1, 2))):
+        place = random.randrange(len(parts))
+        parts[place] = damaged(random, parts[place], parts)
+    whole = joined(container, data, parts)
+    return damaged(random, whole, others) if random.random() < 0.05 else whole
+
+
+def work(connection: Connection, job: Job) -> None:
+    """Read all files of a job; a ``Result`` of each goes through the connection, first one of the valid samples."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    # What is given back goes back to the system at once: else memory from before would hide what a file takes.
+    ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 16)
+    torch.set_num_threads(1)
+    with open(os.devnull, "w") as nowhere:  # libraries complain at length
+        os.dup2(nowhere.fileno(), 2)
+    signal.signal(signal.SIGPROF, _give_up)
+    reader = job.reader
+    with tempfile.TemporaryDirectory(prefix="hostile-") as name:
+        folder = Path(name) / "files"
+        shutil.copytree(job.samples, folder)
+        valid = [(folder / sample).read_bytes() for sample in (reader.file, *reader.more)]
+        for content in [
+            *valid,
+            valid[0],
+        ]:  # modules are loaded, and pools of memory grow, before anything is measured
+            result = _read(job, folder, -1, content)
+            if result.outcome != "accepted":
+                break
+        connection.send(result)
+        for number in job.numbers:
+            connection.send(_read(job, folder, number, damaged_file(job, number)))
+
+
+def _read(job: Job, folder: Path, number: int, content: bytes) -> Result:
+    reader, path = job.reader, folder / job.reader.file
+    path.write_bytes(content)
+    size = len(content)
+    outcome, said = "accepted", ""
+    before = _forget_peak()
+    allowed = reader.memory.bytes(size)
+    try:
+        with _limits(allowed if number >= 0 else 4 << 30, job.seconds), warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.simplefilter("ignore", ScoupWarning)
+            reader.read(folder)
+    except ScoupError as error:
+        outcome, said = _refusal(error, folder)
+    except _Hung:
+        outcome, said = "hang", traceback.format_exc()
+    except BaseException as error:  # a panic of Rust is no Exception
+        outcome = "memory" if _is_memory(error) else "other error"
+        said = traceback.format_exc()
+    grown = max(0, _peak() - before)
+    if grown > allowed and outcome in ("accepted", "refused") and number >= 0:
+        outcome, said = "memory", f"grew by {grown:,} bytes, of {allowed:,}; {said}"
+    if outcome != "refused":
+        gc.collect()
+    return Result(number, size, outcome, said, grown)
+
+
+def _refusal(error: ScoupError, folder: Path) -> tuple[Outcome, str]:
+    """Refused, unless the memory had run out before, or the message is not one line that names the file."""
+    said = str(error)
+    cause: BaseException | None = error
+    while cause is not None:
+        if _is_memory(cause):
+            return "memory", "".join(traceback.format_exception(error))
+        cause = cause.__cause__ or cause.__context__
+    if "\n" in said or str(folder) not in said:
+        return "other error", f"a message of several lines, or without the file: {said}"
+    return "refused", said.replace(str(folder), "")
+
+
+def _is_memory(error: BaseException) -> bool:
+    return isinstance(error, MemoryError) or any(words in str(error) for words in _REFUSED_MEMORY)
+
+
+def _give_up(*_: object) -> None:
+    raise _Hung
+
+
+@contextmanager
+def _limits(memory: int, seconds: float) -> Iterator[None]:
+    """In this block the process may grow by so many bytes, and take so many seconds of the processor."""
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (size + memory, before[1]))
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def _forget_peak() -> int:
+    """Bytes of memory in use; from now on ``_peak`` counts anew."""
+    ctypes.CDLL(None).malloc_trim(0)
+    with open("/proc/self/clear_refs", "w") as stream:
+        stream.write("5")
+    return _kilobytes("VmRSS") * 1024
+
+
+def _peak() -> int:
+    """Most bytes that were in use at once."""
+    return _kilobytes("VmHWM") * 1024
+
+
+def _kilobytes(name: str) -> int:
+    with open("/proc/self/status") as stream:
+        return next(int(line.split()[1]) for line in stream if line.startswith(name + ":"))
