@@ -159,7 +159,9 @@ def _split_labels(data: bytes) -> list[bytes]:
     from safetensors.numpy import load
 
     return [
-        zlib.decompress(item.tobytes()) for name, item in load(data).items() if name.startswith("labels.")
+        zlib.decompress(item.tobytes())
+        for name, item in sorted(load(data).items())
+        if name.startswith("labels.")
     ]
 
 
@@ -168,7 +170,7 @@ def _join_labels(data: bytes, parts: Sequence[bytes]) -> bytes:
     from safetensors.numpy import load, save
 
     tensors, rest = load(data), iter(parts)
-    for name in tensors:
+    for name in sorted(tensors):
         if name.startswith("labels."):
             tensors[name] = np.frombuffer(zlib.compress(next(rest), 1), np.uint8)
     return save(tensors, json.loads(_split_safetensors(data)[0])["__metadata__"])

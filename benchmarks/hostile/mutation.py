@@ -6,6 +6,7 @@ import json
 import re
 import struct
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from random import Random
 from typing import Any
 
@@ -194,7 +195,10 @@ def _json(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
         return _other_number(random, data, others)
     for _ in range(random.choice((1, 1, 2, 4))):
         root = _changed(random, root)
-    return json.dumps(root).encode()
+    try:
+        return json.dumps(root).encode()
+    except RecursionError:
+        return data
 
 
 def _changed(random: Random, value: Any) -> Any:
@@ -208,13 +212,13 @@ def _changed(random: Random, value: Any) -> Any:
             case 1 if isinstance(value, list):
                 value[key:key] = [value[key]] * random.choice((1, 2, 1000))
             case 1 | 2:
-                value[key] = value[random.choice(keys)]
+                value[key] = deepcopy(value[random.choice(keys)])
             case _:
                 value[key] = _changed(random, value[key])
         return value
     if isinstance(value, (int, float)) and random.random() < 0.7:
         return random.choice((*_WIDE, *_FLOATS, value + 1, value - 1, -value, value * 1000))
-    return random.choice((*_VALUES, [value], {"x": value}, str(value)[:100], [value] * 100))
+    return deepcopy(random.choice((*_VALUES, [value], {"x": value}, str(value)[:100], [value] * 100)))
 
 
 def _is_text(data: bytes) -> bool:

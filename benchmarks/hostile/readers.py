@@ -54,7 +54,12 @@ class Memory:
         return f"{self.times:,} x + {self.megabytes} MB"
 
 
-MEMORY, PIXELS, UNPACKED = Memory(), Memory(64, 512), Memory(4000, 64)
+MEMORY = Memory()
+PIXELS = Memory(13_000, 512)  # images: 1100 pixels a byte and 2^25 besides are decoded, at about 12 bytes
+MASKS = Memory(64, 768)  # labels: masks of 2^28 pixels besides
+SPZ = Memory(1500, 64)  # a hundred times the file, and 4 MB besides, are unpacked
+TABLES = Memory(128, 128)  # of .npz twenty times the file, and 16 MB besides, are unpacked
+LABELS = Memory(6000, 64)  # label maps without a region are packed a thousandfold
 MOST_REGIONS = 16  # of a view that votes
 
 
@@ -192,9 +197,9 @@ READERS: Mapping[str, Reader] = {
     "ascii ply": _splat("ascii.ply", "ascii_many.ply", containers=(of.PLY,)),
     "compressed ply": _splat("packed.ply", "packed_many.ply", containers=(of.PLY,)),
     "splat": _splat("a.splat", "many.splat"),
-    "spz": _splat("a.spz", *_SPZ, containers=(of.GZIP,), memory=UNPACKED),
-    "spz of streams": _splat("version4.spz", "many4.spz", "alike4.spz", containers=(of.STREAMS,), memory=UNPACKED),
-    "spz, unpacked": Reader("a.unpacked", _unpacked_spz, memory=UNPACKED),
+    "spz": _splat("a.spz", *_SPZ, containers=(of.GZIP,), memory=SPZ),
+    "spz of streams": _splat("version4.spz", "many4.spz", "alike4.spz", containers=(of.STREAMS,), memory=SPZ),
+    "spz, unpacked": Reader("a.unpacked", _unpacked_spz, memory=SPZ),
     "glb": _gltf("a.glb", "many.glb", container=of.GLB),
     "gltf": _gltf("a.gltf", "many.gltf", container=of.BASE64),
     "checkpoint": Reader("ckpts/ckpt_1_rank0.pt", lambda folder: load_gaussians(folder / "ckpts"), ("other.pt",),
@@ -202,7 +207,8 @@ READERS: Mapping[str, Reader] = {
     "splatfacto": Reader("run/nerfstudio_models/step-000000009.ckpt", lambda folder: load_gaussians(folder / "run"),
                          ("older.ckpt",), containers=(of.ZIP,)),
     "LangSplatV2": Reader("v2.pth", lambda folder: read_langsplatv2(folder / "v2.pth"), containers=(of.ZIP,)),
-    "autoencoder": Reader("best_ckpt.pth", lambda folder: read_autoencoder(folder / "best_ckpt.pth"), containers=(of.ZIP,)),
+    "autoencoder": Reader("best_ckpt.pth", lambda folder: read_autoencoder(folder / "best_ckpt.pth"),
+                          containers=(of.ZIP,)),
     "scenesplat": Reader("arrays/coord.npy", lambda folder: load_gaussians(folder / "arrays"),
                          ("arrays/color.npy",), (of.NPY,)),
     "labelled ply": Reader("labelled.ply", lambda folder: read_labelled_ply(folder / "labelled.ply"), (), (of.PLY,)),
@@ -223,15 +229,15 @@ READERS: Mapping[str, Reader] = {
     "region labels": Reader("features/view_00_s.npy", lambda folder: _regions(folder / "features"), (), (of.NPY,)),
     "region embeddings": Reader("features/view_00_f.npy", lambda folder: _regions(folder / "features"), (), (of.NPY,)),
     "regions": Reader("packed/view_00.regions", lambda folder: _regions(folder / "packed"), (),
-                      (of.SAFETENSORS, of.LABELS), UNPACKED),
+                      (of.SAFETENSORS, of.LABELS), LABELS),
     "regions.json": Reader("packed/regions.json", lambda folder: _regions(folder / "packed")),
     "field": _field("a.scoup", "bytes.scoup"),
     "field with a splat beside it": _field("linked.scoup"),
     "region sums": Reader("a.sums", _sums, (), (of.RECORDS,)),
-    "words.npz": _words("words.npz", "single.npz", containers=(of.ZIP,)),
+    "words.npz": _words("words.npz", "single.npz", "alike.npz", containers=(of.ZIP,), memory=TABLES),
     "words.json": _words("words.json"),
     "words.safetensors": _words("words.safetensors", "joined.safetensors", containers=(of.SAFETENSORS,)),
-    "labels": Reader("labels/frame_1.json", lambda folder: read_labels(folder / "labels"), (), (), PIXELS),
+    "labels": Reader("labels/frame_1.json", lambda folder: read_labels(folder / "labels"), (), (), MASKS),
     "png": _picture("a.png", "grey.png", "palette.png", "deep.png", "bits.png", "empty.png", containers=(of.PNG,)),
     "jpg": _picture("a.jpg", "progressive.jpg"),
     "webp": _picture("a.webp", "lossless.webp"),

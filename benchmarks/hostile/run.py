@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
-from benchmarks.hostile.worker import Job, Outcome, Result, damaged_file, work
+from benchmarks.hostile.worker import BROKEN, VALID, Job, Outcome, Result, damaged_file, work
 from scoup.base.errors import InputError
 
 FAILURES = tuple(outcome for outcome in get_args(Outcome) if outcome not in ("accepted", "refused"))
@@ -125,7 +125,9 @@ def _results(job: Job, limits: Limits) -> list[Result]:
                 outcome = "hang"
                 break
             result = receiver.recv()
-            if result.number < 0:
+            if result.number == BROKEN:
+                raise RuntimeError(result.said)
+            if result.number == VALID:
                 started = True
                 if result.outcome != "accepted":
                     raise InputError(f"{job.name}: its valid sample is not read ({result.said})")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import ctypes
 import gc
 import importlib
@@ -37,6 +38,9 @@ _REFUSED_MEMORY = (
 )
 
 
+VALID, BROKEN = -1, -2
+
+
 @dataclass(frozen=True)
 class Job:
     """What a process is to read.
@@ -68,7 +72,7 @@ class Result:
     """What became of one file.
 
     Attributes:
-        number: of the file.
+        number: of the file; ``VALID`` for the valid samples, ``BROKEN`` where this program itself failed.
         size: in bytes.
         outcome: of its reading.
         said: the error, in one line or as a traceback.
@@ -107,6 +111,13 @@ def damaged_file(job: Job, number: int) -> bytes:
 
 def work(connection: Connection, job: Job) -> None:
     """Read all files of a job; a ``Result`` of each goes through the connection, first one of the valid samples."""
+    try:
+        _work(connection, job)
+    except Exception:
+        connection.send(Result(BROKEN, 0, "crash", traceback.format_exc()))
+
+
+def _work(connection: Connection, job: Job) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     # What is given back goes back to the system at once: else memory from before would hide what a file takes.
     ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 16)
@@ -119,13 +130,15 @@ def work(connection: Connection, job: Job) -> None:
         folder = Path(name) / "files"
         shutil.copytree(job.samples, folder)
         valid = [(folder / sample).read_bytes() for sample in (reader.file, *reader.more)]
+        result = Result(VALID, 0, "accepted")
         for content in [
             *valid,
             valid[0],
-        ]:  # modules are loaded, and pools of memory grow, before anything is measured
-            result = _read(job, folder, -1, content)
+        ]:  # modules are loaded, and pools of memory grow, before anything counts
+            result = _read(job, folder, VALID, content)
             if result.outcome != "accepted":
                 break
+        gc.freeze()  # what the modules hold need not be looked through again and again
         connection.send(result)
         for number in job.numbers:
             connection.send(_read(job, folder, number, damaged_file(job, number)))
@@ -172,6 +185,10 @@ def _refusal(error: ScoupError, folder: Path) -> tuple[Outcome, str]:
 
 
 def _is_memory(error: BaseException) -> bool:
+    """Whether the system has refused memory. Python's own parser says the same of text that is nested too deeply."""
+    frames = traceback.extract_tb(error.__traceback__)
+    if frames and frames[-1].filename == ast.__file__:
+        return False
     return isinstance(error, MemoryError) or any(words in str(error) for words in _REFUSED_MEMORY)
 
 

@@ -84,6 +84,8 @@ def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, in
             f"codebook {list(codebook.shape)} does not fit {shape[1]} levels of codes and "
             f"{len(info.levels)} level names"
         )
+    if 0 in (*shape[1:], *codebook.shape):
+        raise InputError(f"codes {list(shape)} and codebook {list(codebook.shape)} hold nothing")
     n_atoms = codebook.shape[1]
     if code_indices.dtype != index_dtype(n_atoms):
         raise InputError(f"code indices are {code_indices.dtype}, expected {index_dtype(n_atoms)}")

@@ -19,6 +19,9 @@ from scoup.io.reading import MAX_IMAGE_SIDE, existing_file
 from scoup.scene.cameras import Camera
 
 MAX_PIXELS = 1 << 29  # decoded at three bytes each
+FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "GIF", "PPM")  # some others start programs
+ANY_PIXELS = 1 << 25  # that a file of any size may claim
+PIXELS_A_BYTE = 1100  # of larger images; no photograph comes near, and deflate shrinks bytes by 1032 at most
 _END_OF_PNG = b"\0\0\0\0IEND\xaeB`\x82"
 _END_OF_JPEG = b"\xff\xd9"
 
@@ -43,7 +46,7 @@ def size_in_header(path: str | Path) -> tuple[int, int]:
 
     path = existing_file(path, "an image")
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=FORMATS) as image:
             width, height = image.size
     except Exception as error:  # damaged images raise nearly everything inside Pillow
         raise FileFormatError(
@@ -186,8 +189,12 @@ def open_image(path: Path) -> Iterator[Any]:
         raise FileFormatError(
             path, f"has {width} x {height} pixels, too many to decode", "scale it down first"
         )
+    size = path.stat().st_size
+    if width * height > max(ANY_PIXELS, PIXELS_A_BYTE * size):
+        problem = f"claims {width} x {height} pixels, more than a photograph of {size:,} bytes holds"
+        raise FileFormatError(path, problem, "the file is damaged; copy it again")
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=FORMATS) as image:
             yield image
     except Exception as error:  # damaged images raise nearly everything inside Pillow
         raise FileFormatError(path, f"cannot be decoded ({error})", "copy it again, or remove it") from error

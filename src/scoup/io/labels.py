@@ -20,6 +20,7 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import resize_labels
 
 _FAR = 1e6  # coordinates beyond this are damage, and more than the polygon painter can take
+_MOST_PAINTED, _MOST_KEPT = 1 << 33, 1 << 28  # pixels, of all objects and of all categories
 _REMEDY = "the file is damaged or no LERF-OVS label file"
 
 
@@ -97,13 +98,16 @@ def read_frame(path: str | Path) -> LabelledFrame:
         pixels(path, info.get("width"), "the width"),
         pixels(path, info.get("height"), "the height"),
     )
-    if width * height > 1 << 28:
-        raise FileFormatError(path, f"the size {width} x {height} is not a possible image size", _REMEDY)
+    categories = {str(item.get("category")) for item in objects if isinstance(item, dict)}
+    pixels_painted, pixels_kept = (width * height * max(1, len(some)) for some in (objects, categories))
+    if pixels_painted > _MOST_PAINTED or pixels_kept > _MOST_KEPT:
+        problem = f"has {len(objects)} objects of {len(categories)} categories on {width} x {height} pixels, too many"
+        raise FileFormatError(path, problem, _REMEDY)
     canvases: dict[str, Image.Image] = {}
     boxes: dict[str, list[list[float]]] = {}
     for position, item in enumerate(objects):
         label, corners, box = _object(path, item, f"object {position}")
-        canvas = canvases.setdefault(label, Image.new("1", (width, height)))
+        canvas = canvases.get(label) or canvases.setdefault(label, Image.new("1", (width, height)))
         painter = ImageDraw.Draw(canvas)
         painter.polygon(corners, fill=1)
         painter.line([*corners, corners[0]], fill=1)  # an outline of the fill's colour is not drawn

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import pickle
+import pickletools
+import re
 import zipfile
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -18,6 +20,9 @@ from scoup.io.reading import existing_file, read_bytes
 
 _PICKLE = b"\x80"
 _OBJECTS = "holds Python objects other than tensors; it was not opened, because that could run code"
+_TAKES_MEMORY = re.compile(
+    r"\S+ (bytearray|UntypedStorage|TypedStorage)|torch(\.\w+)* \w*Tensor"
+)  # names in a pickle
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
 
@@ -42,9 +47,10 @@ def load_torch(path: str | Path, what: str, without_objects: str, numpy_numbers:
     try:
         with zipfile.ZipFile(path) as archive:
             unpacked = sum(entry.file_size for entry in archive.infolist())
-        # torch stores without compression; one that unpacks to more than its size would fill the memory.
-        if unpacked > os.path.getsize(path):
-            raise ValueError("unpacks to more than its size")
+            # torch stores without compression; one that unpacks to more than its size would fill the memory.
+            if unpacked > os.path.getsize(path):
+                raise ValueError("unpacks to more than its size")
+            _check_names([archive.read(name) for name in archive.namelist() if name.endswith("data.pkl")])
         with _allowed(numpy_numbers):
             return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
@@ -63,6 +69,18 @@ def _is_bare_pickle(path: Path) -> bool:
     except zipfile.BadZipFile:  # it ends as an archive does, in a way that zipfile does not take
         archive = True
     return not archive and read_bytes(path)[:1] == _PICKLE
+
+
+def _check_names(pickles: list[bytes]) -> None:
+    """Refuse what torch's restricted loader would call with any number, and which takes that much memory.
+
+    Raises:
+        ValueError: a pickle names it; torch.save never does for tensors of numbers that splats have.
+    """
+    for content in pickles:
+        for code, name, _ in pickletools.genops(content):
+            if code.name == "GLOBAL" and _TAKES_MEMORY.fullmatch(str(name)):
+                raise ValueError(f"makes a {str(name).split(' ')[-1]} of its own")
 
 
 def float_tensor(path: Path, value: Any, shape: tuple[int, ...], name: str, what: str) -> np.ndarray:

@@ -41,6 +41,7 @@ _FORMS = (
     "scoup.models.word_table.save_table writes one), or a model by folder or hub id"
 )
 _MAX_BYTES = 1 << 31  # a table of words is small; a damaged size must not fill the memory
+_RATIO, _ANY_BYTES = 20, 16 << 20  # numbers hardly shrink: what unpacks to more than both is no table
 _REMEDY = "the file is damaged or of another kind; write it again (scoup.models.word_table.save_table)"
 
 
@@ -153,7 +154,8 @@ def _read_npz(path: Path) -> WordTable:
     arrays: dict[str, np.ndarray] = {}
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
-        if sum(member.file_size for member in members) > _MAX_BYTES:
+        most = min(_MAX_BYTES, max(_ANY_BYTES, _RATIO * path.stat().st_size))
+        if sum(member.file_size for member in members) > most:
             raise FileFormatError(path, "is too large for a table of words", _REMEDY)
         for member in members:
             with archive.open(member) as stream:

@@ -121,7 +121,7 @@ class RegionSums:
             if first.kind != SUMS or int(first.header["version"]) > VERSION:
                 raise FileFormatError(path, "was written by a newer SCOUP", "pip install -U scoup")
             order = torch.from_numpy(first.arrays["order"].astype(np.int64))
-            if not torch.equal(order.sort().values, torch.arange(len(order))):
+            if order.dim() != 1 or not torch.equal(order.sort().values, torch.arange(len(order))):
                 raise ValueError("an order that lacks Gaussians")
             sums = cls(
                 str(first.header["fingerprint"]),
@@ -134,7 +134,7 @@ class RegionSums:
             sums._store = Store.of_file(file)
             for record in file.records[1:]:
                 sums._apply(record)
-        except (KeyError, TypeError, ValueError, InputError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             file.close()
             if isinstance(error, FileFormatError):
                 raise

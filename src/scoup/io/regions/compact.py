@@ -149,6 +149,8 @@ def _shape_of_level(path: Path, stream: Any, level: str, size: tuple[int, int]) 
     packed = stream.get_slice(f"labels.{level}")
     if table.get_dtype() not in ("F16", "F32") or packed.get_dtype() != "U8":
         raise FileFormatError(path, f"level {level!r} has tensors of another type", REMEDY)
+    if dim < 1:  # any number of rows of nothing fits into a file
+        raise FileFormatError(path, f"level {level!r} has embeddings of no dimension", REMEDY)
     if size[0] * size[1] * _label_type(count).itemsize > packed.get_shape()[0] * _DEFLATE_LIMIT:
         raise FileFormatError(path, f"cannot hold {size[0]} x {size[1]} labels", REMEDY)
     return count, dim

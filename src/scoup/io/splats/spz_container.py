@@ -23,9 +23,10 @@ _PLACE = struct.Struct("<I12x")  # of the table of streams; the rest of the head
 _STREAM = struct.Struct("<QQ")  # compressed and original size
 _HAS_EXTENSIONS = 2
 _MOST_DEGREE = 4
-_RATIO = (
-    1032  # deflate cannot shrink bytes further; for zstd the format's own reader has nearly the same limit
-)
+_RATIO, _ANY_BYTES = (
+    100,
+    4 << 20,
+)  # what unpacks to more than both is made to fill the memory; scenes shrink tenfold
 _DAMAGED = "the file is damaged; copy or export it again"
 
 
@@ -166,7 +167,7 @@ def _header(path: Path, start: bytes, available: int) -> tuple[SpzHeader, int, i
         problem = f"says SH degree {degree} and {bits} bits of fractions, which cannot be"
         raise FileFormatError(path, problem, _DAMAGED)
     header = SpzHeader(version, count, degree, bits)
-    if sum(header.sizes.values()) > _RATIO * available:
+    if sum(header.sizes.values()) > max(_ANY_BYTES, _RATIO * available):
         problem = f"says {count:,} Gaussians, more than {available:,} bytes can hold"
         raise FileFormatError(path, problem, _DAMAGED)
     return header, flags, last

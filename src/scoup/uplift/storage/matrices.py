@@ -29,7 +29,8 @@ def triplets_of(
         there = region >= 0
         gaussians.append(order[part.gaussians()[there]])
         regions.append(region[there])
-        weights.append(part.weights[there].astype(np.float64))
+        with np.errstate(all="ignore"):  # a damaged weight may be no number
+            weights.append(part.weights[there].astype(np.float64))
     gaussian, region, weight = map(np.concatenate, (gaussians, regions, weights))
     stride = int(region.max(initial=0)) + 1
     keys, inverse = np.unique(gaussian * stride + region, return_inverse=True)

@@ -218,7 +218,7 @@ class RecordFile:
             if not (isinstance(kind, str) and isinstance(header, dict) and isinstance(layout, dict)):
                 raise ValueError("a header of another form")
             return self._map(start, length, kind, header, layout)
-        except (KeyError, TypeError, ValueError, struct.error, OverflowError) as error:
+        except (KeyError, TypeError, ValueError, struct.error, OverflowError, RecursionError) as error:
             raise FileFormatError(
                 self._named, f"holds a record that makes no sense ({error})", "make the region sums again"
             ) from error

@@ -100,7 +100,7 @@ class Vote:
         parts = (
             part.gaussians() - buckets.start * BUCKET,
             view.regions[part.combinations],
-            part.weights.astype(np.float32),
+            _float32(part.weights),
         )
         gaussian, regions, weight = (torch.from_numpy(array).to(self._device) for array in parts)
         return gaussian, regions, weight
@@ -126,3 +126,9 @@ class Vote:
             norms = squared.sum((1, 2)).clamp(min=0).sqrt()[:, None]
             out[:, level] = torch.where(norms > 1e-6, parts / norms.clamp(min=1e-6), 0.0)
         return out
+
+
+def _float32(weights: np.ndarray) -> np.ndarray:
+    """Weights as float32, without a word about damaged ones that are no numbers."""
+    with np.errstate(all="ignore"):
+        return weights.astype(np.float32)

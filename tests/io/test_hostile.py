@@ -1,0 +1,150 @@
+"""Damaged files for every reader (benchmarks/hostile), and readers that misbehave on purpose, which it must find."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from random import Random
+
+import pytest
+from benchmarks.hostile import __main__ as program
+from benchmarks.hostile.containers import joined
+from benchmarks.hostile.mutation import damaged
+from benchmarks.hostile.readers import READERS
+from benchmarks.hostile.run import FAILURES, Limits, Trial, try_reader
+from benchmarks.hostile.samples import write_samples
+from benchmarks.hostile.worker import Job, damaged_file
+
+from planted_readers import FILE, VALID, write_planted
+from scoup.base.errors import InputError
+
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="limits and peaks are those of Linux"
+)
+
+COUNT, SEED = 150, 7
+EXPECTED = {
+    "good": "refused",
+    "accepting": "accepted",
+    "crash": "crash",
+    "exit": "crash",
+    "loop": "hang",
+    "much": "memory",
+    "much, untouched": "memory",
+    "much, hidden": "memory",
+    "not so much": "accepted",
+    "ValueError": "other error",
+    "nameless": "other error",
+    "RuntimeWarning": "other error",
+}
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("valid")
+    write_samples(folder)
+    return folder
+
+
+@pytest.fixture
+def planted(tmp_path: Path) -> Path:
+    (tmp_path / "valid").mkdir()
+    write_planted(tmp_path / "valid")
+    return tmp_path / "valid"
+
+
+def planted_trial(
+    name: str, folder: Path, count: int, failures: Path | None = None, **limits: float
+) -> Trial:
+    return try_reader(name, folder, count, 1, "planted_readers:PLANTED", Limits(**limits), failures)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_no_reader_misbehaves(samples: Path, name: str) -> None:
+    trial = try_reader(name, samples, max(10, int(COUNT * READERS[name].share)), SEED)
+    assert not trial.failures, trial.failures[0]
+    assert trial.outcomes["refused"]
+    assert trial.outcomes["refused"] + trial.outcomes["accepted"] == trial.files
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_what_readers_do_is_found(planted: Path, name: str) -> None:
+    trial = planted_trial(name, planted, 4, planted.parent / "failures", processor=1.0)
+    # Damage may leave a file as it was, by chance; with this seed it does not.
+    assert dict(trial.outcomes) == {EXPECTED[name]: 4}
+    saved = sorted(path.name for path in planted.parent.glob("failures/*/*.planted"))
+    outcome = EXPECTED[name].replace(" ", "-")
+    wanted = [f"{number:06d}-{outcome}.planted" for number in range(4)]
+    assert saved == (wanted if EXPECTED[name] in FAILURES else [])
+
+
+def test_a_process_without_a_word_is_ended(planted: Path) -> None:
+    assert dict(planted_trial("sleep", planted, 2, wall=2.0).outcomes) == {"hang": 2}
+
+
+def test_what_is_kept_of_a_failure_is_the_file(planted: Path) -> None:
+    trial = planted_trial("crash", planted, 2, planted.parent / "failures")
+    kept = [path.read_bytes() for path in sorted((planted.parent / "failures" / "crash").glob("*.planted"))]
+    job = Job("planted_readers:PLANTED", "crash", planted, 1, range(2), 1.0)
+    assert kept == [damaged_file(job, number) for number in range(2)]
+    assert kept[0] != VALID
+    assert [result.said for result in trial.failures] == ["exit status -11"] * 2
+
+
+def test_growth_is_measured(planted: Path) -> None:
+    trial = planted_trial("not so much", planted, 2)
+    assert 39 << 20 <= trial.most_grown < 48 << 20  # pages are counted roughly
+
+
+def test_samples_that_are_not_valid_are_named(planted: Path) -> None:
+    (planted / FILE).write_bytes(b"something else")
+    with pytest.raises(InputError, match="ValueError: its valid sample is not read"):
+        planted_trial("ValueError", planted, 1)
+    with pytest.raises(InputError, match="crash: the process ended at its valid sample"):
+        planted_trial("crash", planted, 1)
+
+
+@pytest.mark.parametrize("name", [name for name, reader in READERS.items() if reader.containers])
+def test_containers_are_put_together_as_they_were(samples: Path, name: str) -> None:
+    """What is taken apart and joined again is taken apart alike, and damage inside changes the whole."""
+    reader = READERS[name]
+    for file in (reader.file, *reader.more):
+        whole = (samples / file).read_bytes()
+        for container in reader.containers:
+            parts = container.split(whole)
+            again = joined(container, whole, parts)
+            assert [part.rstrip() for part in container.split(again)] == [part.rstrip() for part in parts]
+            last = max(range(len(parts)), key=lambda place: len(parts[place]))
+            changed = [part[1:] if place == last else part for place, part in enumerate(parts)]
+            assert joined(container, whole, changed) != again
+
+
+def test_the_same_seed_gives_the_same_files(samples: Path) -> None:
+    for name in ("gltf", "words.npz", "field"):
+        job = Job("benchmarks.hostile.readers:READERS", name, samples, 3, range(0), 1.0)
+        files = [damaged_file(job, number) for number in range(40)]
+        assert files == [damaged_file(job, number) for number in range(40)]
+        assert len(set(files)) > 30
+
+
+def test_damage_changes_and_is_bounded() -> None:
+    data = json.dumps({"a": [1, 2, {"b": "c"}], "d": -1.5e3}).encode()
+    found = {damaged(Random(seed), data, [data]) for seed in range(300)}
+    assert len(found) > 250
+    assert max(map(len, found)) < 1 << 20
+    assert any(b"[[[[[[" in item for item in found)
+    assert any(b"nan" in item.lower() for item in found)
+
+
+def test_the_program_prints_and_records(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "hostile.json"
+    record = program.main(program.Arguments(5, readers=("splat", "cfg_args"), out=out))
+    assert json.loads(out.read_text()) == record
+    assert [row["reader"] for row in record["readers"]] == ["splat", "cfg_args"]
+    assert all(row["files"] == row["accepted"] + row["refused"] == 5 for row in record["readers"])
+    assert record["failures"] == []
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
+    assert len(lines) == 4
+    with pytest.raises(InputError, match="no readers named spam"):
+        program.main(program.Arguments(5, readers=("spam",)))
