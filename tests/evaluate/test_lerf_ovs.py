@@ -250,3 +250,16 @@ def test_kitchen_labels(data_folder: Path) -> None:
     pairs = score_frame(frames[0], {label: mask.float()[None] for label, mask in frames[0].masks.items()})
     assert all(pair.hit for pair in pairs)
     assert sum(pair.iou for pair in pairs) / len(pairs) > 0.8
+
+
+@pytest.mark.parametrize("label", ["cup", None])
+def test_masks_of_no_end_are_refused(tmp_path: Path, label: str | None) -> None:
+    """A few bytes an object ask for a mask of all pixels, or for painting all of them again."""
+    count = 400 if label else 20
+    objects = [square(label or f"thing {number}", 0, 0, 9, 9) for number in range(count)]
+    path = write_label(tmp_path / "f.json", objects, 5000, 5000)
+    with pytest.raises(FileFormatError, match=f"has {count} objects of .* on 5000 x 5000 pixels, too many"):
+        read_frame(path)
+    assert len(read_frame(write_label(tmp_path / "g.json", objects[:8], 5000, 5000)).masks) == (
+        1 if label else 8
+    )

@@ -1,13 +1,15 @@
 from __future__ import annotations
 
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from io_samples import camera_difference, some_cameras
+from io_samples import camera_difference, save_images, some_cameras
 from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
+from scoup.io import load_cameras
 from scoup.io.cameras.colmap import read_colmap, read_points, write_colmap
 
 
@@ -131,3 +133,18 @@ def test_images_without_a_rotation(tmp_path):
         read_colmap(folder)
     folder = text_model(tmp_path, "1 SIMPLE_PINHOLE 40 30 50 20 15", "1 2 0 0 0 0 0 0 1 a.jpg\n\n")
     assert torch.equal(read_colmap(folder)[0].viewmat, torch.eye(4, dtype=torch.float64))
+
+
+def test_cameras_of_impossible_sizes_and_lengths(tmp_path: Path) -> None:
+    """Focal lengths that vanish when the camera is brought to the size of its image, and more pixels than there are."""
+    cameras = some_cameras(1)
+    write_colmap(cameras, tmp_path / "sparse" / "0", text=True)
+    save_images(cameras, tmp_path / "images", divisor=2)
+    lens = tmp_path / "sparse" / "0" / "cameras.txt"
+    for line, said in (
+        ("1 PINHOLE 32 24 5e-324 5e-324 16 12", "focal length"),
+        ("1 PINHOLE 100000 75000 9 9 16 12", "100000 x 75000 pixels, too many"),
+    ):
+        lens.write_text(line + "\n")
+        with pytest.raises(FileFormatError, match=f"sparse/0.*{said}"):
+            load_cameras(tmp_path)

@@ -291,3 +291,21 @@ def test_a_damaged_source_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=r"view_01_f\.npy"):
         convert_regions(tmp_path / "a", tmp_path / "b")
     assert {path.name for path in tmp_path.iterdir()} == {"a"}
+
+
+def test_rows_of_nothing_are_refused(tmp_path: Path) -> None:
+    """Any number of embeddings without a dimension fits into a file."""
+    cameras = some_cameras(1)
+    write(tmp_path, cameras)
+    path = tmp_path / "view_00.regions"
+    raw = path.read_bytes()
+    size = int.from_bytes(raw[:8], "little")
+    header = json.loads(raw[8 : 8 + size])
+    tensors = load_file(path)
+    for level in LEVELS:
+        tensors[f"embeddings.{level}"] = np.zeros((0, 0), np.float32)
+    save_file(tensors, path, header["__metadata__"])
+    raw = path.read_bytes()
+    path.write_bytes(raw.replace(b'"shape":[0,0]', b'"shape":[0,9]'.replace(b"0,9", b"9,0")))
+    with pytest.raises(FileFormatError, match="embeddings of no dimension"):
+        load_regions(tmp_path, cameras)

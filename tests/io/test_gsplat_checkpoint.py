@@ -90,3 +90,31 @@ def test_wrong_shapes_and_claimed_sizes(tmp_path):
     save(shN=torch.zeros(4, 4, 3))
     with pytest.raises(FileFormatError, match="no whole SH degree"):
         read_gsplat_checkpoint(path)
+
+
+def with_pickle(path, content):
+    """A checkpoint whose pickle is another."""
+    torch.save({"a": torch.zeros(4)}, path.with_suffix(".valid"))
+    with zipfile.ZipFile(path.with_suffix(".valid")) as valid, zipfile.ZipFile(path, "w") as made:
+        for entry in valid.infolist():
+            pickled = entry.filename.endswith("data.pkl")
+            made.writestr(entry.filename, content if pickled else valid.read(entry))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["builtins\nbytearray", "torch\nFloatTensor", "torch\nTensor", "torch.storage\nUntypedStorage",
+     "torch.sparse\nFloatTensor"],
+)  # fmt: skip
+def test_pickles_that_ask_for_any_amount_of_memory(tmp_path, name):
+    size = (10**10).to_bytes(5, "little")
+    with_pickle(tmp_path / "a.pt", b"\x80\x02c" + name.encode() + b"\n\x8a\x05" + size + b"\x85R.")
+    with pytest.raises(FileFormatError, match=r"makes a .* of its own"):
+        read_gsplat_checkpoint(tmp_path / "a.pt")
+
+
+def test_an_archive_in_several_parts(tmp_path):
+    locator = b"PK\6\7" + bytes(12) + (2).to_bytes(4, "little")
+    (tmp_path / "a.pt").write_bytes(locator + b"PK\5\6" + bytes(18))
+    with pytest.raises(FileFormatError, match="cannot be loaded"):
+        read_gsplat_checkpoint(tmp_path / "a.pt")

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import struct
+import tracemalloc
+import zlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +17,7 @@ from io_samples import save_images, some_cameras
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear, sample_nearest
 from scoup.io.image_folder import ImageFolder
-from scoup.io.images import image_size, load_image, save_png
+from scoup.io.images import image_size, load_image, read_mask, save_png
 from scoup.scene.cameras import Camera
 
 
@@ -134,3 +139,49 @@ def test_undistorted_image_straightens(tmp_path):
     image = load_image(replace(camera, image_path=tmp_path / "a.png"))
     inside = (positions[..., 0] > 2) & (positions[..., 0] < 62)
     assert ((image[..., 0] - 2 * positions[..., 0]).abs()[inside] < 2).all()
+
+
+def claiming(path: Path, width: int, height: int) -> Path:
+    """A PNG of so many pixels in its header, and none in its data."""
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),
+        (b"IDAT", b""),
+        (b"IEND", b""),
+    ]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+    ))  # fmt: skip
+    return path
+
+
+def test_no_memory_for_pixels_that_cannot_be_there(tmp_path: Path) -> None:
+    path = claiming(tmp_path / "a.png", 12_000, 12_000)
+    assert image_size(path) == (12_000, 12_000)
+    for read in (lambda: load_image(camera_of(image_path=path)), lambda: read_mask(path, 0)):
+        with pytest.raises(
+            FileFormatError, match="claims 12000 x 12000 pixels, more than a photograph of 57 bytes"
+        ):
+            read()
+
+
+def test_pictures_that_start_programs_are_none(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(
+        b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n%%EOF\n"
+    )
+    with pytest.raises(FileFormatError, match="not an image that can be read"):
+        image_size(tmp_path / "a.png")
+
+
+def test_a_chunk_that_claims_gigabytes_takes_no_memory(tmp_path: Path) -> None:
+    """Pillow reads the rest of the last chunk at once, by the length that the file says."""
+    save_png(torch.zeros(8, 8, 3, dtype=torch.uint8), tmp_path / "a.png")
+    whole = (tmp_path / "a.png").read_bytes()
+    place = whole.index(b"IDAT") - 4
+    (tmp_path / "a.png").write_bytes(whole[:place] + b"\x7f\xff\xff\xff" + whole[place + 4 :])
+    tracemalloc.start()
+    try:
+        with contextlib.suppress(FileFormatError):
+            load_image(camera_of(8, 8, image_path=tmp_path / "a.png"))
+        assert tracemalloc.get_traced_memory()[1] < 16 << 20
+    finally:
+        tracemalloc.stop()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -228,3 +229,16 @@ def test_damaged_files_are_named(tmp_path: Path, content: bytes, said: str) -> N
     with pytest.raises(FileFormatError, match=said) as error:
         load_gaussians(tmp_path / "a.spz")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_what_unpacks_to_no_end_is_refused(tmp_path: Path, version: int) -> None:
+    """Gaussians that are all alike, which take next to no bytes: some are read, very many are not."""
+    one = some_gaussians(1, degree=0)
+    for count in (50_000, 300_000):
+        parts = (getattr(one, field.name) for field in fields(one))
+        many = Gaussians(*(part.expand(count, *part.shape[1:]) for part in parts))
+        write_spz(many, tmp_path / f"{count}.spz", version=version)
+    assert len(load_gaussians(tmp_path / "50000.spz")) == 50_000
+    with pytest.raises(FileFormatError, match="says 300,000 Gaussians, more than"):
+        load_gaussians(tmp_path / "300000.spz")

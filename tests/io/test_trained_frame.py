@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from io_samples import camera_difference, some_cameras
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io import load_cameras, write_colmap, write_transforms
+from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.scene.cameras import Cameras
 
 APPLIED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]])  # of ns-process-data
@@ -93,3 +94,18 @@ def test_other_files_are_refused(tmp_path: Path, content: object, problem: str):
     path.write_text(json.dumps(content))
     with pytest.raises(FileFormatError, match=problem):
         load_cameras(tmp_path, dataparser_transforms=path)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("transform", "scale", "said"),
+    [
+        ([[1e200, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], 1, "not a rotation"),
+        ([[1, 0, 0, 1e308], [0, 1, 0, 1e308], [0, 0, 1, 1e308]], 1e300, "moves cameras too far"),
+    ],
+)
+def test_numbers_beyond_all_bounds(tmp_path: Path, transform: list, scale: float, said: str) -> None:
+    path = tmp_path / "dataparser_transforms.json"
+    path.write_text(json.dumps({"transform": transform, "scale": scale}))
+    with pytest.raises(FileFormatError, match=said):
+        in_trained_frame(some_cameras(2), path)

@@ -257,3 +257,11 @@ def test_other_data_of_the_same_name_are_not_taken(tmp_path: Path, monkeypatch: 
     write_colmap(some_cameras(2), tmp_path / "project/data/sparse/0")
     save_run(tmp_path / "project/run", "data", "colmap_dataparser.ColmapDataParserConfig")
     assert len(load_cameras(tmp_path / "project/run", missing_images="keep")) == 2
+
+
+@pytest.mark.parametrize("named", ["(" * 5000, "a/\0b", "x/" * 3000])
+def test_data_of_a_name_that_no_system_takes(tmp_path: Path, named: str) -> None:
+    (tmp_path / "cfg.yml").write_text(f"data_dir: {named}\n")
+    (tmp_path / "ckpts").mkdir()
+    with pytest.raises(MissingFileError, match="not on this machine"):
+        load_cameras(tmp_path)

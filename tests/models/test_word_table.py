@@ -226,3 +226,12 @@ def test_real_clip_table(data_folder: Path) -> None:
     vectors = encoder.encode(["object", "things", "stuff", "texture", "STAINLESS steel pots"])
     assert vectors.shape == (5, 512)
     torch.testing.assert_close(torch.linalg.vector_norm(vectors, dim=1), torch.ones(5))
+
+
+def test_archives_that_unpack_to_no_end_are_refused(tmp_path: Path) -> None:
+    for length in (1000, 3_000_000):
+        vectors = np.ones((2, length), np.float32)
+        np.savez_compressed(tmp_path / f"{length}.npz", names=np.array(["a", "b"]), vectors=vectors)
+    assert load_table(tmp_path / "1000.npz").vectors.shape == (2, 1000)
+    with pytest.raises(FileFormatError, match="is too large for a table of words"):
+        load_table(tmp_path / "3000000.npz")

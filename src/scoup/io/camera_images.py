@@ -51,9 +51,9 @@ def attach_images(
         path, scale = _find(camera, folder, factor, hint_first)
         size = _size_of(path, unreadable)
         if path is None or size is None:
-            others.append(_scaled(replace(camera, image_path=None), wanted))
+            others.append(_scaled(source, replace(camera, image_path=None), wanted))
         else:
-            attached.append(_resized_to_image(camera, path, size, scale / (downscale or scale)))
+            attached.append(_resized_to_image(source, camera, path, size, scale / (downscale or scale)))
     if not attached and not unreadable and images is not None:
         named = listed([camera.name for camera in others])
         raise MissingFileError(
@@ -138,7 +138,9 @@ def _warn_of_unreadable(source: Path, unreadable: list[str], total: int, kept: b
         )
 
 
-def _resized_to_image(camera: Camera, path: Path, size: tuple[int, int], enlarge: float) -> Camera:
+def _resized_to_image(
+    source: Path, camera: Camera, path: Path, size: tuple[int, int], enlarge: float
+) -> Camera:
     width, height = size
     if size == (1, 1) and max(camera.width, camera.height) > max(FACTORS):
         raise FileFormatError(
@@ -157,10 +159,17 @@ def _resized_to_image(camera: Camera, path: Path, size: tuple[int, int], enlarge
     if not PurePosixPath(camera.name).suffix:
         camera = replace(camera, name=camera.name + path.suffix)
     camera = replace(camera, image_path=path)
-    return camera.resized(max(1, round(width * enlarge)), max(1, round(height * enlarge)))
+    return _resized(source, camera, width * enlarge, height * enlarge)
 
 
-def _scaled(camera: Camera, divisor: int) -> Camera:
+def _scaled(source: Path, camera: Camera, divisor: int) -> Camera:
     if divisor == 1:
         return camera
-    return camera.resized(max(1, round(camera.width / divisor)), max(1, round(camera.height / divisor)))
+    return _resized(source, camera, camera.width / divisor, camera.height / divisor)
+
+
+def _resized(source: Path, camera: Camera, width: float, height: float) -> Camera:
+    try:
+        return camera.resized(max(1, round(width)), max(1, round(height)))
+    except InputError as error:  # focal lengths that scaling rounds to nothing
+        raise FileFormatError(source, str(error), "the file is damaged") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,10 +16,9 @@ from torch import Tensor
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear
-from scoup.io.reading import MAX_IMAGE_SIDE, existing_file
+from scoup.io.reading import MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, existing_file, read_bytes
 from scoup.scene.cameras import Camera
 
-MAX_PIXELS = 1 << 29  # decoded at three bytes each
 FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "GIF", "PPM")  # some others start programs
 ANY_PIXELS = 1 << 25  # that a file of any size may claim
 PIXELS_A_BYTE = 1100  # of larger images; no photograph comes near, and deflate shrinks bytes by 1032 at most
@@ -185,7 +185,7 @@ def open_image(path: Path) -> Iterator[Any]:
     from PIL import Image
 
     width, height = size_in_header(path)
-    if width * height > MAX_PIXELS:
+    if width * height > MAX_IMAGE_PIXELS:
         raise FileFormatError(
             path, f"has {width} x {height} pixels, too many to decode", "scale it down first"
         )
@@ -194,7 +194,8 @@ def open_image(path: Path) -> Iterator[Any]:
         problem = f"claims {width} x {height} pixels, more than a photograph of {size:,} bytes holds"
         raise FileFormatError(path, problem, "the file is damaged; copy it again")
     try:
-        with Image.open(path, formats=FORMATS) as image:
+        # Not from the file itself: where a chunk claims gigabytes, Pillow would ask the system for as many.
+        with Image.open(io.BytesIO(read_bytes(path)), formats=FORMATS) as image:
             yield image
     except Exception as error:  # damaged images raise nearly everything inside Pillow
         raise FileFormatError(path, f"cannot be decoded ({error})", "copy it again, or remove it") from error

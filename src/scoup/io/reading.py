@@ -19,6 +19,7 @@ from scoup.scene.cameras import Camera, Cameras
 Distorted = Literal["refuse", "undistort"]
 
 MAX_IMAGE_SIDE = 100_000  # a longer side is a damaged number, not a photograph
+MAX_IMAGE_PIXELS = 1 << 29
 
 _UNDISTORT_REMEDY = (
     "undistort the images first (colmap image_undistorter), or have it done here: --undistort "
@@ -164,6 +165,10 @@ def make_camera(
     Raises:
         FileFormatError: it is not a camera, or distorted while ``distorted`` is "refuse".
     """
+    if size[0] * size[1] > MAX_IMAGE_PIXELS:
+        raise FileFormatError(
+            path, f"camera {name!r} has {size[0]} x {size[1]} pixels, too many", "the file is damaged"
+        )
     coefficients = tuple(float(item) for item in distortion)
     if not any(coefficients):
         coefficients = ()

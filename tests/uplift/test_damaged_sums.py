@@ -1,0 +1,111 @@
+"""Files of region sums whose checksums agree and whose contents make no sense."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from benchmarks.hostile.containers import RECORDS
+from numpy.typing import NDArray
+
+from scoup.base.errors import FileFormatError, InputError
+from scoup.coding.codebook import SparseCodes
+from scoup.uplift.rasterise import region_sums
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.storage.record_file import RecordFile
+from scoup.uplift.vote import vote
+from support import small_scene
+
+Arrays = dict[str, NDArray[Any]]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """The sums of one view."""
+    gaussians, cameras, regions = small_scene(count=300, views=1, width=16, height=12)
+    region_sums(gaussians, cameras, regions, path=tmp_path / "a.sums").close()
+    return tmp_path / "a.sums"
+
+
+def changed(path: Path, change: Callable[[Arrays], None]) -> Path:
+    """A copy with other arrays in the record of its view."""
+    file, copy = RecordFile.open(path), RecordFile.create(path.with_name("b.sums"))
+    file.close()
+    for record in file.records:
+        arrays = {name: array.copy() for name, array in record.arrays.items()}
+        if record.kind == "view":
+            change(arrays)
+        copy.append(record.kind, record.header, arrays)
+    copy.close()
+    return path.with_name("b.sums")
+
+
+def beyond_combinations(arrays: Arrays) -> None:
+    arrays["combinations.0"][-1] = len(arrays["table.0"])
+
+
+def beyond_gaussians(arrays: Arrays) -> None:
+    arrays["places.0"][-1] = 300 - 256
+
+
+def billions_of_entries(arrays: Arrays) -> None:
+    arrays["starts.0"][1] = 2**32 - 1
+
+
+def backwards(arrays: Arrays) -> None:
+    arrays["starts.0"][1] = arrays["starts.0"][2] + 1
+
+
+def no_entries_at_the_end(arrays: Arrays) -> None:
+    arrays["starts.0"][-1] -= 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [beyond_combinations, beyond_gaussians, billions_of_entries, backwards, no_entries_at_the_end],
+)
+def test_entries_that_point_outside_are_refused_where_they_are_used(path: Path, change) -> None:
+    sums = RegionSums.open(changed(path, change))
+    name, count = next(iter(sums.views)), 16
+    with pytest.raises(InputError, match="region sums are damaged"):
+        sums.triplets(name, 0)
+    rows = [{name: slice(0, count)} for _ in sums.levels]
+    codes = [
+        SparseCodes(torch.zeros(count, 1, dtype=torch.uint8), torch.ones(count, 1), 2) for _ in sums.levels
+    ]
+    with pytest.raises(InputError, match="region sums are damaged"):
+        vote(sums.of_views([name], rows), codes, torch.ones(3, 2, 4), keep=1, backend="reference")
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_weight_that_is_no_number(path: Path) -> None:
+    def signalling(arrays: Arrays) -> None:
+        arrays["weights.0"].view(np.uint32)[0] = 0x7FA00000
+
+    sums = RegionSums.open(changed(path, signalling))
+    found = [sums.triplets(next(iter(sums.views)), level)[2] for level in range(3)]
+    sums.close()
+    assert any(np.isnan(weights).any() for weights in found)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"version": 1', '"version": Infinity'),
+        ('"kind"', '"deep": ' + "[" * 100_000 + ', "kind"'),
+        ('"shape": [300]', '"shape": [1099511627776, 0]'),
+    ],
+)
+def test_headers_that_make_no_sense(path: Path, old: str, new: str) -> None:
+    whole = path.read_bytes()
+    parts = RECORDS.split(whole)
+    assert json.loads(parts[0])["header"]["version"] == 1
+    parts[0] = parts[0].replace(old.encode(), new.encode(), 1)
+    path.write_bytes(RECORDS.join(whole, parts))
+    with pytest.raises(FileFormatError, match=r"makes? no sense"):
+        RegionSums.open(path)
