@@ -14,6 +14,7 @@ from benchmarks.hostile import containers as of
 from benchmarks.hostile.containers import Container
 from benchmarks.hostile.samples import PICTURES, SIZE
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.native import missing_reason
 from scoup.field.language_field import LanguageField
 from scoup.field.part_sizes import part_sizes
 from scoup.io import (
@@ -170,7 +171,7 @@ def _vote(sums: RegionSums) -> None:
     atoms = torch.arange(MOST_REGIONS)[:, None].to(torch.uint8)
     codes = [SparseCodes(atoms, torch.ones(MOST_REGIONS, 1), MOST_REGIONS) for _ in sums.levels]
     codebook = torch.eye(MOST_REGIONS).expand(len(sums.levels), -1, -1)
-    for backend in ("native", "reference"):
+    for backend in ("reference", *(["native"] if missing_reason() is None else [])):
         vote(sums.of_views(sums.views, rows), codes, codebook, keep=1, backend=backend)
 
 
