@@ -210,8 +210,18 @@ class RegionSums:
                 f"{view_name!r}: sums of {sums.table.shape[1]} levels, not of {list(self.levels)}"
             )
         digest = "" if camera is None else camera.fingerprint()
-        view = ViewRecord(digest, sums.labels_digest, tuple(self._packed(sums, order)))
-        self._apply(self._store.append(VIEW, _view_header(view_name, view), view.arrays()))
+        self.append_record(
+            view_name, ViewRecord(digest, sums.labels_digest, tuple(self._packed(sums, order)))
+        )
+
+    def append_record(self, view_name: str, view: ViewRecord) -> None:
+        """Add or replace a view by entries of these Gaussians that are known, in the order of these sums.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        header = {"name": view_name, "camera": view.camera_digest, "labels": view.labels_digest}
+        self._apply(self._store.append(VIEW, header, view.arrays()))
 
     def remove(self, view_name: str) -> None:
         """Forget a view.
@@ -229,11 +239,6 @@ class RegionSums:
     def keep_inputs(self, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
         """Keep what a merge has to know of the views beside the sums, as JSON values and tensors."""
         self._keep(INPUTS, header, tensors)
-
-    def adopt(self, view_name: str, other: RegionSums) -> None:
-        """Add a view from other sums of the same Gaussians (``is_like``)."""
-        view = other._require(view_name)
-        self._apply(self._store.append(VIEW, _view_header(view_name, view), view.arrays()))
 
     def is_like(self, other: RegionSums) -> bool:
         """Whether others are of the same Gaussians and levels, made and kept in the same way."""
@@ -354,10 +359,6 @@ class RegionSums:
         if device not in self._place_of:
             self._place_of[device] = torch.argsort(self.order).to(device)
         return self._place_of[device]
-
-
-def _view_header(view_name: str, view: ViewRecord) -> dict[str, Any]:
-    return {"name": view_name, "camera": view.camera_digest, "labels": view.labels_digest}
 
 
 def shard_path(field: Path, share: Processes) -> Path:

@@ -213,7 +213,7 @@ def merge(
     del embeddings, parts  # the vote needs the codes only
     if keep is not None:
         for name in holders:
-            keep.adopt(name, sums)
+            keep.append_record(name, sums.views[name])
     return voted(sums, codes, Sources(tuple(views), model, path), settings, digest, device, backend, progress)
 
 

@@ -20,7 +20,7 @@ from scoup.uplift.new_views import MANY, CodedView, code_view, embeddings_of, ex
 from scoup.uplift.rasterise import add_views
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.vote import vote
+from scoup.uplift.vote import GaussianCodes, vote
 
 
 def update(  # noqa: PLR0913  the public face: each keyword is one choice of the user
@@ -82,13 +82,8 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
     for name in remove:
         sums.remove(name)
 
-    settings = _Recorded.of(field)
     device = field.codebook.device
-    voters = sums.of_views(coded.rows[0], coded.rows)
-    found = vote(
-        voters, coded.codes, coded.codebook.to(device), settings.rounds, settings.keep or None,
-        settings.keep or settings.k, backend, progress,
-    )  # fmt: skip
+    found = vote_again(field, sums, coded, backend, progress)
     coded.keep(sums, "")
     provenance = dict(field.info.provenance)
     provenance["views"] = list(coded.rows[0])
@@ -107,6 +102,22 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
     if field.has_geometry:
         updated.attach(field.gaussians, known=True)
     return updated
+
+
+def vote_again(
+    field: LanguageField,
+    sums: RegionSums,
+    coded: RegionCodes,
+    backend: str | None = None,
+    progress: Progress = no_progress,
+) -> GaussianCodes:
+    """The vote of all views of ``coded`` by the sums, with the settings that the field was built with."""
+    settings = _Recorded.of(field)
+    voters = sums.of_views(coded.rows[0], coded.rows)
+    return vote(
+        voters, coded.codes, coded.codebook.to(field.codebook.device), settings.rounds, settings.keep or None,
+        settings.keep or settings.k, backend, progress,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,289 @@
+"""A field follows its splat through an edit: Gaussians deleted, appended, reordered, or rounded by another format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup import raster
+from scoup.base.arguments import check_arguments
+from scoup.base.brief import brief
+from scoup.base.counts import listed
+from scoup.base.errors import InputError
+from scoup.base.progress import Progress, no_progress
+from scoup.field.language_field import LanguageField
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
+from scoup.uplift.matching import Matching, Tolerance, match
+from scoup.uplift.rasterise import add_views
+from scoup.uplift.region_codes import RegionCodes
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.storage.entries import MOST_COMBINATIONS, ViewRecord, pack
+from scoup.uplift.update import codes_of, vote_again
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A field that has followed its splat.
+
+    Attributes:
+        field: of the edited splat.
+        matching: who is who.
+        sums: region sums of the edited splat; None where none were given.
+        rasterised: names of the views that the edit has changed.
+    """
+
+    field: LanguageField
+    matching: Matching
+    sums: RegionSums | None = None
+    rasterised: tuple[str, ...] = ()
+
+    __repr__ = brief
+
+
+@dataclass(frozen=True, eq=False)
+class KeptSums:
+    """Region sums of a field, and the views that they may have to be rasterised for again.
+
+    Attributes:
+        sums: of the field, with the codes of its regions; not changed.
+        cameras: of the views in them.
+        regions: of these views, as they were.
+        path: a new file for the sums of the edited splat; None keeps them in memory.
+    """
+
+    sums: RegionSums
+    cameras: Cameras
+    regions: Regions
+    path: Path | None = None
+
+
+def follow(
+    field: LanguageField,
+    gaussians: Gaussians,
+    kept: KeptSums | None = None,
+    tolerance: Tolerance | None = None,
+    *,
+    geometry_path: str | Path | None = None,
+    backend: str | None = None,
+    progress: Progress = no_progress,
+) -> Followed:
+    """The field of its splat after an edit, without building it again: Gaussians deleted, appended or reordered.
+
+    Which Gaussian is which is found by their numbers (``match``). Without region sums the matched keep their codes, bit
+    by bit, and the appended have none. With them, only the views in which the edit is visible are rasterised again, the
+    entries of the others are brought to the new rows, and all views vote: the codes are those that region sums made
+    from the start, of the edited splat and with the same codes of regions, would vote.
+
+    Args:
+        field: not changed. Its geometry is read.
+        gaussians: the edited splat, in the frame of the original.
+        kept: region sums of the field.
+        tolerance: for formats that round; None matches equal bytes only. Gaussians that were rounded keep their codes,
+            but the views that show them are rasterised again.
+        geometry_path: file of the edited splat, kept in the new field as a reference.
+        backend: of rasteriser and vote.
+        progress: called for the stages "region sums" and "vote".
+
+    Raises:
+        InputError: the edited splat shares no Gaussian with the field's; or the sums are not those of the field, or a
+            view that the edit has changed has another camera or other regions than at the build.
+    """
+    check_arguments("follow", field=(field, LanguageField), gaussians=(gaussians, Gaussians))
+    gaussians = gaussians.to(field.codebook.device)
+    before = field.gaussians
+    matching = match(before, gaussians, tolerance)
+    if not matching.n_matched:
+        remedy = "" if tolerance is not None else " (if its format rounds, with a tolerance, --tolerance)"
+        raise InputError(
+            f"{geometry_path or 'the edited splat'}: shares no Gaussian with the field; give the field's own splat "
+            f"after an edit{remedy}, or build the field again"
+        )
+    record: dict[str, Any] = {"from": field.fingerprint, **matching.counts()}
+    path = None if geometry_path is None else Path(geometry_path)
+    if kept is None:
+        codes = (_carried(part, matching) for part in (field.code_indices, field.code_weights))
+        return Followed(_field_of(field, gaussians, *codes, record, path), matching)
+    coded = codes_of(field, kept.sums)
+    sums, changed = _followed_sums(kept, coded, before, gaussians, matching, backend, progress)
+    coded.keep(sums, "")
+    record["rasterised"] = list(changed)
+    if matching.is_identity:
+        made = _field_of(field, gaussians, field.code_indices, field.code_weights, record, path)
+        return Followed(made, matching, sums, changed)
+    found = vote_again(field, sums, coded, backend, progress)
+    if found.sharpness is not None:
+        record["sharpness"] = found.sharpness.tolist()
+    made = _field_of(field, gaussians, found.indices, found.weights, record, path)
+    return Followed(made, matching, sums, changed)
+
+
+def _carried(rows: Tensor, matching: Matching) -> Tensor:
+    """The codes [M, S, K] of matched Gaussians; zeros for the others."""
+    # torch moves rows of uint16 by its signed counterpart only.
+    plain = rows.view(torch.int16) if rows.dtype == torch.uint16 else rows
+    before = matching.before.to(rows.device)
+    carried = plain[before.clamp(min=0)]
+    carried[before < 0] = 0
+    return carried.view(rows.dtype)
+
+
+def _field_of(
+    field: LanguageField,
+    gaussians: Gaussians,
+    indices: Tensor,
+    weights: Tensor,
+    record: dict[str, Any],
+    path: Path | None,
+) -> LanguageField:
+    """The field with other Gaussians and codes; ``record`` says what was done, for its provenance."""
+    sharpness = record.pop("sharpness", None)
+    provenance = dict(field.info.provenance)
+    provenance["updates"] = [*provenance.get("updates", []), {"edited": record}]
+    if sharpness is not None:
+        provenance["sharpness"] = sharpness
+    info = replace(
+        field.info, fingerprint=gaussians.fingerprint(), n_gaussians=len(gaussians), provenance=provenance
+    )
+    made = LanguageField(indices, weights, field.codebook, info, geometry_path=path, cameras=field.cameras)
+    made = made.to(field.codebook.device)
+    made.keep_encoder_of(field)
+    made.attach(gaussians, known=True)
+    return made
+
+
+def _followed_sums(
+    kept: KeptSums,
+    coded: RegionCodes,
+    before: Gaussians,
+    after: Gaussians,
+    matching: Matching,
+    backend: str | None,
+    progress: Progress,
+) -> tuple[RegionSums, tuple[str, ...]]:
+    """Region sums of the edited splat, and the names of the views that were rasterised for them."""
+    old = kept.sums
+    sums = RegionSums.of(
+        after,
+        old.levels,
+        old.raster_preset,
+        path=kept.path,
+        weights=old.weights,
+        least_weight=old.least_weight,
+    )
+    edit = _Edit(before, after, matching, old, sums, backend)
+    changed: list[Camera] = []
+    for name in coded.rows[0]:
+        camera = _camera_of(name, kept)
+        places = edit.places(old.views[name])
+        if places is None or edit.is_seen(camera):
+            changed.append(camera)
+        else:
+            sums.append_record(name, _moved(old.views[name], places, sums))
+    _check_unchanged(changed, kept)
+    add_views(sums, after, changed, kept.regions, backend, progress)
+    for camera in changed:
+        if sums.views[camera.name].labels_digest != old.views[camera.name].labels_digest:
+            raise _changed_since(camera.name, "its region maps have")
+    return sums, tuple(camera.name for camera in changed)
+
+
+def _camera_of(name: str, kept: KeptSums) -> Camera:
+    """The camera of a view, which must be the one that its sums were made with."""
+    if name not in kept.cameras.names:
+        raise InputError(
+            f"the view {name!r} of the field has no camera among those given ({listed(kept.cameras.names)}); give the "
+            "scene that the field was built from"
+        )
+    camera = kept.cameras[name]
+    digest = kept.sums.views[name].camera_digest
+    if digest and digest != camera.fingerprint():
+        raise _changed_since(name, "its camera has")
+    return camera
+
+
+def _check_unchanged(changed: Sequence[Camera], kept: KeptSums) -> None:
+    lacking = [camera.name for camera in changed if camera.name not in kept.regions]
+    if lacking:
+        raise InputError(
+            f"the edit has changed views that have no region maps any more ({listed(lacking)}); give the features that "
+            "the field was built from, or remove these views first (scoup update --remove)"
+        )
+
+
+def _changed_since(name: str, what: str) -> InputError:
+    return InputError(
+        f"the view {name!r}: {what} changed since the field was built; bring the field up to date with the original "
+        f"splat first (scoup update --add {name})"
+    )
+
+
+class _Edit:
+    """What of an edit is seen in which views.
+
+    Changed are all Gaussians but those of the same bytes in the same order among each other: the deleted and appended,
+    the rounded, and those that have overtaken others.
+    """
+
+    def __init__(
+        self,
+        before: Gaussians,
+        after: Gaussians,
+        matching: Matching,
+        old: RegionSums,
+        new: RegionSums,
+        backend: str | None,
+    ) -> None:
+        unmoved = matching.unmoved()
+        gone = torch.ones(len(before), dtype=torch.bool)
+        gone[matching.before[unmoved]] = False
+        self._preset = old.raster_preset
+        self._nothing_stays = not bool(unmoved.any())
+        parts = before.select(gone), after.select(~unmoved)
+        self._changed = [raster.prepare_gaussians(part, backend) for part in parts if len(part)]
+        place = torch.full((len(before),), -1)
+        place[matching.before[unmoved]] = torch.argsort(new.order)[unmoved]
+        self._place = place[
+            old.order
+        ].numpy()  # [N] from places in the old sums to places in the new; -1 if changed
+
+    def places(self, view: ViewRecord) -> NDArray[np.int64] | None:
+        """[E] new places of the entries of all parts of a view; None if a changed Gaussian has one."""
+        places = np.concatenate([self._place[part.gaussians()] for part in view.parts])
+        return None if (places < 0).any() else places
+
+    def is_seen(self, camera: Camera) -> bool:
+        """Whether a changed Gaussian may paint a pixel: whether it does where no other is in front of it.
+
+        What paints nothing by itself paints nothing in the scene either, and hides nothing.
+        """
+        if self._nothing_stays:
+            return True
+        for part in self._changed:
+            projection = raster.project(part, camera, self._preset)
+            ones = torch.ones(len(part.gaussians), 1, device=part.gaussians.device)
+            if bool((raster.render_channels(projection, ones)[1] > 0).any()):
+                return True
+        return False
+
+
+def _moved(view: ViewRecord, places: NDArray[np.int64], sums: RegionSums) -> ViewRecord:
+    """A view of the old sums with entries at new places."""
+    combinations = np.concatenate(
+        [part.combinations.astype(np.int64) + i * MOST_COMBINATIONS for i, part in enumerate(view.parts)]
+    )
+    weights = np.concatenate([part.weights for part in view.parts])
+    table = np.concatenate([part.table for part in view.parts])
+    order = np.argsort(places, kind="stable")  # combinations keep rising among the entries of a Gaussian
+    parts = pack(
+        places[order], combinations[order], weights[order], table, sums.n_buckets, np.dtype(sums.weights)
+    )
+    return replace(view, parts=tuple(parts))
