@@ -33,6 +33,7 @@ _HOMES = {
     "build": "scoup.uplift.build",
     "BuildSettings": "scoup.uplift.build_settings",
     "update": "scoup.uplift.update",
+    "follow": "scoup.uplift.edited_splat",
     "TextEncoder": "scoup.models.text",
     "Answer": "scoup.query.answer",
     "answer_view": "scoup.query.answering",
@@ -83,6 +84,7 @@ if TYPE_CHECKING:
     from scoup.scene.regions import Regions as Regions
     from scoup.uplift.build import build as build
     from scoup.uplift.build_settings import BuildSettings as BuildSettings
+    from scoup.uplift.edited_splat import follow as follow
     from scoup.uplift.rasterise import region_sums as region_sums
     from scoup.uplift.region_sums import RegionSums as RegionSums
     from scoup.uplift.update import update as update

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cli_support import QUICK, run, run_json, snapshot, write_scene
 from scoup.field.language_field import LanguageField
+from scoup.io import load_gaussians, save_gaussians
+from scoup.scene.gaussians import Gaussians
 from scoup.uplift.region_sums import RegionSums
+from support import random_gaussians
+from uplift.edits import joined
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*badly explained")  # its regions are random
 VIEWS = [f"view_0{number}.png" for number in range(4)]
@@ -79,6 +84,99 @@ def test_refusals_change_nothing():
         (("--add", "all", "--overwrite"), "--scene"),
         (("--add", "view_9", "--scene", "scene", "--overwrite"), "view_9"),
         (("--remove", "view_00.png", "--out", "b.scoup", "--sums", "no.sums"), "no.sums: is not there"),
+    ):
+        code, _, err = run("update", "a.scoup", *arguments)
+        assert code == 2, err
+        assert message in err
+        assert "Traceback" not in err
+    assert snapshot(Path()) == before
+
+
+def edited_splat(kept: slice = slice(5, None), path: str = "edited.ply") -> Gaussians:
+    """The scene's splat without its first five Gaussians, and with one more."""
+    splat = load_gaussians("scene")
+    appended = replace(splat, means=splat.means + 0.01).select([7])
+    edited = joined(splat.select(kept), appended)
+    save_gaussians(edited, path, overwrite=True)
+    return edited
+
+
+def test_the_field_follows_its_splat():
+    """Beside the original splat, whose codes are carried over."""
+    before = snapshot(Path())
+    edited = edited_splat()
+    record = run_json("update", "a.scoup", "--edited", "edited.ply", "--out", "b.scoup")
+    assert record == {
+        "field": "b.scoup", "matched": 145, "rounded": 0, "appended": 1, "deleted": 5,
+        "voted": False, "rasterised": [], "views": 3,
+    }  # fmt: skip
+    first, field = LanguageField.load("a.scoup"), LanguageField.load("b.scoup")
+    assert field.code_weights[:-1].equal(first.code_weights[5:])
+    assert not field.code_weights[-1].any()
+    assert field.gaussians.fingerprint() == edited.fingerprint()
+    assert not Path("b.scoup.sums").exists()
+    assert {name: part for name, part in snapshot(Path()).items() if name in before} == before
+    _, out, _ = run("update", "a.scoup", "--edited", "edited.ply", "--out", "b.scoup", "--overwrite")
+    assert "1 appended Gaussian without one" in out
+
+
+def test_with_the_scene_all_views_vote_again_and_the_sums_follow():
+    edited = edited_splat()
+    record = run_json("update", "a.scoup", "--edited", "edited.ply", "--scene", "scene", "--out", "b.scoup")
+    assert (record["voted"], record["views"]) == (True, 3)
+    field = LanguageField.load("b.scoup")
+    assert field.code_weights[-1].any()
+    assert field.info.provenance["updates"][-1]["edited"]["rasterised"] == record["rasterised"]
+    sums = RegionSums.open("b.scoup.sums")
+    assert sums.fingerprint == edited.fingerprint()
+    arrive()
+    added = run_json("update", "b.scoup", "--scene", "scene", "--add", "all", "--overwrite")
+    assert added["added"] == ["view_03.png"]
+
+
+def test_a_rounded_splat_needs_a_tolerance():
+    save_gaussians(load_gaussians("scene"), "rounded.spz")
+    code, _, err = run("update", "a.scoup", "--edited", "rounded.spz", "--out", "b.scoup")
+    assert (code, "rounded.spz: shares no Gaussian with the field" in err) == (2, True)
+    assert "--tolerance" in err
+    assert not Path("b.scoup").exists()
+    record = run_json(
+        "update", "a.scoup", "--edited", "rounded.spz", "--tolerance", 0.001, "--out", "b.scoup"
+    )
+    assert record["rounded"] == record["matched"] > 140
+
+
+def test_an_embedded_splat_is_replaced_by_the_edited_one():
+    field = LanguageField.load("a.scoup")
+    _ = field.gaussians
+    field.geometry_path = None
+    field.save("whole.scoup")
+    edited = edited_splat()
+    run_json("update", "whole.scoup", "--edited", "edited.ply", "--out", "b.scoup")
+    Path("edited.ply").unlink()
+    assert LanguageField.load("b.scoup").gaussians.fingerprint() == edited.fingerprint()
+
+
+def test_sums_of_the_field_as_it_was_are_named():
+    edited_splat()
+    code, _, err = run("update", "a.scoup", "--edited", "edited.ply", "--overwrite")
+    assert code == 0
+    assert "a.scoup.sums: are region sums of another splat" in err
+
+
+def test_edits_that_cannot_be_followed_change_nothing():
+    edited_splat()
+    save_gaussians(random_gaussians(9, 5), "other.ply")
+    Path("a.scoup.sums").rename("elsewhere.sums")
+    before = snapshot(Path())
+    for arguments, message in (
+        (("--edited", "edited.ply"), "--overwrite"),
+        (("--edited", "edited.ply", "--remove", "view_00.png", "--out", "b.scoup"), "of its own"),
+        (("--edited", "no.ply", "--out", "b.scoup"), "no.ply"),
+        (("--edited", "other.ply", "--out", "b.scoup"), "other.ply: shares no Gaussian with the field"),
+        (("--edited", "edited.ply", "--scene", "scene", "--out", "b.scoup"), "a.scoup.sums: is not there"),
+        (("--edited", "edited.ply", "--tolerance", "-1", "--out", "b.scoup"), "positive distance"),
+        (("--tolerance", "1", "--remove", "view_00.png", "--out", "b.scoup"), "--edited"),
     ):
         code, _, err = run("update", "a.scoup", *arguments)
         assert code == 2, err

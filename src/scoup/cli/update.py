@@ -1,17 +1,18 @@
-"""scoup update: views added to a field, removed from it, or added again because their regions have changed."""
+"""scoup update: views added to a field, removed from it, or changed; or a field that follows its edited splat."""
 
 from __future__ import annotations
 
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from scoup.base.counts import counted
+from scoup.base.counts import counted, share_of
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalPath, OptionGroups
+from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups
 from scoup.cli.query_options import FieldOptions
 from scoup.cli.scene_options import ViewOptions
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.scene.cameras import Camera, Cameras
     from scoup.scene.regions import Regions
+    from scoup.uplift.edited_splat import Followed, KeptSums
 
 Names = Annotated[
     tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
@@ -27,20 +29,22 @@ Names = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class Update(FieldOptions, ViewOptions):
-    """Add views to a field, remove some, or add again those whose regions have changed.
+    """Add views to a field, remove some, or add again those whose regions have changed; or let it follow its splat.
 
     The field must have been built with --keep-sums. Only the views named are rasterised; then all vote again. The atoms
-    of the field and the codes of its other regions stay.
+    of the field and the codes of its other regions stay. With --edited, Gaussians that were not changed keep their
+    codes; with --scene too, views that show the edit are rasterised, and all vote again.
     """
 
     option_groups: ClassVar[OptionGroups] = {
         "scene": "scene",
         "field": "sums",
+        "splat": "edited tolerance",
         "output": "out weight_bits",
     }
 
     scene: OptionalPath = None
-    """Folder with the cameras of the views to add, as for scoup build."""
+    """Folder with the cameras of the views to add, as for scoup build; with --edited, of the field's views."""
     add: Names = ()
     """Name of a camera to add, or to add again; repeat it for several. all: every one with features that is not in
     the field, or whose region maps or camera have changed."""
@@ -50,6 +54,11 @@ class Update(FieldOptions, ViewOptions):
     """Add at most so many atoms a level for regions of a new view that the codebook explains badly."""
     sums: OptionalPath = None
     """The region sums of the field. Default: FIELD.sums."""
+    edited: OptionalPath = None
+    """The splat of the field after an edit: Gaussians deleted, appended or reordered, colours aside."""
+    tolerance: OptionalNumber = None
+    """Match Gaussians whose centres are at most so far apart, in units of the scene, for formats that round. Default:
+    only those whose numbers are the same."""
     out: OptionalPath = None
     """The field to write; its region sums go beside it. Default: FIELD, which needs --overwrite."""
     weight_bits: Literal[8, 16] = 16
@@ -58,14 +67,24 @@ class Update(FieldOptions, ViewOptions):
     def run(self, console: Console) -> None:
         """Update, save and report."""
         from scoup.base.errors import InputError
+
+        if self.edited is not None:
+            self._follow(console, self.edited)
+            return
+        if self.tolerance is not None:
+            raise InputError("--tolerance says how splats are matched; give the edited one with --edited")
+        if not self.add and not self.remove:
+            raise InputError("say what to do: --add NAME, --add all, --remove NAME, or --edited SPLAT")
+        self._change_views(console)
+
+    def _change_views(self, console: Console) -> None:
+        """Add and remove views."""
         from scoup.base.locks import locked_file
         from scoup.io import check_output
         from scoup.uplift.checkpoint import changed_copy
         from scoup.uplift.region_sums import sums_path
         from scoup.uplift.update import update
 
-        if not self.add and not self.remove:
-            raise InputError("say what to do: --add NAME, --add all, or --remove NAME")
         out = self.out or self.field
         for path in (out, sums_path(out)):
             check_output(path, self.overwrite)
@@ -94,6 +113,77 @@ class Update(FieldOptions, ViewOptions):
                 "atoms": updated.n_atoms,
             }
         )
+
+    def _follow(self, console: Console, edited: Path) -> None:
+        """Let the field follow its splat, save and report."""
+        from scoup.base.errors import InputError
+        from scoup.base.locks import locked_file
+        from scoup.io import check_output, load_gaussians
+        from scoup.uplift.edited_splat import follow
+        from scoup.uplift.matching import Tolerance
+        from scoup.uplift.region_sums import sums_path
+
+        if self.add or self.remove:
+            raise InputError("--edited is an update of its own; add or remove views before or after it")
+        out = self.out or self.field
+        for path in (out, sums_path(out)) if self.scene else (out,):
+            check_output(path, self.overwrite)
+        tolerance = None if self.tolerance is None else Tolerance(self.tolerance)
+        with locked_file(out, self.overwrite):
+            field, gaussians = self.open_field(), load_gaussians(edited)
+            embed = field.geometry_path is None
+            with self._kept_sums(out) as kept, console.progress() as progress:
+                found = follow(
+                    field, gaussians, kept, tolerance,
+                    geometry_path=None if embed else edited, progress=progress,
+                )  # fmt: skip
+                if found.sums is not None:
+                    found.sums.close()
+                found.field.save(out, self.overwrite, embed, self.weight_bits)
+        if kept is None and sums_path(out).is_file():
+            console.warn(f"{sums_path(out)}: are region sums of another splat than {out}; remove them")
+        self._report(console, out, found)
+
+    def _report(self, console: Console, out: Path, found: Followed) -> None:
+        counts = found.matching.counts()
+        said = (
+            f"{out}: {counted(counts['matched'], 'Gaussian')} matched ({counts['rounded']:,} of them rounded), "
+            f"{counts['appended']:,} appended, {counts['deleted']:,} deleted; "
+        )
+        views = len(found.field.info.provenance.get("views", []))
+        if found.sums is not None:
+            console.say(
+                f"{said}{share_of(len(found.rasterised), views, 'view')} rasterised again, all have voted"
+            )
+        else:
+            without = counted(counts["appended"], "appended Gaussian")
+            console.say(
+                f"{said}codes carried over, {without} without one (--scene SCENE lets all views vote again)"
+            )
+        console.result(
+            {
+                "field": out,
+                **counts,
+                "voted": found.sums is not None,
+                "rasterised": list(found.rasterised),
+                "views": views,
+            }
+        )
+
+    @contextmanager
+    def _kept_sums(self, out: Path) -> Iterator[KeptSums | None]:
+        """The field's region sums and views, where a scene is named; the new sums appear beside ``out``."""
+        from scoup.uplift.checkpoint import followed_copy
+        from scoup.uplift.edited_splat import KeptSums
+        from scoup.uplift.region_sums import sums_path
+
+        if self.scene is None:
+            yield None
+            return
+        source = self._source()
+        cameras, regions, _ = self.load_views(self.scene)
+        with followed_copy(source, sums_path(out), self.overwrite) as (sums, path):
+            yield KeptSums(sums, cameras, regions, path)
 
     def _source(self) -> Path:
         """The file of the field's region sums."""

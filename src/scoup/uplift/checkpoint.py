@@ -109,3 +109,15 @@ def changed_copy(source: Path, target: Path, overwrite: bool = False) -> Iterato
         shutil.copyfile(source, copy)
         with closing(RegionSums.open(copy, writable=True)) as sums:
             yield sums
+
+
+@contextmanager
+def followed_copy(source: Path, target: Path, overwrite: bool = False) -> Iterator[tuple[RegionSums, Path]]:
+    """Kept region sums, to be read, and the path of a new file to be made from them, which appears at ``target`` at the
+    end of the block, or not at all.
+
+    Args:
+        source, target, overwrite: see ``changed_copy``.
+    """
+    with atomic_path(target, overwrite) as new, closing(RegionSums.open(source)) as sums:
+        yield sums, new

@@ -110,8 +110,8 @@ def follow(
     record: dict[str, Any] = {"from": field.fingerprint, **matching.counts()}
     path = None if geometry_path is None else Path(geometry_path)
     if kept is None:
-        codes = (_carried(part, matching) for part in (field.code_indices, field.code_weights))
-        return Followed(_field_of(field, gaussians, *codes, record, path), matching)
+        indices, weights = _carried(field.code_indices, matching), _carried(field.code_weights, matching)
+        return Followed(_field_of(field, gaussians, indices, weights, record, path), matching)
     coded = codes_of(field, kept.sums)
     sums, changed = _followed_sums(kept, coded, before, gaussians, matching, backend, progress)
     coded.keep(sums, "")

@@ -204,10 +204,10 @@ def _candidates(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Pairs (row of ``after``, row of ``before``) within the tolerance, and the sum of their differences in units of
     it."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     count = min(NEAREST, len(before))
-    distance, old = cKDTree(before[:, :3].astype(np.float64)).query(
+    distance, old = KDTree(before[:, :3].astype(np.float64)).query(
         after[:, :3].astype(np.float64), k=count, distance_upper_bound=tolerance.distance
     )
     distance, old = distance.reshape(len(after), count), old.reshape(len(after), count)
