@@ -343,3 +343,62 @@ def test_views_are_read_ahead_in_order(scene):
     views = read_labels(regions, list(cameras), torch.device("cpu"))
     next(views)
     views.close()  # the rest is given up
+
+
+@pytest.mark.parametrize("where", ["memory", "file", "temporary file"])
+def test_compacted_sums_are_as_if_nothing_had_been_replaced(scene, kept, tmp_path, where):
+    gaussians, _, regions = scene
+    path = tmp_path / "a.sums" if where == "file" else None
+    most = 0 if where == "temporary file" else 1 << 30
+    sums, fresh = (
+        RegionSums.of(gaussians, regions.levels, path=path, most_in_memory=most),
+        RegionSums.of(gaussians, regions.levels, path=tmp_path / "b.sums"),
+    )
+    first, *others = kept.views
+    atoms = {"codebook": torch.ones(3, 4, 5)}
+    for number in range(4):
+        for name, view in kept.views.items():
+            sums.append_record(name, view)
+        sums.keep_codes({"key": number}, atoms)
+    sums.remove(first)
+    for name in others:
+        fresh.append_record(name, kept.views[name])
+    fresh.keep_codes({"key": 3}, atoms)
+    assert sums.bytes_unused > 3 * (sums.bytes - sums.bytes_unused)
+    sums.compact()
+    assert_same(sums, fresh)
+    assert sums.codes is not None
+    assert sums.codes["header"] == {"key": 3}
+    assert 0 <= sums.bytes_unused < 10_000
+    if path is not None:
+        assert path.read_bytes() == (tmp_path / "b.sums").read_bytes()
+        assert sorted(file.name for file in tmp_path.iterdir()) == ["a.sums", "b.sums"]
+    sums.append_record(first, kept.views[first])
+    if path is not None:
+        sums.close()
+        sums = RegionSums.open(path)
+        with pytest.raises(InputError, match="reading only"):
+            sums.compact()
+    assert list(sums.views) == [*others, first]
+
+
+def test_a_file_that_cannot_be_written_anew_stays_as_it_was(scene, kept, tmp_path, monkeypatch):
+    gaussians, _, regions = scene
+    path = tmp_path / "a.sums"
+    sums = RegionSums.of(gaussians, regions.levels, path=path)
+    for name, view in [*kept.views.items()] * 2:
+        sums.append_record(name, view)
+    before = path.read_bytes()
+
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr("scoup.uplift.storage.record_file.RecordFile._write", refuse)
+        with pytest.raises(InputError, match=r"a\.sums.*space"):
+            sums.compact()
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["a.sums"]
+    assert_same(sums, kept)
+    sums.remove(next(iter(kept.views)))
+    assert len(sums) == len(kept) - 1

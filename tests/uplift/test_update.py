@@ -422,3 +422,49 @@ def test_codes_of_other_lengths_are_joined() -> None:
     assert (len(both), both.k, both.n_atoms) == (4, 3, 300)
     assert both.to_dense()[:2, :4].equal(short.to_dense())
     assert both.to_dense()[2:].equal(long.to_dense())
+
+
+@pytest.mark.filterwarnings("ignore:.*badly explained")
+@pytest.mark.parametrize("in_file", [False, True])
+def test_a_window_of_views_takes_no_more_room_and_votes_as_its_views_alone(
+    wall: Wall, tmp_path, monkeypatch, in_file
+):
+    """Frames come and go: what they leave is given back, and changes no code."""
+    monkeypatch.setattr("scoup.uplift.update.UNUSED", 0)
+    sums = RegionSums.of(wall.gaussians, LEVELS, path=tmp_path / "a.sums" if in_file else None)
+    field = build(wall.gaussians, wall.early[:3], wall.regions, settings=SETTINGS, sums=sums)
+    sizes, plain = [], RegionSums.of(wall.gaussians, LEVELS)
+    other = build(wall.gaussians, wall.early[:3], wall.regions, settings=SETTINGS, sums=plain)
+    for number in range(24):
+        camera, oldest = wall.early[(3 + number) % 8], next(iter(sums.views))
+        field = update(field, sums, [camera], wall.regions, [oldest])
+        sizes.append(sums.bytes)
+        coded = RegionCodes.kept(sums)
+        assert coded is not None
+        assert all(len(level) <= 2 * sum(part.stop - part.start for part in places.values())
+                   for level, places in zip(coded.codes, coded.rows, strict=True))  # fmt: skip
+    assert max(sizes[12:]) <= max(sizes[:12])
+    monkeypatch.setattr("scoup.uplift.update.UNUSED", 1 << 40)
+    monkeypatch.setattr(RegionCodes, "compacted", lambda self: self)
+    for number in range(24):
+        other = update(other, plain, [wall.early[(3 + number) % 8]], wall.regions, [next(iter(plain.views))])
+    assert field.code_indices.equal(other.code_indices)
+    assert field.code_weights.equal(other.code_weights)
+    assert plain.bytes > 3 * sums.bytes
+
+
+def test_codes_of_many_atoms_are_compacted(kept: Kept) -> None:
+    coded = RegionCodes.kept(kept[1])
+    assert coded is not None
+    books = torch.nn.functional.pad(coded.codebook, (0, 0, 0, 300))
+    more = [SparseCodes(level.indices.to(torch.uint16), level.weights, 306) for level in coded.codes]
+    wide = RegionCodes(books, more, coded.rows, coded.reports)
+    first, *others = coded.rows[0]
+    for name in others:
+        wide = wide.without(name)
+    found = wide.compacted()
+    for old, new, level in zip(wide.rows, found.rows, range(len(more)), strict=True):
+        assert new[first].start == 0
+        assert len(found.codes[level]) == new[first].stop
+        assert found.codes[level].indices.equal(more[level].indices[old[first]])
+        assert found.codes[level].weights.equal(more[level].weights[old[first]])

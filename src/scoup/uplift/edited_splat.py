@@ -114,7 +114,7 @@ def follow(
         return Followed(_field_of(field, gaussians, indices, weights, record, path), matching)
     coded = codes_of(field, kept.sums)
     sums, changed = _followed_sums(kept, coded, before, gaussians, matching, backend, progress)
-    coded.keep(sums, "")
+    coded.compacted().keep(sums, "")
     record["rasterised"] = list(changed)
     if matching.is_identity:
         made = _field_of(field, gaussians, field.code_indices, field.code_weights, record, path)

@@ -172,6 +172,25 @@ class RegionCodes:
         rows = [{name: part for name, part in level.items() if name != view_name} for level in self.rows]
         return RegionCodes(self.codebook, self.codes, rows, self.reports)
 
+    def compacted(self) -> RegionCodes:
+        """The same, where most of the codes are unused: without these. Else itself."""
+        used = sum(part.stop - part.start for level in self.rows for part in level.values())
+        if 2 * used >= sum(map(len, self.codes)):
+            return self
+        codes, rows = [], []
+        for level, places in zip(self.codes, self.rows, strict=True):
+            codes.append(
+                level.rows(torch.cat([torch.arange(part.start, part.stop) for part in places.values()]))
+            )
+            ends = accumulate(part.stop - part.start for part in places.values())
+            rows.append(
+                {
+                    name: slice(end - (part.stop - part.start), end)
+                    for (name, part), end in zip(places.items(), ends, strict=True)
+                }
+            )
+        return RegionCodes(self.codebook, codes, rows, self.reports)
+
     def with_view(self, view_name: str, codes: Sequence[SparseCodes], codebook: Tensor) -> RegionCodes:
         """One view more, or with other regions.
 

@@ -23,7 +23,7 @@ from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.storage.entries import BUCKET, Entries, ViewRecord, pack
 from scoup.uplift.storage.matrices import csr_matrix, triplets_of
-from scoup.uplift.storage.record_file import Record, RecordFile
+from scoup.uplift.storage.record_file import Record, RecordFile, bytes_of
 from scoup.uplift.storage.store import MOST_IN_MEMORY, Store, Stores
 
 if TYPE_CHECKING:
@@ -173,6 +173,12 @@ class RegionSums:
         return self._store.bytes_in_memory
 
     @property
+    def bytes_unused(self) -> int:
+        """About how many of ``bytes`` are of replaced and removed views and of earlier codes, until ``compact``."""
+        used = sum(bytes_of(record.arrays.values()) for record in self._living())
+        return self.bytes - used - (0 if self.path is None else 4 * self.n_gaussians)
+
+    @property
     def is_empty(self) -> bool:
         """Whether no Gaussian paints a region in any view."""
         return not any(len(part.places) for view in self.views.values() for part in view.parts)
@@ -220,8 +226,7 @@ class RegionSums:
         Raises:
             InputError: the file cannot be written.
         """
-        header = {"name": view_name, "camera": view.camera_digest, "labels": view.labels_digest}
-        self._apply(self._store.append(VIEW, header, view.arrays()))
+        self._apply(self._store.append(VIEW, _view_header(view_name, view), view.arrays()))
 
     def remove(self, view_name: str) -> None:
         """Forget a view.
@@ -257,6 +262,20 @@ class RegionSums:
         whole.rows = whole.codes = whole.inputs = None
         whole._store = Stores([part._store for part in parts])
         return whole
+
+    def compact(self) -> None:
+        """Give back what replaced and removed views, and earlier codes, still take. A file of a name is written anew,
+        as one that never held them would be, and replaced as a whole.
+
+        Raises:
+            InputError: the file cannot be written, or was opened for reading only.
+        """
+        if not self.writable:
+            raise InputError(f"{self.path}: was opened for reading only")
+        self._store, records = self._store.with_only(self._living())
+        self.views = {}
+        for record in records:
+            self._apply(record)
 
     def of_views(self, view_names: Iterable[str], rows: Rows) -> RegionSums:
         """The same sums of some views only, sharing memory, with the rows of these views.
@@ -311,8 +330,15 @@ class RegionSums:
         }
 
     def _keep(self, kind: str, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        arrays = {name: tensor.cpu().contiguous().numpy() for name, tensor in tensors.items()}
-        self._apply(self._store.append(kind, header, arrays))
+        self._apply(self._store.append(kind, header, _arrays(tensors)))
+
+    def _living(self) -> list[Record]:
+        """The records that say all that counts: the views in the order in which they were added, what was kept."""
+        records = [Record(VIEW, _view_header(name, view), view.arrays()) for name, view in self.views.items()]
+        for kind, kept in ((CODES, self.codes), (INPUTS, self.inputs)):
+            if kept is not None:
+                records.append(Record(kind, kept["header"], _arrays(kept["tensors"])))
+        return records
 
     def _apply(self, record: Record) -> None:
         """What a record changes."""
@@ -359,6 +385,14 @@ class RegionSums:
         if device not in self._place_of:
             self._place_of[device] = torch.argsort(self.order).to(device)
         return self._place_of[device]
+
+
+def _view_header(view_name: str, view: ViewRecord) -> dict[str, Any]:
+    return {"name": view_name, "camera": view.camera_digest, "labels": view.labels_digest}
+
+
+def _arrays(tensors: Mapping[str, Tensor]) -> dict[str, NDArray[Any]]:
+    return {name: tensor.cpu().contiguous().numpy() for name, tensor in tensors.items()}
 
 
 def shard_path(field: Path, share: Processes) -> Path:

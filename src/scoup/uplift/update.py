@@ -22,6 +22,9 @@ from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import GaussianCodes, vote
 
+UNUSED = 1 << 20
+"""Bytes that replaced and removed views may take in region sums, whatever the others take."""
+
 
 def update(  # noqa: PLR0913  the public face: each keyword is one choice of the user
     field: LanguageField,
@@ -44,7 +47,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
 
     Args:
         field: built with these sums; not changed. Its geometry is read only if a view is added.
-        sums: kept region sums of the field; changed.
+        sums: kept region sums of the field; changed, and compacted where more of their bytes are unused than used.
         add: cameras of new views, and of views whose regions have changed since.
         regions: ``Regions`` that hold the names of these cameras, with the field's levels.
         remove: names of views to leave out from now on.
@@ -84,7 +87,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
 
     device = field.codebook.device
     found = vote_again(field, sums, coded, backend, progress)
-    coded.keep(sums, "")
+    _keep(coded, sums)
     provenance = dict(field.info.provenance)
     provenance["views"] = list(coded.rows[0])
     provenance["updates"] = [*provenance.get("updates", []), _record(add, changed, remove, field.levels)]
@@ -118,6 +121,13 @@ def vote_again(
         voters, coded.codes, coded.codebook.to(field.codebook.device), settings.rounds, settings.keep or None,
         settings.keep or settings.k, backend, progress,
     )  # fmt: skip
+
+
+def _keep(coded: RegionCodes, sums: RegionSums) -> None:
+    """Keep the codes beside the sums; what takes more than half of either, and is used no more, is given back."""
+    coded.compacted().keep(sums, "")
+    if sums.bytes_unused > max(UNUSED, sums.bytes // 2):
+        sums.compact()
 
 
 @dataclass(frozen=True)

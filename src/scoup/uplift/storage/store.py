@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
+from scoup.base.atomic import atomic_path
 from scoup.base.errors import InputError
 from scoup.uplift.storage.record_file import Record, RecordFile, bytes_of
 
@@ -73,6 +74,30 @@ class Store:
                 self.bytes_in_memory += size
                 return Record(kind, header, dict(arrays))
         return self._file.append(kind, header, arrays)
+
+    def with_only(self, records: Iterable[Record]) -> tuple[Store, list[Record]]:
+        """A store of these records alone in place of this one, which is closed, and the records as they are kept there.
+
+        A file of a name is replaced as a whole, or stays as it is.
+
+        Raises:
+            InputError: the new file cannot be written.
+        """
+        if self._path is None:
+            store = Store(None, self._head, self._most_in_memory)
+            kept = [store.append(record.kind, record.header, record.arrays) for record in records]
+            self.close()
+            return store, kept
+        with atomic_path(self._path, overwrite=True) as path:
+            file = RecordFile.create(path)
+            try:
+                for record in (self._head, *records):
+                    file.append(record.kind, record.header, record.arrays)
+            finally:
+                file.close()
+            self.close()
+        file = RecordFile.open(self._path, writable=True)
+        return Store.of_file(file), file.records[1:]
 
     def forget_pages(self) -> None:
         """See ``RecordFile.forget_pages``."""
