@@ -107,6 +107,15 @@ def test_many_scenes(scene, field, tmp_path):
     assert {line.split(":")[0] for line in printed.splitlines()} == {str(rest), str(field)}
 
 
+def test_robot_stream(scene):
+    printed = example("10_robot_stream.py", scene, scene / "words.npz", "kettle", 3, 8).splitlines()
+    assert printed[0].startswith("frame_000003: where is the kettle? ")
+    assert [line.split(":")[0] for line in printed[1:3]] == ["update", "answer"]
+    assert "worst" in printed[1]
+    assert "resident memory: " in printed[3]
+    assert printed[4].startswith("3 views in ")
+
+
 def test_every_example_is_run():
     tests = Path(__file__).read_text()
     assert all(path.name in tests for path in EXAMPLES.glob("*.py"))

@@ -199,6 +199,24 @@ def test_kept_sums(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "other embeddings" in capsys.readouterr().out
 
 
+@pytest.mark.filterwarnings("ignore:.*badly explained")
+@pytest.mark.parametrize("in_file", [False, True])
+def test_stream(script, tmp_path: Path, capsys: pytest.CaptureFixture[str], in_file: bool):
+    stream = script("stream")
+    arguments = stream.Arguments(
+        frames=3, windows=(2, 3), rounds=(1, 2), n_gaussians=300, regions=(6, 4, 2), in_file=in_file,
+        out=tmp_path / "stream.json", **SMALL,
+    )  # fmt: skip
+    record = stream.main(arguments)
+    assert json.loads((tmp_path / "stream.json").read_text()) == record
+    assert [(row["rounds"], row["window"]) for row in record["rows"]] == [(1, 2), (1, 3), (2, 2), (2, 3)]
+    for row in record["rows"]:
+        assert 0 < row["vote_s"] < row["update_s"] <= row["worst_update_s"]
+        assert 0 < row["buckets"] <= 1
+        assert row["largest_sums"] > 0
+    assert "views kept" in capsys.readouterr().out
+
+
 def test_scenes_that_fit_and_scenes_that_do_not(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     fit, cases = script("fit"), script("fit_cases")
     arguments = fit.Arguments(
