@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scoup.base.errors import InputError
+from scoup.base.errors import InputError, ScoupWarning
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup.scene.codes import index_dtype
@@ -207,6 +207,15 @@ def test_rounded_gaussians_keep_their_codes_and_are_rasterised_again(scene):
     assert_same_codes(found.field, scene.field[finite])
     voted = follow(scene.field, edited, scene.kept, Tolerance(1e-3))
     assert_same_codes(voted.field, scene.from_the_start(edited)[0])
+
+
+def test_formats_that_round_some_numbers_only_are_named(scene):
+    means = scene.gaussians.means.clone()
+    means[::3] += 1e-5
+    edited = replace(scene.gaussians, means=means)
+    with pytest.warns(ScoupWarning, match=r"Gaussians of the field are not in it.*--tolerance"):
+        follow(scene.field, edited)
+    follow(scene.field, edited, tolerance=Tolerance(1e-3))  # without a warning
 
 
 def test_the_sums_that_follow_can_be_updated_and_followed_again(scene, tmp_path):

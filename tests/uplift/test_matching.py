@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scoup.base.errors import InputError
+from scoup.io import load_gaussians, save_gaussians
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.matching import Matching, Tolerance, match
 from support import KINDS, random_gaussians
@@ -98,6 +101,23 @@ def test_another_scale_or_opacity_is_another_gaussian():
     for scales, opacities in ((one.scales * 1.3, one.opacities), (one.scales, (one.opacities + 0.3) % 1)):
         other = Gaussians(one.means + 1e-5, one.quats, scales, opacities, one.sh)
         assert match(one, other, Tolerance(1e-3)).n_matched == 0
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz"])
+def test_a_trained_splat_is_found_again_in_other_formats(data_folder: Path, tmp_path: Path, suffix: str):
+    path = data_folder / "kitchen" / "scene" / "model.splat"
+    if not path.is_file():
+        pytest.skip(f"no kitchen in {data_folder}")
+    before = load_gaussians(path)
+    order = torch.randperm(len(before), generator=torch.Generator().manual_seed(0))[5000:]
+    save_gaussians(before.select(order), tmp_path / f"edited{suffix}")
+    found = match(before, load_gaussians(tmp_path / f"edited{suffix}"), Tolerance(1e-3))
+    assert found.n_matched == len(order)
+    assert found.n_rounded > 0
+    wrong = found.before != order
+    assert all(rows_of(before.select(found.before[wrong]))[i] == row
+               for i, row in enumerate(rows_of(before.select(order[wrong]))))  # fmt: skip
 
 
 @given(st.lists(st.integers(0, 40), max_size=25, unique=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.base.brief import brief
 from scoup.base.counts import listed
-from scoup.base.errors import InputError
+from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
@@ -28,6 +29,8 @@ from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.entries import MOST_COMBINATIONS, ViewRecord, pack
 from scoup.uplift.update import codes_of, vote_again
+
+MANY = 0.1  # share of the Gaussians; an edit seldom replaces as many by others
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,17 +99,15 @@ def follow(
     Raises:
         InputError: the edited splat shares no Gaussian with the field's; or the sums are not those of the field, or a
             view that the edit has changed has another camera or other regions than at the build.
+
+    Warns:
+        ScoupWarning: without a tolerance, many Gaussians are both gone and new, as where a format has rounded them.
     """
     check_arguments("follow", field=(field, LanguageField), gaussians=(gaussians, Gaussians))
     gaussians = gaussians.to(field.codebook.device)
     before = field.gaussians
     matching = match(before, gaussians, tolerance)
-    if not matching.n_matched:
-        remedy = "" if tolerance is not None else " (if its format rounds, with a tolerance, --tolerance)"
-        raise InputError(
-            f"{geometry_path or 'the edited splat'}: shares no Gaussian with the field; give the field's own splat "
-            f"after an edit{remedy}, or build the field again"
-        )
+    _check_matching(matching, str(geometry_path or "the edited splat"), tolerance is not None)
     record: dict[str, Any] = {"from": field.fingerprint, **matching.counts()}
     path = None if geometry_path is None else Path(geometry_path)
     if kept is None:
@@ -124,6 +125,22 @@ def follow(
         record["sharpness"] = found.sharpness.tolist()
     made = _field_of(field, gaussians, found.indices, found.weights, record, path)
     return Followed(made, matching, sums, changed)
+
+
+def _check_matching(matching: Matching, source: str, tolerant: bool) -> None:
+    if not matching.n_matched:
+        remedy = "" if tolerant else " (if its format rounds, with a tolerance, --tolerance)"
+        raise InputError(
+            f"{source}: shares no Gaussian with the field; give the field's own splat after an edit{remedy}, or build "
+            "the field again"
+        )
+    if not tolerant and min(matching.n_appended, matching.n_deleted) > MANY * matching.n_before:
+        warnings.warn(
+            f"{source}: {matching.n_deleted:,} Gaussians of the field are not in it, and {matching.n_appended:,} of "
+            "its own are not in the field; if its format rounds numbers, give a tolerance (--tolerance)",
+            ScoupWarning,
+            stacklevel=3,
+        )
 
 
 def _carried(rows: Tensor, matching: Matching) -> Tensor:
