@@ -5,15 +5,16 @@ from __future__ import annotations
 import io
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from scoup.base.errors import NO_SPACE, InputError, OutputExistsError, ScoupError, WriteError
-from scoup.base.holding import held_temporary
+from scoup.base.holding import LONGEST_STEM, held_temporary
 
-LONGEST_STEM = 64  # of the name of a temporary file
+Move = Callable[[Path, Path], object]
+"""``move(temporary, path)``: gives a finished file its name."""
 
 
 def check_output(path: str | Path, overwrite: bool = False) -> Path:
@@ -68,18 +69,23 @@ def folder_made(folder: Path, output: Path) -> Iterator[None]:
 
 
 @contextmanager
-def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
+def atomic_path(path: str | Path, overwrite: bool = False, move: Move = os.replace) -> Iterator[Path]:
     """A path of the same name, in a hidden folder beside ``path``, that becomes ``path`` at the end.
 
     The parent folder is made if it is missing. On any error, interruption included, the hidden folder is removed with
     all that is in it, and ``path`` keeps what it held.
+
+    Args:
+        path: the output.
+        overwrite: replace what is there.
+        move: gives the finished file its name; ``base.locks.Lock.finish`` moves others with it.
 
     Raises:
         OutputExistsError, InputError: as ``check_output``.
         WriteError: the system refuses to write the temporary file; names ``path``.
     """
     # A folder, as libraries may write files of other names first, which nobody holds.
-    with _appearing(path, overwrite, in_folder=True) as temporary:
+    with _appearing(path, overwrite, in_folder=True, move=move) as temporary:
         yield temporary
 
 
@@ -100,7 +106,7 @@ def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
 
 
 @contextmanager
-def _appearing(path: str | Path, overwrite: bool, in_folder: bool) -> Iterator[Path]:
+def _appearing(path: str | Path, overwrite: bool, in_folder: bool, move: Move = os.replace) -> Iterator[Path]:
     """The path of a temporary file that is held (``base.holding``), or is in a folder that is."""
     path = check_output(path, overwrite)
     hidden = path.with_name(f".{path.stem[:LONGEST_STEM]}.{secrets.token_hex(6)}{path.suffix}")
@@ -113,7 +119,7 @@ def _appearing(path: str | Path, overwrite: bool, in_folder: bool) -> Iterator[P
     ):
         yield temporary
         check_output(path, overwrite)  # somebody else may have written the file meanwhile
-        os.replace(temporary, path)
+        move(temporary, path)
 
 
 class _Output(io.BufferedIOBase):

@@ -16,6 +16,7 @@ else:
     import fcntl
 
 HEX = "[0-9a-f]{12}"  # in the name of a temporary file or folder
+LONGEST_STEM = 64  # of the name of a temporary file
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 _BYTE = 1 << 30  # the one that is locked on Windows: beyond whatever is written, so that the file can be read
 

@@ -2,34 +2,73 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
 import socket
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from scoup.base.atomic import LONGEST_STEM, check_output, folder_made
-from scoup.base.errors import InputError, OutputInUseError, WriteError
-from scoup.base.holding import HEX, NO_LINK, is_same, remove_abandoned, try_hold
+from scoup.base.atomic import check_output, folder_made
+from scoup.base.errors import InputError, OutputInUseError, ScoupError, ScoupWarning, WriteError
+from scoup.base.holding import HEX, LONGEST_STEM, NO_LINK, is_same, remove_abandoned, try_hold
+from scoup.base.last_steps import LastSteps
+from scoup.base.staging import stops_held_back
 
 if TYPE_CHECKING:
     from scoup.base.processes import Processes
 
 LOCK = ".lock"
 FOLDER_LOCK = "scoup.lock"
-_MOST_BYTES = 4096  # of the contents of a lock
+_MOST_BYTES = 65_536  # of the contents of a lock
+_LAST_STEPS = "last_steps"  # of the contents of a lock: what its process was about to do
+
+
+@dataclass(frozen=True)
+class Lock:
+    """The lock of an output, while this process, or the first of several, holds it.
+
+    Attributes:
+        output: the file.
+        descriptor: of the lock file; None in the other processes.
+    """
+
+    output: Path
+    descriptor: int | None = None
+
+    def finish(self, moves: Mapping[Path, Path], removed: Iterable[Path] = ()) -> None:
+        """Give finished files their names and remove others: all of it or, where nothing was begun, nothing.
+
+        The steps are written into the lock first. Killed in the midst of them, the process leaves the rest to the
+        next one that locks the output, or calls ``complete``. Interruptions and terminations wait.
+
+        Args:
+            moves: files beside the output, or in hidden folders there -> their names beside it.
+            removed: files beside the output that are not needed then; they may be missing.
+
+        Raises:
+            WriteError: the system refuses.
+        """
+        steps = LastSteps.of(self.output, moves, removed)
+        with stops_held_back():
+            if self.descriptor is not None:
+                _write_holder(self.output, self.descriptor, steps)
+            steps.take()
 
 
 @contextmanager
-def locked_file(path: Path, overwrite: bool = False, processes: Processes | None = None) -> Iterator[None]:
+def locked_file(path: Path, overwrite: bool = False, processes: Processes | None = None) -> Iterator[Lock]:
     """Keep other processes from writing a file, and what goes beside it, meanwhile.
 
     ``PATH.lock`` says who writes. It is removed at the end, after an interruption too. One whose process has died
-    counts no more. Temporary files that a dead process has left of this output are removed.
+    counts no more; what that process had begun to put in its place is put there (``Lock.finish``). Temporary files
+    that a dead process has left of this output are removed.
 
     Args:
         path: the file. It is checked once more, as another process may just have finished it.
@@ -39,20 +78,37 @@ def locked_file(path: Path, overwrite: bool = False, processes: Processes | None
     Raises:
         OutputInUseError: another process is writing it.
         OutputExistsError, InputError: as ``base.atomic.check_output``; WriteError: the lock cannot be written.
+
+    Warns:
+        ScoupWarning: a killed process had not put all of its finished files in their place.
     """
     own = re.escape(path.stem[:LONGEST_STEM]), re.escape(path.suffix), re.escape(path.name[:LONGEST_STEM])
     temporary = re.compile(rf"\.({own[0]}\.{HEX}{own[1]}|{own[2]}\.{HEX}\.\w+)")
     with ExitStack() as stack:
 
         def acquire() -> None:
-            stack.enter_context(_held(path, path.with_name(path.name + LOCK), temporary))
+            held.append(stack.enter_context(_held(path, path.with_name(path.name + LOCK), temporary)))
             check_output(path, overwrite)
 
+        held: list[int] = []
         if processes is None:
             acquire()
         else:
             processes.of_first(acquire)
-        yield
+        yield Lock(path, *held)
+
+
+def complete(path: Path) -> None:
+    """Put in its place what a killed process had finished of a file, and of what goes beside it, and remove its lock.
+
+    Nothing happens where there is no lock, where its process lives, or where the system refuses.
+
+    Warns:
+        ScoupWarning: something was put in its place.
+    """
+    if path.with_name(path.name + LOCK).is_file():
+        with suppress(ScoupError), locked_file(path, overwrite=True):
+            pass
 
 
 @contextmanager
@@ -90,7 +146,7 @@ def is_folder_lock(name: str) -> bool:
 
 
 @contextmanager
-def _held(output: Path, lock: Path, temporary: re.Pattern[str]) -> Iterator[None]:
+def _held(output: Path, lock: Path, temporary: re.Pattern[str]) -> Iterator[int]:
     check_output(lock, overwrite=True)
     if lock.is_symlink():
         raise _foreign(lock)
@@ -100,9 +156,10 @@ def _held(output: Path, lock: Path, temporary: re.Pattern[str]) -> Iterator[None
         except OSError as error:
             raise WriteError.of(output, error) from error
         try:
+            _complete(output, descriptor, lock)
             _write_holder(output, descriptor)
             remove_abandoned(lock.parent, temporary)
-            yield
+            yield descriptor
         finally:
             with suppress(OSError):
                 lock.unlink()  # before it is free: nobody else holds this very file
@@ -155,27 +212,57 @@ def _foreign(lock: Path) -> InputError:
     return InputError(f"{lock}: is no lock that scoup has written; move it away, or give another --out")
 
 
-def _write_holder(output: Path, descriptor: int) -> None:
-    record = {
+def _complete(output: Path, descriptor: int, lock: Path) -> None:
+    """Take the last steps that the holder before was about to take when it died."""
+    contents = _contents(descriptor)
+    if contents is None or _LAST_STEPS not in contents:
+        return
+    try:
+        steps = LastSteps.of_record(output, contents[_LAST_STEPS])
+    except (ValueError, KeyError, TypeError) as error:
+        raise _foreign(lock) from error
+    moved = steps.take()
+    if moved:
+        warnings.warn(
+            f"{output}: put in place what a killed process had finished ({', '.join(moved)})",
+            ScoupWarning,
+            stacklevel=2,
+        )
+
+
+def _write_holder(output: Path, descriptor: int, steps: LastSteps | None = None) -> None:
+    record: dict[str, Any] = {
         "host": socket.gethostname(),
         "process": os.getpid(),
         "since": datetime.now().isoformat(timespec="seconds"),
     }
+    if steps is not None:
+        record[_LAST_STEPS] = steps.record()
+    text = (json.dumps(record) + "\n").encode()
     try:
         os.ftruncate(descriptor, 0)
         os.lseek(descriptor, 0, os.SEEK_SET)
-        os.write(descriptor, (json.dumps(record) + "\n").encode())
+        if os.write(descriptor, text) < len(text):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     except OSError as error:
         raise WriteError.of(output, error) from error
 
 
 def _record(descriptor: int) -> tuple[str, datetime] | None:
     """Who wrote a lock, and when; None where its contents are something else."""
+    record = _contents(descriptor)
+    try:
+        return f"process {record['process']} on {record['host']}", datetime.fromisoformat(record["since"])
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _contents(descriptor: int) -> Any:
+    """The JSON values in a lock; None where there are none."""
     try:
         os.lseek(descriptor, 0, os.SEEK_SET)
-        record = json.loads(os.read(descriptor, _MOST_BYTES))
-        return f"process {record['process']} on {record['host']}", datetime.fromisoformat(record["since"])
-    except (ValueError, KeyError, TypeError, RecursionError):
+        return json.loads(os.read(descriptor, _MOST_BYTES))
+    except (ValueError, RecursionError):
         return None
 
 

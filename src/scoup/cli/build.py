@@ -85,7 +85,7 @@ class Build(BuildOptions, ViewOptions):
         from scoup.base.locks import locked_file
         from scoup.base.processes import device_of_process, process_group
         from scoup.uplift.build import build
-        from scoup.uplift.region_sums import sums_path
+        from scoup.uplift.checkpoint import moved_with_sums
 
         device, out = device_of_process(self.device), self._output()
         loaded = self._load(console, device, out)
@@ -93,11 +93,10 @@ class Build(BuildOptions, ViewOptions):
             return self._rasterise_share(console, out, loaded)
         settings = self.settings(loaded.raster_preset)
         started = time.perf_counter()
-        keep = sums_path(out) if self.keep_sums else None
         with (
             process_group(device) as processes,
-            locked_file(out, self.overwrite, processes),
-            self._region_sums(out, loaded, processes, keep) as sums,
+            locked_file(out, self.overwrite, processes) as lock,
+            self._region_sums(out, loaded, processes, self.keep_sums) as sums,
         ):
             self._announce(console, sums, len(loaded.regions), processes)
             with console.progress() as progress:
@@ -106,8 +105,10 @@ class Build(BuildOptions, ViewOptions):
                     geometry_path=loaded.source, sums=sums, check_fit=not self.no_check_fit, progress=progress,
                 )  # fmt: skip
             # Nobody gives up its sums before the field is there.
-            processes.of_first(lambda: field.save(out, self.overwrite, self.embed_geometry, self.weight_bits))
-            bytes_of_sums = sums.bytes if keep else None
+            move = moved_with_sums(lock, sums, self.keep_sums)
+            how = (self.overwrite, self.embed_geometry, self.weight_bits, move)
+            processes.of_first(lambda: field.save(out, *how))
+            bytes_of_sums = sums.bytes if self.keep_sums else None
         if processes.first:
             report_field(console, field, out, bytes_of_sums, device, time.perf_counter() - started)
         return None
@@ -116,6 +117,7 @@ class Build(BuildOptions, ViewOptions):
         """Rasterise a share of the views, keep it and report."""
         from scoup.base.locks import locked_file
         from scoup.base.processes import ALONE, shard
+        from scoup.uplift.checkpoint import moved_alone
         from scoup.uplift.region_sums import shard_path
         from scoup.uplift.shards import add_shard
 
@@ -123,8 +125,8 @@ class Build(BuildOptions, ViewOptions):
         path = shard_path(out, share)
         started = time.perf_counter()
         with (
-            locked_file(path, self.overwrite),
-            self._region_sums(path, loaded, ALONE, path) as sums,
+            locked_file(path, self.overwrite) as lock,
+            self._region_sums(path, loaded, ALONE, False) as sums,
             console.progress() as progress,
         ):
             self._announce(console, sums, len(loaded.regions), share)
@@ -133,6 +135,7 @@ class Build(BuildOptions, ViewOptions):
                 geometry_path=loaded.source, check_fit=not self.no_check_fit, progress=progress,
             )  # fmt: skip
             size = sums.bytes
+            moved_alone(lock, sums)
         seconds = time.perf_counter() - started
         views = len(made.sources.views)
         console.say(
@@ -163,6 +166,7 @@ class Build(BuildOptions, ViewOptions):
     def _output(self) -> Path:
         """The field to write, after checking that what is written now may be written."""
         from scoup.base.errors import InputError
+        from scoup.base.locks import complete
         from scoup.base.processes import of_environment, shard
         from scoup.io import check_output
         from scoup.io.camera_sources import scene_folder
@@ -177,8 +181,11 @@ class Build(BuildOptions, ViewOptions):
                 raise InputError(
                     "--shard and torchrun do not go together: torchrun shares the views out by itself"
                 )
-            check_output(shard_path(out, shard(self.shard)), self.overwrite)
+            path = shard_path(out, shard(self.shard))
+            complete(path)
+            check_output(path, self.overwrite)
             return out
+        complete(out)
         check_output(out, self.overwrite)
         if self.keep_sums:
             if self.sums is not None:
@@ -198,7 +205,7 @@ class Build(BuildOptions, ViewOptions):
             raise InputError(f"--shard makes region sums only; give {listed(later, 9)} to scoup merge")
 
     def _region_sums(
-        self, out: Path, loaded: _Loaded, processes: Processes, keep: Path | None
+        self, out: Path, loaded: _Loaded, processes: Processes, keep: bool
     ) -> AbstractContextManager[RegionSums]:
         """The sums named, or those in the file beside the output in which a build keeps what it has done."""
         from scoup.uplift.checkpoint import checkpoint

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections.abc import Iterator
@@ -47,27 +48,28 @@ class Merge(BuildOptions):
         """Merge, save and report."""
         from scoup.base.locks import locked_file
         from scoup.base.processes import device_of_process, process_group
+        from scoup.uplift.checkpoint import moved_with_sums
         from scoup.uplift.shards import merge
 
         device, out = device_of_process(self.device), self._output()
-        self.settings(
-            "inria"
-        )  # a mistake shows before the long work; the rasteriser preset is that of the shards
+        settings = self.settings("inria")  # a mistake shows now; the rasteriser preset is that of the shards
         started = time.perf_counter()
         with (
             process_group(device) as processes,
-            locked_file(out, self.overwrite, processes),
+            locked_file(out, self.overwrite, processes) as lock,
             _opened(self.shards) as shards,
             self._kept(out, shards, processes) as keep,
             console.progress() as progress,
         ):
             field = merge(
-                shards, self.settings("inria"), keep=keep, geometry_path=self.gaussians, field_path=out,
+                shards, settings, keep=keep, geometry_path=self.gaussians, field_path=out,
                 device=device, progress=progress,
             )  # fmt: skip
-            # Field and sums appear together.
-            processes.of_first(lambda: field.save(out, self.overwrite, self.embed_geometry, self.weight_bits))
             bytes_of_sums = None if keep is None else keep.bytes
+            # Field and sums appear together.
+            move = os.replace if keep is None else moved_with_sums(lock, keep, keep=True)
+            how = (self.overwrite, self.embed_geometry, self.weight_bits, move)
+            processes.of_first(lambda: field.save(out, *how))
         if processes.first:
             console.say(f"{counted(len(self.shards), 'shard')} merged")
             report_field(console, field, out, bytes_of_sums, device, time.perf_counter() - started)
@@ -75,6 +77,7 @@ class Merge(BuildOptions):
     def _output(self) -> Path:
         """The file to write, after checking that it and what goes beside it may be written."""
         from scoup.base.errors import InputError
+        from scoup.base.locks import complete
         from scoup.io import check_output
         from scoup.uplift.region_sums import sums_path
 
@@ -88,6 +91,7 @@ class Merge(BuildOptions):
             out = self.shards[0].with_name(found[1])
         if out.suffix.lower() != ".scoup":
             raise InputError(f"{out}: give a name that ends in .scoup")
+        complete(out)
         check_output(out, self.overwrite)
         if self.keep_sums:
             check_output(sums_path(out), self.overwrite)
@@ -95,20 +99,17 @@ class Merge(BuildOptions):
 
     @contextmanager
     def _kept(self, out: Path, shards: list[RegionSums], processes: Processes) -> Iterator[RegionSums | None]:
-        """New region sums that appear beside the field at the end of the block; None where none are to be kept."""
-        from scoup.base.atomic import atomic_path
+        """New region sums in a file beside the field; None where none are to be kept."""
         from scoup.base.errors import InputError
-        from scoup.uplift.region_sums import RegionSums, sums_path
+        from scoup.uplift.checkpoint import new_sums
+        from scoup.uplift.region_sums import RegionSums
 
         if not self.keep_sums:
             yield None
             return
         if processes.world > 1:
             raise InputError("--keep-sums works in one process; run without torchrun")
-        with (
-            atomic_path(sums_path(out), self.overwrite) as temporary,
-            closing(RegionSums.like(shards[0], temporary)) as keep,
-        ):
+        with new_sums(out, "merge") as path, closing(RegionSums.like(shards[0], path)) as keep:
             yield keep
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from scoup.base.counts import counted, share_of
-from scoup.cli.console import Console
+from scoup.cli.console import Console, kept
 from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups
 from scoup.cli.query_options import FieldOptions
 from scoup.cli.scene_options import ViewOptions
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from scoup.scene.cameras import Camera, Cameras
     from scoup.scene.regions import Regions
     from scoup.uplift.edited_splat import Followed, KeptSums
+    from scoup.uplift.checkpoint import ChangedCopy
 
 Names = Annotated[
     tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
@@ -32,8 +34,10 @@ class Update(FieldOptions, ViewOptions):
     """Add views to a field, remove some, or add again those whose regions have changed; or let it follow its splat.
 
     The field must have been built with --keep-sums. Only the views named are rasterised; then all vote again. The atoms
-    of the field and the codes of its other regions stay. With --edited, Gaussians that were not changed keep their
-    codes; with --scene too, views that show the edit are rasterised, and all vote again.
+    of the field and the codes of its other regions stay. Interrupted, the same command continues where it stopped.
+
+    With --edited, Gaussians that were not changed keep their codes; with --scene too, views that show the edit are
+    rasterised, and all vote again.
     """
 
     option_groups: ClassVar[OptionGroups] = {
@@ -80,25 +84,22 @@ class Update(FieldOptions, ViewOptions):
     def _change_views(self, console: Console) -> None:
         """Add and remove views."""
         from scoup.base.locks import locked_file
-        from scoup.io import check_output
-        from scoup.uplift.checkpoint import changed_copy
-        from scoup.uplift.region_sums import sums_path
+        from scoup.uplift.checkpoint import changed_copy, moved_with_sums
         from scoup.uplift.update import update
 
-        out = self.out or self.field
-        for path in (out, sums_path(out)):
-            check_output(path, self.overwrite)
-        source = self._source()
-        with locked_file(out, self.overwrite):  # before reading: nobody else changes the field meanwhile
+        out, source = self._output(also_sums=True), self._source()
+        with locked_file(out, self.overwrite) as lock:  # before reading: nobody else changes the field meanwhile
             field = self.open_field()
             cameras, regions = self._changed_views(field, source)
-            # Field and sums change together or not at all.
-            with changed_copy(source, sums_path(out), self.overwrite) as sums, console.progress() as progress:
+            with changed_copy(source, out, cameras, regions) as copied, console.progress() as progress:
+                _announce(console, copied, out)
                 updated = update(
-                    field, sums, cameras, regions, self.remove, self.new_atoms,
-                    check_fit=not self.no_check_fit, progress=progress,
+                    field, copied.sums, cameras, regions, self.remove, self.new_atoms,
+                    check_fit=not self.no_check_fit and not copied.n_added, progress=progress,
                 )  # fmt: skip
-                updated.save(out, self.overwrite, field.geometry_path is None, self.weight_bits)
+                # Field and sums change together or not at all.
+                move = moved_with_sums(lock, copied.sums, keep=True)
+                updated.save(out, self.overwrite, field.geometry_path is None, self.weight_bits, move)
         total = len(updated.info.provenance["views"])
         console.say(
             f"{out}: {counted(len(cameras), 'view')} added, {len(self.remove)} removed, {total:,} in all; "
@@ -118,18 +119,17 @@ class Update(FieldOptions, ViewOptions):
         """Let the field follow its splat, save and report."""
         from scoup.base.errors import InputError
         from scoup.base.locks import locked_file
-        from scoup.io import check_output, load_gaussians
+        from scoup.io import load_gaussians
+        from scoup.uplift.checkpoint import moved_with_sums
         from scoup.uplift.edited_splat import follow
         from scoup.uplift.matching import Tolerance
         from scoup.uplift.region_sums import sums_path
 
         if self.add or self.remove:
             raise InputError("--edited is an update of its own; add or remove views before or after it")
-        out = self.out or self.field
-        for path in (out, sums_path(out)) if self.scene else (out,):
-            check_output(path, self.overwrite)
+        out = self._output(also_sums=self.scene is not None)
         tolerance = None if self.tolerance is None else Tolerance(self.tolerance)
-        with locked_file(out, self.overwrite):
+        with locked_file(out, self.overwrite) as lock:
             field, gaussians = self.open_field(), load_gaussians(edited)
             embed = field.geometry_path is None
             with self._kept_sums(out) as kept, console.progress() as progress:
@@ -137,9 +137,8 @@ class Update(FieldOptions, ViewOptions):
                     field, gaussians, kept, tolerance,
                     geometry_path=None if embed else edited, progress=progress,
                 )  # fmt: skip
-                if found.sums is not None:
-                    found.sums.close()
-                found.field.save(out, self.overwrite, embed, self.weight_bits)
+                move = os.replace if found.sums is None else moved_with_sums(lock, found.sums, keep=True)
+                found.field.save(out, self.overwrite, embed, self.weight_bits, move)
         if kept is None and sums_path(out).is_file():
             console.warn(f"{sums_path(out)}: are region sums of another splat than {out}; remove them")
         self._report(console, out, found)
@@ -172,18 +171,31 @@ class Update(FieldOptions, ViewOptions):
 
     @contextmanager
     def _kept_sums(self, out: Path) -> Iterator[KeptSums | None]:
-        """The field's region sums and views, where a scene is named; the new sums appear beside ``out``."""
-        from scoup.uplift.checkpoint import followed_copy
+        """The field's region sums and views, and a file for those of the edited splat, where a scene is named."""
+        from scoup.uplift.checkpoint import new_sums
         from scoup.uplift.edited_splat import KeptSums
-        from scoup.uplift.region_sums import sums_path
+        from scoup.uplift.region_sums import RegionSums
 
         if self.scene is None:
             yield None
             return
         source = self._source()
         cameras, regions, _ = self.load_views(self.scene)
-        with followed_copy(source, sums_path(out), self.overwrite) as (sums, path):
+        with new_sums(out, "update") as path, closing(RegionSums.open(source)) as sums:
             yield KeptSums(sums, cameras, regions, path)
+
+    def _output(self, also_sums: bool) -> Path:
+        """The field to write, after checking that it, and its region sums, may be written."""
+        from scoup.base.locks import complete
+        from scoup.io import check_output
+        from scoup.uplift.region_sums import sums_path
+
+        out = self.out or self.field
+        for path in dict.fromkeys((self.field, out)):
+            complete(path)
+        for path in (out, sums_path(out)) if also_sums else (out,):
+            check_output(path, self.overwrite)
+        return out
 
     def _source(self) -> Path:
         """The file of the field's region sums."""
@@ -230,3 +242,11 @@ class Update(FieldOptions, ViewOptions):
             return list(dict.fromkeys(known[name] for name in self.add))
         except UnknownNameError as error:
             raise UnknownNameError("camera with regions", error.name, known.names, str(self.scene)) from error
+
+
+def _announce(console: Console, copied: ChangedCopy, out: Path) -> None:
+    """Say what is continued, now, and what is kept, should the update be interrupted."""
+    total = len(copied.add)
+    if copied.n_added:
+        console.say(f"{out}: continues an interrupted update: {copied.n_added} of {total} views are there")
+    console.kept = lambda: kept(copied.n_added, total, "views")

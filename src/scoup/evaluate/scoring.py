@@ -10,7 +10,7 @@ from pathlib import Path
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.base.locks import locked_file
+from scoup.base.locks import complete, locked_file
 from scoup.base.progress import Progress, no_progress
 from scoup.baselines.fitted import FittedField, FittedMethod
 from scoup.evaluate.data_sets import DataSet, LabelledScene, SceneFiles
@@ -28,7 +28,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.checkpoint import checkpoint, continued
+from scoup.uplift.checkpoint import checkpoint, continued, moved_with_sums
 
 
 def build_field(
@@ -53,10 +53,11 @@ def build_field(
     gaussians = load_gaussians(scene.splat).to(device)
     # Which constants the rasteriser uses follows from the splat.
     settings = replace(settings, raster_preset=default_preset(scene.splat))
+    complete(path)
     if path.is_file() and not rebuild:
         return _stored(path, gaussians, settings)
     regions = load_regions(scene.features, scene.cameras)
-    with locked_file(path, overwrite=True):
+    with locked_file(path, overwrite=True) as lock:
         if path.is_file() and not rebuild:  # another process has built it meanwhile
             return _stored(path, gaussians, settings)
         with checkpoint(path, gaussians, regions, settings.raster_preset) as sums:
@@ -72,7 +73,7 @@ def build_field(
                 sums=sums,
                 progress=progress,
             )
-            field.save(path, overwrite=True)
+            field.save(path, overwrite=True, move=moved_with_sums(lock, sums, keep=False))
     return _stored(path, gaussians, settings)  # what is scored is what is stored, half precision included
 
 

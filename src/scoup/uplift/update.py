@@ -184,6 +184,11 @@ def codes_of(field: LanguageField, sums: RegionSums) -> RegionCodes:
             f"{sums.path or 'the region sums'}: hold no codes of this field; build it with --keep-sums, and give the "
             "sums written beside it"
         )
+    if sorted(field.info.provenance.get("views", coded.rows[0])) != sorted(coded.rows[0]):
+        raise InputError(
+            f"{sums.path or 'the region sums'}: hold other views than the field: one of the two is older; give the "
+            "sums written beside it, or build the field again with --keep-sums"
+        )
     return coded
 
 

@@ -60,6 +60,7 @@ class RecordFile:
         self.records: list[Record] = []
         self._stream = stream
         self._end = 0
+        self._ends: list[int] = []  # of the records
         self._maps: list[mmap.mmap] = []
 
     @classmethod
@@ -143,7 +144,17 @@ class RecordFile:
         record = self._map(self._end, length, kind, dict(header), layout)
         self.records.append(record)
         self._end += len(head) + length
+        self._ends.append(self._end)
         return record
+
+    def cut(self, count: int) -> None:
+        """Cut off all records but the first ``count``, of which there is at least one.
+
+        Arrays of the others must not be read any more.
+        """
+        self._end = self._ends[count - 1]
+        del self.records[count:], self._ends[count:]
+        self._stream.truncate(self._end)
 
     def forget_pages(self) -> None:
         """Let the system take back the memory through which the file was read; what is needed is read again."""
@@ -169,6 +180,7 @@ class RecordFile:
                 break
             self.records.append(record[0])
             self._end += _HEAD.size + record[1]
+            self._ends.append(self._end)
         if not self.records:
             raise FileFormatError(self._named, "holds no complete record of region sums", "make it again")
         if self.writable and self._end < size:

@@ -1,0 +1,276 @@
+"""Verbs that are killed at random moments and run again: same bytes, little done twice, nothing left.
+
+    python -m benchmarks.endurance [--kills 100] [--seed 0] [--verbs build update extract] [--out FILE.json]
+
+Each verb runs as a process of its own (``benchmarks/endurance_child.py``) on a small synthetic scene. Half of the kills
+come from outside, after a random part of the time that an undisturbed run takes; half come at a random point: before
+one of the changes of files, in the midst of a record of region sums, around a view. After some kills the run that
+continues is killed again. Then the same command runs to its end, and the folder is compared with that of an undisturbed
+run. Kills that come too late, after the end of a run, are counted apart.
+
+"done again" counts the views that a killed run had rasterised (or extracted) to the end and had not kept; "begun
+again" also those that it was at. What is kept is counted in the files that it left.
+"""
+
+from __future__ import annotations
+
+import random
+import tempfile
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from benchmarks.endurance_runs import Run, run, snapshot
+from benchmarks.endurance_verbs import VERBS, Scene, Verb, make_scene
+from scoup.base.errors import looked_up
+from scoup.bench import describe_environment, markdown, write_json
+from scoup.bench.environment import in_one_line
+from scoup.io import check_output
+
+AGAIN = 0.4
+"""Share of the kills after which the run that continues is killed, too."""
+MOST_RUNS = 6
+"""Of one trial, before the last."""
+STAGES = ("start", "codes", "views", "vote", "outputs", "end")
+EARLY = 1.05
+"""Kills from outside come within this much of the time of an undisturbed run."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    kills: int = 100
+    """Kills that hit, shared out among the verbs."""
+    seed: int = 0
+    """Of the moments of the kills."""
+    verbs: tuple[str, ...] = tuple(VERBS)
+    """Which verbs."""
+    views: int = 12
+    """Of the scene."""
+    width: int = 240
+    """Of its photographs, in pixels."""
+    outside: float = 0.5
+    """Share of the kills that come from outside, after some time; the others come at a point of the work."""
+    out: Path | None = None
+    """Where to write the figures as JSON."""
+    overwrite: bool = False
+    """Replace OUT."""
+
+
+@dataclass(frozen=True)
+class Plain:
+    """What an undisturbed run of a verb does.
+
+    Attributes:
+        seconds: that it takes.
+        points: that it passes.
+        files: what is in the folder afterwards.
+        before: what was there.
+    """
+
+    seconds: float
+    points: int
+    files: dict[str, bytes]
+    before: dict[str, bytes]
+
+
+@dataclass(frozen=True)
+class Kill:
+    """A kill that hit.
+
+    Attributes:
+        stage: of ``STAGES``.
+        kind: "outside", or what the point was.
+        done_again: views that were done and not kept.
+        begun_again: views that were begun and not kept.
+        consistent: the verb's outputs were all of before or all new, or the lock says how to go on.
+    """
+
+    stage: str
+    kind: str
+    done_again: int
+    begun_again: int
+    consistent: bool
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A verb that was killed once or several times, and then run to its end.
+
+    Attributes:
+        kills: that hit.
+        late: kills that came after the end of a run.
+        code: of the last run.
+        said: by the last run, where it was refused.
+        ended_well: it did its work, or was refused because the work is done.
+        same_bytes: of every file that an undisturbed run makes.
+        orphans: files that an undisturbed run does not leave.
+        most_begun: views that the last run had begun, beyond those that were not kept.
+    """
+
+    kills: tuple[Kill, ...]
+    late: int
+    code: int
+    said: str
+    ended_well: bool
+    same_bytes: bool
+    orphans: tuple[str, ...]
+    most_begun: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether everything is as it should be, but for the number of views done again, which a verb bounds."""
+        consistent = all(kill.consistent for kill in self.kills)
+        return self.ended_well and self.same_bytes and not self.orphans and not self.most_begun and consistent
+
+
+def main(arguments: Arguments) -> dict[str, Any]:
+    """Kill, continue, compare; print the table, give the record."""
+    if arguments.out is not None:
+        check_output(arguments.out, arguments.overwrite)
+    verbs = [looked_up("verb", name, VERBS) for name in arguments.verbs]
+    trials: dict[str, list[Trial]] = {}
+    with tempfile.TemporaryDirectory(prefix="scoup-endurance-") as folder:
+        scene = make_scene(Path(folder) / "scene", arguments.views, arguments.width)
+        for number, verb in enumerate(verbs):
+            share = len(range(number, arguments.kills, len(verbs)))
+            trials[verb.name] = endure(verb, scene, share, arguments.seed, arguments.outside)
+    environment = describe_environment()
+    print(in_one_line(environment))
+    print(table(trials))
+    record = {
+        "what": "benchmarks.endurance: verbs killed at random moments and run again",
+        "environment": environment,
+        "settings": {
+            "kills": arguments.kills,
+            "seed": arguments.seed,
+            "views": arguments.views,
+            "again": AGAIN,
+        },
+        "verbs": {name: figures(found, VERBS[name]) for name, found in trials.items()},
+    }
+    if arguments.out is not None:
+        write_json(arguments.out, record, arguments.overwrite)
+    return record
+
+
+def endure(verb: Verb, scene: Scene, kills: int, seed: int, outside: float = 0.5) -> list[Trial]:
+    """Trials of a verb until so many kills have hit.
+
+    Args:
+        verb: the verb.
+        scene: for all verbs.
+        kills: at least so many.
+        seed: of the moments.
+        outside: see ``Arguments``.
+    """
+    dice = random.Random(f"{verb.name} {seed}")
+    plain = undisturbed(verb, scene)
+    trials: list[Trial] = []
+    for _ in range(3 * kills):
+        left = kills - sum(len(trial.kills) for trial in trials)
+        if left <= 0:
+            break
+        trials.append(trial(verb, scene, plain, dice, left, outside))
+    return trials
+
+
+def undisturbed(verb: Verb, scene: Scene) -> Plain:
+    """A run that nobody kills."""
+    verb.prepare(scene)
+    before = snapshot(scene.work)
+    found = run(verb, scene)
+    if found.code != 0:
+        raise SystemExit(f"{verb.name} ended with {found.code}: {found.said}")
+    return Plain(found.seconds, len(found.notes), snapshot(scene.work), before)
+
+
+def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int, outside: float) -> Trial:
+    """One trial; at most so many kills that hit."""
+    verb.prepare(scene)
+    kills: list[Kill] = []
+    late, kept = 0, verb.n_kept(scene)
+    for _ in range(MOST_RUNS):
+        found = killed(verb, scene, plain, dice, outside)
+        if found.code != Run.KILLED:
+            late += 1
+            break
+        kills.append(judged(verb, scene, plain, found, kept))
+        kept = verb.n_kept(scene)
+        if len(kills) == most or dice.random() >= AGAIN:
+            break
+    last = run(verb, scene)
+    files = snapshot(scene.work)
+    wanted = 0 if verb.is_finished(last) else scene.n_views(verb) - kept
+    return Trial(
+        tuple(kills),
+        late,
+        last.code,
+        last.said,
+        last.code == 0 or verb.is_finished(last),
+        all(files.get(name) == content for name, content in plain.files.items()),
+        tuple(sorted(set(files) - set(plain.files))),
+        max(0, last.count("begun") - wanted),
+    )
+
+
+def killed(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, outside: float) -> Run:
+    """A run that is killed at a random moment, if it is not over before."""
+    moment, point = dice.random(), dice.randint(1, plain.points)
+    if dice.random() < outside:
+        return run(verb, scene, after=moment * EARLY * plain.seconds)
+    return run(verb, scene, point=point)
+
+
+def judged(verb: Verb, scene: Scene, plain: Plain, found: Run, kept_before: int) -> Kill:
+    """What a kill has left."""
+    files = snapshot(scene.work)
+    finished = verb.is_new(files, plain.files)
+    kept = found.count("begun") if finished else verb.n_kept(scene) - kept_before
+    consistent = finished or verb.is_as_before(files, plain.before) or verb.says_how_to_go_on(files)
+    done, begun = (max(0, found.count(note) - kept) for note in ("done", "begun"))
+    return Kill(found.stage, found.kind, done, begun, consistent)
+
+
+def table(trials: dict[str, list[Trial]]) -> str:
+    """One line a verb."""
+    heads = ["verb", "kills", "too late", *STAGES, "same bytes", "consistent", "done again, most",
+             "begun again, most", "orphans", "passed"]  # fmt: skip
+    rows = []
+    for name, found in trials.items():
+        of = figures(found, VERBS[name])
+        shares = (f"{of['stages'].get(stage, 0) / max(1, of['kills']):.0%}" for stage in STAGES)
+        count = of["trials"]
+        rows.append([name, str(of["kills"]), str(of["too_late"]), *shares, f"{of['same_bytes']} of {count}",
+                     f"{of['consistent']} of {of['kills']}", str(of["most_done_again"]),
+                     f"{of['most_begun_again']} (at most {of['may_begin_again']})", str(len(of["orphans"])),
+                     f"{of['passed']} of {count}"])  # fmt: skip
+    return markdown(heads, rows)
+
+
+def figures(trials: list[Trial], verb: Verb) -> dict[str, Any]:
+    """Of the trials of a verb, for JSON."""
+    kills = [kill for trial in trials for kill in trial.kills]
+    return {
+        "trials": len(trials),
+        "kills": len(kills),
+        "too_late": sum(trial.late for trial in trials),
+        "stages": dict(Counter(kill.stage for kill in kills)),
+        "kinds": dict(Counter(kill.kind for kill in kills)),
+        "same_bytes": sum(trial.same_bytes for trial in trials),
+        "consistent": sum(kill.consistent for kill in kills),
+        "done_again": dict(Counter(str(kill.done_again) for kill in kills)),
+        "begun_again": dict(Counter(str(kill.begun_again) for kill in kills)),
+        "most_done_again": max((kill.done_again for kill in kills), default=0),
+        "most_begun_again": max((kill.begun_again for kill in kills), default=0),
+        "may_begin_again": verb.may_begin_again,
+        "orphans": sorted({name for trial in trials for name in trial.orphans}),
+        "passed": sum(trial.passed for trial in trials),
+        "failed": [f"{trial.code} {trial.said}" for trial in trials if not trial.passed],
+    }
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))

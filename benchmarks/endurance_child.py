@@ -1,0 +1,131 @@
+"""A verb of the command line in a process of its own that notes what it does, and that can end itself by SIGKILL.
+
+    python benchmarks/endurance_child.py LOG FOLDER POINT VERB ...
+
+LOG gets a line for each point: each change of a file below FOLDER, each part of a record of region sums (half of it is
+written), each view that is begun, done and kept, and each stage. At the POINT-th of them (1 for the first, 0 for
+never) the process kills itself. Nothing of the verb is changed.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+_CHANGES = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate"}
+_WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
+
+
+class Points:
+    """What is counted and noted.
+
+    Args:
+        log: the file of notes.
+        folder: whose files count.
+        last: the point at which the process ends; 0 for none.
+    """
+
+    def __init__(self, log: str, folder: str, last: int) -> None:
+        self._log = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+        self._folder = os.path.realpath(folder) + os.sep
+        self._last = last
+        self._count = 0
+        self._lock = threading.RLock()
+
+    def pass_by(self, note: str, before_end: Callable[[], object] = lambda: None) -> None:
+        """Count a point, note it and, if it is the last, do what is given and end."""
+        with self._lock:
+            self._count += 1
+            os.write(self._log, f"{note}\n".encode())
+            if self._count == self._last:
+                before_end()
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    def audit(self, event: str, arguments: tuple[Any, ...]) -> None:
+        """An audit hook: changes of files."""
+        if event == "open" and isinstance(arguments[2], int) and arguments[2] & _WRITES:
+            self._file("open", arguments[0])
+        elif event in _CHANGES:
+            self._file(event, arguments[0])
+
+    def _file(self, what: str, path: Any) -> None:
+        if isinstance(path, int):  # a file of the verb: no other is truncated by number
+            self.pass_by(f"file {what}")
+        elif isinstance(path, (str, os.PathLike)) and os.path.abspath(path).startswith(self._folder):
+            self.pass_by(f"file {what} {os.path.basename(path)}")
+
+
+def observe(points: Points) -> None:
+    """Note stages and views, and count the parts of records."""
+    from scoup import raster
+    from scoup.cli.console import Console
+    from scoup.extract import pipeline
+    from scoup.extract.felzenszwalb import Felzenszwalb
+    from scoup.field.language_field import LanguageField
+    from scoup.io.regions.store import RegionStore
+    from scoup.uplift.region_sums import RegionSums
+    from scoup.uplift.storage.record_file import RecordFile
+
+    @contextmanager
+    def progress(self: Console) -> Iterator[Callable[[str, int, int], None]]:
+        stages: list[str] = []
+
+        def note(stage: str, done: int, total: int) -> None:
+            if stage not in stages:
+                stages.append(stage)
+                points.pass_by(f"stage {stage}")
+
+        yield note
+
+    Console.progress = progress
+    _noted(points, raster, "region_sums", "begun", "done")
+    _noted(points, RegionSums, "append", "", "kept")
+    _noted(points, Felzenszwalb, "segment", "begun", "")
+    _noted(points, pipeline, "describe_masks", "", "done")
+    _noted(points, RegionStore, "write", "", "kept")
+    _noted(points, LanguageField, "save", "stage outputs", "stage end")
+    write = RecordFile._write  # pyright: ignore[reportPrivateUsage]
+
+    def torn(self: RecordFile, part: bytes | memoryview) -> None:
+        points.pass_by("half a part", lambda: self._stream.write(part[: len(part) // 2]))
+        write(self, part)
+
+    RecordFile._write = torn
+
+
+def _noted(points: Points, owner: Any, name: str, before: str, after: str) -> None:
+    """Note the calls of a function."""
+    function = getattr(owner, name)
+
+    def noted(*arguments: Any, **more: Any) -> Any:
+        if before:
+            points.pass_by(before)
+        found = function(*arguments, **more)
+        if after:
+            points.pass_by(after)
+        return found
+
+    setattr(owner, name, noted)
+
+
+def main(arguments: list[str]) -> None:
+    """Observe, then run the verb."""
+    log, folder, last = arguments[:3]
+    points = Points(log, folder, int(last))
+    observe(points)
+    sys.addaudithook(points.audit)
+    from scoup.cli.app import entry
+
+    sys.argv = ["scoup", *arguments[3:]]
+    entry()
+
+
+if __name__ == "__main__":
+    sys.path.remove(str(Path(__file__).resolve().parent))  # its neighbours are no modules of a verb
+    main(sys.argv[1:])

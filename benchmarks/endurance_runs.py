@@ -1,0 +1,109 @@
+"""Runs of verbs in processes of their own, some of them killed, and what they leave."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from benchmarks.endurance_verbs import Scene, Verb
+
+CHILD = Path(__file__).with_name("endurance_child.py")
+HANGS = 600
+"""Seconds after which a run that nobody has killed is given up."""
+_STAGES = {"region sums": "views", "regions": "views", "vote": "vote", "outputs": "outputs", "end": "end"}
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one run of a verb did.
+
+    Attributes:
+        code: its exit code; ``KILLED`` where it was killed.
+        notes: see ``benchmarks/endurance_child.py``.
+        seconds: that it took.
+        said: on standard error, its last line.
+        by_itself: it was to end itself at a point.
+    """
+
+    KILLED: ClassVar[int] = -9
+
+    code: int
+    notes: tuple[str, ...]
+    seconds: float
+    said: str
+    by_itself: bool
+
+    def count(self, note: str) -> int:
+        """How often it noted this."""
+        return self.notes.count(note)
+
+    @property
+    def stage(self) -> str:
+        """The last one that it began: start, codes, views, vote, outputs or end."""
+        names = [note.removeprefix("stage ") for note in self.notes if note.startswith("stage ")]
+        if not names:
+            return "start"
+        return "codes" if names[-1].startswith("coding") else _STAGES.get(names[-1], names[-1])
+
+    @property
+    def kind(self) -> str:
+        """How it was killed: from outside, or at what kind of point."""
+        return " ".join(self.notes[-1].split()[:2]) if self.by_itself and self.notes else "outside"
+
+
+def run(verb: Verb, scene: Scene, point: int = 0, after: float | None = None) -> Run:
+    """Run a verb in a process of its own.
+
+    Args:
+        verb: the verb.
+        scene: what it works on.
+        point: at which it kills itself; 0 for none.
+        after: seconds after which it is killed; None for never.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "notes"
+        command = [sys.executable, str(CHILD), str(log), str(scene.work), str(point), *verb.command(scene)]
+        start = time.perf_counter()
+        with subprocess.Popen(
+            command,
+            cwd=scene.work,
+            env=environment(),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as process:
+            try:
+                _, said = process.communicate(timeout=HANGS if after is None else after)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                _, said = process.communicate()
+                if after is None:
+                    raise
+        seconds = time.perf_counter() - start
+        notes = tuple(log.read_text().splitlines()) if log.exists() else ()
+    lines = said.strip().splitlines()
+    return Run(process.returncode, notes, seconds, lines[-1] if lines else "", point > 0)
+
+
+def environment() -> dict[str, str]:
+    """This process's, with its paths of modules."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    """Contents of every file below a folder; of a folder that is empty, nothing under its name and a slash."""
+    found = {}
+    for path in folder.rglob("*"):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file():
+            found[name] = path.read_bytes()
+        elif not any(path.iterdir()):
+            found[f"{name}/"] = b""
+    return found

@@ -1,0 +1,83 @@
+"""The last steps of a verb: finished files get their names, and what was kept for an interruption goes.
+
+They are written down before the first of them, so that they are all taken, or none, whatever ends the process.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from scoup.base.errors import WriteError
+from scoup.base.holding import HEX, LONGEST_STEM
+
+
+@dataclass(frozen=True)
+class LastSteps:
+    """Files beside one output: which are moved to which names, in this order, and which are then removed.
+
+    Attributes:
+        output: the file, or field, that was made.
+        moves: (from, to), paths relative to the folder of the output.
+        removed: paths relative to it.
+    """
+
+    output: Path
+    moves: tuple[tuple[str, str], ...]
+    removed: tuple[str, ...]
+
+    @classmethod
+    def of(cls, output: Path, moves: Mapping[Path, Path], removed: Iterable[Path]) -> LastSteps:
+        """The steps for files in the folder of the output, or in a hidden folder there."""
+        home = output.parent
+        pairs = tuple((str(a.relative_to(home)), str(b.relative_to(home))) for a, b in moves.items())
+        return cls(output, pairs, tuple(str(path.relative_to(home)) for path in removed))
+
+    @classmethod
+    def of_record(cls, output: Path, record: Any) -> LastSteps:
+        """The steps that ``record`` wrote.
+
+        Raises:
+            ValueError, TypeError, KeyError: it is no such record, or names files that do not belong to the output.
+        """
+        moves = tuple((str(first), str(second)) for first, second in record["moves"])
+        removed = tuple(str(name) for name in record["removed"])
+        own = re.escape(output.name) + r"(\.\w+)*"
+        hidden = rf"\.{re.escape(output.stem[:LONGEST_STEM])}\.{HEX}{re.escape(output.suffix)}/{re.escape(output.name)}"
+        before = [*(first for first, _ in moves), *removed]
+        after = [second for _, second in moves]
+        if not all(re.fullmatch(rf"{own}|{hidden}", name) for name in before):
+            raise ValueError("files that do not belong to the output")
+        if not all(re.fullmatch(own, name) for name in after):
+            raise ValueError("names that do not belong to the output")
+        return cls(output, moves, removed)
+
+    def record(self) -> dict[str, Any]:
+        """As JSON values."""
+        moves = [[Path(first).as_posix(), second] for first, second in self.moves]
+        return {"moves": moves, "removed": list(self.removed)}
+
+    def take(self) -> list[str]:
+        """Take the steps that are still to be taken; returns the names of the files moved.
+
+        Raises:
+            WriteError: the system refuses to move a file.
+        """
+        home, moved = self.output.parent, []
+        for first, second in self.moves:
+            try:
+                os.replace(home / first, home / second)
+            except FileNotFoundError:  # moved already
+                continue
+            except OSError as error:
+                raise WriteError.of(home / second, error) from error
+            moved.append(second)
+        for name in self.removed:
+            with suppress(OSError):
+                (home / name).unlink()
+        return moved
