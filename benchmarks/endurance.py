@@ -14,6 +14,7 @@ again" also those that it was at. What is kept is counted in the files that it l
 
 from __future__ import annotations
 
+import functools
 import random
 import tempfile
 from collections import Counter
@@ -65,13 +66,13 @@ class Plain:
 
     Attributes:
         seconds: that it takes.
-        points: that it passes.
+        notes: of the points that it passes.
         files: what is in the folder afterwards.
         before: what was there.
     """
 
     seconds: float
-    points: int
+    notes: tuple[str, ...]
     files: dict[str, bytes]
     before: dict[str, bytes]
 
@@ -177,6 +178,7 @@ def endure(verb: Verb, scene: Scene, kills: int, seed: int, outside: float = 0.5
     return trials
 
 
+@functools.cache
 def undisturbed(verb: Verb, scene: Scene) -> Plain:
     """A run that nobody kills."""
     verb.prepare(scene)
@@ -184,7 +186,7 @@ def undisturbed(verb: Verb, scene: Scene) -> Plain:
     found = run(verb, scene)
     if found.code != 0:
         raise SystemExit(f"{verb.name} ended with {found.code}: {found.said}")
-    return Plain(found.seconds, len(found.notes), snapshot(scene.work), before)
+    return Plain(found.seconds, found.notes, snapshot(scene.work), before)
 
 
 def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int, outside: float) -> Trial:
@@ -218,7 +220,7 @@ def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int
 
 def killed(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, outside: float) -> Run:
     """A run that is killed at a random moment, if it is not over before."""
-    moment, point = dice.random(), dice.randint(1, plain.points)
+    moment, point = dice.random(), dice.randint(1, len(plain.notes))
     if dice.random() < outside:
         return run(verb, scene, after=moment * EARLY * plain.seconds)
     return run(verb, scene, point=point)

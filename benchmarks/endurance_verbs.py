@@ -11,8 +11,11 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+
 from benchmarks.endurance_runs import Run, environment
 from scoup.base.errors import ScoupError
+from scoup.io import save_png
 from scoup.io.regions.store import RegionStore
 from scoup.synthetic.folder import write_demo_scene
 from scoup.synthetic.scene import make_demo_scene
@@ -20,6 +23,7 @@ from scoup.uplift.region_sums import RegionSums
 
 QUICK = ("--n-atoms", "16", "--effort", "fast")
 FIELD = "a.scoup"
+SIDE, RECTANGLES = 64, 2  # of the plain photographs
 _PROGRAM = (sys.executable, "-c", "from scoup.cli.app import entry; entry()")
 
 
@@ -28,7 +32,7 @@ class Scene:
     """What verbs work on.
 
     Attributes:
-        folder: of the scene: photographs, splat, cameras, regions.
+        folder: of the scene: photographs, splat, cameras, regions; ``photographs`` in it has plainer ones.
         views: of it.
         earlier: views that the kept field of ``kept`` has.
         kept: folder with a field of some of the views, and its region sums.
@@ -130,8 +134,16 @@ def _n_views(path: Path) -> int:
 
 BUILD = ("build", "SCENE", *QUICK, "--out", FIELD)
 UPDATE = ("update", FIELD, "--scene", "SCENE", "--add", "all", "--overwrite")
-EXTRACT = ("extract", "SCENE", "--segmenter", "felzenszwalb", "--embedder", "colors", "--max-height", "60",
-           "--out", "regions")  # fmt: skip
+EXTRACT = (
+    "extract",
+    "SCENE/photographs",
+    "--segmenter",
+    "felzenszwalb",
+    "--embedder",
+    "colors",
+    "--out",
+    "regions",
+)
 # Of build and update, a view is written while the next is rasterised: both are begun again.
 VERBS = {
     verb.name: verb
@@ -156,6 +168,7 @@ def make_scene(folder: Path, views: int = 12, width: int = 240, n_gaussians: int
     """
     scene = Scene(folder / "scene", views, views // 3, folder / "kept", folder / "work")
     write_demo_scene(make_demo_scene(0, n_gaussians, width, width * 3 // 4, views, 1), scene.folder)
+    write_photographs(scene.folder / "photographs", views)
     scene.kept.mkdir()
     features = scene.folder / "language_features"
     hidden = folder / "later"
@@ -169,3 +182,16 @@ def make_scene(folder: Path, views: int = 12, width: int = 240, n_gaussians: int
         path.rename(features / path.name)
     hidden.rmdir()
     return scene
+
+
+def write_photographs(folder: Path, count: int) -> None:
+    """Pictures of a few rectangles: those of the scene have hundreds of regions, for each of which time would pass."""
+    generator = torch.Generator().manual_seed(0)
+    for number in range(count):
+        picture = torch.full((SIDE, SIDE, 3), 90, dtype=torch.uint8)
+        for _ in range(RECTANGLES):
+            top, left = torch.randint(SIDE // 2, (2,), generator=generator).tolist()
+            picture[top : top + SIDE // 2, left : left + SIDE // 3] = torch.randint(
+                255, (3,), generator=generator
+            )
+        save_png(picture, folder / f"photograph_{number:02}.png")

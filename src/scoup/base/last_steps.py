@@ -33,10 +33,19 @@ class LastSteps:
 
     @classmethod
     def of(cls, output: Path, moves: Mapping[Path, Path], removed: Iterable[Path]) -> LastSteps:
-        """The steps for files in the folder of the output, or in a hidden folder there."""
+        """The steps for files in the folder of the output whose names begin with its name, or of its name in one of its
+        hidden folders.
+
+        Raises:
+            ValueError: there are others.
+        """
         home = output.parent
-        pairs = tuple((str(a.relative_to(home)), str(b.relative_to(home))) for a, b in moves.items())
-        return cls(output, pairs, tuple(str(path.relative_to(home)) for path in removed))
+
+        def name(path: Path) -> str:
+            return path.relative_to(home).as_posix()
+
+        pairs = [(name(first), name(second)) for first, second in moves.items()]
+        return cls.of_record(output, {"moves": pairs, "removed": [name(path) for path in removed]})
 
     @classmethod
     def of_record(cls, output: Path, record: Any) -> LastSteps:
@@ -59,8 +68,17 @@ class LastSteps:
 
     def record(self) -> dict[str, Any]:
         """As JSON values."""
-        moves = [[Path(first).as_posix(), second] for first, second in self.moves]
-        return {"moves": moves, "removed": list(self.removed)}
+        return {"moves": [list(pair) for pair in self.moves], "removed": list(self.removed)}
+
+    @property
+    def is_left(self) -> bool:
+        """Whether a file is still to be moved."""
+        return any((self.output.parent / first).exists() for first, _ in self.moves)
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether a file was moved."""
+        return not all((self.output.parent / first).exists() for first, _ in self.moves)
 
     def take(self) -> list[str]:
         """Take the steps that are still to be taken; returns the names of the files moved.

@@ -45,8 +45,9 @@ class Lock:
     def finish(self, moves: Mapping[Path, Path], removed: Iterable[Path] = ()) -> None:
         """Give finished files their names and remove others: all of it or, where nothing was begun, nothing.
 
-        The steps are written into the lock first. Killed in the midst of them, the process leaves the rest to the
-        next one that locks the output, or calls ``complete``. Interruptions and terminations wait.
+        The steps are written into the lock first. Killed, or refused by the system, in the midst of them, the process
+        leaves the lock, and with it the rest to the next one that locks the output, or calls ``complete``.
+        Interruptions and terminations wait.
 
         Args:
             moves: files beside the output, or in hidden folders there -> their names beside it.
@@ -59,7 +60,12 @@ class Lock:
         with stops_held_back():
             if self.descriptor is not None:
                 _write_holder(self.output, self.descriptor, steps)
-            steps.take()
+            try:
+                steps.take()
+            except WriteError:
+                if self.descriptor is not None and not steps.is_begun:
+                    _write_holder(self.output, self.descriptor)
+                raise
 
 
 @contextmanager
@@ -157,16 +163,28 @@ def _held(output: Path, lock: Path, temporary: re.Pattern[str]) -> Iterator[int]
             raise WriteError.of(output, error) from error
         try:
             _complete(output, descriptor, lock)
+        except BaseException:
+            os.close(descriptor)
+            raise
+        try:
             _write_holder(output, descriptor)
             remove_abandoned(lock.parent, temporary)
             yield descriptor
         finally:
-            with suppress(OSError):
-                lock.unlink()  # before it is free: nobody else holds this very file
-            os.close(descriptor)
-            with suppress(OSError):
-                if os.name == "nt":  # where an open file cannot be removed
-                    lock.unlink()
+            _release(output, descriptor, lock)
+
+
+def _release(output: Path, descriptor: int, lock: Path) -> None:
+    """Close a lock and remove it, unless it says what is still to be done."""
+    steps = _last_steps(output, descriptor)
+    done = steps is None or not steps.is_left
+    with suppress(OSError):
+        if done:
+            lock.unlink()  # before it is free: nobody else holds this very file
+    os.close(descriptor)
+    with suppress(OSError):
+        if done and os.name == "nt":  # where an open file cannot be removed
+            lock.unlink()
 
 
 def _acquired(output: Path, lock: Path) -> int:
@@ -214,20 +232,29 @@ def _foreign(lock: Path) -> InputError:
 
 def _complete(output: Path, descriptor: int, lock: Path) -> None:
     """Take the last steps that the holder before was about to take when it died."""
-    contents = _contents(descriptor)
-    if contents is None or _LAST_STEPS not in contents:
-        return
     try:
-        steps = LastSteps.of_record(output, contents[_LAST_STEPS])
+        steps = _last_steps(output, descriptor)
     except (ValueError, KeyError, TypeError) as error:
         raise _foreign(lock) from error
-    moved = steps.take()
+    moved = [] if steps is None else steps.take()
     if moved:
         warnings.warn(
             f"{output}: put in place what a killed process had finished ({', '.join(moved)})",
             ScoupWarning,
             stacklevel=2,
         )
+
+
+def _last_steps(output: Path, descriptor: int) -> LastSteps | None:
+    """Those in a lock.
+
+    Raises:
+        ValueError, KeyError, TypeError: they make no sense.
+    """
+    contents = _contents(descriptor)
+    if not isinstance(contents, dict) or _LAST_STEPS not in contents:
+        return None
+    return LastSteps.of_record(output, contents[_LAST_STEPS])
 
 
 def _write_holder(output: Path, descriptor: int, steps: LastSteps | None = None) -> None:
