@@ -1,6 +1,6 @@
 """Verbs that are killed at random moments and run again: same bytes, little done twice, nothing left.
 
-    python -m benchmarks.endurance [--kills 100] [--seed 0] [--verbs build update extract] [--out FILE.json]
+    python -m benchmarks.endurance [--kills 100] [--seed 0] [--verbs build merge extract] [--out FILE.json]
 
 Each verb runs as a process of its own (``benchmarks/endurance_child.py``) on a small synthetic scene. Half of the kills
 come from outside, after a random part of the time that an undisturbed run takes; half come at a random point: before
@@ -205,7 +205,7 @@ def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int
             break
     last = run(verb, scene)
     files = snapshot(scene.work)
-    wanted = 0 if verb.is_finished(last) else scene.n_views(verb) - kept
+    wanted = 0 if verb.is_finished(last) else verb.n_views(scene) - kept
     return Trial(
         tuple(kills),
         late,

@@ -15,14 +15,15 @@ import torch
 
 from benchmarks.endurance_runs import Run, environment
 from scoup.base.errors import ScoupError
-from scoup.io import save_png
+from scoup.io import save_gaussians, save_png
 from scoup.io.regions.store import RegionStore
 from scoup.synthetic.folder import write_demo_scene
 from scoup.synthetic.scene import make_demo_scene
 from scoup.uplift.region_sums import RegionSums
 
 QUICK = ("--n-atoms", "16", "--effort", "fast")
-FIELD = "a.scoup"
+FIELD, SHARD = "a.scoup", "a.scoup.1-of-2.sums"
+FIELD_KEPT, SHARDS = "field", "shards"
 SIDE, RECTANGLES = 64, 2  # of the plain photographs
 _PROGRAM = (sys.executable, "-c", "from scoup.cli.app import entry; entry()")
 
@@ -34,20 +35,17 @@ class Scene:
     Attributes:
         folder: of the scene: photographs, splat, cameras, regions; ``photographs`` in it has plainer ones.
         views: of it.
-        earlier: views that the kept field of ``kept`` has.
-        kept: folder with a field of some of the views, and its region sums.
+        earlier: views that the kept field has.
+        starts: folder of what verbs begin with: FIELD_KEPT, a field of some of the views and its region sums; SHARDS,
+            the shards of all views.
         work: folder that verbs write into.
     """
 
     folder: Path
     views: int
     earlier: int
-    kept: Path
+    starts: Path
     work: Path
-
-    def n_views(self, verb: Verb) -> int:
-        """How many views a verb makes."""
-        return self.views - self.earlier if verb.on_kept else self.views
 
 
 @dataclass(frozen=True)
@@ -61,8 +59,9 @@ class Verb:
         kept_in: counts the views of this verb that are kept in a folder of work.
         may_begin_again: views that are begun again after a kill, at most: by how the verb is made.
         finished: what the verb says, refused because its work is done.
-        on_kept: it begins with the kept field of some of the views.
-        new: the outputs that must be new together, or none of them.
+        n_views: how many views it makes.
+        start: what it begins with, in ``Scene.starts``; "" for nothing.
+        new: the outputs that must be new together, or none of them; the lock is that of the first.
     """
 
     name: str
@@ -70,7 +69,8 @@ class Verb:
     kept_in: Callable[[Path], int]
     may_begin_again: int
     finished: str
-    on_kept: bool = False
+    n_views: Callable[[Scene], int]
+    start: str = ""
     new: tuple[str, ...] = ()
 
     def command(self, scene: Scene) -> list[str]:
@@ -80,8 +80,8 @@ class Verb:
     def prepare(self, scene: Scene) -> None:
         """Make the folder of work new."""
         shutil.rmtree(scene.work, ignore_errors=True)
-        if self.on_kept:
-            shutil.copytree(scene.kept, scene.work)
+        if self.start:
+            shutil.copytree(scene.starts / self.start, scene.work)
         else:
             scene.work.mkdir(parents=True)
 
@@ -103,12 +103,22 @@ class Verb:
 
     def says_how_to_go_on(self, files: dict[str, bytes]) -> bool:
         """Whether the lock says which files are still to be put in their places."""
-        return b'"last_steps"' in files.get(f"{FIELD}.lock", b"")
+        return bool(self.new) and b'"last_steps"' in files.get(f"{self.new[0]}.lock", b"")
 
 
 def views_of_build(work: Path) -> int:
     """Views in the region sums that an interrupted build has left."""
     return _n_views(work / f"{FIELD}.partial")
+
+
+def views_of_shard(work: Path) -> int:
+    """Views in the region sums that an interrupted shard has left."""
+    return _n_views(work / f"{SHARD}.partial")
+
+
+def no_views(_: Path) -> int:
+    """None: the verb keeps no views of its own for its next run."""
+    return 0
 
 
 def views_of_update(work: Path) -> int:
@@ -133,7 +143,9 @@ def _n_views(path: Path) -> int:
 
 
 BUILD = ("build", "SCENE", *QUICK, "--out", FIELD)
-UPDATE = ("update", FIELD, "--scene", "SCENE", "--add", "all", "--overwrite")
+OF_SHARD = ("build", "SCENE", "--out", FIELD, "--shard")
+MERGE = ("merge", SHARD, f"{FIELD}.2-of-2.sums", *QUICK, "--keep-sums")
+UPDATE = ("update", FIELD, "--scene", "SCENE", "--overwrite")
 EXTRACT = (
     "extract",
     "SCENE/photographs",
@@ -144,15 +156,30 @@ EXTRACT = (
     "--out",
     "regions",
 )
-# Of build and update, a view is written while the next is rasterised: both are begun again.
+THERE, NO_WORK = "already exists", "nothing to do"
+WITH_SUMS = (FIELD, f"{FIELD}.sums")
+
+
+def all_views(scene: Scene) -> int:
+    """Those of the scene."""
+    return scene.views
+
+
+# Of build and update, a view is written while the next is rasterised: both are begun again. What a merge rasterises is
+# nothing; what follows an edit is made anew.
 VERBS = {
     verb.name: verb
     for verb in (
-        Verb("build", BUILD, views_of_build, 2, "already exists", new=(FIELD,)),
-        Verb("build --keep-sums", (*BUILD, "--keep-sums"), views_of_build, 2, "already exists",
-             new=(FIELD, f"{FIELD}.sums")),
-        Verb("update", UPDATE, views_of_update, 2, "nothing to do", on_kept=True, new=(FIELD, f"{FIELD}.sums")),
-        Verb("extract", EXTRACT, views_extracted, 1, "nothing to do"),
+        Verb("build", BUILD, views_of_build, 2, THERE, all_views, new=(FIELD,)),
+        Verb("build --keep-sums", (*BUILD, "--keep-sums"), views_of_build, 2, THERE, all_views, new=WITH_SUMS),
+        Verb("build --shard", (*OF_SHARD, "1/2"), views_of_shard, 2, THERE,
+             lambda scene: scene.views // 2, new=(SHARD,)),
+        Verb("merge", MERGE, no_views, 0, THERE, lambda _: 0, SHARDS, WITH_SUMS),
+        Verb("update --add", (*UPDATE, "--add", "all"), views_of_update, 2, NO_WORK,
+             lambda scene: scene.views - scene.earlier, FIELD_KEPT, WITH_SUMS),
+        Verb("update --edited", (*UPDATE, "--edited", "SCENE/../edited.ply"), no_views, 4, NO_WORK,
+             lambda scene: scene.earlier, FIELD_KEPT, WITH_SUMS),
+        Verb("extract", EXTRACT, views_extracted, 1, NO_WORK, all_views),
     )
 }  # fmt: skip
 
@@ -166,22 +193,32 @@ def make_scene(folder: Path, views: int = 12, width: int = 240, n_gaussians: int
         width: of the photographs; they are three quarters as high.
         n_gaussians: of the scene.
     """
-    scene = Scene(folder / "scene", views, views // 3, folder / "kept", folder / "work")
-    write_demo_scene(make_demo_scene(0, n_gaussians, width, width * 3 // 4, views, 1), scene.folder)
+    scene = Scene(folder / "scene", views, views // 3, folder / "starts", folder / "starts" / "work")
+    made = make_demo_scene(0, n_gaussians, width, width * 3 // 4, views, 1)
+    write_demo_scene(made, scene.folder)
+    kept = made.gaussians.select(slice(n_gaussians // 100, None))
+    save_gaussians(kept, folder / "edited.ply")
     write_photographs(scene.folder / "photographs", views)
-    scene.kept.mkdir()
-    features = scene.folder / "language_features"
-    hidden = folder / "later"
+    for number in ("1", "2"):
+        _run(scene, SHARDS, (*OF_SHARD, f"{number}/2"))
+    features, hidden = scene.folder / "language_features", folder / "later"
     hidden.mkdir()
     for path in sorted(features.iterdir())[2 * scene.earlier :]:
         path.rename(hidden / path.name)
-    # Where it will be used, as the field names its splat relative to its folder.
-    command = [*_PROGRAM, *VERBS["build --keep-sums"].command(scene)]
-    subprocess.run(command, cwd=scene.kept, env=environment(), check=True, stdout=subprocess.DEVNULL)
+    _run(scene, FIELD_KEPT, (*BUILD, "--keep-sums"))
     for path in hidden.iterdir():
         path.rename(features / path.name)
     hidden.rmdir()
     return scene
+
+
+def _run(scene: Scene, start: str, arguments: tuple[str, ...]) -> None:
+    """Run a verb that makes what others begin with, as deep as these work, since a field names its splat relative to
+    its folder."""
+    folder = scene.starts / start
+    folder.mkdir(parents=True, exist_ok=True)
+    command = [*_PROGRAM, *(argument.replace("SCENE", str(scene.folder)) for argument in arguments)]
+    subprocess.run(command, cwd=folder, env=environment(), check=True, stdout=subprocess.DEVNULL)
 
 
 def write_photographs(folder: Path, count: int) -> None:

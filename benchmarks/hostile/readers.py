@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import gzip
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +37,9 @@ from scoup.io.splats.gltf import read_gltf, read_gltf_features
 from scoup.models.word_table import load_table
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.shards import Shard, merge
 from scoup.uplift.vote import vote
 
 
@@ -62,6 +65,7 @@ SPZ = Memory(1500, 64)  # a hundred times the file, and 4 MB besides, are unpack
 TABLES = Memory(128, 128)  # of .npz twenty times the file, and 16 MB besides, are unpacked
 LABELS = Memory(6000, 64)  # label maps without a region are packed a thousandfold
 MOST_REGIONS = 16  # of a view that votes
+OF_SHARDS = BuildSettings(n_atoms=4, k=1, rounds=1, effort="fast")
 
 
 @dataclass(frozen=True)
@@ -148,13 +152,27 @@ def _field(file: str, *more: str) -> Reader:
 
 def _sums(folder: Path) -> None:
     """A file opened, its entries as triplets, and a round of the vote by every backend of the processor."""
-    path = folder / "a.sums"
-    sums = RegionSums.open(path)
-    try:
+    with _opened_sums(folder / "a.sums") as sums:
         for name in sums.views:
             for level in range(len(sums.levels)):
                 sums.triplets(name, level)
         _vote(sums)
+
+
+def _shard(folder: Path) -> None:
+    """A shard, and the field of it alone."""
+    with _opened_sums(folder / "a.1-of-2.sums") as sums:
+        if max((sum(sums.n_regions(name)) for name in sums.views), default=0) <= MOST_REGIONS:
+            merge([sums], OF_SHARDS)
+        else:
+            Shard.kept(sums)
+
+
+@contextmanager
+def _opened_sums(path: Path) -> Iterator[RegionSums]:
+    sums = RegionSums.open(path)
+    try:
+        yield sums
     except FileFormatError:
         raise
     except InputError as error:  # whoever uses the sums knows their file
@@ -235,6 +253,7 @@ READERS: Mapping[str, Reader] = {
     "field": _field("a.scoup", "bytes.scoup"),
     "field with a splat beside it": _field("linked.scoup"),
     "region sums": Reader("a.sums", _sums, (), (of.RECORDS,)),
+    "shards": Reader("a.1-of-2.sums", _shard, (), (of.RECORDS,)),
     "words.npz": _words("words.npz", "single.npz", "alike.npz", containers=(of.ZIP,), memory=TABLES),
     "words.json": _words("words.json"),
     "words.safetensors": _words("words.safetensors", "joined.safetensors", containers=(of.SAFETENSORS,)),

@@ -28,6 +28,7 @@ from tests.io_samples import (
 )
 from tests.support import small_scene
 
+from scoup.base.processes import Processes
 from scoup.field.language_field import LanguageField
 from scoup.io import (
     as_stored,
@@ -50,6 +51,8 @@ from scoup.io.splats.scenesplat import write_scenesplat
 from scoup.models.word_table import save_table
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.rasterise import region_sums
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.shards import add_shard
 
 SIZE = (8, 6)  # of label maps and photographs
 MANY = 2000  # Gaussians of the larger files
@@ -168,6 +171,9 @@ def _write_fields(folder: Path) -> None:
     gaussians, cameras, regions = small_scene(count=40, views=2, width=16, height=12)
     sums = region_sums(gaussians, cameras, regions, path=folder / "a.sums")
     sums.keep_codes({"step": 1}, {"codebook": torch.ones(3, 4)})
+    sums.close()
+    sums = RegionSums.of(gaussians, regions.levels, path=folder / "a.1-of-2.sums")
+    add_shard(sums, gaussians, cameras, regions, Processes(0, 2), check_fit=False)
     sums.close()
 
 

@@ -1,5 +1,5 @@
-"""A city of blocks with a building each, as large as wanted: its splat, written part by part, cameras in its streets, and
-the regions that they see, by rays against the buildings.
+"""A city of blocks with a building each, as large as wanted: its splat, written part by part, cameras in its streets,
+and the regions that they see, by rays against the buildings.
 """
 
 from __future__ import annotations
@@ -163,11 +163,11 @@ def _hit(city: City, camera: Camera) -> tuple[NDArray[np.int64], NDArray[np.int6
     )
     rays = rays @ camera.viewmat[:3, :3].numpy()
     eye = camera.position.numpy()
-    near = np.flatnonzero((np.abs(city.boxes[:, :, :2].mean(1) - eye[:2]).max(1) < FAR))
+    near = np.flatnonzero(np.abs(city.boxes[:, :, :2].mean(1) - eye[:2]).max(1) < FAR)
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = (city.boxes[near][None] - eye) / rays[:, None, None]  # [P, boxes, 2, 3]
         enter, leave = ends.min(2), ends.max(2)
-        distance = enter.max(2)
+        distance: NDArray[np.float64] = enter.max(2)
         distance = np.where((distance > 0) & (distance <= leave.min(2)) & (distance < FAR), distance, np.inf)
         street = np.where(rays[:, 2] < 0, -eye[2] / rays[:, 2], np.inf)
     best = distance.argmin(1) if len(near) else np.zeros(len(rays), np.int64)
@@ -184,4 +184,4 @@ def _hit(city: City, camera: Camera) -> tuple[NDArray[np.int64], NDArray[np.int6
         on_street, np.where(paved, row * city.columns + column, -1), near[best] if len(near) else -1
     )
     axis = np.where(on_street, 2, enter[rows, best].argmax(1) if len(near) else 2)
-    return np.where(hits < FAR, block, -1), axis, place
+    return np.where(hits < FAR, block, -1), axis, place.astype(np.float64)

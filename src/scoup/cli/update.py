@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.scene.cameras import Camera, Cameras
     from scoup.scene.regions import Regions
-    from scoup.uplift.edited_splat import Followed, KeptSums
     from scoup.uplift.checkpoint import ChangedCopy
+    from scoup.uplift.edited_splat import Followed, KeptSums
 
 Names = Annotated[
     tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
@@ -88,7 +88,9 @@ class Update(FieldOptions, ViewOptions):
         from scoup.uplift.update import update
 
         out, source = self._output(also_sums=True), self._source()
-        with locked_file(out, self.overwrite) as lock:  # before reading: nobody else changes the field meanwhile
+        with locked_file(
+            out, self.overwrite
+        ) as lock:  # before reading: nobody else changes the field meanwhile
             field = self.open_field()
             cameras, regions = self._changed_views(field, source)
             with changed_copy(source, out, cameras, regions) as copied, console.progress() as progress:
@@ -131,6 +133,8 @@ class Update(FieldOptions, ViewOptions):
         tolerance = None if self.tolerance is None else Tolerance(self.tolerance)
         with locked_file(out, self.overwrite) as lock:
             field, gaussians = self.open_field(), load_gaussians(edited)
+            if gaussians.fingerprint() == field.fingerprint:
+                raise InputError(f"nothing to do: {edited} is the splat of {self.field} already")
             embed = field.geometry_path is None
             with self._kept_sums(out) as kept, console.progress() as progress:
                 found = follow(

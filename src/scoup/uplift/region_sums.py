@@ -21,8 +21,9 @@ from scoup.base.processes import Processes
 from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.uplift.storage.entries import BUCKET, Entries, ViewRecord, pack
+from scoup.uplift.storage.entries import BUCKET, ViewRecord
 from scoup.uplift.storage.matrices import csr_matrix, triplets_of
+from scoup.uplift.storage.packing import Packer
 from scoup.uplift.storage.record_file import Record, RecordFile, bytes_of
 from scoup.uplift.storage.store import MOST_IN_MEMORY, Store, Stores
 
@@ -83,8 +84,7 @@ class RegionSums:
         self.rows: Rows | None = None
         self.codes: dict[str, Any] | None = None
         self.inputs: dict[str, Any] | None = None
-        self._place_of: dict[torch.device, Tensor] = {}
-        self._same_order: Tensor | None = None
+        self._packer = Packer(self.order, weights, least_weight)
         if path is not None and path.exists():
             raise InputError(f"{path}: is there already; open it, or name another file")
         head = Record(SUMS, self._header(), {"order": self.order.int().numpy()})
@@ -217,7 +217,7 @@ class RegionSums:
             )
         digest = "" if camera is None else camera.fingerprint()
         self.append_record(
-            view_name, ViewRecord(digest, sums.labels_digest, tuple(self._packed(sums, order)))
+            view_name, ViewRecord(digest, sums.labels_digest, tuple(self._packer.entries(sums, order)))
         )
 
     def append_record(self, view_name: str, view: ViewRecord) -> None:
@@ -270,7 +270,7 @@ class RegionSums:
         Raises:
             InputError: the file cannot be written, or was opened for reading only.
         """
-        if not self.writable:
+        if not isinstance(self._store, Store) or not self.writable:
             raise InputError(f"{self.path}: was opened for reading only")
         self._store, records = self._store.with_only(self._living())
         self.views = {}
@@ -361,30 +361,6 @@ class RegionSums:
         if view_name not in self.views:
             raise InputError(f"there are no region sums of the view {view_name!r}")
         return self.views[view_name]
-
-    def _packed(self, sums: ViewSums, order: Tensor | None) -> list[Entries]:
-        gaussian, combination, weight = sums.gaussian, sums.combination, sums.weight
-        if self.least_weight > 0:
-            kept = weight >= self.least_weight
-            gaussian, combination, weight = gaussian[kept], combination[kept], weight[kept]
-        if not self._is_order(order):
-            place = self._places(gaussian.device)
-            row = gaussian.long() if order is None else order.to(gaussian.device)[gaussian.long()]
-            gaussian, by_place = torch.sort(place[row], stable=True)
-            combination, weight = combination[by_place], weight[by_place]
-        parts = [part.cpu().numpy() for part in (gaussian, combination, weight, sums.table)]
-        return pack(parts[0], parts[1], parts[2], parts[3], self.n_buckets, np.dtype(self.weights))
-
-    def _is_order(self, order: Tensor | None) -> bool:
-        if order is not None and order is not self._same_order and torch.equal(order.cpu(), self.order):
-            self._same_order = order  # compared again for each view
-        return order is not None and order is self._same_order
-
-    def _places(self, device: torch.device) -> Tensor:
-        """[N] int64: the place here of each row of the scene."""
-        if device not in self._place_of:
-            self._place_of[device] = torch.argsort(self.order).to(device)
-        return self._place_of[device]
 
 
 def _view_header(view_name: str, view: ViewRecord) -> dict[str, Any]:

@@ -1,0 +1,57 @@
+"""From the region sums of a view, as a rasteriser makes them, to the entries that are kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.raster import ViewSums
+from scoup.uplift.storage.entries import BUCKET, Entries, pack
+
+
+class Packer:
+    """Packs views whose Gaussians are in any order, and remembers what the order of the last view has cost.
+
+    Args:
+        order: [N] int64, the row of the scene that each Gaussian of the entries is.
+        weights: "float32" or "float16".
+        least_weight: entries below are left out; 0 keeps all.
+    """
+
+    def __init__(self, order: Tensor, weights: str, least_weight: float) -> None:
+        self._order = order
+        self._weights = np.dtype(weights)
+        self._least_weight = least_weight
+        self._place_of: dict[torch.device, Tensor] = {}
+        self._same_order: Tensor | None = None
+
+    def entries(self, sums: ViewSums, order: Tensor | None) -> list[Entries]:
+        """The entries of a view.
+
+        Args:
+            sums: from ``raster.region_sums``.
+            order: [N] int64, the row of the scene that each of the Gaussians rasterised is; None where none was moved.
+        """
+        gaussian, combination, weight = sums.gaussian, sums.combination, sums.weight
+        if self._least_weight > 0:
+            kept = weight >= self._least_weight
+            gaussian, combination, weight = gaussian[kept], combination[kept], weight[kept]
+        if not self._is_same(order):
+            place = self._places(gaussian.device)
+            row = gaussian.long() if order is None else order.to(gaussian.device)[gaussian.long()]
+            gaussian, by_place = torch.sort(place[row], stable=True)
+            combination, weight = combination[by_place], weight[by_place]
+        parts = [part.cpu().numpy() for part in (gaussian, combination, weight, sums.table)]
+        return pack(parts[0], parts[1], parts[2], parts[3], -(-len(self._order) // BUCKET), self._weights)
+
+    def _is_same(self, order: Tensor | None) -> bool:
+        if order is not None and order is not self._same_order and torch.equal(order.cpu(), self._order):
+            self._same_order = order  # compared once, not again for each view
+        return order is not None and order is self._same_order
+
+    def _places(self, device: torch.device) -> Tensor:
+        """[N] int64: the place here of each row of the scene."""
+        if device not in self._place_of:
+            self._place_of[device] = torch.argsort(self._order).to(device)
+        return self._place_of[device]
