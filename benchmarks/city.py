@@ -49,6 +49,8 @@ class Arguments:
     """Views while Gaussians grow."""
     size_of_views: int = 3_000_000
     """Gaussians while views grow."""
+    views_per_million: int = 66
+    """Views for a million Gaussians while both grow, at the same sizes but the smallest."""
     limit: float = 16
     """GB that a build may take, with what the system caches for it."""
     threads: int = 2
@@ -67,6 +69,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         check_output(arguments.out, arguments.overwrite)
     cases = [("gaussians", size, arguments.views_of_sizes) for size in arguments.sizes]
     cases += [("views", arguments.size_of_views, views) for views in arguments.views]
+    cases += [("both", size, arguments.views_per_million * size // 1_000_000) for size in arguments.sizes[1:]]
     results: dict[tuple[int, int], dict[str, Any]] = {}
     for size in dict.fromkeys(size for _, size, _ in cases):
         views = sorted({views for _, each, views in cases if each == size})
@@ -79,7 +82,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
                "sums, GB", "coded"]  # fmt: skip
     print(markdown(headers, rows, left=1))
     slopes = {}
-    for grows, position in (("gaussians", 1), ("views", 2)):
+    for grows, position in (("gaussians", 1), ("views", 2), ("both", 1)):
         chosen = [case for case in cases if case[0] == grows]
         if len(chosen) > 1:
             sizes = [float(case[position]) for case in chosen]
@@ -94,6 +97,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
             "threads": arguments.threads,
             "views_of_sizes": arguments.views_of_sizes,
             "size_of_views": arguments.size_of_views,
+            "views_per_million": arguments.views_per_million,
             "a_block": A_BLOCK,
         },
         "cases": [{"grows": case[0], **results[case[1:]]} for case in cases],
