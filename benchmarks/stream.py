@@ -193,8 +193,10 @@ def _streamed(
 
 def _touched(sums: RegionSums, view_name: str) -> np.ndarray:
     """Boolean [B]: buckets with entries of a view."""
-    counts = [np.diff(part.starts.astype(np.int64)) for part in sums.views[view_name].parts]
-    return np.sum(counts, axis=0) > 0
+    found = np.zeros(sums.n_buckets, bool)
+    for part in sums.views[view_name].parts:
+        found[part.buckets] = True
+    return found
 
 
 def _table(rows: list[dict[str, Any]]) -> str:

@@ -49,7 +49,7 @@ nb::tuple py_region_sums(const Projection& projection, const Array& map, int thr
 // A vote, and the arrays that it reads.
 class BoundVote {
   public:
-    using ViewArrays = std::tuple<Array, Array, Array, Array, Array>;
+    using ViewArrays = std::tuple<Array, Array, Array, Array, Array, Array>;
     using CodeArrays = std::tuple<Array, Array>;
     using EarlierArrays = std::tuple<Array, Array, Array>;
 
@@ -107,16 +107,16 @@ class BoundVote {
             const Indices atoms = code_indices(indices, "code indices", {rows, k}, int32_t(n_atoms));
             codes.push_back({atoms.bytes, atoms.wide, data_of<float>(weights, "code weights", {rows, k}), rows, int32_t(k)});
         }
-        const int64_t n_buckets = (n + kVoteBucket - 1) / kVoteBucket;
         std::vector<ViewSums> views;
-        for (const auto& [starts, places, combinations, weights, regions] : views_) {
+        for (const auto& [buckets, starts, places, combinations, weights, regions] : views_) {
+            const auto n_buckets = int64_t(buckets.ndim() == 1 ? buckets.shape(0) : 0);
             const auto count = int64_t(places.ndim() == 1 ? places.shape(0) : 0);
             const auto n_combinations = int64_t(regions.ndim() == 2 ? regions.shape(0) : 0);
             const bool halves = weights.dtype() == nb::dtype<uint16_t>();
-            views.push_back({data_of<uint32_t>(starts, "starts", {n_buckets + 1}), data_of<uint8_t>(places, "places", {count}),
+            views.push_back({data_of<uint32_t>(buckets, "buckets", {n_buckets}), data_of<uint32_t>(starts, "starts", {n_buckets + 1}), data_of<uint8_t>(places, "places", {count}),
                              data_of<uint16_t>(combinations, "combinations", {count}),
                              halves ? nullptr : data_of<float>(weights, "weights", {count}),
-                             halves ? data_of<uint16_t>(weights, "weights", {count}) : nullptr, count,
+                             halves ? data_of<uint16_t>(weights, "weights", {count}) : nullptr, n_buckets, count,
                              data_of<int64_t>(regions, "regions", {n_combinations, levels}), n_combinations});
         }
         return {n, int32_t(n_atoms), std::move(views), codes, grams};

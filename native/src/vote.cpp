@@ -57,6 +57,7 @@ Vote::Vote(int64_t n_gaussians, int32_t n_atoms, std::vector<ViewSums> views, co
         total += view.n_combinations;
     }
     if (total > std::numeric_limits<uint32_t>::max()) refuse("too many combinations of regions");
+    index_pieces();
     shares_ = Buffer<Share>(total * k_of_all_);
     regions_ = Buffer<int64_t>(total * this->levels());
     inverse_norms_ = Buffer<float>(total * this->levels());
@@ -65,9 +66,24 @@ Vote::Vote(int64_t n_gaussians, int32_t n_atoms, std::vector<ViewSums> views, co
 }
 
 void Vote::check(const ViewSums& view) const {
-    for (int64_t b = 0; b < n_buckets(); ++b)
+    for (int64_t b = 0; b < view.n_buckets; ++b) {
         if (view.starts[b] > view.starts[b + 1]) refuse("a bucket ends before it begins");
-    if (view.starts[0] != 0 || int64_t(view.starts[n_buckets()]) != view.n_entries) refuse("buckets have holes");
+        if (b > 0 && view.buckets[b - 1] >= view.buckets[b]) refuse("buckets are not in their order");
+    }
+    if (view.n_buckets > 0 && int64_t(view.buckets[view.n_buckets - 1]) >= n_buckets()) refuse("there is no such bucket");
+    if (view.starts[0] != 0 || int64_t(view.starts[view.n_buckets]) != view.n_entries) refuse("buckets have holes");
+}
+
+void Vote::index_pieces() {
+    first_piece_.assign(size_t(n_buckets() + 1), 0);
+    for (const ViewSums& view : views_)
+        for (int64_t b = 0; b < view.n_buckets; ++b) ++first_piece_[size_t(view.buckets[b]) + 1];
+    for (size_t b = 0; b < size_t(n_buckets()); ++b) first_piece_[b + 1] += first_piece_[b];
+    pieces_.resize(size_t(first_piece_.back()));
+    std::vector<int64_t> next(first_piece_.begin(), first_piece_.end());
+    for (size_t v = 0; v < views_.size(); ++v)
+        for (int64_t b = 0; b < views_[v].n_buckets; ++b)
+            pieces_[size_t(next[views_[v].buckets[b]]++)] = {uint32_t(v), uint32_t(b)};
 }
 
 void Vote::expand(const ViewSums& view, int64_t first, const std::vector<RegionCodes>& levels,
@@ -97,13 +113,18 @@ class Vote::Worker {
     void open(int64_t bucket) {
         count_ = std::min(kVoteBucket, vote_.n_gaussians_ - bucket * kVoteBucket);
         starts_.assign(kVoteBucket + 1, 0);
-        for (const ViewSums& view : vote_.views_)
-            for (int64_t i = view.starts[bucket]; i < view.starts[bucket + 1]; ++i) ++starts_[size_t(view.places[i]) + 1];
+        const Piece* first = vote_.pieces_.data() + vote_.first_piece_[size_t(bucket)];
+        const Piece* last = vote_.pieces_.data() + vote_.first_piece_[size_t(bucket) + 1];
+        for (const Piece* piece = first; piece < last; ++piece) {
+            const ViewSums& view = vote_.views_[piece->view];
+            for (int64_t i = view.starts[piece->at]; i < view.starts[piece->at + 1]; ++i) ++starts_[size_t(view.places[i]) + 1];
+        }
         for (size_t g = 0; g < size_t(kVoteBucket); ++g) starts_[g + 1] += starts_[g];
         if (starts_[size_t(count_)] != starts_.back()) refuse("there is no such Gaussian");
         entries_.resize(size_t(starts_.back()));
         next_.assign(starts_.begin(), starts_.end());
-        for (size_t v = 0; v < vote_.views_.size(); ++v) take(vote_.views_[v], uint32_t(vote_.first_combination_[v]), bucket);
+        for (const Piece* piece = first; piece < last; ++piece)
+            take(vote_.views_[piece->view], uint32_t(vote_.first_combination_[piece->view]), piece->at);
     }
 
     int64_t count() const { return count_; }  // Gaussians
@@ -157,8 +178,8 @@ class Vote::Worker {
     }
 
   private:
-    void take(const ViewSums& view, uint32_t first_combination, int64_t bucket) {
-        const int64_t start = view.starts[bucket], count = view.starts[bucket + 1] - start;
+    void take(const ViewSums& view, uint32_t first_combination, int64_t at) {
+        const int64_t start = view.starts[at], count = view.starts[at + 1] - start;
         const float* weights = view.weights + start;
         if (view.weights == nullptr) {
             factors_.resize(std::max(factors_.size(), size_t(count)));

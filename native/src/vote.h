@@ -15,12 +15,13 @@ constexpr int64_t kVoteBucket = 1 << kVoteBits;  // Gaussians of a bucket: place
 
 // Region sums of one view by buckets of Gaussians. Arrays belong to the caller.
 struct ViewSums {
-    const uint32_t* starts;        // [buckets + 1] into the entries
+    const uint32_t* buckets;       // [n_buckets] that have entries, rising
+    const uint32_t* starts;        // [n_buckets + 1] into the entries
     const uint8_t* places;         // [entries] of the Gaussian in its bucket
     const uint16_t* combinations;  // [entries]
     const float* weights;          // [entries], or null if they are
     const uint16_t* halves;        // these: float16
-    int64_t n_entries;
+    int64_t n_buckets, n_entries;
     const int64_t* regions;  // [combinations, levels] rows of the codes; -1 for none
     int64_t n_combinations;
 };
@@ -83,7 +84,12 @@ class Vote {
     CombinationCodes codes() const {
         return {levels(), n_atoms_, k_.data(), k_of_all_, shares_.data(), regions_.data(), inverse_norms_.data()};
     }
+    // The entries that one view has in one bucket.
+    struct Piece {
+        uint32_t view, at;  // the bucket is the at-th that the view names
+    };
     void check(const ViewSums& view) const;
+    void index_pieces();
     void expand(const ViewSums& view, int64_t first, const std::vector<RegionCodes>& levels,
                 const std::vector<std::vector<float>>& inverse_norms);
 
@@ -93,6 +99,8 @@ class Vote {
     std::vector<int32_t> k_;
     std::vector<ViewSums> views_;
     std::vector<int64_t> first_combination_;  // of each view among all
+    std::vector<int64_t> first_piece_;        // [buckets + 1]
+    std::vector<Piece> pieces_;               // by bucket, then view
     Buffer<Share> shares_;
     Buffer<int64_t> regions_;
     Buffer<float> inverse_norms_;

@@ -10,6 +10,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <numeric>
 #include <vector>
 
 #include "combinations.h"
@@ -119,7 +120,8 @@ void vote(const Work& work, const scoup::Projection& projection) {
     static const scoup::RegionSums sums = sums_of(work, projection);
     static const scoup::Combinations all = combined(work);
     const int64_t count = sums.weight.size(), buckets = (kGaussians + scoup::kVoteBucket - 1) / scoup::kVoteBucket;
-    std::vector<uint32_t> starts(size_t(buckets + 1), 0);
+    std::vector<uint32_t> starts(size_t(buckets + 1), 0), named(static_cast<size_t>(buckets));
+    std::iota(named.begin(), named.end(), 0u);
     std::vector<uint8_t> places;
     std::vector<uint16_t> combinations;
     for (int64_t i = 0; i < count; ++i) {
@@ -129,8 +131,8 @@ void vote(const Work& work, const scoup::Projection& projection) {
     }
     for (size_t b = 0; b < size_t(buckets); ++b) starts[b + 1] += starts[b];
     const std::vector<int64_t> regions(all.table.begin(), all.table.end());
-    const scoup::ViewSums of_view{starts.data(),  places.data(), combinations.data(), sums.weight.data(),
-                                  nullptr,        count,         regions.data(),      all.count};
+    const scoup::ViewSums of_view{named.data(), starts.data(), places.data(), combinations.data(), sums.weight.data(),
+                                  nullptr,      buckets,       count,         regions.data(),      all.count};
     const scoup::RegionCodes codes{work.region_code_indices.data(), nullptr, work.region_code_weights.data(), kRegions, kSlots};
     const std::vector<scoup::RegionCodes> levels(kLevels, codes);
     const scoup::Vote task(kGaussians, kAtoms, std::vector<scoup::ViewSums>(kViews, of_view), levels, work.grams.data());

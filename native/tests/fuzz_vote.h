@@ -12,16 +12,23 @@ namespace scoup {
 
 // Region sums of one view that no rasteriser has made.
 struct SumsArrays {
-    Exact<uint32_t> starts;
+    Exact<uint32_t> buckets, starts;
     Exact<uint8_t> places;
     Exact<uint16_t> combinations, halves;
     Exact<float> weights;
     Exact<int64_t> regions;
     int64_t n_combinations;
 
+    // Where the entries of a bucket begin (0) or end (1); the same where it has none.
+    int64_t first_of(int64_t bucket, int64_t end) const {
+        for (int64_t b = 0; b < buckets.size(); ++b)
+            if (buckets[b] == bucket) return starts[b + end];
+        return 0;
+    }
+
     ViewSums sums(bool half) const {
-        return {starts.data(), places.data(), combinations.data(), half ? nullptr : weights.data(),
-                half ? halves.data() : nullptr, places.size(), regions.data(), n_combinations};
+        return {buckets.data(), starts.data(), places.data(), combinations.data(), half ? nullptr : weights.data(),
+                half ? halves.data() : nullptr, buckets.size(), places.size(), regions.data(), n_combinations};
     }
 };
 
@@ -29,13 +36,19 @@ inline SumsArrays random_sums(Random& random, int64_t n, int32_t levels, const s
     const int64_t n_combinations = random.between(0, 12);
     const int64_t buckets = (n + kVoteBucket - 1) / kVoteBucket;
     std::vector<uint8_t> places;
-    SumsArrays all{{random, buckets + 1}, {}, {}, {}, {}, {random, n_combinations * levels}, n_combinations};
+    std::vector<uint32_t> named, starts;
     for (int64_t bucket = 0; bucket < buckets; ++bucket) {
-        all.starts[bucket] = uint32_t(places.size());
+        if (random.chance(0.2)) continue;
+        named.push_back(uint32_t(bucket));
+        starts.push_back(uint32_t(places.size()));
         for (int64_t place = 0; place < std::min(kVoteBucket, n - bucket * kVoteBucket); ++place)
             for (int64_t entry = n_combinations > 0 ? random.between(-2, 3) : 0; entry > 0; --entry) places.push_back(uint8_t(place));
     }
-    all.starts[buckets] = uint32_t(places.size());
+    starts.push_back(uint32_t(places.size()));
+    SumsArrays all{{random, int64_t(named.size())}, {random, int64_t(starts.size())}, {}, {}, {}, {},
+                   {random, n_combinations * levels}, n_combinations};
+    std::copy(named.begin(), named.end(), all.buckets.data());
+    std::copy(starts.begin(), starts.end(), all.starts.data());
     const auto count = int64_t(places.size());
     all.places = {random, count}, all.combinations = {random, count}, all.halves = {random, count}, all.weights = {random, count};
     for (int64_t i = 0; i < count; ++i) {
@@ -109,7 +122,7 @@ class VoteCase {
     std::vector<double> expected(int64_t gaussian, const Found* before) const {
         std::vector<double> sums(size_t(levels_ * n_atoms_), 0.0);
         for (const SumsArrays& view : views_)
-            for (int64_t i = view.starts[gaussian / kVoteBucket]; i < view.starts[gaussian / kVoteBucket + 1]; ++i) {
+            for (int64_t i = view.first_of(gaussian / kVoteBucket, 0); i < view.first_of(gaussian / kVoteBucket, 1); ++i) {
                 if (view.places[i] != gaussian % kVoteBucket) continue;
                 for (int32_t level = 0; level < levels_; ++level) {
                     const int64_t region = view.regions[view.combinations[i] * levels_ + level];
@@ -222,6 +235,7 @@ inline void fuzz_damaged_sums(Random& random, int threads) {
             for (int64_t i = 0; i < values.size(); ++i)
                 if (random.chance(0.01)) values[i] = std::decay_t<decltype(values[0])>(random.bits());
         };
+        if (random.chance(0.3)) damage(view.buckets);
         if (random.chance(0.3)) damage(view.starts);
         if (random.chance(0.3)) damage(view.places);
         if (random.chance(0.3)) damage(view.combinations);

@@ -64,7 +64,6 @@ def random_vote(sizes: Sizes, seed: int) -> dict[str, Any]:
     """
     generator = torch.Generator().manual_seed(seed)
     numbers = np.random.default_rng(seed)
-    n_buckets = -(-sizes.n_gaussians // BUCKET)
     views, totals = [], [0] * sizes.levels
     for view in range(sizes.views):
         count = 0 if view == 1 else int(numbers.integers(1, 40))
@@ -81,7 +80,7 @@ def random_vote(sizes: Sizes, seed: int) -> dict[str, Any]:
         pairs = np.unique(gaussian * max(1, count) + numbers.integers(0, max(1, count), some))
         weights = (numbers.random(len(pairs)) * 20).astype(np.float32) + np.float32(1e-3)
         kind = np.dtype(np.float16 if sizes.halves else np.float32)
-        (entries,) = pack(pairs // max(1, count), pairs % max(1, count), weights, table, n_buckets, kind)
+        (entries,) = pack(pairs // max(1, count), pairs % max(1, count), weights, table, kind)
         views.append(VotedEntries(entries, regions))
     codes = []
     for total in totals:
@@ -172,6 +171,10 @@ def damaged(arguments: dict[str, Any]) -> dict[str, dict[str, Any]]:
         "no such combination": spoiled("combinations", 0, len(regions)),
         "a bucket before the first": spoiled("starts", 0, 1),
         "a bucket ends before it begins": spoiled("starts", 1, int(entries.starts[-1]) + 1),
+        "a bucket that is named twice" if len(entries.buckets) > 1 else "no such bucket, far away": (
+            spoiled("buckets", -1, int(entries.buckets[0]) if len(entries.buckets) > 1 else 2**32 - 1)
+        ),
+        "no such bucket": spoiled("buckets", -1, int(entries.buckets[-1]) + 1),
         "entries behind the last bucket": spoiled("starts", -1, int(entries.starts[-1]) - 1),
         "no such region": {**arguments, "views": [replace(first, regions=regions), *others]},
     }

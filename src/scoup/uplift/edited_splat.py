@@ -300,7 +300,5 @@ def _moved(view: ViewRecord, places: NDArray[np.int64], sums: RegionSums) -> Vie
     weights = np.concatenate([part.weights for part in view.parts])
     table = np.concatenate([part.table for part in view.parts])
     order = np.argsort(places, kind="stable")  # combinations keep rising among the entries of a Gaussian
-    parts = pack(
-        places[order], combinations[order], weights[order], table, sums.n_buckets, np.dtype(sums.weights)
-    )
+    parts = pack(places[order], combinations[order], weights[order], table, np.dtype(sums.weights))
     return replace(view, parts=tuple(parts))

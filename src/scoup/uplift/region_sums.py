@@ -30,7 +30,7 @@ from scoup.uplift.storage.store import MOST_IN_MEMORY, Store, Stores
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-VERSION = 2  # since then, files may hold inputs
+VERSION = 2  # since then, files may hold inputs, and views name the buckets that have entries
 SUMS, VIEW, REMOVED, CODES, INPUTS = "region sums", "view", "removed", "codes", "inputs"
 
 Rows = Sequence[Mapping[str, slice]]
@@ -345,7 +345,7 @@ class RegionSums:
         if record.kind == VIEW:
             view = ViewRecord.of_arrays(record.header, record.arrays)
             for part in view.parts:
-                part.check(self.n_buckets, len(self.levels), np.dtype(self.weights))
+                part.check(len(self.levels), np.dtype(self.weights))
             name = str(record.header["name"])
             self.views.pop(name, None)  # the order is that in which they were added
             self.views[name] = view

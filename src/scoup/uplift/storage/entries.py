@@ -15,18 +15,23 @@ BUCKET = 256  # Gaussians whose entries lie together; a place among them is one 
 MOST_COMBINATIONS = 1 << 16  # of one part of a view; what has more is kept in several parts
 
 
+_OF_EVERY_VERSION = ("starts", "places", "combinations", "weights", "table")
+
+
 @dataclass(frozen=True, eq=False)
 class Entries:
     """Region sums of one view, or of some of its combinations, by buckets of ``BUCKET`` Gaussians.
 
     Attributes:
-        starts: [B + 1] uint32, where the entries of each bucket begin.
+        buckets: [B] uint32, those that have entries, rising.
+        starts: [B + 1] uint32, where the entries of each of them begin.
         places: [E] uint8, the Gaussian in its bucket, rising.
         combinations: [E] uint16.
         weights: [E] float32 or float16.
         table: [C, S] int32 regions of this view, -1 for none.
     """
 
+    buckets: NDArray[np.uint32]
     starts: NDArray[np.uint32]
     places: NDArray[np.uint8]
     combinations: NDArray[np.uint16]
@@ -36,18 +41,18 @@ class Entries:
     def arrays(self) -> dict[str, NDArray[Any]]:
         return dict(vars(self))
 
-    def check(self, n_buckets: int, n_levels: int, weight_type: np.dtype) -> None:
+    def check(self, n_levels: int, weight_type: np.dtype) -> None:
         """Refuse arrays that do not fit; their numbers are checked where they are used.
 
         Raises:
             ValueError: types or shapes are others.
         """
-        types = (np.uint32, np.uint8, np.uint16, weight_type, np.int32)
+        types = (np.uint32, np.uint32, np.uint8, np.uint16, weight_type, np.int32)
         if [array.dtype for array in self.arrays().values()] != [np.dtype(kind) for kind in types]:
             raise ValueError("arrays of other types")
         if not (
-            self.starts.shape == (n_buckets + 1,)
-            and self.places.ndim == 1
+            self.buckets.ndim == self.places.ndim == 1
+            and self.starts.shape == (len(self.buckets) + 1,)
             and self.places.shape == self.combinations.shape == self.weights.shape
             and self.table.ndim == 2
             and self.table.shape[1] == n_levels
@@ -60,13 +65,18 @@ class Entries:
         Raises:
             InputError: there is no such Gaussian, or no such combination of regions.
         """
-        last = self.places[int(self.starts[-2]) :] if len(self.starts) > 1 else self.places
-        most = n_gaussians - BUCKET * max(0, len(self.starts) - 2)
+        most = n_gaussians
+        last = self.places[:0]
+        if len(self.buckets):
+            most -= BUCKET * int(self.buckets[-1])
+            last = self.places[int(self.starts[-2]) :]
         if not (
             self.starts[0] == 0
             and self.starts[-1] == len(self.places)
             and bool((self.starts[1:] >= self.starts[:-1]).all())
+            and bool((self.buckets[1:] > self.buckets[:-1]).all())
             and int(last.max(initial=0)) < max(most, 1)
+            and (most > 0 or not len(self.buckets))
             and int(self.combinations.max(initial=0)) < max(len(self.table), 1)
             and (len(self.table) > 0 or not len(self.places))
         ):
@@ -75,14 +85,25 @@ class Entries:
     def gaussians(self) -> NDArray[np.int64]:
         """[E] places in the order of the sums."""
         counts = np.diff(self.starts.astype(np.int64))
-        return np.repeat(np.arange(len(counts)) * BUCKET, counts) + self.places
+        return np.repeat(self.buckets.astype(np.int64) * BUCKET, counts) + self.places
 
     def of_buckets(self, first: int, last: int) -> Entries:
         """A copy that holds the entries of buckets first to last - 1 only."""
-        begin, end = int(self.starts[first]), int(self.starts[last])
-        starts = (self.starts.clip(begin, end) - np.uint32(begin)).astype(np.uint32)
-        places, combinations = self.places[begin:end].copy(), self.combinations[begin:end].copy()
-        return Entries(starts, places, combinations, self.weights[begin:end].copy(), self.table)
+        low, high = self.among(first, last)
+        begin, end = int(self.starts[low]), int(self.starts[high])
+        return Entries(
+            self.buckets[low:high].copy(),
+            self.starts[low : high + 1] - np.uint32(begin),
+            self.places[begin:end].copy(),
+            self.combinations[begin:end].copy(),
+            self.weights[begin:end].copy(),
+            self.table,
+        )
+
+    def among(self, first: int, last: int) -> tuple[int, int]:
+        """Where in ``buckets`` those of first to last - 1 begin and end."""
+        low, high = np.searchsorted(self.buckets, [first, last])
+        return int(low), int(high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +130,9 @@ class ViewRecord:
         parts: list[Entries] = []
         while f"places.{len(parts)}" in arrays:
             number = len(parts)
-            parts.append(Entries(*(arrays[f"{field}.{number}"] for field in Entries.__annotations__)))
+            known = {name: arrays[f"{name}.{number}"] for name in _OF_EVERY_VERSION}
+            known["buckets"], known["starts"] = _sparse(arrays.get(f"buckets.{number}"), known["starts"])
+            parts.append(Entries(**known))
         if not parts:
             raise ValueError(f"the view {header['name']!r} has no entries")
         return cls(str(header["camera"]), str(header["labels"]), tuple(parts))
@@ -126,7 +149,6 @@ def pack(
     combinations: NDArray[np.integer],  # [E]
     weights: NDArray[np.float32],  # [E]
     table: NDArray[np.int32],  # [C, S]
-    n_buckets: int,
     weight_type: np.dtype,
 ) -> list[Entries]:
     """Entries in parts of at most ``MOST_COMBINATIONS``; of a view without any combination, one empty part."""
@@ -135,14 +157,29 @@ def pack(
         mine: Any = slice(None)
         if len(table) > MOST_COMBINATIONS:
             mine = np.flatnonzero((combinations >= first) & (combinations < first + MOST_COMBINATIONS))
-        edges = np.arange(n_buckets + 1, dtype=gaussians.dtype) * BUCKET
+        own = gaussians[mine]
+        bucket = own // BUCKET
+        begins = np.flatnonzero(np.diff(bucket, prepend=-1))
         parts.append(
             Entries(
-                np.searchsorted(gaussians[mine], edges).astype(np.uint32),
-                (gaussians[mine] & (BUCKET - 1)).astype(np.uint8),
+                bucket[begins].astype(np.uint32),
+                np.append(begins, len(own)).astype(np.uint32),
+                (own & (BUCKET - 1)).astype(np.uint8),
                 (combinations[mine] - first).astype(np.uint16),
                 weights[mine].astype(weight_type, copy=False),
                 table[first : first + MOST_COMBINATIONS],
             )
         )
     return parts
+
+
+def _sparse(
+    buckets: NDArray[np.uint32] | None, starts: NDArray[np.uint32]
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """(buckets, starts); the first version of the file has no ``buckets``, but a start for every bucket there is."""
+    if buckets is not None:
+        return buckets, starts
+    if starts.ndim != 1 or not len(starts):
+        raise ValueError("arrays of other shapes")
+    kept = np.flatnonzero(starts[1:] != starts[:-1])
+    return kept.astype(np.uint32), np.append(starts[kept], starts[-1:]).astype(np.uint32)

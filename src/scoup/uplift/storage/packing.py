@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from scoup.raster import ViewSums
-from scoup.uplift.storage.entries import BUCKET, Entries, pack
+from scoup.uplift.storage.entries import Entries, pack
 
 
 class Packer:
@@ -43,7 +43,7 @@ class Packer:
             gaussian, by_place = torch.sort(place[row], stable=True)
             combination, weight = combination[by_place], weight[by_place]
         parts = [part.cpu().numpy() for part in (gaussian, combination, weight, sums.table)]
-        return pack(parts[0], parts[1], parts[2], parts[3], -(-len(self._order) // BUCKET), self._weights)
+        return pack(parts[0], parts[1], parts[2], parts[3], self._weights)
 
     def _is_same(self, order: Tensor | None) -> bool:
         if order is not None and order is not self._same_order and torch.equal(order.cpu(), self._order):

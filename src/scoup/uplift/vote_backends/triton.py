@@ -18,7 +18,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.reweighting import EarlierRound
-from scoup.uplift.storage.entries import BUCKET
+from scoup.uplift.storage.entries import BUCKET, Entries
 from scoup.uplift.vote import VotedEntries
 from scoup.uplift.vote_backends import reference
 from scoup.uplift.vote_backends.kernels import vote_kernel
@@ -58,7 +58,7 @@ class Vote(reference.Vote):
         super().__init__(n_gaussians, views, codes, grams, device)
         self._entries_of_bucket = np.zeros(-(-n_gaussians // BUCKET), np.int64)
         for view in views:
-            self._entries_of_bucket += counts_of(view, len(self._entries_of_bucket))
+            add_counts(view.entries, self._entries_of_bucket)
         counts = [len(view.regions) for view in views]
         self._first_combinations = np.cumsum([0, *counts])
         k = max(level.k for level in codes)
@@ -132,13 +132,15 @@ class Vote(reference.Vote):
         """The entries of some buckets, on the device."""
         n_buckets, device = len(buckets), self._device
         count = max(0, min(buckets.stop * BUCKET, self._n_gaussians) - buckets.start * BUCKET)
-        lengths = [np.zeros((0, n_buckets), np.int64)]
+        groups, lengths = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         arrays: list[list[np.ndarray]] = [[np.zeros(0, kind)] for kind in (np.uint8, np.int16, np.float16)]
-        for view in self._views:
+        for number, view in enumerate(self._views):
             part = view.entries
-            starts = part.starts[buckets.start : buckets.stop + 1].astype(np.int64)
+            low, high = part.among(buckets.start, buckets.stop)
+            starts = part.starts[low : high + 1].astype(np.int64)
             mine = slice(int(starts[0]), int(starts[-1]))
-            lengths.append(np.diff(starts)[None])
+            groups.append(number * n_buckets + part.buckets[low:high].astype(np.int64) - buckets.start)
+            lengths.append(np.diff(starts))
             # Of uint16 the signed counterpart, with which torch can do more.
             own = part.places[mine], part.combinations[mine].view(np.int16), part.weights[mine]
             for array, slice_of_view in zip(arrays, own, strict=True):
@@ -147,7 +149,8 @@ class Vote(reference.Vote):
             torch.from_numpy(np.concatenate(array)).to(device) for array in arrays
         )
         # Of each entry, the number of its view times the buckets, and its bucket.
-        group = torch.repeat_interleave(torch.from_numpy(np.concatenate(lengths)).to(device).flatten())
+        found, repeats = (torch.from_numpy(np.concatenate(of)).to(device) for of in (groups, lengths))
+        group = torch.repeat_interleave(found, repeats)
         number = torch.div(group, n_buckets, rounding_mode="floor")
         firsts = torch.from_numpy(self._first_combinations).to(device)
         combination = (combinations.int() & 0xFFFF) + firsts[number]
@@ -169,22 +172,21 @@ def blocks(n_atoms: int) -> dict[str, int]:
     }
 
 
-def counts_of(view: VotedEntries, n_buckets: int) -> np.ndarray:
-    """[B] int64 entries of each bucket.
+def add_counts(part: Entries, counts: np.ndarray) -> None:
+    """Add the entries of each bucket to ``counts`` [B] int64.
 
     Raises:
         InputError: they are not one behind the other.
     """
-    part = view.entries
-    counts = np.diff(part.starts.astype(np.int64))
+    own = np.diff(part.starts.astype(np.int64))
     if (
-        len(counts) != n_buckets
+        (np.diff(part.buckets.astype(np.int64), append=len(counts)) <= 0).any()
         or part.starts[0] != 0
         or part.starts[-1] != len(part.places)
-        or (counts < 0).any()
+        or (own < 0).any()
     ):
         raise InputError("the region sums are damaged: buckets have holes")
-    return counts
+    counts[part.buckets] += own
 
 
 def norms_of(codes: SparseCodes, gram: Tensor) -> Tensor:
