@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 import warnings
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,18 +78,13 @@ def main(arguments: Arguments) -> dict[str, Any]:
 
     environment = describe_environment()
     print(in_one_line(environment))
-    rows = [[grows, *_row(results[size, views])] for grows, size, views in cases]
-    headers = ["grows", "Gaussians", "views", *(f"{stage}, s" for stage in STAGES), "own memory, GB", "with files, GB",
-               "sums, GB", "coded"]  # fmt: skip
-    print(markdown(headers, rows, left=1))
+    print(table([{"grows": case[0], **results[case[1:]]} for case in cases]))
     slopes = {}
     for grows, position in (("gaussians", 1), ("views", 2), ("both", 1)):
         chosen = [case for case in cases if case[0] == grows]
         if len(chosen) > 1:
             sizes = [float(case[position]) for case in chosen]
             slopes[grows] = _slopes(sizes, [results[case[1:]] for case in chosen])
-            for what, slope in slopes[grows].items():
-                print(f"{grows}: {what} ~ size ** {slope['slope']:.2f}")
     record = {
         "what": "benchmarks.city: time and memory ~ size ** slope",
         "machine": environment,
@@ -103,12 +99,31 @@ def main(arguments: Arguments) -> dict[str, Any]:
         "cases": [{"grows": case[0], **results[case[1:]]} for case in cases],
         "slopes": slopes,
     }
+    print(slope_table(slopes))
     if arguments.out is not None:
         write_json(arguments.out, record, arguments.overwrite)
     return record
 
 
-def _row(found: dict[str, Any]) -> list[str]:
+def table(cases: Sequence[Mapping[str, Any]]) -> str:
+    """One line a build."""
+    headers = ["grows", "Gaussians", "views", *(f"{stage}, s" for stage in STAGES), "own memory, GB", "with files, GB",
+               "sums, GB", "coded"]  # fmt: skip
+    return markdown(headers, [[case["grows"], *_row(case)] for case in cases], left=1)
+
+
+def slope_table(slopes: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
+    """Slopes, one line a curve."""
+    if not slopes:
+        return ""
+    names = list(next(iter(slopes.values())))
+    titles = {"anonymous": "own memory", "resident": "with files", "bytes_of_sums": "region sums"}
+    heads = ["grows", *(titles.get(name, name) for name in names)]
+    rows = [[grows, *(f"{of[name]['slope']:.2f}" for name in names)] for grows, of in slopes.items()]
+    return markdown(heads, rows, left=1)
+
+
+def _row(found: Mapping[str, Any]) -> list[str]:
     seconds = [f"{found['seconds'][stage]:.1f}" for stage in STAGES]
     sizes = [f"{found[name] / 1e9:.2f}" for name in ("anonymous", "resident", "bytes_of_sums")]
     share = found["coded"] / found["gaussians"]
@@ -180,9 +195,15 @@ def build_here(folder: Path, threads: int) -> dict[str, Any]:
     named = {"coding": "coding", "region": "region sums", "vote": "vote"}
     seconds |= {name: marks[stage][-1] - marks[stage][0] for stage, name in named.items()}
     coded = int(field.coded().sum())
+    stems = {Path(camera.name).stem for camera in cameras}
+    features = (folder / "scene" / "language_features").iterdir()
+    of_views = [path.stat().st_size for path in features if path.name.rpartition("_")[0] in stems]
     return {
         "seconds": {stage: round(seconds[stage], 2) for stage in STAGES},
+        "bytes_of_splat": (folder / "scene" / "point_cloud.ply").stat().st_size,
+        "bytes_of_features": sum(of_views),
         "bytes_of_sums": size,
+        "bytes_of_field": (folder / "city.scoup").stat().st_size,
         "coded": coded,
         "regions": [report["regions"] for report in field.info.provenance["coding"].values()],
     }

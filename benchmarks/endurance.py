@@ -18,6 +18,7 @@ import functools
 import random
 import tempfile
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -140,8 +141,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
             trials[verb.name] = endure(verb, scene, share, arguments.seed, arguments.outside)
     environment = describe_environment()
     print(in_one_line(environment))
-    print(table(trials))
-    record = {
+    record: dict[str, Any] = {
         "what": "benchmarks.endurance: verbs killed at random moments and run again",
         "environment": environment,
         "settings": {
@@ -152,6 +152,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         },
         "verbs": {name: figures(found, VERBS[name]) for name, found in trials.items()},
     }
+    print(table(record["verbs"]))
     if arguments.out is not None:
         write_json(arguments.out, record, arguments.overwrite)
     return record
@@ -236,13 +237,12 @@ def judged(verb: Verb, scene: Scene, plain: Plain, found: Run, kept_before: int)
     return Kill(found.stage, found.kind, done, begun, consistent)
 
 
-def table(trials: dict[str, list[Trial]]) -> str:
-    """One line a verb."""
+def table(verbs: Mapping[str, Mapping[str, Any]]) -> str:
+    """One line a verb, from its figures."""
     heads = ["verb", "kills", "too late", *STAGES, "same bytes", "consistent", "done again, most",
              "begun again, most", "orphans", "passed"]  # fmt: skip
     rows = []
-    for name, found in trials.items():
-        of = figures(found, VERBS[name])
+    for name, of in verbs.items():
         shares = (f"{of['stages'].get(stage, 0) / max(1, of['kills']):.0%}" for stage in STAGES)
         count = of["trials"]
         rows.append([name, str(of["kills"]), str(of["too_late"]), *shares, f"{of['same_bytes']} of {count}",

@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -125,7 +125,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         for rounds in arguments.rounds:
             for window in arguments.windows:
                 record["rows"].append(_measured(source, window, rounds, arguments))
-    print(_table(record["rows"]))
+    print(table(record["rows"]))
     record = {**record, "settings": {name: _plain(value) for name, value in settings.items()}}
     if arguments.out is not None:
         write_json(arguments.out, record, arguments.overwrite)
@@ -199,7 +199,7 @@ def _touched(sums: RegionSums, view_name: str) -> np.ndarray:
     return found
 
 
-def _table(rows: list[dict[str, Any]]) -> str:
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Latencies and memory, a line a stream."""
     lines = [
         [
@@ -219,7 +219,7 @@ def _table(rows: list[dict[str, Any]]) -> str:
         "rounds", "views kept", "update, median / worst ms", "of it the vote", "answer", "buckets",
         "resident MB", "kB a frame", "sums at most, MB",
     ]  # fmt: skip
-    return "\n" + markdown(heads, lines)
+    return markdown(heads, lines)
 
 
 def _name(number: int) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,7 +75,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         ],
     }
     print(in_one_line(environment))
-    print(report(trials))
+    print(table(record["readers"]))
     if arguments.out is not None:
         write_json(arguments.out, record, arguments.overwrite)
     return record
@@ -96,16 +97,15 @@ def all_trials(arguments: Arguments, samples: Path) -> list[Trial]:
         return list(pool.map(trial, names))
 
 
-def report(trials: list[Trial]) -> str:
-    """A table, one line a reader."""
+def table(readers: Sequence[Mapping[str, Any]]) -> str:
+    """One line a reader, from its record."""
     heads = ["reader", "files", "accepted", "refused", "other errors", "memory", "hangs", "crashes", "allowed",
              "most, MB", "most, times the file"]  # fmt: skip
     rows = []
-    for trial in trials:
-        counts = [trial.outcomes[name] for name in ("accepted", "refused", *FAILURES)]
-        most = [f"{trial.most_grown / 2**20:.1f}", f"{trial.most_times:.1f}"]
-        allowed = str(READERS[trial.name].memory)
-        rows.append([trial.name, *(f"{count:,}" for count in (trial.files, *counts)), allowed, *most])
+    for of in readers:
+        counts = [f"{of[name]:,}" for name in ("files", "accepted", "refused", *FAILURES)]
+        most = [f"{of['most_grown_bytes'] / 2**20:.1f}", f"{of['most_times_the_file']:.1f}"]
+        rows.append([of["reader"], *counts, of["allowed"], *most])
     return markdown(heads, rows)
 
 
