@@ -45,6 +45,8 @@ TERMS: dict[str, tuple[str, ...]] = {
 }
 """What each quantity is a sum of; ``rest`` is what the total has beyond the stages."""
 STAGES = ("load", "coding", "region sums", "vote", "rest")
+BYTES_OF_EMBEDDING = 512 * 4
+BYTES_MAPPED = 59 * 4  # of a Gaussian of SH degree 3 in temporary files (base/scratch.py)
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,10 @@ class Arguments:
     """Gaussians of a district with what its views see around it, by those of its own."""
     price: float = 2.5
     """Of one machine for an hour."""
+    memory: float = 64e9
+    """Bytes of memory of a machine."""
+    disk: float = 1e12
+    """Bytes of its disk."""
     out: Path | None = None
     """Where to write the figures as JSON."""
     overwrite: bool = False
@@ -97,8 +103,10 @@ def main(arguments: Arguments) -> dict[str, Any]:
     cities = {"one scene": shared(one, districts), "districts": {**each, "hours": each["total"] / 3600}}
     for of_city in cities.values():
         of_city["price"] = arguments.price * of_city["hours"] * districts
+    limits = limits_of(model, arguments.memory, arguments.disk)
     print(check_table(checks))
     print(city_table(cities))
+    print(limit_table(limits))
     record = {
         "what": "benchmarks.city_model: what a city takes, from the builds of benchmarks.city",
         "machine": describe_environment(),
@@ -108,6 +116,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
         "constants": model.constants,
         "checks": checks,
         "city": cities,
+        "limits": limits,
     }
     if arguments.out is not None:
         write_json(arguments.out, record, arguments.overwrite)
@@ -180,6 +189,34 @@ def shared(whole: dict[str, float], processes: int) -> dict[str, float]:
     """The city as one scene: views and vote are shared out, the codes of all regions are learned in one place."""
     own = {**whole, "region sums": whole["region sums"] / processes, "vote": whole["vote"] / processes}
     return {**own, "hours": sum(own[stage] for stage in STAGES) / 3600}
+
+
+def limits_of(model: Model, memory: float, disk: float) -> dict[str, dict[str, float]]:
+    """Up to how many Gaussians or views a scene can be built on machines of so much memory and disk, by what breaks."""
+    of = model.constants
+    kept_splat = of["bytes_of_splat"]["N"] + BYTES_MAPPED
+    return {
+        "embeddings of all regions, in the process that learns codes": {
+            "views": memory / (of["regions"]["V"] * BYTES_OF_EMBEDDING)
+        },
+        "region sums of all views, on the disk of each process that votes": {
+            "views": disk / of["bytes_of_sums"]["V"]
+        },
+        "codes of all Gaussians, order and projection, in every process": {
+            "Gaussians": memory / of["anonymous"]["N"]
+        },
+        "splat and what is mapped of it, on the disk of every process": {"Gaussians": disk / kept_splat},
+        "numbers of Gaussians in 31 bits": {"Gaussians": 2.0**31},
+    }
+
+
+def limit_table(limits: Mapping[str, Mapping[str, float]]) -> str:
+    """One line a limit."""
+    rows = [
+        [name, *(f"{of[what] / 1e6:,.2f} million" if what in of else "" for what in ("views", "Gaussians"))]
+        for name, of in limits.items()
+    ]
+    return markdown(["what", "views", "Gaussians"], rows, left=1)
 
 
 def check_table(checks: Sequence[dict[str, Any]]) -> str:

@@ -21,9 +21,21 @@ from typing import Any
 
 import tyro
 
-from benchmarks import answers, fewer_pixels, labels, selection, threshold, viewer
+from benchmarks import (
+    answers,
+    city,
+    city_model,
+    endurance,
+    fewer_pixels,
+    labels,
+    selection,
+    stream,
+    threshold,
+    viewer,
+)
 from benchmarks.coding_tables import compared_table
 from benchmarks.documents_claims import CLEAN, LAYOUTS, NOISE, claims_table
+from benchmarks.hostile import __main__ as hostile
 from scoup.bench import markdown
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -231,6 +243,14 @@ TABLES: dict[str, Callable[[], str]] = {
     "lerf sized beside": lerf_sized_beside,
     "viewer": lambda: viewer.sent_table(record("viewer")),
     "viewer in a browser": lambda: viewer.pages_table(record("viewer")),
+    "city": lambda: city.table(record("city")["cases"]),
+    "city, slopes": lambda: city.slope_table(record("city")["slopes"]),
+    "city, predicted": lambda: city_model.check_table(record("city_model")["checks"]),
+    "city, on paper": lambda: city_model.city_table(record("city_model")["city"]),
+    "city, limits": lambda: city_model.limit_table(record("city_model")["limits"]),
+    "hostile": lambda: hostile.table(record("hostile")["readers"]),
+    "endurance": lambda: endurance.table(record("endurance")["verbs"]),
+    "stream": lambda: stream.table(record("stream")["rows"]),
     "coding, compared": lambda: compared_table(record("coding")["sizes"]),
 }
 """By name."""

@@ -119,6 +119,8 @@ def test_the_city_in_shares_and_in_districts(tmp_path: Path, capsys: pytest.Capt
     assert districts["bytes_of_splat"] == pytest.approx(2 * 248e6, rel=1e-3)
     assert districts["total"] == pytest.approx(case("", 2_000_000, 1000)["seconds"]["total"], rel=1e-3)
     assert districts["price"] == pytest.approx(2.5 * 1000 * districts["total"] / 3600)
+    limits = {name.split(",")[0]: of for name, of in record["limits"].items()}
+    assert limits["embeddings of all regions"]["views"] == pytest.approx(64e9 / (900 * 2048), rel=1e-3)
     assert "own memory, GB" in capsys.readouterr().out
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -27,7 +28,7 @@ from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_codes import RegionCodes, joined
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.update import update
+from scoup.uplift.update import update, with_update
 from scoup.uplift.vote import vote
 from support import make_camera, random_labels, small_scene, unit
 
@@ -468,3 +469,12 @@ def test_codes_of_many_atoms_are_compacted(kept: Kept) -> None:
         assert len(found.codes[level]) == new[first].stop
         assert found.codes[level].indices.equal(more[level].indices[old[first]])
         assert found.codes[level].weights.equal(more[level].weights[old[first]])
+
+
+def test_a_field_records_its_newest_updates(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scoup.uplift.update.MOST_UPDATES", 2)
+    provenance: dict[str, Any] = {}
+    for number in range(5):
+        provenance |= with_update(provenance, {"added": [str(number)]})
+        assert provenance.get("earlier_updates", 0) == max(0, number - 1)
+    assert provenance["updates"] == [{"added": ["3"]}, {"added": ["4"]}]

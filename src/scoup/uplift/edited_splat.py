@@ -28,7 +28,7 @@ from scoup.uplift.rasterise import add_views
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.entries import MOST_COMBINATIONS, ViewRecord, pack
-from scoup.uplift.update import codes_of, vote_again
+from scoup.uplift.update import codes_of, vote_again, with_update
 
 MANY = 0.1  # share of the Gaussians; an edit seldom replaces as many by others
 
@@ -164,7 +164,7 @@ def _field_of(
     """The field with other Gaussians and codes; ``record`` says what was done, for its provenance."""
     sharpness = record.pop("sharpness", None)
     provenance = dict(field.info.provenance)
-    provenance["updates"] = [*provenance.get("updates", []), {"edited": record}]
+    provenance |= with_update(provenance, {"edited": record})
     if sharpness is not None:
         provenance["sharpness"] = sharpness
     info = replace(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,6 +22,8 @@ from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import GaussianCodes, vote
 
+MOST_UPDATES = 100
+"""Updates that a field records; of those before them, their number."""
 UNUSED = 1 << 20
 """Bytes that replaced and removed views may take in region sums, whatever the others take."""
 
@@ -90,7 +92,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
     _keep(coded, sums)
     provenance = dict(field.info.provenance)
     provenance["views"] = list(coded.rows[0])
-    provenance["updates"] = [*provenance.get("updates", []), _record(add, changed, remove, field.levels)]
+    provenance |= with_update(provenance, _record(add, changed, remove, field.levels))
     if found.sharpness is not None:
         provenance["sharpness"] = found.sharpness.tolist()
     updated = LanguageField(
@@ -121,6 +123,17 @@ def vote_again(
         voters, coded.codes, coded.codebook.to(field.codebook.device), settings.rounds, settings.keep or None,
         settings.keep or settings.k, backend, progress,
     )  # fmt: skip
+
+
+def with_update(provenance: Mapping[str, Any], record: dict[str, Any]) -> dict[str, Any]:
+    """The entries of a field's provenance that say how it was updated, with one update more: the newest, and how many
+    there were before them.
+    """
+    updates = [*provenance.get("updates", []), record]
+    left_out = max(0, len(updates) - MOST_UPDATES)
+    known = {"updates": updates[left_out:]}
+    earlier = provenance.get("earlier_updates", 0) + left_out
+    return {**known, "earlier_updates": earlier} if earlier else known
 
 
 def _keep(coded: RegionCodes, sums: RegionSums) -> None:
