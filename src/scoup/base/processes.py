@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import pickle
 import re
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 from typing import Any, TypeVar, cast
 
 import torch
@@ -75,6 +77,17 @@ class Processes:
             raise error
         return cast(Item, found)
 
+    def wait_for_all(self) -> None:
+        """Return once each process has come here, however long that takes; an interruption ends it."""
+        if self.world == 1:
+            return
+        with _losses_named():
+            work = torch.distributed.barrier(async_op=True)
+            assert work is not None
+            while not work.is_completed():
+                time.sleep(0.05)
+            work.wait()
+
     def gather(self, item: Item) -> list[Item]:
         """Everybody's item, on each process, by rank."""
         if self.world == 1:
@@ -135,11 +148,12 @@ def device_of_process(device: str) -> str:
 
 
 @contextmanager
-def process_group(device: str) -> Iterator[Processes]:
+def process_group(device: str, patience: timedelta | None = None) -> Iterator[Processes]:
     """Put the processes that torchrun has started in touch; nothing happens without it.
 
     Args:
         device: what this process works on, from ``device_of_process``.
+        patience: how long one waits for what another sends; torch's half an hour if None.
     """
     processes = of_environment()
     if processes.world == 1:
@@ -154,7 +168,9 @@ def process_group(device: str) -> Iterator[Processes]:
         with _losses_named():
             meeting = torch.distributed.rendezvous("env://")  # pyright: ignore[reportPrivateImportUsage]
             store, rank, world = next(meeting)
-            torch.distributed.init_process_group(backend, store=store, rank=rank, world_size=world)
+            torch.distributed.init_process_group(
+                backend, timeout=patience, store=store, rank=rank, world_size=world
+            )
     except ValueError as error:  # a variable is missing
         raise InputError(f"the processes cannot meet ({error}); start them with torchrun") from error
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import re
 import signal
 import sys
 
@@ -17,9 +16,11 @@ from scoup.cli.evaluate import EVAL
 from scoup.cli.extract import Extract
 from scoup.cli.info import Info
 from scoup.cli.label import Label
+from scoup.cli.manifest import Call, run_one_or_many
+from scoup.cli.manifest_options import ManifestOptions
 from scoup.cli.merge import Merge
 from scoup.cli.options import Common
-from scoup.cli.parsing import Family, parse
+from scoup.cli.parsing import Family, in_one_line, parse, verb_words
 from scoup.cli.query import Query
 from scoup.cli.regions import ShowRegions
 from scoup.cli.render import Render
@@ -82,9 +83,14 @@ def run(arguments: list[str]) -> int:
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else 0
         if for_machines and code:
-            Console(Common(as_json=True)).fail(_in_one_line(refusal.getvalue()), code)
+            said = in_one_line(refusal.getvalue()) + "; see scoup --help, or scoup VERB --help"
+            Console(Common(as_json=True)).fail(said, code)
         return code
-    return run_verb(verb, verb, verb.run)
+    if not isinstance(verb, ManifestOptions):
+        return run_verb(verb, verb, verb.run)
+    words = verb_words(arguments, SCOUP)
+    call = Call(tuple(words), tuple(arguments[len(words) :]))
+    return run_verb(verb, verb, lambda console: run_one_or_many(console, verb, call))
 
 
 def entry() -> None:
@@ -113,15 +119,6 @@ def _terminate(*_: object) -> None:
     """End as after an interruption: temporary files are removed, locks are given up."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough; cleaning up is not to be cut short
     raise Terminated
-
-
-def _in_one_line(box: str) -> str:
-    """What the parser says in a frame of several lines, up to the frame's first rule."""
-    lines = [line.strip("│ ") for line in box.splitlines() if not line.startswith(("╭", "╰"))]
-    parts = re.split(r"\n[─-]+\n", "\n".join(lines))
-    # Where the terminal has no letters for frames, the title is the first part.
-    said = parts[0 if "╭" in box else 1]
-    return " ".join(said.split()) + "; see scoup --help, or scoup VERB --help"
 
 
 __all__ = ["Console", "entry", "run"]

@@ -6,9 +6,10 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from scoup.base.errors import ScoupError, ScoupWarning, WriteError, is_said_elsewhere
@@ -63,8 +64,14 @@ class Console:
             self.warnings.append(message)
             print(f"warning: {message}", file=sys.stderr)
 
-    def fail(self, message: str, code: int, error: BaseException | None = None) -> int:
-        """Print an error as one line, and in the JSON result; returns the exit code.
+    def fail(
+        self,
+        message: str,
+        code: int,
+        error: BaseException | None = None,
+        record: Mapping[str, Any] = MappingProxyType({}),
+    ) -> int:
+        """Print an error as one line, and in the JSON result beside what there is; returns the exit code.
 
         Of processes at work together, one says that one of them was lost, or that all were interrupted.
         """
@@ -72,7 +79,7 @@ class Console:
             return code
         message = " ".join(message.splitlines())
         print(f"error: {message}", file=sys.stderr)
-        self.result({"error": message})
+        self.result({**record, "error": message})
         return code
 
     @contextmanager
@@ -102,12 +109,12 @@ class Console:
             yield report
 
 
-def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
+def run_verb(verb: Any, common: Common, run: Callable[[Console], int | None]) -> int:
     """Run a verb; print errors that the user can correct as one line.
 
     Returns:
-        Exit code: 0 done, 1 another process was lost, 2 bad input, 130 interrupted, 143 terminated. Faults of the
-        program itself raise (exit code 1).
+        Exit code: the verb's, or 0 done, 1 another process was lost, 2 bad input, 130 interrupted, 143 terminated.
+        Faults of the program itself raise (exit code 1).
     """
     console = Console(common)
 
@@ -122,10 +129,10 @@ def run_verb(verb: Any, common: Common, run: Callable[[Console], None]) -> int:
         original, warnings.showwarning = warnings.showwarning, show
         try:
             check_device(common.device)
-            run(console)
+            code = run(console) or 0
             with _output_named():
                 sys.stdout.flush()
-            return 0
+            return code
         except ScoupError as error:
             return console.fail(str(error), error.exit_code, error)
         except KeyboardInterrupt as stop:

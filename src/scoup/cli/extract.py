@@ -14,7 +14,8 @@ import tyro
 from scoup.base.counts import counted
 from scoup.cli.build import CLIP_MODEL
 from scoup.cli.console import Console, kept
-from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, OptionGroups, WritesCommon
+from scoup.cli.manifest_options import ManifestOptions
+from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, OptionGroups
 
 if TYPE_CHECKING:
     from scoup.base.processes import Processes
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Extract(WritesCommon):
+class Extract(ManifestOptions):
     """Cut the photographs of a scene into regions at three levels, and give each region an embedding.
 
     Interrupted, the same command continues where it stopped; photographs that changed are done again. Under torchrun
@@ -69,13 +70,18 @@ class Extract(WritesCommon):
     max_height: int = 1080
     """Higher photographs are reduced to this height first; 0 for never."""
 
+    def output(self, folder: Path) -> Path:
+        """The folder for the regions; relative paths count from ``folder``."""
+        from scoup.io.scene_parts import usual_features
+
+        return folder / self.out if self.out else usual_features(folder / self.scene)
+
     def run(self, console: Console) -> None:
         """Extract and report."""
         from scoup.base.errors import InputError
         from scoup.base.processes import device_of_process, of_environment
         from scoup.extract import Output, extract, find_photographs, mask_settings
         from scoup.extract.registry import open_pair
-        from scoup.io.scene_parts import usual_features
 
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
@@ -84,7 +90,7 @@ class Extract(WritesCommon):
         )
         photographs = find_photographs(self.scene, self.images)
         processes = of_environment()
-        out = self.out or usual_features(self.scene)
+        out = self.output(Path())
         started = time.perf_counter()
         segmenter, embedder = open_pair(
             self.segmenter,

@@ -7,7 +7,9 @@ import inspect
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from functools import partial
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import tyro
@@ -15,16 +17,22 @@ from tyro.constructors import ConstructorRegistry, StructConstructorSpec, Struct
 
 from scoup.cli.options import Common
 
-REGISTRY = ConstructorRegistry()
-"""For ``tyro.cli``: shows the options of every verb in its groups."""
+NO_ARGUMENT = Path()
+"""What a verb of many scenes has in place of the argument that names one."""
 
 
 def option_groups(verb: type) -> dict[str, list[str]]:
-    """Title of each group of a verb -> names of its fields: its own groups first, then those of its bases."""
+    """Title of each group of a verb -> names of its fields: its own groups first, then those of its bases.
+
+    A field that a verb puts into another group than its base is in the verb's only.
+    """
     groups: dict[str, list[str]] = {}
+    placed: set[str] = set()
     for kind in verb.__mro__:
-        for title, names in vars(kind).get("option_groups", {}).items():
-            groups.setdefault(title, []).extend(names.split())
+        own = vars(kind).get("option_groups", {})
+        for title, names in own.items():
+            groups.setdefault(title, []).extend(name for name in names.split() if name not in placed)
+        placed |= {name for names in own.values() for name in names.split()}
     return groups
 
 
@@ -38,15 +46,20 @@ class _Group:
         """Never called: tyro asks that it could be."""
 
 
-@REGISTRY.struct_rule
-def _nest(info: StructTypeInfo) -> StructConstructorSpec | None:
+def _registry(many_scenes: bool) -> ConstructorRegistry:
+    registry = ConstructorRegistry()
+    registry.struct_rule(partial(_nest, many_scenes))
+    return registry
+
+
+def _nest(many_scenes: bool, info: StructTypeInfo) -> StructConstructorSpec | None:
     """The fields of a verb, or those of a group."""
     kind: Any = info.type
     if isinstance(kind, _Group):
         return StructConstructorSpec(dict, kind.options)
     if not (isinstance(kind, type) and issubclass(kind, Common)):
         return None
-    options = {option.name: option for option in _options(kind)}
+    options = {option.name: option for option in _options(kind, many_scenes)}
     groups = {
         title: _Group(tuple(options.pop(name) for name in names))
         for title, names in option_groups(kind).items()
@@ -70,15 +83,18 @@ def _holder(title: str) -> str:
     return f"{title} group"
 
 
-def _options(verb: type) -> Iterator[StructFieldSpec]:
+def _options(verb: type, many_scenes: bool) -> Iterator[StructFieldSpec]:
     """The fields of a verb for tyro; what they mean comes from the texts under them."""
     hints, texts = get_type_hints(verb, include_extras=True), attribute_texts(verb)
     for field in fields(verb):
-        yield StructFieldSpec(field.name, hints[field.name], _default(field), helptext=texts[field.name])
+        default = _default(field, many_scenes)
+        yield StructFieldSpec(field.name, hints[field.name], default, helptext=texts[field.name])
 
 
-def _default(field: Field[Any]) -> Any:
-    return tyro.MISSING_NONPROP if field.default is MISSING else field.default
+def _default(field: Field[Any], many_scenes: bool) -> Any:
+    if field.default is not MISSING:
+        return field.default
+    return NO_ARGUMENT if many_scenes else tyro.MISSING_NONPROP
 
 
 def attribute_texts(kind: type) -> dict[str, str]:
@@ -98,3 +114,10 @@ def _texts_under(body: Sequence[ast.stmt]) -> Iterator[tuple[str, str]]:
         match field, text:
             case (ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(said)))):
                 yield name, " ".join(said.split())
+
+
+REGISTRY = _registry(many_scenes=False)
+"""For ``tyro.cli``: shows the options of every verb in its groups."""
+
+REGISTRY_OF_MANY = _registry(many_scenes=True)
+"""The same where ``--manifest`` names the scenes: a verb's argument has ``NO_ARGUMENT`` if there is none."""

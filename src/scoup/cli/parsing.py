@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import shutil
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -12,8 +13,10 @@ from operator import or_
 from typing import Annotated, Any
 
 import tyro
+from tyro.constructors import ConstructorRegistry
 
-from scoup.cli.option_groups import REGISTRY
+from scoup.cli.manifest_options import ManifestOptions
+from scoup.cli.option_groups import REGISTRY, REGISTRY_OF_MANY
 
 _WIDEST = 120  # columns: longer lines of text are hard to read
 _MARGIN = "  "  # as in the frames around options; also keeps tyro from joining the lines
@@ -43,13 +46,45 @@ def parse(arguments: Sequence[str], family: Family, program: str) -> Any:
     if isinstance(verb, Family):
         return parse(rest, verb, f"{program} {name}")
     if verb is not None:
-        return _parse(verb, f"{program} {name}", _text(verb), rest)
+        return parse_verb(verb, f"{program} {name}", rest)
     # Either the list of verbs is wanted, or there is no such verb: neither needs to know their options.
     listed = [
         Annotated[_Listed, tyro.conf.subcommand(name, description=_paragraphs(_text(verb))[0])]
         for name, verb in family.verbs.items()
     ]
-    return _parse(reduce(or_, listed), program, family.description, arguments or ["--help"])
+    return _parse(reduce(or_, listed), program, family.description, arguments or ["--help"], REGISTRY)
+
+
+def parse_verb(verb: type, program: str, arguments: Sequence[str]) -> Any:
+    """A verb with its options; its argument may be missing where a list of scenes is given.
+
+    Raises:
+        SystemExit: as ``parse``.
+    """
+    many = issubclass(verb, ManifestOptions) and any(option_name(text) == "manifest" for text in arguments)
+    return _parse(verb, program, _text(verb), arguments, REGISTRY_OF_MANY if many else REGISTRY)
+
+
+def verb_words(arguments: Sequence[str], family: Family) -> list[str]:
+    """The first of the arguments, which name a verb: "eval", "lerf-ovs"."""
+    verb = family.verbs.get(arguments[0]) if arguments else None
+    if isinstance(verb, Family):
+        return [arguments[0], *verb_words(arguments[1:], verb)]
+    return list(arguments[:1]) if verb is not None else []
+
+
+def option_name(text: str) -> str:
+    """Name of an option on the command line, "n-atoms" of "--n_atoms=8"; "" of what is no option."""
+    return text[2:].partition("=")[0].replace("_", "-") if text.startswith("--") else ""
+
+
+def in_one_line(box: str) -> str:
+    """What the parser says in a frame of several lines, up to the frame's first rule."""
+    lines = [line.strip("│ ") for line in box.splitlines() if not line.startswith(("╭", "╰"))]
+    parts = re.split(r"\n[─-]+\n", "\n".join(lines))
+    # Where the terminal has no letters for frames, the title is the first part.
+    said = parts[0 if "╭" in box else 1]
+    return " ".join(said.split())
 
 
 @dataclass(frozen=True)
@@ -57,7 +92,9 @@ class _Listed:
     """A verb in a list of verbs."""
 
 
-def _parse(kind: Any, program: str, description: str, arguments: Sequence[str]) -> Any:
+def _parse(
+    kind: Any, program: str, description: str, arguments: Sequence[str], registry: ConstructorRegistry
+) -> Any:
     return tyro.cli(
         kind,
         prog=program,
@@ -65,7 +102,7 @@ def _parse(kind: Any, program: str, description: str, arguments: Sequence[str]) 
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
         compact_help=False,
-        registry=REGISTRY,
+        registry=registry,
     )
 
 

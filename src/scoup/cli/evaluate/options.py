@@ -10,7 +10,8 @@ import tyro
 
 from scoup.cli.build import CLIP_MODEL
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon
+from scoup.cli.manifest_options import ManifestOptions
+from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
 
 if TYPE_CHECKING:
     from scoup.evaluate.data_sets import LabelledScene
@@ -25,7 +26,7 @@ Rules = Literal["scoup", "langsplatv2", "langsplat"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class DataSetOptions(WritesCommon):
+class DataSetOptions(ManifestOptions):
     """Options of all commands that read a data set."""
 
     option_groups: ClassVar[OptionGroups] = {
@@ -93,9 +94,13 @@ class StudyOptions(DataSetOptions):
     rules: Rules = "scoup"
     """Whose constants turn relevancy into masks and points."""
 
+    def output(self, folder: Path) -> Path:
+        """The folder for everything that is made; relative paths count from ``folder``."""
+        return folder / (self.out or f"eval_{self.data_set}")
+
     def folder(self) -> Path:
         """For outputs."""
-        return self.out or Path(f"eval_{self.data_set}")
+        return self.output(Path())
 
     def preset(self) -> QueryPreset:
         """The rules of the protocol."""
