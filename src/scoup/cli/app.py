@@ -16,7 +16,7 @@ from scoup.cli.evaluate import EVAL
 from scoup.cli.extract import Extract
 from scoup.cli.info import Info
 from scoup.cli.label import Label
-from scoup.cli.manifest import Call, run_one_or_many
+from scoup.cli.manifest import run_one_or_many
 from scoup.cli.manifest_options import ManifestOptions
 from scoup.cli.merge import Merge
 from scoup.cli.options import Common
@@ -89,8 +89,9 @@ def run(arguments: list[str]) -> int:
     if not isinstance(verb, ManifestOptions):
         return run_verb(verb, verb, verb.run)
     words = verb_words(arguments, SCOUP)
-    call = Call(tuple(words), tuple(arguments[len(words) :]))
-    return run_verb(verb, verb, lambda console: run_one_or_many(console, verb, call))
+    return run_verb(
+        verb, verb, lambda console: run_one_or_many(console, verb, words, arguments[len(words) :])
+    )
 
 
 def entry() -> None:

@@ -2,70 +2,44 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import MISSING, Field, asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import timedelta
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scoup.base.counts import counted, listed
 from scoup.base.errors import InputError
 from scoup.cli.console import Console
 from scoup.cli.manifest_options import ManifestOptions
-from scoup.cli.option_groups import NO_ARGUMENT
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from scoup.base.processes import Processes
+    from scoup.cli.scene_arguments import Call
     from scoup.cli.scene_runs import SceneResult, SceneRun
-    from scoup.io.scene_list import ListedScene, Value
 
-OF_THE_RUN = ("manifest", "retries", "shard", "json", "quiet", "overwrite")
-"""Options about the whole list: no scene has them."""
-_WITH_VALUE = ("manifest", "retries", "shard")
 _PATIENCE = timedelta(days=365)  # with processes whose scenes take longer
-VERBS = ("extract", "build")
-"""Verbs that may share a list, with sections of their names."""
 
 
-@dataclass(frozen=True)
-class Call:
-    """How a verb was called.
+def run_one_or_many(
+    console: Console, verb: Any, words: Sequence[str], arguments: Sequence[str]
+) -> int | None:
+    """Run a verb on its scene, or on those of the list it is given.
 
-    Attributes:
-        verb: its name and the words before it.
-        arguments: what follows.
+    Args:
+        words: the verb's name, and those before it.
+        arguments: what followed them on the command line.
+
+    Returns:
+        The exit code; None for 0.
     """
-
-    verb: tuple[str, ...]
-    arguments: tuple[str, ...]
-
-    @property
-    def for_scenes(self) -> list[str]:
-        """Those arguments that each scene is given too."""
-        from scoup.cli.parsing import option_name
-
-        passed: list[str] = []
-        rest = iter(self.arguments)
-        for text in rest:
-            name = option_name(text)
-            if name not in OF_THE_RUN:
-                passed.append(text)
-            elif name in _WITH_VALUE and "=" not in text:
-                next(rest, None)
-        return passed
-
-
-def run_one_or_many(console: Console, verb: Any, call: Call) -> int | None:
-    """Run a verb on its scene, or on those of the list it is given; the exit code, None for 0."""
     if verb.manifest is None:
         verb.check_without_manifest()
         return verb.run(console)
-    return run_many(console, verb, call)
+    from scoup.cli.scene_arguments import Call
+
+    return run_many(console, verb, Call(tuple(words), tuple(arguments)))
 
 
 def run_many(console: Console, verb: ManifestOptions, call: Call) -> int:
@@ -79,14 +53,16 @@ def run_many(console: Console, verb: ManifestOptions, call: Call) -> int:
         ProcessLostError: under torchrun, another process has ended before its scenes were done.
     """
     from scoup.base.processes import of_environment, process_group, shard
+    from scoup.cli.scene_arguments import scene_runs
 
+    assert verb.manifest is not None
     retries = 1 if verb.retries is None else verb.retries
     if retries < 0:
         raise InputError(f"--retries must not be negative, got {retries}")
     share = None if verb.shard is None else shard(verb.shard)
     if share is not None and of_environment().world > 1:
         raise InputError("--shard and torchrun do not go together: torchrun deals the scenes out by itself")
-    runs = scene_runs(verb, call)
+    runs = scene_runs(verb, verb.manifest, call)
     with process_group("cpu", _PATIENCE) as together:
         own = _run_share(console, runs, share or together, retries, verb.overwrite)
         together.wait_for_all()  # however long the scenes of others take
@@ -97,96 +73,6 @@ def run_many(console: Console, verb: ManifestOptions, call: Call) -> int:
     return code
 
 
-def scene_runs(verb: ManifestOptions, call: Call) -> list[SceneRun]:
-    """What is to be run for each scene of the list.
-
-    Raises:
-        InputError: the list is wrong, or two scenes have one output. Names file, scene and option.
-    """
-    from scoup.io.scene_list import Wanted, read_scene_list
-
-    assert verb.manifest is not None
-    if any(getattr(verb, field.name) != NO_ARGUMENT for field in _required(type(verb))):
-        names = listed([field.name.upper() for field in _required(type(verb))])
-        raise InputError(f"--manifest and {names} do not go together: the list names the scenes")
-    options = {_option(field): field for field in fields(verb) if _option(field) not in OF_THE_RUN}
-    several = [name for name, field in options.items() if isinstance(field.default, tuple)]
-    name = " ".join(call.verb)
-    scenes = read_scene_list(verb.manifest, Wanted(name, options.keys(), several, {*VERBS, name}))
-    runs = [_scene_run(verb, call, scene) for scene in scenes]
-    outputs: dict[str, str] = {}
-    for run in runs:
-        place = os.path.realpath(run.output)
-        if place in outputs:
-            raise InputError(
-                f"{verb.manifest}: scenes {outputs[place]!r} and {run.name!r} have one output, {run.output}; give "
-                "each its out"
-            )
-        outputs[place] = run.name
-    return runs
-
-
-def _scene_run(verb: ManifestOptions, call: Call, scene: ListedScene) -> SceneRun:
-    from scoup.base.processes import device_of_process
-    from scoup.cli.parsing import in_one_line, option_name, parse_verb
-    from scoup.cli.scene_runs import SceneRun
-
-    assert verb.manifest is not None
-    where = f"{verb.manifest}: scene {scene.name!r}"
-    folder = verb.manifest.absolute().parent
-    given = {option_name(text) for text in call.for_scenes}
-    arguments = list(_arguments(type(verb), scene.options, given, folder, where)) + call.for_scenes
-    refusal = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(refusal):
-            parsed = parse_verb(type(verb), f"scoup {' '.join(call.verb)}", arguments)
-    except SystemExit as stop:
-        raise InputError(f"{where}: {in_one_line(refusal.getvalue())}") from stop
-    device = device_of_process(parsed.device)
-    logs = folder / f"{verb.manifest.name}.logs" / "-".join(call.verb)
-    return SceneRun(
-        scene.name,
-        call.verb,
-        tuple(arguments),
-        "" if device == parsed.device else device,
-        folder,
-        parsed.output(folder),
-        logs,
-    )
-
-
-def _arguments(
-    kind: type, options: Mapping[str, Value], given: set[str], folder: Path, where: str
-) -> Iterator[str]:
-    """Options of a scene as they stand on the command line, but for those that are given there already."""
-    for field in _required(kind):
-        place = options.get(_option(field))
-        if not isinstance(place, str):
-            raise InputError(f"{where}: has no {_option(field)}; name its file or folder")
-        yield str(folder / place)
-    for field in fields(kind):
-        name = _option(field)
-        value = options.get(name)
-        if value is None or name in given or field.default is MISSING:
-            continue
-        if isinstance(field.default, bool) != isinstance(value, bool):
-            expected = "true or false" if isinstance(field.default, bool) else "a text or a number"
-            raise InputError(f"{where}: {name} is {str(value)!r}, expected {expected}")
-        if isinstance(value, bool):
-            yield from [f"--{name}"] if value else []
-        else:
-            yield from (f"--{name}={item}" for item in (value if isinstance(value, tuple) else (value,)))
-
-
-def _required(kind: type) -> list[Field[Any]]:
-    """The arguments of a verb that are no options."""
-    return [field for field in fields(kind) if field.default is MISSING]
-
-
-def _option(field: Field[Any]) -> str:
-    return "json" if field.name == "as_json" else field.name.replace("_", "-")
-
-
 def _run_share(
     console: Console, runs: Sequence[SceneRun], processes: Processes, retries: int, overwrite: bool
 ) -> list[SceneResult]:
@@ -195,9 +81,8 @@ def _run_share(
 
     share = processes.share(runs)
     results: list[SceneResult] = []
-    console.kept = lambda: (
-        f"{len(results)} of {counted(len(share), 'scene')} are done, run the same command again to continue"
-    )
+    again = "run the same command again to continue"
+    console.kept = lambda: f"{len(results)} of {len(share)} scenes are done, {again}"
     of = f", process {processes.rank + 1} of {processes.world}" if processes.world > 1 else ""
     with console.progress() as progress:
         for run in share:

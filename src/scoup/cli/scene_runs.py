@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -22,7 +23,7 @@ from scoup.base.records import record_text
 Ending = Literal["made", "there already", "failed"]
 
 # Not -m: that would look for modules in the folder of the list first.
-PROGRAM = "import sys; sys.path[:] = filter(None, sys.path); from scoup.cli.app import entry; entry()"
+PROGRAM = "import sys; sys.path[:] = filter(None, sys.path); from scoup.cli.scene_runs import entry; entry()"
 MISTAKE = 2  # the exit code for bad input: another attempt ends alike
 SECONDS_TO_END = 30.0  # for a process that was asked to
 TAIL = 65_536  # bytes of a log in which the error is looked for
@@ -171,21 +172,34 @@ def _attempt(run: SceneRun, number: int, overwrite: bool) -> tuple[int, str]:
 
 def _run(arguments: Sequence[str], folder: Path, log: BinaryIO) -> int:
     """Run scoup in a process of its own, which ends with this one's work; its exit code."""
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-c", PROGRAM, *arguments],
         cwd=folder,
         env=_environment(),
-        stdin=subprocess.DEVNULL,
+        stdin=subprocess.PIPE,  # nothing is written to it: it ends when this process does
         stdout=log,
         stderr=subprocess.STDOUT,
         # Ctrl-C reaches this process only, which asks the other to end: two signals would cut its cleaning up short.
         start_new_session=True,
-    )
-    try:
-        return process.wait()
-    except BaseException:
-        _end(process)
-        raise
+    ) as process:
+        try:
+            return process.wait()
+        except BaseException:
+            _end(process)
+            raise
+
+
+def entry() -> None:
+    """The program for one scene: scoup, which is terminated when the process that has started it is no more."""
+    from scoup.cli.app import entry
+
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    entry()
+
+
+def _end_with_parent() -> None:
+    os.read(0, 1)  # standard input; not by sys.stdin, whose lock Python wants at its end
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
