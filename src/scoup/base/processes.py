@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import pickle
 import re
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import timedelta
 from typing import Any, TypeVar, cast
 
 import torch
@@ -17,6 +17,11 @@ import torch
 from scoup.base.errors import SAID_ELSEWHERE, InputError, ProcessLostError
 
 Item = TypeVar("Item")
+
+SILENCE = 60.0
+"""Seconds after which a process that gives no sign of life counts as lost."""
+_BEAT = 1.0  # seconds between signs of life
+_POLL = 0.1
 
 
 @dataclass(frozen=True)
@@ -76,17 +81,6 @@ class Processes:
         if error is not None:
             raise error
         return cast(Item, found)
-
-    def wait_for_all(self) -> None:
-        """Return once each process has come here, however long that takes; an interruption ends it."""
-        if self.world == 1:
-            return
-        with _losses_named():
-            work = torch.distributed.barrier(async_op=True)
-            assert work is not None
-            while not work.is_completed():
-                time.sleep(0.05)
-            work.wait()
 
     def gather(self, item: Item) -> list[Item]:
         """Everybody's item, on each process, by rank."""
@@ -148,12 +142,11 @@ def device_of_process(device: str) -> str:
 
 
 @contextmanager
-def process_group(device: str, patience: timedelta | None = None) -> Iterator[Processes]:
+def process_group(device: str) -> Iterator[Processes]:
     """Put the processes that torchrun has started in touch; nothing happens without it.
 
     Args:
         device: what this process works on, from ``device_of_process``.
-        patience: how long one waits for what another sends; torch's half an hour if None.
     """
     processes = of_environment()
     if processes.world == 1:
@@ -168,9 +161,7 @@ def process_group(device: str, patience: timedelta | None = None) -> Iterator[Pr
         with _losses_named():
             meeting = torch.distributed.rendezvous("env://")  # pyright: ignore[reportPrivateImportUsage]
             store, rank, world = next(meeting)
-            torch.distributed.init_process_group(
-                backend, timeout=patience, store=store, rank=rank, world_size=world
-            )
+            torch.distributed.init_process_group(backend, store=store, rank=rank, world_size=world)
     except ValueError as error:  # a variable is missing
         raise InputError(f"the processes cannot meet ({error}); start them with torchrun") from error
     try:
@@ -180,6 +171,48 @@ def process_group(device: str, patience: timedelta | None = None) -> Iterator[Pr
         raise
     finally:
         torch.distributed.destroy_process_group()
+
+
+@contextmanager
+def signs_of_life(processes: Processes) -> Iterator[Callable[[], None]]:
+    """For processes in touch whose work may take any time: give signs of life meanwhile.
+
+    Yields:
+        To be called once by each: returns when each has called it. It can be interrupted, which a collective of torch
+        cannot, and raises ProcessLostError when one of them has given no sign for ``SILENCE`` seconds.
+    """
+    if processes.world == 1:
+        yield lambda: None
+        return
+    store = torch.distributed.distributed_c10d._get_default_store()
+    ended = threading.Event()
+
+    def beat() -> None:
+        with suppress(RuntimeError):  # whoever waits learns that the store is gone, too
+            while not ended.wait(_BEAT):
+                store.add(f"scoup beat {processes.rank}", 1)
+
+    thread = threading.Thread(target=beat, daemon=True)
+    thread.start()
+    try:
+        yield lambda: _wait_for_all(processes, store)
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _wait_for_all(processes: Processes, store: Any) -> None:
+    heard: dict[int, tuple[int, float]] = {}  # beats, and when their number was last another
+    with _losses_named():
+        store.set(f"scoup here {processes.rank}", "")
+        while missing := [i for i in range(processes.world) if not store.check([f"scoup here {i}"])]:
+            for i in missing:
+                beats = store.add(f"scoup beat {i}", 0)
+                if i not in heard or beats != heard[i][0]:
+                    heard[i] = beats, time.monotonic()
+                elif time.monotonic() - heard[i][1] > SILENCE:
+                    raise ProcessLostError(f"no sign of life of number {i} for {SILENCE:.0f} s")
+            time.sleep(_POLL)
 
 
 def _is_first_to_say(store: Any) -> bool:

@@ -34,6 +34,7 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
 
   scoup extract SCENE
   scoup build SCENE --gaussians point_cloud.ply --out scene.scoup
+  scoup build --manifest scenes.yaml
   scoup update scene.scoup --scene SCENE --add all
   scoup query scene.scoup "kettle" "wooden table" --camera all
   scoup select scene.scoup "kettle" --out kettle.ply

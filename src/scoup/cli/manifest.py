@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import timedelta
 from typing import TYPE_CHECKING, Any
 
 from scoup.base.counts import counted, listed
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from scoup.base.processes import Processes
     from scoup.cli.scene_arguments import Call
     from scoup.cli.scene_runs import SceneResult, SceneRun
-
-_PATIENCE = timedelta(days=365)  # with processes whose scenes take longer
 
 
 def run_one_or_many(
@@ -52,7 +50,7 @@ def run_many(console: Console, verb: ManifestOptions, call: Call) -> int:
         InputError: list or options cannot be used; nothing was run.
         ProcessLostError: under torchrun, another process has ended before its scenes were done.
     """
-    from scoup.base.processes import of_environment, process_group, shard
+    from scoup.base.processes import of_environment, process_group, shard, signs_of_life
     from scoup.cli.scene_arguments import scene_runs
 
     assert verb.manifest is not None
@@ -63,13 +61,15 @@ def run_many(console: Console, verb: ManifestOptions, call: Call) -> int:
     if share is not None and of_environment().world > 1:
         raise InputError("--shard and torchrun do not go together: torchrun deals the scenes out by itself")
     runs = scene_runs(verb, verb.manifest, call)
-    with process_group("cpu", _PATIENCE) as together:
-        own = _run_share(console, runs, share or together, retries, verb.overwrite)
-        together.wait_for_all()  # however long the scenes of others take
+    with process_group("cpu") as together:
+        with signs_of_life(together) as wait_for_all:
+            own = _run_share(console, runs, share or together, retries, verb.overwrite)
+            wait_for_all()
         results = {result.name: result for part in together.gather(own) for result in part}
         code = _report(console, runs, results, verb) if together.first else 0
-        # torchrun ends all processes when one ends with an error.
-        together.wait_for_all()
+        together.gather(
+            None
+        )  # torchrun ends all processes when one ends with an error: nobody before the table
     return code
 
 
@@ -90,6 +90,7 @@ def _run_share(
             result = run_scene(run, retries, overwrite)
             results.append(result)
             console.say(f"{run.name} ({len(results)} of {len(share)}{of}): {_sentence(result)}")
+            sys.stdout.flush()  # the log of a job is to say how far it is
         progress("scenes", len(results), len(share))
     return results
 
