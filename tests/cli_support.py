@@ -5,6 +5,10 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +18,13 @@ from scoup.cli import main
 from scoup.io import save_gaussians, save_png, save_regions, write_colmap
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
-from support import small_scene, unit
+from support import HANGS, small_scene, unit
 
 WORDS = ("kettle", "mug", "wooden table")
 QUICK = ("--n-atoms", "8", "--effort", "fast")
 """Options that make a build quick."""
+RUN = "from scoup.cli.app import entry; entry()"
+"""The command line as a program."""
 
 
 def write_scene(folder: Path, count: int = 150, seed: int = 0) -> Path:
@@ -46,6 +52,35 @@ def run(*arguments: object) -> tuple[int, str, str]:
         except SystemExit as stop:  # the parser's own refusals
             code = stop.code if isinstance(stop.code, int) else 1
     return code, out.getvalue(), err.getvalue()
+
+
+def together(
+    ranks: Sequence[dict[str, str]],
+    *arguments: object,
+    program: str = RUN,
+    prefixes: Sequence[Sequence[str]] = ((),) * 8,
+) -> list[subprocess.CompletedProcess[str]]:
+    """A verb in several processes at a time, and how each ended.
+
+    Args:
+        ranks: variables of each, from ``support.environments``.
+        arguments: of the command line.
+        program: in Python, which runs it.
+        prefixes: commands that start each of them, such as those that lead to another network.
+    """
+    command = [sys.executable, "-c", program, *map(str, arguments)]
+    started = [
+        subprocess.Popen(
+            [*prefix, *command],
+            env={**os.environ, "OMP_NUM_THREADS": "1", **rank},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for rank, prefix in zip(ranks, prefixes, strict=False)
+    ]
+    ended = [(process, process.communicate(timeout=HANGS)) for process in started]
+    return [subprocess.CompletedProcess(command, one.returncode, *streams) for one, streams in ended]
 
 
 def run_json(*arguments: object) -> dict[str, Any]:

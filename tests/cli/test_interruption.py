@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import QUICK, refused, run, run_json, snapshot
+from cli_support import QUICK, refused, run, run_json, snapshot, together
 from scoup.base.locks import locked_file, locked_folder
 from scoup.base.processes import Processes
 from scoup.io import save_png
@@ -25,7 +25,6 @@ pytestmark = pytest.mark.usefixtures("here")
 BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
-RUN = "from scoup.cli.app import entry; entry()"
 # Of two processes at a build, the first finds the disk full where it writes the field.
 FULL = """
 import errno
@@ -210,32 +209,19 @@ def test_codes_are_kept_before_there_is_any_view(monkeypatch: pytest.MonkeyPatch
     assert "0 of 4 views are there, the codes are kept" in run(*BUILD)[1]
 
 
-def together(*arguments: str, program: str = RUN) -> list[subprocess.CompletedProcess[str]]:
-    """A verb in two processes, as torchrun starts them."""
-    command = [sys.executable, "-c", program, *arguments]
+def by_two(*arguments: str, **how: str) -> list[subprocess.CompletedProcess[str]]:
     with environments(2) as ranks:
-        started = [
-            subprocess.Popen(
-                command,
-                env={**os.environ, **rank},
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-            for rank in ranks
-        ]
-        ended = [(process, process.communicate(timeout=HANGS)) for process in started]
-    return [subprocess.CompletedProcess(command, one.returncode, *streams) for one, streams in ended]
+        return together(ranks, *arguments, **how)
 
 
 def test_of_several_processes_one_locks_and_none_waits_for_ever() -> None:
     before = set(snapshot(Path()))
     with locked_file(Path("a.scoup")):
-        for done in together(*BUILD):
+        for done in by_two(*BUILD):
             assert done.returncode == 2, done.stderr
             assert f"error: a.scoup: is being written by process {os.getpid()} on " in done.stderr
     assert set(snapshot(Path())) == before
-    for done in together(*BUILD):
+    for done in by_two(*BUILD):
         assert done.returncode == 0, done.stderr
     assert set(snapshot(Path())) - before == {"a.scoup"}
     assert run(*BUILD[:-1], "b.scoup")[0] == 0
@@ -244,19 +230,19 @@ def test_of_several_processes_one_locks_and_none_waits_for_ever() -> None:
 
 def test_of_several_processes_none_gives_up_its_views_before_the_field_is_there() -> None:
     before = set(snapshot(Path()))
-    for done in together(*BUILD, program=FULL):
+    for done in by_two(*BUILD, program=FULL):
         assert done.returncode == 2, done.stderr
         assert done.stderr.startswith("error: a.scoup: cannot be written (No space left on device)")
     assert set(snapshot(Path())) - before == {"a.scoup.partial.0", "a.scoup.partial.1"}
     for name in ("a.scoup.partial.0", "a.scoup.partial.1"):
         assert len(RegionSums.open(Path(name))) == 2
-    for done in together(*BUILD):
+    for done in by_two(*BUILD):
         assert done.returncode == 0, done.stderr
     assert set(snapshot(Path())) - before == {"a.scoup"}
 
 
 def test_of_several_processes_all_end_with_the_error_of_the_first() -> None:
-    for done in together(*BUILD, program=FAILS):
+    for done in by_two(*BUILD, program=FAILS):
         assert done.returncode != 0
         assert "of the first" in done.stderr
         assert "Connection" not in done.stderr

@@ -1,10 +1,8 @@
-"""Several processes at one build: one of them dies, or is in another network."""
+"""Several processes at one build or merge: one of them dies, or is in another network."""
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
 import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
@@ -13,12 +11,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from cli_support import QUICK, run
+from cli_support import QUICK, run, together
 from scoup.uplift.region_sums import RegionSums
-from support import HANGS, environments
+from support import environments
 
 pytestmark = pytest.mark.usefixtures("here")
-RUN = "from scoup.cli.app import entry; entry()"
 DIES = """
 import os, signal
 from scoup.cli.app import entry
@@ -31,37 +28,37 @@ def die(self, *arguments):
 RegionSums.append = die
 entry()
 """
+DIES_AT_CODING = """
+import os, signal
+from scoup.cli.app import entry
+from scoup.uplift import region_codes
+learn = region_codes.learn_codebook
+def die(*arguments):
+    if os.environ["RANK"] == os.environ["DIES"]:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return learn(*arguments)
+region_codes.learn_codebook = die
+entry()
+"""
 BUILD = ("build", "scene", *QUICK, "--out", "g.scoup", "--model", "scene/words.npz")
 
 
-def together(
-    ranks: Sequence[dict[str, str]], program: str = RUN, prefixes: Sequence[Sequence[str]] = ((), (), (), ())
-) -> list[tuple[int, str]]:
-    """The build in several processes; the exit code of each and what it said of errors."""
-    started = [
-        subprocess.Popen(
-            [*prefix, sys.executable, "-c", program, *BUILD],
-            env={**os.environ, "OMP_NUM_THREADS": "1", **rank},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for rank, prefix in zip(ranks, prefixes, strict=False)
-    ]
-    ended = [(process, process.communicate(timeout=HANGS)[1]) for process in started]
-    return [(process.returncode, err) for process, err in ended]
+def check_one_message(ended: Sequence[subprocess.CompletedProcess[str]], dies: int) -> None:
+    """One process was killed, the others end, and one of them says why."""
+    assert [done.returncode for done in ended] == [-9 if rank == dies else 1 for rank in range(len(ended))]
+    errors = "".join(done.stderr for done in ended)
+    said = [line for line in errors.splitlines() if line.startswith("error: ")]
+    assert len(said) == 1, said
+    assert "another of the processes at work together has ended" in said[0]
+    assert "Traceback" not in errors
 
 
 @pytest.mark.parametrize("dies", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_process_that_dies_ends_all_with_one_message(dies: int) -> None:
     """What is done is kept, and the same command goes on from there."""
     with environments(3) as ranks:
-        ended = together([{**rank, "DIES": str(dies)} for rank in ranks], DIES)
-    assert [code for code, _ in ended] == [-9 if rank == dies else 1 for rank in range(3)]
-    said = [line for _, err in ended for line in err.splitlines() if line.startswith("error: ")]
-    assert len(said) == 1, said
-    assert "another of the processes at work together has ended" in said[0]
-    assert "Traceback" not in "".join(err for _, err in ended)
+        ended = together([{**rank, "DIES": str(dies)} for rank in ranks], *BUILD, program=DIES)
+    check_one_message(ended, dies)
     partial = sorted(Path().glob("g.scoup.partial.*"))
     assert len(partial) == 3
     assert not Path("g.scoup").exists()
@@ -70,10 +67,30 @@ def test_a_process_that_dies_ends_all_with_one_message(dies: int) -> None:
     assert sum(views) >= 3
 
     with environments(3) as ranks:
-        ended = together(ranks)
-    assert [code for code, _ in ended] == [0, 0, 0], ended
+        ended = together(ranks, *BUILD)
+    assert [done.returncode for done in ended] == [0, 0, 0], ended
     assert Path("g.scoup").read_bytes() == Path("f.scoup").read_bytes()
     assert not list(Path().glob("g.scoup.*"))
+
+
+def test_a_process_that_dies_ends_a_merge() -> None:
+    """Nothing is left of it but its shards."""
+    for number in (1, 2):
+        assert (
+            run("build", "scene", "--model", "scene/words.npz", "--out", "g.scoup", "--shard", f"{number}/2")[
+                0
+            ]
+            == 0
+        )
+    shards = sorted(Path().glob("g.scoup.*"))
+    with environments(2) as ranks:
+        ended = together(
+            [{**rank, "DIES": "1"} for rank in ranks], "merge", *shards, *QUICK, program=DIES_AT_CODING
+        )
+    check_one_message(ended, 1)
+    assert sorted(Path().glob("*g.scoup*")) == shards
+    assert run("merge", *shards, *QUICK)[0] == 0
+    assert Path("g.scoup").read_bytes() == Path("f.scoup").read_bytes()
 
 
 @pytest.fixture
@@ -119,8 +136,8 @@ def test_a_process_in_another_network(other_network: tuple[str, list[str], str, 
         {**shared, "RANK": "0", "GLOO_SOCKET_IFNAME": here},
         {**shared, "RANK": "1", "GLOO_SOCKET_IFNAME": there},
     ]
-    ended = together(ranks, prefixes=[(), prefix])
-    assert [code for code, _ in ended] == [0, 0], ended
+    ended = together(ranks, *BUILD, prefixes=[(), prefix])
+    assert [done.returncode for done in ended] == [0, 0], ended
     assert Path("g.scoup").read_bytes() == Path("f.scoup").read_bytes()
 
 
