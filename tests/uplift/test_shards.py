@@ -156,18 +156,34 @@ def test_shards_of_other_scenes_are_refused(tmp_path: Path) -> None:
     first = made(tmp_path, "1/2")
     moved = dataclasses.replace(gaussians, means=gaussians.means + 0.01)
     fewer = Cameras(list(cameras)[:4])
-    turned = Cameras(
+    zoomed = Cameras(
         [dataclasses.replace(camera, K=camera.K * torch.tensor([[2.0], [2.0], [1.0]])) for camera in cameras]
+    )
+    first_maps = {level: regions.load("view_00.png", level) for level in regions.levels}
+    other_labels, other_embeddings = (
+        Regions(
+            regions.levels,
+            cameras.names,
+            lambda name, level, change=change: (
+                RegionMap(*change(first_maps[level])) if name == "view_00.png" else regions.load(name, level)
+            ),
+        )
+        for change in (
+            lambda known: (known.labels.flip(1), known.embeddings),
+            lambda known: (known.labels, known.embeddings.flip(1)),
+        )
     )
     others = {
         "of other scenes": [
             made(tmp_path, "2/2", (moved, cameras, regions)),
             made(tmp_path, "2/2", (gaussians, fewer, regions)),
             made(tmp_path, "2/2", weights="float16"),
+            made(tmp_path, "2/2", (gaussians, zoomed, regions)),
+            made(tmp_path, "2/2", (gaussians, Cameras(reversed(list(cameras))), regions)),
         ],
-        "hold different views in place": [
-            made(tmp_path, "1/1", (gaussians, turned, regions)),
-            made(tmp_path, "1/1", (gaussians, Cameras(reversed(list(cameras))), regions)),
+        "hold other regions of the view view_00.png": [
+            made(tmp_path, "1/1", (gaussians, cameras, changed))
+            for changed in (other_labels, other_embeddings)
         ],
     }
     for said, paths in others.items():

@@ -1,11 +1,14 @@
 """Shards: the region sums of a share of the views, each in a file with all that a merge needs to know of these views.
 
-Views are independent and sums add up, so any processes may make shards, in any order and on any machines: torchrun, a
-Slurm array, make, or a batch of a cloud. A merge reads them, learns the codes of all regions and votes (docs/scale.md).
+Views are independent and sums add up, so any processes may make shards, in any order and on any machines: a Slurm
+array, make, Ray, or a batch of a cloud. A merge reads them, learns the codes of all regions and votes
+(docs/many_machines.md).
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import warnings
 from collections.abc import Sequence
@@ -47,12 +50,14 @@ class Shard:
         sources: its cameras, and what a field says of its origin.
         places: of these views among all views of the scene with regions.
         n_views: how many these are.
+        scene: digest of their names and cameras, in their order.
         embeddings: of the regions of the shard's views.
     """
 
     sources: Sources
     places: tuple[int, ...]
     n_views: int
+    scene: str
     embeddings: RegionEmbeddings
 
     def keep(self, sums: RegionSums) -> None:
@@ -60,6 +65,7 @@ class Shard:
         header = {
             "places": list(self.places),
             "n_views": self.n_views,
+            "scene": self.scene,
             "cameras": [_camera_record(camera) for camera in self.sources.views],
             "embedding_model": self.sources.embedding_model,
             "geometry": None
@@ -107,7 +113,8 @@ class Shard:
             rows.append({name: slice(*ends) for name, ends in zip(names, pairwise(bounds), strict=True)})
         geometry = None if header["geometry"] is None else Path(header["geometry"])
         sources = Sources(views, str(header["embedding_model"]), geometry)
-        return cls(sources, places, n_views, RegionEmbeddings(tuple(levels), of_levels, rows))
+        scene = str(header["scene"])
+        return cls(sources, places, n_views, scene, RegionEmbeddings(tuple(levels), of_levels, rows))
 
 
 def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of the user
@@ -150,6 +157,7 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
         Sources(tuple(views), embedding_model, path),
         tuple(share.share(range(len(everything)))),
         len(everything),
+        _digest(everything),
         RegionEmbeddings.unchecked(regions.select([view.name for view in views])),
     )
     if check_fit and views and not len(sums):
@@ -233,17 +241,17 @@ def _holders(shards: Sequence[RegionSums], parts: Sequence[Shard]) -> dict[str, 
     first = shards[0]
     found: dict[int, tuple[str, int, int]] = {}
     for number, (sums, part) in enumerate(zip(shards, parts, strict=True)):
-        if not first.is_like(sums) or part.n_views != parts[0].n_views:
+        if not first.is_like(sums) or (part.n_views, part.scene) != (parts[0].n_views, parts[0].scene):
             raise InputError(
-                f"{sums.path} and {first.path}: are shards of other scenes, or made with other options; give the "
-                "shards of one scene, all made by the same command but for --shard"
+                f"{sums.path} and {first.path}: are shards of other scenes or cameras, or made with other "
+                "options; give the shards of one scene, all made by the same command but for --shard"
             )
         for place, (view, where) in enumerate(zip(part.sources.views, part.places, strict=True)):
             name, other, _ = found.setdefault(where, (view.name, number, place))
             if name != view.name or not _same_view(sums, shards[other], part, parts[other], name):
                 raise InputError(
-                    f"{sums.path} and {shards[other].path}: hold different views in place {where + 1} of the scene "
-                    f"({view.name}, {name}), or the same with other cameras or regions; make them again from one scene"
+                    f"{sums.path} and {shards[other].path}: hold other regions of the view {view.name}; make them "
+                    "again, from one scene"
                 )
     return {name: (number, place) for _, (name, number, place) in sorted(found.items())}
 
@@ -266,6 +274,12 @@ def _warn_of_missing(parts: Sequence[Shard], n_found: int) -> None:
             ScoupWarning,
             stacklevel=3,
         )
+
+
+def _digest(cameras: Sequence[Camera]) -> str:
+    """SHA-256 of names and cameras, by which shards of one scene know each other."""
+    known = [[camera.name, camera.fingerprint()] for camera in cameras]
+    return hashlib.sha256(json.dumps(known).encode()).hexdigest()
 
 
 def _names(levels: Sequence[str]) -> list[str]:
