@@ -44,8 +44,8 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup info scene.scoup
   scoup eval lerf-ovs ROOT
 
-`scoup VERB --help` explains a verb. Exit codes: 0 done, 1 a fault of the program, 2 bad input, 130 interrupted,
-143 terminated."""
+`scoup VERB --help` explains a verb. Exit codes: 0 done, 1 a fault of the program, or another of several
+processes was lost, 2 bad input, 130 interrupted, 143 terminated."""
 
 SCOUP = Family(
     DESCRIPTION,
