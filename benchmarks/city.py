@@ -50,7 +50,7 @@ class Arguments:
     """Views while Gaussians grow."""
     size_of_views: int = 3_000_000
     """Gaussians while views grow."""
-    views_per_million: int = 66
+    views_per_million: int = 20
     """Views for a million Gaussians while both grow, at the same sizes but the smallest."""
     limit: float = 16
     """GB that a build may take, with what the system caches for it."""

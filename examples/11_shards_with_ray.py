@@ -11,7 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import ray
+import ray  # pyright: ignore[reportMissingImports]
 
 scene, words, count, field = sys.argv[1], sys.argv[2], int(sys.argv[3]), Path(sys.argv[4]).absolute()
 scene, words = str(Path(scene).absolute()), str(Path(words).absolute()) if Path(words).exists() else words

@@ -6,7 +6,10 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +32,7 @@ FAR = 250.0  # metres beyond which nothing has a region
 PANEL = 4.0  # metres: edge of a region of the finest level
 KINDS = 40  # of buildings
 LABEL_WIDTH = 160  # pixels of a label map
+PROCESSES = 4  # that make regions
 NOISE = 0.03  # of an embedding's numbers; a unit vector of 512 has 0.04
 
 
@@ -68,7 +72,20 @@ def write_city(city: City, cameras: Cameras, folder: Path) -> None:
                 stream.write(format_header(rows.dtype, city.n_blocks * A_BLOCK))
             stream.write(rows.tobytes())
     write_inria_cameras(cameras, folder / "cameras.json")
-    save_regions(regions_of(city, cameras), folder / "language_features")
+    (folder / "language_features").mkdir()
+    parts = [Cameras(list(cameras)[first::PROCESSES]) for first in range(PROCESSES)]
+    with ProcessPoolExecutor(PROCESSES, mp_context=get_context("spawn")) as pool:
+        list(pool.map(partial(_write_regions, city, folder / "language_features"), parts))
+
+
+def _write_regions(city: City, folder: Path, cameras: Cameras) -> None:
+    if not len(cameras):
+        return
+    own = folder / cameras[0].name
+    save_regions(regions_of(city, cameras), own)
+    for path in own.iterdir():
+        path.rename(folder / path.name)
+    own.rmdir()
 
 
 def blocks(city: City) -> Iterator[Gaussians]:

@@ -69,11 +69,12 @@ def vote_arrays(count: int = N, entries: int = 1, seed: int = 0) -> dict[str, An
     """Arguments of a vote: each Gaussian has so many entries in one view."""
     numbers = np.random.default_rng(seed)
     gaussian = np.repeat(np.arange(count), entries)
-    starts = np.searchsorted(gaussian, np.arange(-(-count // 256) + 1) * 256).astype(np.uint32)
+    buckets = np.unique(gaussian // 256).astype(np.uint32)
+    starts = np.searchsorted(gaussian, np.append(buckets, len(buckets)) * 256).astype(np.uint32)
     places = (gaussian % 256).astype(np.uint8)
     chosen = numbers.integers(0, 5, len(gaussian)).astype(np.uint16)
     weights = numbers.uniform(size=len(gaussian)).astype(np.float32)
-    view = (starts, places, chosen, weights, np.arange(5, dtype=np.int64)[:, None])
+    view = (buckets, starts, places, chosen, weights, np.arange(5, dtype=np.int64)[:, None])
     return {
         "n_gaussians": count,
         "grams": np.eye(8, dtype=np.float32)[None],
@@ -198,7 +199,7 @@ def test_region_sums_refuse_what_does_not_fit():
         core.combine(np.zeros((2, 3, 4), np.int64), 1)
 
 
-@pytest.mark.parametrize("place", range(5))
+@pytest.mark.parametrize("place", range(6))
 @pytest.mark.parametrize("why", ["another dtype", "dimensions"])
 def test_a_vote_refuses_arrays_that_do_not_fit(place, why):
     arguments = vote_arrays()
