@@ -29,6 +29,7 @@ from benchmarks import (
     fewer_pixels,
     labels,
     selection,
+    server_load,
     stream,
     threshold,
     viewer,
@@ -250,6 +251,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "city, limits": lambda: city_model.limit_table(record("city_model")["limits"]),
     "hostile": lambda: hostile.table(record("hostile")["readers"]),
     "endurance": lambda: endurance.table(record("endurance")["verbs"]),
+    "server load": lambda: server_load.table(record("server_load")),
     "stream": lambda: stream.table(record("stream")["rows"]),
     "coding, compared": lambda: compared_table(record("coding")["sizes"]),
 }

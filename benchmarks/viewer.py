@@ -16,6 +16,8 @@ import sys
 import tempfile
 import time
 import urllib.request
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -160,7 +162,16 @@ def start_seconds(path: Path) -> dict[str, float]:
 
 def _answer_seconds(path: Path) -> float:
     start = time.perf_counter()
-    command = [*PROGRAM, "view", str(path), "--port", "0", "--json"]
+    with served(path) as (address, _):
+        with urllib.request.urlopen(address) as answer:
+            answer.read()
+        return time.perf_counter() - start
+
+
+@contextmanager
+def served(path: Path, program: Sequence[str] = PROGRAM) -> Iterator[tuple[str, int]]:
+    """`scoup view` on a field in a process of its own, once it answers: its address, and the number of the process."""
+    command = [*program, "view", str(path), "--port", "0", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout is not None
         printed = ""
@@ -169,11 +180,10 @@ def _answer_seconds(path: Path) -> float:
             if not line:
                 raise SystemExit("scoup view ended")
             printed += line
-        with urllib.request.urlopen(json.loads(printed)["address"]) as answer:
-            answer.read()
-        seconds = time.perf_counter() - start
-        process.terminate()
-    return seconds
+        try:
+            yield json.loads(printed)["address"], process.pid
+        finally:
+            process.terminate()
 
 
 def sent_bytes(path: Path) -> dict[str, float]:

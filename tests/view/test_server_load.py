@@ -1,0 +1,48 @@
+"""The benchmark of many visitors at once: it finds no fault in the server, and does find those that are planted."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("starlette", reason="needs scoup[view]")
+from benchmarks.server_load import Arguments, main
+
+from scoup.base.measuring import resident_bytes
+
+pytestmark = pytest.mark.skipif(
+    resident_bytes() is None, reason="reads the state of a process as Linux shows it"
+)
+FEW = Arguments(clients=3, requests=15, pause=0, n_gaussians=500)
+ENTRY = "\nfrom scoup.cli.app import entry\nentry()"
+FAULT = """
+from scoup.view.viewed_field import ViewedField
+def fail(*arguments):
+    raise RuntimeError("planted")
+ViewedField.answers = fail
+"""
+ANOTHER = """
+import itertools
+from scoup.view import server
+plain, numbers = server.JSONResponse, itertools.count()
+server.JSONResponse = lambda content, *more: plain({**content, "number": next(numbers)}, *more)
+"""
+
+
+def test_visitors_meet_no_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = main(Arguments(**{**vars(FEW), "out": tmp_path / "load.json"}))
+    assert record["errors"] == 0, record["first_errors"]
+    assert record["counts"]["query"] > 5
+    assert set(record["seconds"]) >= {"query", "picture"}
+    assert record["server"]["last"]["resident"] > 1e6
+    assert "3 clients" in capsys.readouterr().out
+    assert (tmp_path / "load.json").is_file()
+
+
+@pytest.mark.parametrize(("planted", "said"), [(FAULT, "status 500"), (ANOTHER, "another answer to")])
+def test_planted_faults_are_errors(planted: str, said: str) -> None:
+    record = main(FEW, (sys.executable, "-c", planted + ENTRY))
+    assert record["errors"] > 0
+    assert any(said in error for error in record["first_errors"]), record["first_errors"]
