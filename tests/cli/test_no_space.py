@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -22,7 +23,14 @@ from cli_support import QUICK, run, snapshot
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import WriteError
 from scoup.base.staging import staged
-from scoup.io import save_gaussians, save_png, save_regions, write_inria_cameras, write_transforms
+from scoup.io import (
+    load_gaussians,
+    save_gaussians,
+    save_png,
+    save_regions,
+    write_inria_cameras,
+    write_transforms,
+)
 from scoup.models.word_table import save_table
 from scoup.raster import ViewSums
 from scoup.uplift.rasterise import region_sums
@@ -38,6 +46,13 @@ VERBS = {
     "build with sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums"),
     "build from sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--sums", "kept.scoup.sums"),
     "build with geometry": ("build", "scene", *QUICK, "--out", "a.scoup", "--embed-geometry"),
+    "build a shard": ("build", "scene", "--shard", "1/2", "--out", "a.scoup"),
+    "merge": ("merge", "k.scoup.1-of-2.sums", "k.scoup.2-of-2.sums", *QUICK, "--out", "a.scoup"),
+    "merge, keep sums": ("merge", "k.scoup.1-of-2.sums", "k.scoup.2-of-2.sums", *QUICK, "--out", "a.scoup",
+                         "--keep-sums"),
+    "update, edited": ("update", "kept.scoup", "--edited", "edited.ply", "--out", "a.scoup"),
+    "update, edited, all vote": ("update", "kept.scoup", "--edited", "edited.ply", "--scene", "whole", "--out",
+                                 "a.scoup"),
     "update": ("update", "kept.scoup", "--remove", "view_00.png", "--out", "a.scoup"),
     "extract": ("extract", "scene", *FREE, "--out", "regions"),
     "extract, LangSplat": ("extract", "scene", *FREE, "--out", "regions", "--layout", "langsplat"),
@@ -73,6 +88,14 @@ def original(original: Path) -> Path:
     )
     code, _, err = run(*build)
     assert code == 0, err
+    for share in ("1/2", "2/2"):
+        code, _, err = run(
+            "build", original / "scene", "--model", table, "--out", original / "k.scoup", "--shard", share
+        )
+        assert code == 0, err
+    shutil.copytree(original / "scene", original / "whole")
+    gaussians = load_gaussians(original / "scene")
+    save_gaussians(gaussians.select(slice(5, None)), original / "edited.ply")
     return original
 
 
