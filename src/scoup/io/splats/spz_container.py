@@ -23,6 +23,7 @@ _PLACE = struct.Struct("<I12x")  # of the table of streams; the rest of the head
 _STREAM = struct.Struct("<QQ")  # compressed and original size
 _HAS_EXTENSIONS = 2
 _MOST_DEGREE = 4
+_ANY_WINDOW, _MOST_WINDOW = 1 << 23, 1 << 27  # bytes: of any stream by the usual levels of zstd, and of all
 _RATIO, _ANY_BYTES = (
     100,
     4 << 20,
@@ -188,7 +189,9 @@ def _unpacked(path: Path, packed: bytes, size: int) -> bytes:
     except ImportError:
         raise ScoupError(f"{path}: {HOW_TO_GET_ZSTD}") from None
     try:
-        with zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(packed) as stream:
+        # A window is memory, and no frame needs one that is larger than what it holds.
+        window = max(_ANY_WINDOW, min(_MOST_WINDOW, 1 << size.bit_length()))
+        with zstandard.ZstdDecompressor(max_window_size=window).stream_reader(packed) as stream:
             content = stream.read(size + 1)
     except (zstandard.ZstdError, MemoryError) as error:
         raise FileFormatError(path, f"cannot be unpacked ({error})", _DAMAGED) from error
