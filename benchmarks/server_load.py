@@ -4,9 +4,10 @@
 
 The server runs in a process of its own, on the random scene with made-up codes. Each client is a visitor: it loads the
 page and the scene, asks for words, has pictures drawn, clicks, downloads selections, looks at thumbnails, pauses, and
-sometimes walks away before the answer has come. The same question must get the same bytes from first to last. "Busy"
-(503) and "superseded" (409) are answers of the server that its page knows; everything else that is not the answer is
-an error, and the command ends with 1. Latencies are those of a machine that clients and server share.
+sometimes walks away before the answer has come, or in the midst of its message. The same question must get the same
+bytes from first to last. "Busy" (503) and "superseded" (409) are answers of the server that its page knows; everything
+else that is not the answer is an error, as is every word on the server's standard error. The command ends with 1 where
+there are errors. Latencies are those of a machine that clients and server share.
 """
 
 from __future__ import annotations
@@ -164,6 +165,10 @@ class Visitor:
         )
         started = time.perf_counter()
         try:
+            if leaves and self.dice.random() < 0.5:
+                headers["content-length"] = str(
+                    len(body or "") + 10
+                )  # and leaves in the midst of its message
             connection.request(method, parts.path + path, body, headers)
             if leaves:
                 with self.book.lock:
@@ -185,8 +190,12 @@ def main(arguments: Arguments, program: Sequence[str] = PROGRAM) -> dict[str, An
         path = write_field(Path(folder), arguments.n_gaussians)
         cameras = scoup.LanguageField.load(path).cameras
         assert cameras is not None
-        with served(path, program) as (address, process):
+        log = Path(folder) / "log"
+        with log.open("w") as stream, served(path, program, stream) as (address, process):
             book, samples = visits(arguments, address, process, cameras)
+            said = log.read_text()  # at the end it says that it was terminated
+        if said:
+            book.errors.append(f"the server's standard error: {said[:2000]}")
     record = {
         "what": "benchmarks.server_load: many visitors of scoup view",
         "environment": environment,

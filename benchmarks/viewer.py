@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import IO, Any
 
 import tyro
 from tools.chromium import chromium
@@ -169,10 +169,18 @@ def _answer_seconds(path: Path) -> float:
 
 
 @contextmanager
-def served(path: Path, program: Sequence[str] = PROGRAM) -> Iterator[tuple[str, int]]:
-    """`scoup view` on a field in a process of its own, once it answers: its address, and the number of the process."""
+def served(
+    path: Path, program: Sequence[str] = PROGRAM, log: IO[str] | int = subprocess.DEVNULL
+) -> Iterator[tuple[str, int]]:
+    """`scoup view` on a field in a process of its own, once it answers: its address, and the number of the process.
+
+    Args:
+        path: of the field.
+        program: that is `scoup`.
+        log: gets its standard error.
+    """
     command = [*program, "view", str(path), "--port", "0", "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True) as process:
         assert process.stdout is not None
         printed = ""
         while not printed.endswith("}\n"):

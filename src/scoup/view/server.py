@@ -12,7 +12,7 @@ from typing import Any
 from starlette.applications import Starlette
 from starlette.background import BackgroundTask
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -177,10 +177,13 @@ async def _answered(answer: Answer, request: Request) -> Response:
     if not announced.isdecimal() or int(announced) > MOST_BYTES:
         return too_long  # without waiting for it
     body = b""
-    async for part in request.stream():
-        body += part
-        if len(body) > MOST_BYTES:
-            return too_long
+    try:
+        async for part in request.stream():
+            body += part
+            if len(body) > MOST_BYTES:
+                return too_long
+    except ClientDisconnect:  # visitors may leave in the midst of a message; nobody hears this
+        return _error(400, "the message broke off")
     try:
         fields = json.loads(body)
     except (ValueError, RecursionError):
