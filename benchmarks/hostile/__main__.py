@@ -93,6 +93,7 @@ def all_trials(arguments: Arguments, samples: Path) -> list[Trial]:
         return found
 
     names = [name for name in READERS if name in (arguments.readers or READERS)]
+    names.sort(key=lambda name: READERS[name].share)  # those that take longest first
     with ThreadPoolExecutor(arguments.processes) as pool:
         return list(pool.map(trial, names))
 

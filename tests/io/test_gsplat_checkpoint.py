@@ -118,3 +118,15 @@ def test_an_archive_in_several_parts(tmp_path):
     (tmp_path / "a.pt").write_bytes(locator + b"PK\5\6" + bytes(18))
     with pytest.raises(FileFormatError, match="cannot be loaded"):
         read_gsplat_checkpoint(tmp_path / "a.pt")
+
+
+def test_an_entry_that_claims_more_bytes_than_there_are(tmp_path):
+    with_pickle(tmp_path / "a.pt", b"\x80\x02}.")
+    content = bytearray((tmp_path / "a.pt").read_bytes())
+    entry = content.index(b"PK\1\2")
+    while entry >= 0:
+        content[entry + 20 : entry + 24] = (2**31 - 1).to_bytes(4, "little")  # packed; unpacked is as before
+        entry = content.find(b"PK\1\2", entry + 1)
+    (tmp_path / "a.pt").write_bytes(content)
+    with pytest.raises(FileFormatError, match="unpacks to more than its size"):
+        read_gsplat_checkpoint(tmp_path / "a.pt")

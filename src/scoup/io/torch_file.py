@@ -46,7 +46,7 @@ def load_torch(path: str | Path, what: str, without_objects: str, numpy_numbers:
         )
     try:
         with zipfile.ZipFile(path) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
+            unpacked = sum(max(entry.file_size, entry.compress_size) for entry in archive.infolist())
             # torch stores without compression; one that unpacks to more than its size would fill the memory.
             if unpacked > os.path.getsize(path):
                 raise ValueError("unpacks to more than its size")
