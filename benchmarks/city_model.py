@@ -25,6 +25,7 @@ import numpy as np
 import tyro
 from scipy.optimize import nnls
 
+from benchmarks.scenes.city import A_BLOCK, FAR, PITCH
 from scoup.base.errors import InputError
 from scoup.bench import describe_environment, markdown, write_json
 from scoup.io import check_output
@@ -33,17 +34,18 @@ Values = Mapping[str, float]
 TERMS: dict[str, tuple[str, ...]] = {
     "load": ("N", "1"),
     "coding": ("R", "1"),
-    "region sums": ("V", "V N", "N"),
+    "region sums": ("V seen", "V N", "N"),
     "vote": ("B", "N", "1"),
     "rest": ("N", "V", "1"),
     "bytes_of_splat": ("N",),
-    "bytes_of_features": ("V",),
-    "regions": ("V",),
-    "bytes_of_sums": ("N", "V"),
+    "bytes_of_features": ("V", "V seen"),
+    "regions": ("V seen",),
+    "bytes_of_sums": ("N", "V seen"),
     "bytes_of_field": ("N", "1"),
     "anonymous": ("N", "R", "1"),
 }
-"""What each quantity is a sum of; ``rest`` is what the total has beyond the stages."""
+"""What each quantity is a sum of; ``rest`` is what the total has beyond the stages. "V seen" are views, each counted by
+``reach`` of the city; "V N" is what their frustums hold to the end of the city, which is projected."""
 STAGES = ("load", "coding", "region sums", "vote", "rest")
 BYTES_OF_EMBEDDING = 512 * 4
 BYTES_MAPPED = 59 * 4  # of a Gaussian of SH degree 3 in temporary files (base/scratch.py)
@@ -81,7 +83,7 @@ class Model:
 
     def predict(self, n: float, v: float) -> dict[str, float]:
         """Every quantity of a build of n Gaussians and v views; ``total`` is the sum of the stages."""
-        values = {"N": n, "V": v, "V N": v * n, "1": 1.0}
+        values = terms_of(n, v)
         found: dict[str, float] = {}
         for name in ("regions", "bytes_of_sums", *TERMS):
             values |= {"R": found.get("regions", 0.0), "B": found.get("bytes_of_sums", 0.0)}
@@ -123,6 +125,18 @@ def main(arguments: Arguments) -> dict[str, Any]:
     return record
 
 
+def terms_of(n: float, v: float) -> dict[str, float]:
+    """What follows from Gaussians and views alone."""
+    return {"N": n, "V": v, "V N": v * n, "V seen": v * reach(n), "1": 1.0}
+
+
+def reach(n: float) -> float:
+    """How much of the distance up to which things have regions a view along a street has before it, on average over a
+    city of n Gaussians: a city ends."""
+    width = PITCH * (n / A_BLOCK) ** 0.5
+    return 1 - FAR / (2 * width) if width > FAR else width / (2 * FAR)
+
+
 def flat(case: Mapping[str, Any]) -> dict[str, Any]:
     """A case of the record with all quantities of ``TERMS`` side by side."""
     seconds = case["seconds"]
@@ -161,7 +175,7 @@ def fit(cases: Sequence[dict[str, Any]]) -> Model:
     for name, terms in TERMS.items():
         rows, weights = [], []
         for case in cases:
-            of_terms = {"N": case["N"], "V": case["V"], "V N": case["V"] * case["N"], "1": 1.0}
+            of_terms = terms_of(case["N"], case["V"])
             of_terms |= {"R": case["regions"], "B": case["bytes_of_sums"]}
             rows.append([of_terms[term] for term in terms])
             weights.append(max(case[name], 1e-9))
@@ -197,10 +211,10 @@ def limits_of(model: Model, memory: float, disk: float) -> dict[str, dict[str, f
     kept_splat = of["bytes_of_splat"]["N"] + BYTES_MAPPED
     return {
         "embeddings of all regions, in the process that learns codes": {
-            "views": memory / (of["regions"]["V"] * BYTES_OF_EMBEDDING)
+            "views": memory / (of["regions"]["V seen"] * BYTES_OF_EMBEDDING)
         },
         "region sums of all views, on the disk of each process that votes": {
-            "views": disk / of["bytes_of_sums"]["V"]
+            "views": disk / of["bytes_of_sums"]["V seen"]
         },
         "codes of all Gaussians, order and projection, in every process": {
             "Gaussians": memory / of["anonymous"]["N"]
@@ -234,9 +248,9 @@ def check_table(checks: Sequence[dict[str, Any]]) -> str:
 def city_table(cities: Mapping[str, Mapping[str, float]]) -> str:
     """What each way of building the city takes on one of its machines."""
     heads = ["", *cities]
-    lines = [(f"{stage}, hours", [f"{of[stage] / 3600:,.2f}" for of in cities.values()]) for stage in STAGES]
+    lines = [(f"{stage}, minutes", [f"{of[stage] / 60:,.2f}" for of in cities.values()]) for stage in STAGES]
     lines += [
-        ("all, hours", [f"{of['hours']:,.1f}" for of in cities.values()]),
+        ("all, minutes", [f"{of['hours'] * 60:,.1f}" for of in cities.values()]),
         ("own memory, GB", [f"{of['anonymous'] / 1e9:,.1f}" for of in cities.values()]),
         ("splat read, GB", [f"{of['bytes_of_splat'] / 1e9:,.2f}" for of in cities.values()]),
         ("region features, GB", [f"{of['bytes_of_features'] / 1e9:,.1f}" for of in cities.values()]),

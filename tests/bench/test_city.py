@@ -73,20 +73,21 @@ def test_a_city_is_the_same_again() -> None:
 
 def case(grows: str, n: int, v: int) -> dict[str, Any]:
     """A build that takes exactly what a model of this kind says."""
-    sums = 4 * n + 700_000 * v
-    seconds = {"load": 1e-6 * n, "coding": 1e-4 * 900 * v, "region sums": 0.1 * v + 2e-7 * n,
+    seen = v * city_model.reach(n)
+    sums = 4 * n + 700_000 * seen
+    seconds = {"load": 1e-6 * n, "coding": 1e-4 * 900 * seen, "region sums": 0.1 * seen + 2e-7 * n,
                "vote": 1e-8 * sums + 5e-7 * n}  # fmt: skip
     return {
         "grows": grows,
         "gaussians": n,
         "views": v,
         "seconds": {**seconds, "total": sum(seconds.values()) + 2.0},
-        "regions": [600 * v, 200 * v, 100 * v],
+        "regions": [600 * seen, 200 * seen, 100 * seen],
         "bytes_of_splat": 248 * n,
         "bytes_of_features": 3_000_000 * v,
         "bytes_of_sums": sums,
         "bytes_of_field": 30 * n + 800_000,
-        "anonymous": 3e8 + 70 * n + 2048 * 900 * v,
+        "anonymous": 3e8 + 70 * n + 2048 * 900 * seen,
     }
 
 
@@ -115,7 +116,9 @@ def test_the_city_in_shares_and_in_districts(tmp_path: Path, capsys: pytest.Capt
     record = city_model.main(city_model.Arguments(measured=path, out=tmp_path / "model.json"))
     one, districts = record["city"]["one scene"], record["city"]["districts"]
     assert one["bytes_of_splat"] == pytest.approx(248e9, rel=1e-3)
-    assert one["region sums"] == pytest.approx((0.1 * 1e6 + 2e-7 * 1e9) / 1000, rel=1e-3)
+    assert one["region sums"] == pytest.approx(
+        (0.1 * 1e6 * city_model.reach(1e9) + 2e-7 * 1e9) / 1000, rel=1e-3
+    )
     assert districts["bytes_of_splat"] == pytest.approx(2 * 248e6, rel=1e-3)
     assert districts["total"] == pytest.approx(case("", 2_000_000, 1000)["seconds"]["total"], rel=1e-3)
     assert districts["price"] == pytest.approx(2.5 * 1000 * districts["total"] / 3600)
