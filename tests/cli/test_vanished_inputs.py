@@ -1,156 +1,212 @@
-"""An input that vanishes while a verb is at work: one sentence names it, what was done is kept, nothing is changed."""
+"""Inputs that vanish in the midst of the work: one sentence that names the file, and nothing is lost.
+
+A file vanishes at the moment at which the verb opens it, for the first time or a later one.
+"""
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
+import safetensors
 import torch
 
 from cli_support import QUICK, run, snapshot
-from scoup import raster
-from scoup.extract.felzenszwalb import Felzenszwalb
 from scoup.io import load_gaussians, save_gaussians, save_png
 
-FEATURES = Path("scene/language_features")
-SCENE = ("scene", "--model", "scene/words.npz")
+PLY, CAMERAS, IMAGES = "scene/point_cloud.ply", "scene/sparse/0/cameras.bin", "scene/sparse/0/images.bin"
+LABELS, ROWS = "scene/language_features/view_02_s.npy", "scene/language_features/view_02_f.npy"
+LAST_LABELS = "scene/language_features/view_03_s.npy"
+PHOTO = "scene/images/view_02.png"
+FIRST, SECOND = "s.scoup.1-of-2.sums", "s.scoup.2-of-2.sums"
+GONE = "was there, and is gone; put it back and try again"
+OUT = ("--out", "a.scoup", "--overwrite")
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 
 
-def gone_after_first(
-    owner: Any, name: str, what: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+@dataclass(frozen=True)
+class Verb:
+    """A verb, the files it reads, and the outputs that are there already and stay as they are after an error."""
+
+    arguments: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+VERBS = {
+    "build": Verb(("build", "scene", *QUICK, *OUT, "--keep-sums"), (PLY, CAMERAS, IMAGES, LABELS, ROWS, PHOTO),
+                  ("a.scoup", "a.scoup.sums")),
+    "build --shard": Verb(("build", "scene", *OUT, "--shard", "1/2"), (PLY, IMAGES, LABELS, ROWS, PHOTO),
+                          ("a.scoup.1-of-2.sums",)),
+    "build --sums": Verb(("build", "scene", *QUICK, *OUT, "--sums", "kept.scoup.sums"),
+                         (PLY, "kept.scoup.sums", LABELS, ROWS), ("a.scoup",)),
+    "merge": Verb(("merge", FIRST, SECOND, *QUICK, *OUT, "--keep-sums"), (FIRST, SECOND),
+                  ("a.scoup", "a.scoup.sums")),
+    "update --add": Verb(("update", "few.scoup", "--scene", "scene", "--add", "all", *OUT),
+                         ("few.scoup", "few.scoup.sums", PLY, CAMERAS, LAST_LABELS, ROWS, PHOTO),
+                         ("a.scoup", "a.scoup.sums")),
+    "update --edited": Verb(("update", "kept.scoup", "--scene", "scene", "--edited", "edited.ply", *OUT),
+                            ("kept.scoup", "kept.scoup.sums", "edited.ply", PLY, IMAGES, LABELS, PHOTO),
+                            ("a.scoup", "a.scoup.sums")),
+    "extract": Verb(("extract", "photographs", *FREE, "--out", "regions"), ("photographs/view_02.png",), ()),
+}  # fmt: skip
+CASES = [(name, file) for name, verb in VERBS.items() for file in verb.inputs]
+
+
+class Doors:
+    """Told of every file that is opened for reading, by its path."""
+
+    listener: Callable[[str], None] | None = None
+
+    @classmethod
+    def audit(cls, event: str, arguments: tuple[Any, ...]) -> None:
+        if cls.listener is None or event != "open" or not isinstance(arguments[0], (str, os.PathLike)):
+            return
+        if not (isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)):
+            cls.listener(os.path.abspath(arguments[0]))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def listening() -> None:
+    sys.addaudithook(Doors.audit)  # none can be removed; without a listener it does nothing
+
+
+@pytest.fixture
+def fields_are_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fields are opened by compiled code, which says nothing."""
+    safe_open = safetensors.safe_open
+
+    def heard(path: Any, **how: Any) -> Any:
+        if Doors.listener is not None:
+            Doors.listener(os.path.abspath(path))
+        return safe_open(path, **how)
+
+    monkeypatch.setattr(safetensors, "safe_open", heard)
+
+
+@contextmanager
+def vanishing(file: str, time: int) -> Iterator[list[str]]:
+    """Within the block a file moves away when it is opened so many times; gives all openings of it."""
+    path, opened = os.path.abspath(file), []
+
+    def listen(name: str) -> None:
+        if name == path:
+            opened.append(name)
+            if len(opened) == time:
+                os.rename(path, path + "_away")
+
+    Doors.listener = listen
+    try:
+        yield opened
+    finally:
+        Doors.listener = None
+        if os.path.exists(path + "_away"):
+            os.rename(path + "_away", path)
+
+
+@pytest.fixture(scope="module")
+def begun(original: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with all that the verbs begin with."""
+    folder = tmp_path_factory.mktemp("vanished") / "begun"
+    shutil.copytree(original, folder)
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        for number in range(4):
+            pixels = torch.zeros(30, 40, 3, dtype=torch.uint8)
+            pixels[:15, : 10 + 5 * number] = 200
+            save_png(pixels, f"photographs/view_0{number}.png")
+        save_gaussians(load_gaussians(PLY).select(slice(5, None)), "edited.ply")
+        keep = ("build", "scene", *QUICK, "--keep-sums", "--out")
+        commands = [(*keep, "kept.scoup")]
+        commands += [("build", "scene", "--out", "s.scoup", "--shard", f"{number}/2") for number in (1, 2)]
+        remove = ("--remove", "view_02.png", "--remove", "view_03.png")
+        commands += [("update", "kept.scoup", *remove, "--out", "few.scoup")]
+        for command in commands:
+            code, _, err = run(*command)
+            assert code == 0, err
+        for name in ("a.scoup", "a.scoup.sums", "a.scoup.1-of-2.sums"):
+            Path(name).write_text(f"{name} of before")
+    finally:
+        os.chdir(before)
+    return folder
+
+
+@pytest.fixture
+def start(begun: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], dict[str, bytes]]:
+    """Makes the current folder a new copy of ``begun``, and gives what is in it."""
+
+    def start() -> dict[str, bytes]:
+        here = tmp_path / "here"
+        monkeypatch.chdir(tmp_path)
+        shutil.rmtree(here, ignore_errors=True)
+        shutil.copytree(begun, here)
+        monkeypatch.chdir(here)
+        return snapshot(here)
+
+    return start
+
+
+@pytest.mark.usefixtures("fields_are_heard")
+@pytest.mark.parametrize(("name", "file"), CASES)
+def test_inputs_that_vanish(start: Callable[[], dict[str, bytes]], name: str, file: str) -> None:
+    verb = VERBS[name]
+    before = start()
+    with vanishing(file, time=0) as opened:
+        assert run(*verb.arguments)[0] == 0
+    wanted = snapshot(Path())
+    count = len(opened)
+    assert count
+    for time in sorted({1, max(1, count - 1), count}):
+        start()
+        with vanishing(file, time):
+            code, _, err = run(*verb.arguments)
+        left = snapshot(Path())
+        if code == 0:  # it was read already, or can be left out
+            assert left == wanted or ("warning: " in err and Path(file).name in err), err
+            continued = ""
+        else:
+            continued = check_refused(verb, file, code, err, before, left)
+        code, out, err = run(*verb.arguments)
+        assert code == 0, err
+        assert continued in out
+        assert snapshot(Path()) == wanted
+
+
+def check_refused(
+    verb: Verb, file: str, code: int, err: str, before: dict[str, bytes], left: dict[str, bytes]
+) -> str:
+    """Check an end by a file that is gone; what the next run must say."""
+    *warnings, said = err.splitlines()
+    assert code == 2
+    assert all(line.startswith("warning: ") for line in warnings), err
+    assert said.startswith("error: ")
+    assert Path(file).name in said
+    assert Path(file).suffix == ".png" or said.endswith(GONE)
+    assert all(left[output] == before[output] for output in verb.outputs)
+    kept = sorted(set(left) - set(before))
+    assert all(path.endswith(".partial") for path in kept), kept
+    assert {path: content for path, content in left.items() if path not in kept} == before
+    return "continues an interrupted" if kept else ""
+
+
+@pytest.mark.parametrize("name", ["build", "build --shard", "update --add"])
+def test_views_made_before_an_input_vanished_are_kept(
+    start: Callable[[], dict[str, bytes]], name: str
 ) -> None:
-    """Do ``what`` after the first call of a function."""
-    function, calls = getattr(owner, name), []
-
-    def calling(*arguments: Any, **more: Any) -> Any:
-        found = function(*arguments, **more)
-        if not calls:
-            what()
-        calls.append(1)
-        return found
-
-    monkeypatch.setattr(owner, name, calling)
-
-
-def features_gone() -> None:
-    """Only the features of the first view are left; the next ones may have been read ahead."""
-    for path in FEATURES.glob("view_0[1-9]*"):
-        path.unlink()
-
-
-@pytest.mark.usefixtures("here")
-@pytest.mark.parametrize(
-    ("arguments", "partial"),
-    [
-        (("build", *SCENE, *QUICK, "--out", "a.scoup"), "a.scoup.partial"),
-        (("build", *SCENE, "--shard", "1/1", "--out", "a.scoup"), "a.scoup.1-of-1.sums.partial"),
-    ],
-    ids=["build", "shard"],
-)
-def test_region_features(
-    arguments: tuple[str, ...], partial: str, here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    code, _, err = run(*arguments)
-    assert code == 0, err
-    output = Path(partial.removesuffix(".partial"))
-    whole = output.read_bytes()
-    output.unlink()
-    shutil.copytree(FEATURES, "saved")
-    before = snapshot(here)
-    with monkeypatch.context() as patched:
-        gone_after_first(raster, "region_sums", features_gone, patched)
-        code, _, err = run(*arguments)
-    lines = [line for line in err.splitlines() if not line.startswith("warning: ")]
-    assert (code, len(lines)) == (2, 1), err
-    assert str(FEATURES) in lines[0], err
-    left = snapshot(here)
-    assert set(left) - set(before) == {partial}
-    assert all(left[name] == content for name, content in before.items() if name in left)
-    shutil.copytree("saved", FEATURES, dirs_exist_ok=True)
-    code, _, err = run(*arguments)
-    assert (code, output.read_bytes() == whole) == (0, True), err
-    assert not Path(partial).exists()
-
-
-@pytest.mark.usefixtures("here")
-def test_features_of_views_to_add(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    Path("later").mkdir()
-    for path in FEATURES.glob("view_0[1-3]*"):
-        path.rename(Path("later") / path.name)
-    code, _, err = run("build", *SCENE, *QUICK, "--keep-sums", "--out", "a.scoup")
-    assert code == 0, err
-    shutil.copytree("later", FEATURES, dirs_exist_ok=True)
-    update = ("update", "a.scoup", "--scene", "scene", "--add", "all", "--overwrite")
-    before = {name: content for name, content in snapshot(here).items() if not name.startswith(str(FEATURES))}
-    gone_after_first(raster, "region_sums", features_gone, monkeypatch)
-    code, _, err = run(*update)
-    lines = [line for line in err.splitlines() if not line.startswith("warning: ")]
-    assert (code, len(lines)) == (2, 1), err
-    assert str(FEATURES) in lines[0], err
-    left = snapshot(here)
-    assert all(left[name] == content for name, content in before.items())
-    monkeypatch.undo()
-    monkeypatch.chdir(here)
-    shutil.copytree("later", FEATURES, dirs_exist_ok=True)
-    assert run(*update)[0] == 0
-
-
-@pytest.mark.usefixtures("here")
-def test_a_shard_that_is_gone_before_it_is_opened(here: Path) -> None:
-    for share in ("1/2", "2/2"):
-        assert run("build", *SCENE, "--out", "a.scoup", "--shard", share)[0] == 0
-    Path("a.scoup.2-of-2.sums").unlink()
-    before = snapshot(here)
-    code, _, err = run("merge", "a.scoup.1-of-2.sums", "a.scoup.2-of-2.sums", *QUICK)
-    assert (code, len(err.splitlines())) == (2, 1), err
-    assert err.startswith("error: a.scoup.2-of-2.sums: "), err
-    assert snapshot(here) == before
-
-
-@pytest.mark.usefixtures("here")
-def test_kept_sums_that_are_gone_before_they_are_opened(here: Path) -> None:
-    assert run("build", *SCENE, *QUICK, "--keep-sums", "--out", "a.scoup")[0] == 0
-    Path("a.scoup.sums").unlink()
-    save_gaussians(load_gaussians("scene").select(slice(5, None)), "edited.ply")
-    before = snapshot(here)
-    for arguments in (("--remove", "view_00.png"), ("--edited", "edited.ply", "--scene", "scene")):
-        code, _, err = run("update", "a.scoup", *arguments, "--overwrite")
-        assert (code, len(err.splitlines())) == (2, 1), err
-        assert err.startswith("error: a.scoup.sums: is not there"), err
-        assert snapshot(here) == before
-
-
-@pytest.mark.usefixtures("here")
-def test_photographs(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    images = Path("photographs")
-    for number in range(4):
-        pixels = torch.zeros(30, 40, 3, dtype=torch.uint8)
-        pixels[:15, : 10 + 5 * number] = 200
-        save_png(pixels, images / f"p_{number}.png")
-    extract = ("extract", images, *FREE, "--out", "regions")
-    shutil.copytree(images, "saved")
-
-    def gone() -> None:
-        for path in images.glob("p_[23].png"):
-            path.unlink()
-
-    with monkeypatch.context() as patched:
-        gone_after_first(Felzenszwalb, "segment", gone, patched)
-        code, _, err = run(*extract)
-    # It is passed over as one that cannot be read, and the same command makes it once it is there again.
-    assert (code, len(err.splitlines())) == (0, 1), err
-    assert err.startswith(
-        "warning: skipped 1 of 4 photographs that could not be read: photographs/p_3.png: "
-    ), err
-    kept = {name: content for name, content in snapshot(here).items() if name.endswith(".regions")}
-    assert sorted(Path(name).stem for name in kept) == ["p_0", "p_1", "p_2"]
-    shutil.copytree("saved", images, dirs_exist_ok=True)
-    code, _, err = run(*extract)
-    assert (code, err) == (0, "")
-    after = snapshot(here)
-    assert all(after[name] == content for name, content in kept.items())
-    assert "regions/p_3.regions" in after
+    start()
+    verb = VERBS[name]
+    labels = next(file for file in verb.inputs if file.endswith("_s.npy"))
+    with vanishing(labels, time=0) as opened:
+        assert run(*verb.arguments)[0] == 0
+    start()
+    with vanishing(labels, len(opened)):
+        assert run(*verb.arguments)[0] == 2
+    assert list(Path().glob("a.*.partial"))

@@ -45,6 +45,18 @@ class FileFormatError(InputError):
         return type(self), (self.path, self.problem, self.remedy)
 
 
+def refused_read(path: str | Path, error: OSError) -> FileFormatError:
+    """The error of a file that was found, and that the system then refuses to read.
+
+    Args:
+        path: the file.
+        error: the system's.
+    """
+    if isinstance(error, FileNotFoundError):
+        return FileFormatError(path, "was there, and is gone", "put it back and try again")
+    return FileFormatError(path, f"cannot be read ({error.strerror or error})", "check its permissions")
+
+
 class FieldVersionError(FileFormatError):
     """A language field in a version of the format that this software does not know yet.
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
+from scoup.base.errors import MissingFileError, ScoupError, refused_read
 from scoup.io import camera_photographs
 from scoup.io.camera_images import FACTORS
 from scoup.io.image_folder import EXTENSIONS
@@ -105,7 +105,7 @@ def digest_of(path: Path) -> str:
             while block := stream.read(1 << 20):
                 digest.update(block)
     except OSError as error:
-        raise FileFormatError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
+        raise refused_read(path, error) from error
     return digest.hexdigest()
 
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.atomic import atomic_file
-from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, refused_read
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear
 from scoup.io.reading import MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, existing_file, read_bytes
 from scoup.scene.cameras import Camera
@@ -48,6 +48,8 @@ def size_in_header(path: str | Path) -> tuple[int, int]:
     try:
         with Image.open(path, formats=FORMATS) as image:
             width, height = image.size
+    except FileNotFoundError as error:
+        raise refused_read(path, error) from error
     except Exception as error:  # damaged images raise nearly everything inside Pillow
         raise FileFormatError(
             path, "is not an image that can be read", "copy it again, or remove it"
@@ -193,9 +195,10 @@ def open_image(path: Path) -> Iterator[Any]:
     if width * height > max(ANY_PIXELS, PIXELS_A_BYTE * size):
         problem = f"claims {width} x {height} pixels, more than a photograph of {size:,} bytes holds"
         raise FileFormatError(path, problem, "the file is damaged; copy it again")
+    # Not from the file itself: where a chunk claims gigabytes, Pillow would ask the system for as many.
+    data = io.BytesIO(read_bytes(path))
     try:
-        # Not from the file itself: where a chunk claims gigabytes, Pillow would ask the system for as many.
-        with Image.open(io.BytesIO(read_bytes(path)), formats=FORMATS) as image:
+        with Image.open(data, formats=FORMATS) as image:
             yield image
     except Exception as error:  # damaged images raise nearly everything inside Pillow
         raise FileFormatError(path, f"cannot be decoded ({error})", "copy it again, or remove it") from error

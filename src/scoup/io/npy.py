@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.errors import FileFormatError
+from scoup.base.errors import FileFormatError, refused_read
 from scoup.io.reading import existing_file
 
 _MAX_HEADER = 1 << 16
@@ -30,7 +30,7 @@ def open_npy(path: str | Path, what: str, remedy: str = "check the path") -> np.
         with open(path, "rb") as stream:
             head = stream.read(12 + _MAX_HEADER)
     except OSError as error:
-        raise FileFormatError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
+        raise refused_read(path, error) from error
     dtype, shape, column_major, offset = _parse(path, head)
     needed = offset + math.prod(shape) * dtype.itemsize
     if needed > size:
@@ -40,6 +40,8 @@ def open_npy(path: str | Path, what: str, remedy: str = "check the path") -> np.
         return np.zeros(shape, dtype=dtype, order=order)
     try:
         return np.memmap(path, dtype=dtype, mode="r", offset=offset, shape=shape, order=order)
+    except FileNotFoundError as error:
+        raise refused_read(path, error) from error
     except (OSError, ValueError, OverflowError) as error:
         raise FileFormatError(path, f"cannot be mapped ({error})", _REMEDY) from error
 

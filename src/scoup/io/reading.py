@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError, refused_read
 from scoup.scene.cameras import Camera, Cameras
 
 Distorted = Literal["refuse", "undistort"]
@@ -60,9 +60,7 @@ def read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise FileFormatError(
-            path, f"cannot be read ({error.strerror or error})", "check its permissions"
-        ) from error
+        raise refused_read(path, error) from error
 
 
 def read_text(path: Path) -> str:
@@ -232,6 +230,8 @@ def safetensors_damage_named(path: Path, what: str, remedy: str) -> Iterator[Non
         yield
     except ScoupError:
         raise
+    except FileNotFoundError as error:
+        raise refused_read(path, error) from error
     except (
         SafetensorError,
         ValueError,

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 
 from scoup.base.atomic import Move, atomic_path
-from scoup.base.errors import FileFormatError, InputError, ScoupWarning, WriteError
+from scoup.base.errors import FileFormatError, InputError, ScoupWarning, WriteError, refused_read
 from scoup.base.locks import Lock
 from scoup.base.processes import ALONE, Processes
 from scoup.scene.cameras import Camera
@@ -174,17 +174,19 @@ def changed_copy(
         regions: of these views.
 
     Raises:
+        InputError: the kept sums are damaged, or gone.
         WriteError: the system refuses the copy.
     """
     path = field.with_name(f"{field.name}.update.partial")
+    with closing(RegionSums.open(source)) as kept:
+        before = kept.views
     if path.exists() and not _cut_back(path, source, add, regions):
         warnings.warn(f"{path}: is not of this update; starting over", ScoupWarning, stacklevel=3)
         path.unlink()
     if not path.exists():
         with atomic_path(path) as temporary:
-            shutil.copyfile(source, temporary)
-    with closing(RegionSums.open(source)) as kept:
-        copied = ChangedCopy(RegionSums.open(path, writable=True), kept.views, add)
+            _copy(source, temporary)
+    copied = ChangedCopy(RegionSums.open(path, writable=True), before, add)
     try:
         with closing(copied.sums):
             yield copied
@@ -193,6 +195,13 @@ def changed_copy(
             path.unlink(missing_ok=True)
         raise
     path.unlink(missing_ok=True)
+
+
+def _copy(source: Path, target: Path) -> None:
+    try:
+        shutil.copyfile(source, target)
+    except FileNotFoundError as error:
+        raise refused_read(source, error) from error
 
 
 def _digests(view: ViewRecord | None) -> tuple[str, str] | None:

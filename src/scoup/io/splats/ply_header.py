@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base.counts import counted
-from scoup.base.errors import FileFormatError, InputError, ScoupWarning
+from scoup.base.errors import FileFormatError, InputError, ScoupWarning, refused_read
 from scoup.io.reading import existing_file
 
 MAX_HEADER_BYTES = 1 << 16
@@ -74,7 +74,7 @@ def read_header(path: str | Path, element: str = "vertex") -> PlyHeader:
         with open(path, "rb") as stream:
             head = stream.read(MAX_HEADER_BYTES)
     except OSError as error:
-        raise FileFormatError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
+        raise refused_read(path, error) from error
     lines, body = _header_lines(path, head)
     encoding, elements, comments = _parse(path, lines)
     names = tuple(item.name for item in elements)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from scoup.base.errors import FileFormatError
+from scoup.base.errors import FileFormatError, refused_read
 from scoup.base.scratch import scratch_array
 from scoup.io.splats.activation import finite_rows, warn_of_dropped
 from scoup.io.splats.ply_header import PlyHeader
@@ -56,7 +56,7 @@ def _read_binary(header: PlyHeader, first: int, count: int) -> np.ndarray:
     try:
         rows = np.fromfile(header.path, dtype=header.dtype, count=count, offset=offset)
     except OSError as error:
-        raise FileFormatError(header.path, f"cannot be read ({error})", "check its permissions") from error
+        raise refused_read(header.path, error) from error
     if len(rows) != count:
         raise FileFormatError(header.path, "was cut short while it was read", "copy it again")
     return rows

@@ -9,7 +9,7 @@ import numpy as np
 
 from scoup.base.atomic import atomic_file
 from scoup.base.counts import counted
-from scoup.base.errors import FileFormatError
+from scoup.base.errors import FileFormatError, refused_read
 from scoup.io.reading import existing_file
 from scoup.io.splats.activation import keep_finite, unit_quats
 from scoup.scene.gaussians import SH_C0, Gaussians
@@ -41,7 +41,7 @@ def read_splat(path: str | Path) -> Gaussians:
             )
         rows = np.fromfile(path, dtype=_ROW)
     except OSError as error:
-        raise FileFormatError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
+        raise refused_read(path, error) from error
     color = rows["color"].astype(np.float64) / 255.0
     return keep_finite(
         means=rows["center"],

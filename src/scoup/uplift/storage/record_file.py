@@ -20,7 +20,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, WriteError
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, WriteError, refused_read
 from scoup.base.scratch import refused_temporary, temporary_file
 
 MAGIC = b"SCOUPREC"
@@ -96,7 +96,8 @@ class RecordFile:
         try:
             stream = path.open("r+b" if writable else "rb", buffering=0)
         except OSError as error:
-            raise InputError(f"{path}: cannot be opened ({error.strerror or error})") from error
+            # No FileFormatError: what cannot be opened is not damaged, and nobody is to make it anew.
+            raise InputError(str(refused_read(path, error))) from error
         file = cls(stream, path, writable)
         try:
             file._read_all()
