@@ -165,17 +165,16 @@ def all_views(scene: Scene) -> int:
     return scene.views
 
 
-# Of build and update, a view is written while the next is rasterised: both are begun again. What a merge rasterises is
-# nothing; what follows an edit is made anew.
+# What a merge rasterises is nothing; what follows an edit is made anew.
 VERBS = {
     verb.name: verb
     for verb in (
-        Verb("build", BUILD, views_of_build, 2, THERE, all_views, new=(FIELD,)),
-        Verb("build --keep-sums", (*BUILD, "--keep-sums"), views_of_build, 2, THERE, all_views, new=WITH_SUMS),
-        Verb("build --shard", (*OF_SHARD, "1/2"), views_of_shard, 2, THERE,
+        Verb("build", BUILD, views_of_build, 1, THERE, all_views, new=(FIELD,)),
+        Verb("build --keep-sums", (*BUILD, "--keep-sums"), views_of_build, 1, THERE, all_views, new=WITH_SUMS),
+        Verb("build --shard", (*OF_SHARD, "1/2"), views_of_shard, 1, THERE,
              lambda scene: scene.views // 2, new=(SHARD,)),
         Verb("merge", MERGE, no_views, 0, THERE, lambda _: 0, SHARDS, WITH_SUMS),
-        Verb("update --add", (*UPDATE, "--add", "all"), views_of_update, 2, NO_WORK,
+        Verb("update --add", (*UPDATE, "--add", "all"), views_of_update, 1, NO_WORK,
              lambda scene: scene.views - scene.earlier, FIELD_KEPT, WITH_SUMS),
         Verb("update --edited", (*UPDATE, "--edited", "SCENE/../edited.ply"), no_views, 4, NO_WORK,
              lambda scene: scene.earlier, FIELD_KEPT, WITH_SUMS),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from benchmarks.hostile.containers import RECORDS
 from numpy.typing import NDArray
 
 from scoup.base.errors import FileFormatError, InputError
+from scoup.base.native import missing_reason
 from scoup.coding.codebook import SparseCodes
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_sums import RegionSums
@@ -91,6 +93,33 @@ def test_a_weight_that_is_no_number(path: Path) -> None:
     found = [sums.triplets(next(iter(sums.views)), level)[2] for level in range(3)]
     sums.close()
     assert any(np.isnan(weights).any() for weights in found)
+
+
+@pytest.mark.filterwarnings("error")
+def test_weights_whose_sum_is_too_large_for_a_float(path: Path) -> None:
+    def large(arrays: Arrays) -> None:
+        arrays["weights.0"][:] = np.finfo(np.float32).max
+        arrays["table.0"][:] = 0
+
+    with closing(RegionSums.open(changed(path, large))) as sums:
+        assert np.isinf(sums.triplets(next(iter(sums.views)), 0)[2]).any()
+
+
+@pytest.mark.parametrize("backend", ["reference", "native"])
+def test_regions_that_have_no_code(path: Path, backend: str) -> None:
+    if backend == "native" and missing_reason() is not None:
+        pytest.skip("needs the compiled core")
+
+    def beyond(arrays: Arrays) -> None:
+        arrays["table.0"][0, 0] = 2**31 - 1
+
+    with closing(RegionSums.open(changed(path, beyond))) as sums:
+        rows = [{name: slice(0, 16) for name in sums.views} for _ in sums.levels]
+        codes = [
+            SparseCodes(torch.zeros(16, 1, dtype=torch.uint8), torch.ones(16, 1), 2) for _ in sums.levels
+        ]
+        with pytest.raises(InputError, match=r"region sums are damaged: region \d+ has no code"):
+            vote(sums.of_views(sums.views, rows), codes, torch.ones(3, 2, 4), keep=1, backend=backend)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from scoup.pictures import as_picture
 from scoup.pictures.overlays import heat_overlay, mask_overlay
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.view.exact import LARGEST_SIDE, PictureRequest, what_is_at
+from scoup.view.exact import LARGEST_SIDE, PictureMode, PictureRequest, what_is_at
 from scoup.view.viewed_field import ViewedField
 from support import make_camera, unit
 
@@ -137,3 +137,13 @@ def test_a_click_reads_the_name_of_what_it_hits() -> None:
 
 def test_a_thumbnail_keeps_the_shape_of_its_view(viewed: ViewedField, camera: Camera) -> None:
     assert viewed.thumbnail(camera).shape == (120, 160, 3)
+
+
+@pytest.mark.parametrize("mode", ["heat", "mask"])
+def test_a_picture_does_not_depend_on_what_was_asked_before(mode: PictureMode) -> None:
+    viewed = viewed_field(count=400)
+    camera = make_camera(60, 80)
+    alone = [viewed_field(count=400).picture(camera, mode, f"thing {number}") for number in range(6)]
+    for _ in range(2):
+        for number, wanted in enumerate(alone):
+            assert np.array_equal(viewed.picture(camera, mode, f"thing {number}"), wanted)

@@ -168,8 +168,9 @@ class LanguageField(FieldQueries):
         """
         if self._gaussians is None:
             if self.geometry_path is None:
+                which = self.path or "this field"
                 raise InputError(
-                    "this field does not say where its Gaussians are; pass them: LanguageField.load(path, gaussians)"
+                    f"{which}: does not say where its Gaussians are; pass them: LanguageField.load(path, gaussians)"
                 )
             from scoup.io import load_gaussians
 

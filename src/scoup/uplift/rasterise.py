@@ -121,7 +121,7 @@ def add_views(
     def append(camera: Camera, combined: CombinedLabels, found: ViewSums, order: Tensor | None) -> None:
         sums.append(camera.name, replace(found, labels_digest=combined.digest()), camera, order)
 
-    with ThreadPoolExecutor(1) as writer:  # a view is appended while the next one is rasterised
+    with ThreadPoolExecutor(1) as writer:  # a view is appended while the next one is projected
         written: Future[None] | None = None
         for done, (camera, combined) in enumerate(read_labels(regions, mine, gaussians.device), start=1):
             if holds_view(sums, camera, combined):
@@ -134,9 +134,9 @@ def add_views(
                 )
             prepared = prepared or raster.prepare_gaussians(gaussians, backend)
             projection = raster.project(prepared, camera, sums.raster_preset)
-            found = raster.region_sums(projection, combined)
             if written is not None:
-                written.result()
+                written.result()  # before the next one is begun: killed, one view at most is done again
+            found = raster.region_sums(projection, combined)
             written = writer.submit(append, camera, combined, found, prepared.order)
             progress(STAGE, done, len(mine))
         if written is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -86,15 +87,18 @@ class ExactPictures:
         if request.mode == "color" or request.texts is None:
             return as_picture(rgb)
         preset = query_preset("default", threshold=request.threshold)
+        # A projection that was queried before answers quicker, and rounds otherwise: as nobody has queried this copy,
+        # the picture does not depend on what others have asked.
+        unasked = copy.copy(projection)
         answer = answer_view(
-            self.field, camera, request.texts, preset, request.present_from, projection, request.level
+            self.field, camera, request.texts, preset, request.present_from, unasked, request.level
         )[0]
         if request.mode == "heat":
             return heat_overlay(answer.heat, rgb)
         return mask_overlay(answer.mask, rgb, answer.box, answer.point)
 
     def projected(self, camera: Camera) -> raster.Projection:
-        """The projection to a camera; the last is kept, and so are queries of one camera faster."""
+        """The projection to a camera; the last is kept."""
         name = camera.fingerprint()
         if self._projection is None or self._projection[0] != name:
             self._projection = name, self.field.project(camera)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 import anyio
 import anyio.to_thread
 
+from scoup.base.freed_memory import give_back_freed_memory
+
 Result = TypeVar("Result")
 
 MOST_WAITING = 64
 _MOST_VISITORS = 1024  # whose last picture is remembered
+_GIVEN_BACK_EVERY = 100  # pieces of work, after which freed memory goes back to the system
 
 
 class BusyError(Exception):
@@ -30,6 +34,7 @@ class Work:
         self._limiter = anyio.CapacityLimiter(1)
         self._newest: OrderedDict[str, int] = OrderedDict()
         self._count = 0
+        self._pieces = 0
 
     async def run(self, function: Callable[[], Result]) -> Result:
         """What a function gives.
@@ -39,7 +44,13 @@ class Work:
         """
         if self._limiter.statistics().tasks_waiting >= MOST_WAITING:
             raise BusyError
-        return await anyio.to_thread.run_sync(function, limiter=self._limiter)
+        return await anyio.to_thread.run_sync(partial(self._done, function), limiter=self._limiter)
+
+    def _done(self, function: Callable[[], Result]) -> Result:
+        self._pieces += 1
+        if self._pieces % _GIVEN_BACK_EVERY == 0:
+            give_back_freed_memory()
+        return function()
 
     async def run_newest(self, visitor: str, function: Callable[[], Result]) -> Result:
         """The same, unless the visitor comes with a newer one before its turn.

@@ -34,7 +34,8 @@ def triplets_of(
     gaussian, region, weight = map(np.concatenate, (gaussians, regions, weights))
     stride = int(region.max(initial=0)) + 1
     keys, inverse = np.unique(gaussian * stride + region, return_inverse=True)
-    total = np.bincount(inverse, weight, len(keys)).astype(np.float32)
+    with np.errstate(all="ignore"):  # or too large for one
+        total = np.bincount(inverse, weight, len(keys)).astype(np.float32)
     return keys // stride, keys % stride, total
 
 

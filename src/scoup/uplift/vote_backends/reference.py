@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from scoup.base.errors import InputError
 from scoup.scene.codes import SparseCodes, check_atoms
 from scoup.uplift.reweighting import LEAST_FACTOR, EarlierRound
 from scoup.uplift.storage.entries import BUCKET
@@ -31,6 +32,7 @@ class Vote:
             check_atoms(level.indices, level.n_atoms)
         for view in views:
             view.entries.check_numbers(n_gaussians)
+            check_regions(view.regions, codes)
         self._n_gaussians = n_gaussians
         self._views = views
         self._codes = [level.to(device) for level in codes]
@@ -126,6 +128,18 @@ class Vote:
             norms = squared.sum((1, 2)).clamp(min=0).sqrt()[:, None]
             out[:, level] = torch.where(norms > 1e-6, parts / norms.clamp(min=1e-6), 0.0)
         return out
+
+
+def check_regions(regions: np.ndarray, codes: Sequence[SparseCodes]) -> None:
+    """Refuse rows [C, S] of codes that are not there.
+
+    Raises:
+        InputError: one is beyond them.
+    """
+    for level, of_level in enumerate(codes):
+        highest = int(regions[:, level].max(initial=-1))
+        if highest >= len(of_level):
+            raise InputError(f"the region sums are damaged: region {highest} has no code")
 
 
 def _float32(weights: np.ndarray) -> np.ndarray:

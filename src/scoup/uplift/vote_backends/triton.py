@@ -122,8 +122,6 @@ class Vote(reference.Vote):
             regions = np.concatenate(
                 [view.regions[:, level] for view in self._views] or [np.zeros(0, np.int64)]
             )
-            if len(regions) and regions.max() >= len(codes):
-                raise InputError(f"the region sums are damaged: region {regions.max()} has no code")
             parts.append(np.where(regions >= 0, regions + first, -1))
             first += len(codes)
         return torch.from_numpy(np.stack(parts, 1).astype(np.int32)).to(self._device)
