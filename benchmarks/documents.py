@@ -37,7 +37,6 @@ from benchmarks import (
 from benchmarks.coding_tables import compared_table
 from benchmarks.documents_claims import CLEAN, LAYOUTS, NOISE, claims_table
 from benchmarks.hostile import __main__ as hostile
-from benchmarks.hostile import guided
 from scoup.bench import markdown
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -251,7 +250,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "city, on paper": lambda: city_model.city_table(record("city_model")["city"]),
     "city, limits": lambda: city_model.limit_table(record("city_model")["limits"]),
     "hostile": lambda: hostile.table(record("hostile")["readers"]),
-    "hostile, guided": lambda: guided.table(record("hostile_guided")["readers"]),
     "endurance": lambda: endurance.table(record("endurance")["verbs"]),
     "server load": lambda: server_load.table(record("server_load")),
     "stream": lambda: stream.table(record("stream")["rows"]),

@@ -169,6 +169,30 @@ def test_a_giant_message_that_is_only_announced_is_not_waited_for(viewed: Viewed
     assert sent[0]["status"] == 413
 
 
+def test_a_visitor_may_leave_in_the_midst_of_a_message(viewed: ViewedField) -> None:
+    app = application(viewed, PAGE, Guard.of("127.0.0.1"))
+    headers = [(b"host", b"127.0.0.1:8350"), (b"content-length", b"30")]
+    scope = {
+        "type": "http", "method": "POST", "path": "/api/query", "raw_path": b"/api/query", "root_path": "",
+        "query_string": b"", "headers": headers, "scheme": "http", "server": ("127.0.0.1", 8350),
+    }  # fmt: skip
+    parts = iter([
+        {"type": "http.request", "body": b'{"texts": [', "more_body": True}, {"type": "http.disconnect"},
+    ])  # fmt: skip
+
+    async def receive() -> Any:
+        return next(parts)
+
+    async def send(message: Any) -> None:
+        pass
+
+    async def ask() -> None:
+        await app(scope, receive, send)
+
+    anyio.run(ask)  # what is raised here would be a traceback on the terminal
+    assert next(parts, None) is None
+
+
 @pytest.mark.parametrize(
     "path",
     ["/nothing", "/page/viewer.js", "/..%2f..%2fetc/passwd", "/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd",

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import OrderedDict
 from collections.abc import Callable
-from functools import partial
+from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import anyio
-import anyio.to_thread
-
-from scoup.base.freed_memory import give_back_freed_memory
 
 Result = TypeVar("Result")
 
 MOST_WAITING = 64
 _MOST_VISITORS = 1024  # whose last picture is remembered
-_GIVEN_BACK_EVERY = 100  # pieces of work, after which freed memory goes back to the system
 
 
 class BusyError(Exception):
@@ -28,13 +25,17 @@ class SupersededError(Exception):
 
 
 class Work:
-    """Runs functions in a thread, one at a time, in the order they came."""
+    """Runs functions in one thread, one at a time, in the order they came.
+
+    It is always the same thread, and no other does such work: what the system keeps of a thread's freed memory is as
+    much as the largest piece of work needed, and would be that for each of several threads.
+    """
 
     def __init__(self) -> None:
         self._limiter = anyio.CapacityLimiter(1)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="scoup view work")
         self._newest: OrderedDict[str, int] = OrderedDict()
         self._count = 0
-        self._pieces = 0
 
     async def run(self, function: Callable[[], Result]) -> Result:
         """What a function gives.
@@ -44,13 +45,8 @@ class Work:
         """
         if self._limiter.statistics().tasks_waiting >= MOST_WAITING:
             raise BusyError
-        return await anyio.to_thread.run_sync(partial(self._done, function), limiter=self._limiter)
-
-    def _done(self, function: Callable[[], Result]) -> Result:
-        self._pieces += 1
-        if self._pieces % _GIVEN_BACK_EVERY == 0:
-            give_back_freed_memory()
-        return function()
+        async with self._limiter:
+            return await asyncio.wrap_future(self._thread.submit(function))
 
     async def run_newest(self, visitor: str, function: Callable[[], Result]) -> Result:
         """The same, unless the visitor comes with a newer one before its turn.
