@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -73,8 +74,9 @@ RESUMED = (".partial", ".regions", "_s.npy", "_f.npy", "_made.json", "regions.js
 
 
 @pytest.fixture(scope="session")
-def original(original: Path) -> Path:
-    """With a field whose region sums are kept, one of fewer views, an edited splat, and the shards of the scene."""
+def original(original: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy, with a field whose region sums are kept, and what else the verbs begin with."""
+    original = Path(shutil.copytree(original, tmp_path_factory.mktemp("no_space") / "cli"))
     scene, kept = original / "scene", original / "kept.scoup"
     build = ("build", scene, "--model", scene / "words.npz", "--out")
     remove = [word for number in (1, 2, 3) for word in ("--remove", f"view_0{number}.png")]

@@ -123,7 +123,7 @@ def begun(original: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
             pixels = torch.zeros(30, 40, 3, dtype=torch.uint8)
             pixels[:15, : 10 + 5 * number] = 200
             save_png(pixels, f"photographs/view_0{number}.png")
-        save_gaussians(load_gaussians(PLY).select(slice(5, None)), "edited.ply", overwrite=True)
+        save_gaussians(load_gaussians(PLY).select(slice(5, None)), "edited.ply")
         keep = ("build", "scene", *QUICK, "--keep-sums", "--out")
         commands = [(*keep, "kept.scoup")]
         commands += [("build", "scene", "--out", "s.scoup", "--shard", f"{number}/2") for number in (1, 2)]
