@@ -15,7 +15,7 @@ from benchmarks.endurance_verbs import VERBS, Scene, make_scene
 
 from cli_support import run
 
-KILLS = dict.fromkeys(("build", "build --shard", "merge", "update --add", "extract"), 1)
+KILLS: dict[str, int] = dict.fromkeys(("build", "build --shard", "merge", "update --add", "extract"), 1)
 
 
 @pytest.fixture(scope="module")
