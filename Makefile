@@ -24,7 +24,7 @@ test: .venv/installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow"
 
 test-all: test
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m slow
+	SCOUP_TEST_EXAMPLES=all OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "slow or hypothesis"
 
 test-native: .venv/installed-dev
 	$(BIN)/cmake -S native -B build/native-tests -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN))/ninja \

@@ -25,7 +25,7 @@ QUICK = ("--n-atoms", "16", "--effort", "fast")
 FIELD, SHARD = "a.scoup", "a.scoup.1-of-2.sums"
 FIELD_KEPT, SHARDS = "field", "shards"
 SIDE, RECTANGLES = 64, 2  # of the plain photographs
-_PROGRAM = (sys.executable, "-c", "from scoup.cli.app import entry; entry()")
+_PROGRAM = "from scoup.cli.app import entry; entry()"
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,12 @@ def _run(scene: Scene, start: str, arguments: tuple[str, ...]) -> None:
     its folder."""
     folder = scene.starts / start
     folder.mkdir(parents=True, exist_ok=True)
-    command = [*_PROGRAM, *(argument.replace("SCENE", str(scene.folder)) for argument in arguments)]
+    command = [
+        sys.executable,
+        "-c",
+        _PROGRAM,
+        *(argument.replace("SCENE", str(scene.folder)) for argument in arguments),
+    ]
     subprocess.run(command, cwd=folder, env=environment(), check=True, stdout=subprocess.DEVNULL)
 
 

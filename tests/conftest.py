@@ -6,15 +6,23 @@ import dataclasses
 import functools
 import importlib.util
 import os
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from scoup.base import native
+from support import examples
 
 # Times vary with the load of the machine: a slow example is no failure.
-settings.register_profile("scoup", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "scoup", max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("scoup")
 
 if native.missing_reason() is not None:
@@ -38,6 +46,35 @@ def needs_triton() -> None:
     """Tests that compile or interpret kernels are skipped where triton is not installed."""
     if importlib.util.find_spec("triton") is None:
         pytest.skip("triton is not installed")
+
+
+@pytest.fixture(scope="session")
+def preloaded_python() -> Iterator[str]:
+    """A program like ``sys.executable`` that has imported torch already (tests/preloaded.py); elsewhere than on Linux,
+    ``sys.executable``."""
+    if not sys.platform.startswith("linux"):
+        yield sys.executable
+        return
+    tests = Path(__file__).parent
+    with tempfile.TemporaryDirectory(prefix="scoup-") as folder:
+        program, address = Path(folder) / "python", Path(folder) / "socket"
+        client = [sys.executable, "-S", "-E", tests / "preloaded_client.py", address, sys.executable]
+        program.write_text(f'#!/bin/sh\nexec {shlex.join(map(str, client))} "$@"\n')
+        program.chmod(0o755)
+        server = [sys.executable, tests / "preloaded.py", address, program]
+        with subprocess.Popen(server, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"ready\n"
+            yield str(program)
+            process.terminate()
+
+
+@pytest.fixture(scope="module")
+def quick_python(preloaded_python: str) -> Iterator[None]:
+    """Processes that this one starts by ``sys.executable`` begin at once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "executable", preloaded_python)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -15,6 +16,11 @@ from scoup.scene.regions import LEVELS, RegionMap, Regions
 
 HANGS = 1800
 """Seconds until a process that a test has started counts as one that never ends, on however busy a machine."""
+
+
+def examples(full: int) -> int:
+    """How many examples a test tries: a quarter of ``full``; all of them in ``make test-all``."""
+    return full if os.environ.get("SCOUP_TEST_EXAMPLES") == "all" else max(5, full // 4)
 
 
 @contextmanager

@@ -14,6 +14,8 @@ from PIL import Image
 import scoup
 from cli_support import run, write_scene
 
+pytestmark = pytest.mark.usefixtures("quick_python")
+
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 

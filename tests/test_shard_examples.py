@@ -13,12 +13,14 @@ import pytest
 
 from cli_support import run, write_scene
 
+pytestmark = pytest.mark.usefixtures("quick_python")
+
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-SCOUP = f"""#!/bin/sh
-exec {sys.executable} -c "from scoup.cli.app import entry; entry()" "$@"
+SCOUP = """#!/bin/sh
+exec "$PYTHON" -c "from scoup.cli.app import entry; entry()" "$@"
 """
-TORCHRUN = f"""#!/bin/sh
-exec {sys.executable} -m torch.distributed.run "$@"
+TORCHRUN = """#!/bin/sh
+exec "$PYTHON" -m torch.distributed.run "$@"
 """
 SBATCH = """#!/bin/bash
 # Runs a job at once, as the array that --array says, but for the task that FAILS names; a merge behind an array that
@@ -98,6 +100,7 @@ def here(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     }.items():  # fmt: skip
         (programs / name).write_text(text)
         (programs / name).chmod(0o755)
+    monkeypatch.setenv("PYTHON", sys.executable)
     monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
     return folder
 

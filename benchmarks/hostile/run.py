@@ -111,7 +111,7 @@ def try_reader(
 def _results(job: Job, limits: Limits) -> list[Result]:
     """Results of a process: of all files of the job, or up to the one at which it ended."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["torch"])
+    context.set_forkserver_preload(["benchmarks.hostile.worker"])
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=work, args=(sender, job), daemon=False)
     process.start()

@@ -21,6 +21,8 @@ from benchmarks.gpu.stage import LOST, NO_TIME, TINY, Row, Stage, Unavailable, a
 
 from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
 
+pytestmark = pytest.mark.usefixtures("quick_python")
+
 Message = tuple[Any, ...]
 
 

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cli_support import run, snapshot, write_scene
+from support import examples
 
 BUILD = ("--solver", "adam", "--epochs", "2", "--n-atoms", "4", "--k", "4", "--quiet", "--overwrite")
 # Two views suffice, and the fewer the quicker.
@@ -34,7 +35,8 @@ SPLICES = [
 ]
 
 many = settings(
-    max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=examples(25),
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 

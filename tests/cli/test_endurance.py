@@ -15,6 +15,8 @@ from benchmarks.endurance_verbs import VERBS, Scene, make_scene
 
 from cli_support import run
 
+pytestmark = pytest.mark.usefixtures("quick_python")
+
 KILLS: dict[str, int] = dict.fromkeys(("build", "build --shard", "merge", "update --add", "extract"), 1)
 
 

@@ -214,6 +214,7 @@ def by_two(*arguments: str, **how: str) -> list[subprocess.CompletedProcess[str]
         return together(ranks, *arguments, **how)
 
 
+@pytest.mark.usefixtures("quick_python")
 def test_of_several_processes_one_locks_and_none_waits_for_ever() -> None:
     before = set(snapshot(Path()))
     with locked_file(Path("a.scoup")):
@@ -228,6 +229,7 @@ def test_of_several_processes_one_locks_and_none_waits_for_ever() -> None:
     assert Path("a.scoup").read_bytes() == Path("b.scoup").read_bytes()
 
 
+@pytest.mark.usefixtures("quick_python")
 def test_of_several_processes_none_gives_up_its_views_before_the_field_is_there() -> None:
     before = set(snapshot(Path()))
     for done in by_two(*BUILD, program=FULL):
@@ -241,6 +243,7 @@ def test_of_several_processes_none_gives_up_its_views_before_the_field_is_there(
     assert set(snapshot(Path())) - before == {"a.scoup"}
 
 
+@pytest.mark.usefixtures("quick_python")
 def test_of_several_processes_all_end_with_the_error_of_the_first() -> None:
     for done in by_two(*BUILD, program=FAILS):
         assert done.returncode != 0

@@ -96,14 +96,16 @@ def test_a_process_that_dies_ends_a_merge() -> None:
 @pytest.fixture
 def other_network() -> Iterator[tuple[str, list[str], str, str]]:
     """Our address on a link to another network, how to start something there, and the names of the link's ends."""
-    name = f"scoup{uuid.uuid4().hex[:6]}"
+    number = uuid.uuid4()
+    name = f"scoup{number.hex[:6]}"
     here, there = f"{name}a", f"{name}b"
+    network = f"10.199.{number.int % 256}"  # a run that was killed may have left one
     commands = [
         f"netns add {name}",
         f"link add {here} type veth peer name {there} netns {name}",
-        f"addr add 10.199.7.1/30 dev {here}",
+        f"addr add {network}.1/30 dev {here}",
         f"link set {here} up",
-        f"-n {name} addr add 10.199.7.2/30 dev {there}",
+        f"-n {name} addr add {network}.2/30 dev {there}",
         f"-n {name} link set {there} up",
         f"-n {name} link set lo up",
     ]
@@ -117,7 +119,7 @@ def other_network() -> Iterator[tuple[str, list[str], str, str]]:
                 pytest.skip(f"no network of its own can be made here: ip {command}: {done.stderr.strip()}")
             if command.startswith("netns"):
                 stack.callback(subprocess.run, ["ip", "netns", "del", name], check=True)
-        yield "10.199.7.1", ["ip", "netns", "exec", name], here, there
+        yield f"{network}.1", ["ip", "netns", "exec", name], here, there
 
 
 def test_a_process_in_another_network(other_network: tuple[str, list[str], str, str]) -> None:

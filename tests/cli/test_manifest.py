@@ -20,6 +20,8 @@ from scoup.base.locks import locked_file
 from scoup.cli import scene_runs
 from support import HANGS, environments
 
+pytestmark = pytest.mark.usefixtures("quick_python")
+
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "many_scenes.md"
 RUN = "from scoup.cli.app import entry; entry()"
 # In place of scoup for one scene, and much quicker: writes its arguments and surroundings into the output.
@@ -388,9 +390,12 @@ def test_a_process_that_waits_for_the_scenes_of_others_can_be_interrupted(here: 
 def test_a_process_that_is_lost_ends_the_others_with_one_message(here: Path) -> None:
     """The scenes of the others are made; the same command makes those that are left."""
     listed("a", "lost", "b")
-    dies = "if scene == 'lost':\n    os.kill(os.getppid(), 9)\n    sys.exit(1)\n"
+    dies = "if scene == 'lost':\n    os.kill(int(os.environ['STARTER']), 9)\n    sys.exit(1)\n"
     with environments(2) as ranks:
-        impatient = "from scoup.base import processes; processes.SILENCE = 10.0"
+        impatient = (
+            "import os; os.environ['STARTER'] = str(os.getpid()); "
+            "from scoup.base import processes; processes.SILENCE = 5.0"
+        )
         first, second = together(WRITES + dies + WRITES_OUT, ranks, impatient)
     assert (first[0], second[0]) == (1, -9), (first, second)
     lines = first[2].splitlines()

@@ -9,6 +9,8 @@ import pytest
 from cli_support import QUICK, run, together, write_scene
 from support import environments
 
+pytestmark = pytest.mark.usefixtures("quick_python")
+
 SCENE = ("scene", "--model", "scene/words.npz")
 
 

@@ -18,7 +18,7 @@ from support import HANGS
 
 PAGE = PageFiles(f"<head>{STYLE}{SETTINGS}</head>{PROGRAM}", b"", "", "")
 BUILT = page.page_files
-pytestmark = pytest.mark.usefixtures("here")
+pytestmark = pytest.mark.usefixtures("quick_python", "here")
 
 SERVE = f"""
 import signal, sys

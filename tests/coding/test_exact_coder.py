@@ -28,6 +28,7 @@ from scoup.coding import native, reference
 from scoup.coding.backends import RowCodes
 from scoup.coding.encode import encode
 from scoup.coding.least_squares import nonnegative_least_squares
+from support import examples
 
 
 # Seeds of the problems are fixed; shares and gaps stand well clear of what either form reaches.
@@ -61,7 +62,7 @@ def test_weights_are_the_best_non_negative_ones_on_a_given_support(coder: Coder)
         assert float(coded.cosines[row]) == pytest.approx(float(best), abs=1e-5)
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(st.integers(0, 10**6), st.integers(1, 7), st.integers(2, 8))
 def test_non_negative_least_squares_meets_its_conditions(seed: int, k: int, dim: int) -> None:
     generator = torch.Generator().manual_seed(seed)

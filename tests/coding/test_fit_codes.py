@@ -15,6 +15,7 @@ from scoup.coding import fit_codes
 from scoup.coding.encode import encode
 from scoup.coding.report import decoded_cosines, report_on
 from scoup.scene.codes import SparseCodes
+from support import examples
 
 
 def random_rows(count: int, dim: int = 16, seed: int = 0) -> Tensor:
@@ -82,7 +83,7 @@ def test_nothing_to_code(count: int) -> None:
     assert (book.report.regions, book.report.dead_atoms, book.report.epochs) == (0, 1.0, 0)
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(st.integers(1, 12), st.integers(1, 20), st.integers(1, 8), st.integers(1, 4))
 def test_any_sizes(count: int, n_atoms: int, k: int, distinct: int) -> None:
     rows = random_rows(distinct, 6).abs()[torch.arange(count) % distinct]

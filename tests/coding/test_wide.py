@@ -23,6 +23,7 @@ from scoup.coding import fit_codes, wide
 from scoup.coding.wide import SWEEPS, TOLERANCE, plain_weights, wide_codes
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_codes import learn_codebook
+from support import examples
 
 MANY_SWEEPS = 20_000
 X86 = ("x86_64", "AMD64")
@@ -59,7 +60,7 @@ def of_core(
     return torch.from_numpy(core.wide_weights(*arrays, sweeps, tolerance, n_threads))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     seed=st.integers(0, 10**6), count=st.integers(0, 40), n_atoms=st.integers(1, 40), dim=st.integers(1, 24),
     sweeps=st.integers(0, 40), tolerance=st.sampled_from([0.0, 1e-3, 0.1]),
@@ -101,7 +102,7 @@ def test_codes_do_not_depend_on_the_threads_of_torch() -> None:
     assert torch.equal(both.weights, alone.weights)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 30), st.integers(2, 40))
 def test_converged_weights_are_optimal(seed: int, n_atoms: int, dim: int) -> None:
     """The conditions of Karush, Kuhn and Tucker."""

@@ -17,6 +17,7 @@ from scoup.io.labels import match_frames, read_frame, read_labels
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import segment
 from scoup.scene.cameras import Camera, Cameras
+from support import examples
 
 
 def square(label: str, x1: float, y1: float, x2: float, y2: float) -> dict:
@@ -220,7 +221,7 @@ def test_bad_label_files(tmp_path: Path, content: str) -> None:
         read_frame(path)
 
 
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 @given(st.data())
 def test_damaged_label_files_never_crash(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

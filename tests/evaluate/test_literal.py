@@ -13,6 +13,7 @@ from scoup.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
 from scoup.io.labels import LabelledFrame
 from scoup.query.presets import QUERY_PRESETS, query_preset
 from scoup.query.smoothing import box_mean
+from support import examples
 
 HEIGHT, WIDTH = 13, 17
 
@@ -70,14 +71,14 @@ def check_lerf_ovs(levels: np.ndarray, frame: LabelledFrame, system: str) -> Non
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, hit)
 
 
-@settings(max_examples=5)
+@settings(max_examples=examples(5))
 @LERF_OVS
 def test_lerf_ovs(levels: np.ndarray, frame: LabelledFrame, system: str) -> None:
     check_lerf_ovs(levels, frame, system)
 
 
 @pytest.mark.slow
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @LERF_OVS
 def test_lerf_ovs_on_many_maps(levels: np.ndarray, frame: LabelledFrame, system: str) -> None:
     check_lerf_ovs(levels, frame, system)
@@ -93,14 +94,14 @@ def check_threed_ovs(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str,
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level + 1, None)
 
 
-@settings(max_examples=5)
+@settings(max_examples=examples(5))
 @THREED_OVS
 def test_threed_ovs(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
     check_threed_ovs(levels, frame, rules)
 
 
 @pytest.mark.slow
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @THREED_OVS
 def test_threed_ovs_on_many_maps(
     levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]
@@ -118,14 +119,14 @@ def check_mipnerf360(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str,
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, None)
 
 
-@settings(max_examples=5)
+@settings(max_examples=examples(5))
 @MIPNERF360
 def test_mipnerf360(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
     check_mipnerf360(levels, frame, rules)
 
 
 @pytest.mark.slow
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @MIPNERF360
 def test_mipnerf360_on_many_maps(
     levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]

@@ -22,6 +22,7 @@ from scoup.extract.grids import crop_boxes, point_grid, touches_inner_edge
 from scoup.extract.masks import Masks
 from scoup.extract.settings import MaskSettings, mask_settings
 from scoup.models.sam import open_sam
+from support import examples
 from tiny_models import TINY_SAMS, saved
 
 LIVELY = MaskSettings(
@@ -111,7 +112,7 @@ def compare(image: np.ndarray, model: Any, chosen: MaskSettings) -> dict[str, in
     return counts
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 @given(st.integers(0, 2**31), st.sampled_from([(40, 52), (61, 33), (50, 50)]), st.integers(0, 1))
 def test_made_up_answers(seed: int, size: tuple[int, int], layers: int) -> None:
     compare(smooth_image(*size, seed), MadeUp(seed), replace(LIVELY, crop_layers=layers))

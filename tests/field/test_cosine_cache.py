@@ -19,7 +19,7 @@ from scoup.field.artefact import FieldInfo
 from scoup.field.cosine_cache import CosineCache, FieldCodes
 from scoup.field.language_field import LanguageField
 from scoup.scene.gaussians import Gaussians
-from support import KINDS, make_camera, random_gaussians, scenes, unit
+from support import KINDS, examples, make_camera, random_gaussians, scenes, unit
 
 DIM = 16
 
@@ -58,7 +58,7 @@ def count_first(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(scene=scenes(25), seed=st.integers(0, 999), n_queries=st.integers(1, 4))
 def test_further_queries_are_those_of_a_fresh_projection(backend, scene, seed, n_queries) -> None:
     gaussians, camera = scene

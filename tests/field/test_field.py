@@ -24,7 +24,7 @@ from scoup.field.language_field import LanguageField
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from support import random_gaussians, small_scene, unit
+from support import examples, random_gaussians, small_scene, unit
 
 QUICK = BuildSettings(n_atoms=8, k=3, keep=3, rounds=1, solver="adam", epochs=20)
 
@@ -189,7 +189,10 @@ def field_bytes(field, tmp_path_factory) -> bytes:
     return path.read_bytes()
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(
+    max_examples=examples(150),
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(data=st.data())
 def test_damaged_files_never_crash(field_bytes, tmp_path, data):
     damaged = bytearray(field_bytes)

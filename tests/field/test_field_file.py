@@ -18,6 +18,7 @@ from frozen_fields import small_field
 from scoup.base.errors import FieldVersionError, FileFormatError
 from scoup.field.artefact import METADATA_KEY, READERS, VERSION, tensor_checksum, text_checksum
 from scoup.field.language_field import LanguageField
+from support import examples
 
 FROZEN = Path(__file__).parents[1] / "frozen"
 
@@ -154,7 +155,9 @@ def check_flipped(path: Path, content: bytes, bit: int, target: Path) -> None:
     assert target.name in message
 
 
-@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(
+    max_examples=examples(300), suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
 @given(place=st.floats(0, 1, exclude_max=True), in_header=st.booleans())
 @example(place=0.0, in_header=True)
 def test_any_flipped_bit_is_found(path: Path, tmp_path: Path, place: float, in_header: bool) -> None:

@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from scoup.base.errors import ScoupError, ScoupWarning
+from support import examples
 
 HUGE = [struct.pack("<Q", value) for value in (10**12, 2**32 - 1, 2**62, 2**63, 2**64 - 1)]
 HUGE += [struct.pack("<I", value) for value in (2**31 - 1, 2**31, 2**32 - 1)]
@@ -154,7 +155,10 @@ def test_huge_numbers_in_the_head(sample, kind):
 
 
 @pytest.mark.parametrize("kind", TARGETS)
-@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(60),
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
 @given(data=st.data())
 def test_damaged_files(sample, kind, data):
     check(kind, sample, data.draw(damage((sample / TARGETS[kind].file).read_bytes())))

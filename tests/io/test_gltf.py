@@ -17,6 +17,7 @@ from scoup.io import load_gaussians
 from scoup.io.splats.gltf import read_gltf, read_gltf_features, write_gltf
 from scoup.io.splats.gltf_features import GaussianFeatures
 from scoup.scene.gaussians import Gaussians
+from support import examples
 
 NUMBERS = st.floats(-(2.0**99), 2.0**99, width=32)
 
@@ -37,7 +38,7 @@ def test_round_trips_are_exact_and_valid(tmp_path, suffix, degree):
     assert path.read_bytes() == before
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(data=st.data(), degree=st.integers(0, 3), suffix=st.sampled_from([".glb", ".gltf"]))
 def test_ugly_gaussians_survive_bit_by_bit(data, degree, suffix):
     count = data.draw(st.integers(1, 5))

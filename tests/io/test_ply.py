@@ -29,6 +29,7 @@ from scoup.io.splats.ply import (
     write_ply_table,
 )
 from scoup.scene.gaussians import Gaussians
+from support import examples
 
 RAW = st.floats(width=32, allow_nan=False)
 
@@ -102,7 +103,7 @@ def test_many_raw_scales_and_opacities_survive():
     assert np.array_equal(opacities_from_logits(logits_from_opacities(opacities)), opacities)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(st.data())
 def test_any_finite_file_reads_writes_reads_the_same(data):
     count, degree = data.draw(st.integers(1, 4)), data.draw(st.integers(0, 3))

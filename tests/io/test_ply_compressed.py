@@ -16,6 +16,7 @@ from scoup.base.errors import FileFormatError, InputError
 from scoup.io import save_gaussians, write_compressed_ply
 from scoup.io.splats.ply import gaussians_from_table, read_ply, read_ply_table
 from scoup.scene.gaussians import SH_C0, Gaussians
+from support import examples
 
 
 def test_compressed_files(tmp_path):
@@ -54,7 +55,7 @@ def spread(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
     return tuple(extents)
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given_any(st.integers(1, 600), st.integers(0, 3), st.integers(0, 2**31))
 def test_round_trips_round_as_stated(tmp_path_factory, count, degree, seed):
     path = tmp_path_factory.mktemp("compressed") / "a.compressed.ply"

@@ -20,6 +20,7 @@ from scoup.io import load_gaussians, read_spz, save_gaussians, write_ply, write_
 from scoup.io.splats.spz import MOST_BITS
 from scoup.raster.spherical_harmonics import _basis
 from scoup.scene.gaussians import Gaussians
+from support import examples
 
 # Steps of the stored values, halved, with a little for float32.
 SCALE = 0.5 / 16 + 1e-5  # of the logarithm
@@ -62,7 +63,7 @@ def check_rounding(given: Gaussians, found: Gaussians, version: int) -> None:
             assert float(difference.max()) <= bound
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     st.integers(1, 30),
     st.integers(0, 3),

@@ -21,6 +21,7 @@ from scoup.base.errors import (
 )
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import load_table, save_table
+from support import examples
 
 NAMES = ["apple", "Dark Cup", "chair"]
 VECTORS = np.array([[3.0, 0, 4], [0, 2, 0], [1, 1, 1]], dtype=np.float32)
@@ -156,7 +157,10 @@ def test_a_claim_of_endless_data_takes_no_memory(tmp_path: Path) -> None:
         load_table(path)
 
 
-@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(
+    max_examples=examples(120),
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(st.sampled_from(FORMS), st.data())
 def test_damaged_tables_never_crash(tmp_path: Path, form: str, data: st.DataObject) -> None:
     path = tmp_path / f"damaged.{form.split('-')[0]}"

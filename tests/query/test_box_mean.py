@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from query.box_means import literal_box_mean
 from scoup.query.segment import mask_box
 from scoup.query.smoothing import box_mean, rescale
+from support import examples
 
 shapes = st.tuples(st.integers(1, 11), st.integers(1, 11))
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(shapes, st.integers(1, 14), st.sampled_from(["inside", "reflect"]), st.integers(0, 2**31))
 def test_box_mean(shape: tuple[int, int], kernel: int, border, seed: int) -> None:
     image = torch.rand(shape, generator=torch.Generator().manual_seed(seed))

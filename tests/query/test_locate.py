@@ -14,6 +14,7 @@ from torch import Tensor
 from scoup.query.answer import SceneAnswer
 from scoup.query.locate import Location, connected_parts, location, oriented_box, weighted_quantiles
 from scoup.scene.gaussians import Gaussians
+from support import examples
 
 
 @dataclass
@@ -118,7 +119,7 @@ def test_a_few_gaussians_at_one_place_make_a_box_without_extent(count: int) -> N
     assert torch.isfinite(found.box.axes).all()
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(st.integers(1, 40), st.integers(0, 2**31), st.sampled_from([1e-6, 1.0, 1e6]))
 def test_boxes_hold_their_points(count: int, seed: int, scale: float) -> None:
     random = torch.Generator().manual_seed(seed)
@@ -130,7 +131,7 @@ def test_boxes_hold_their_points(count: int, seed: int, scale: float) -> None:
     assert (along <= box.extent / 2 + 1e-9 * scale).all()  # fewer than 50 points: none may be cut off
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(st.integers(1, 30), st.integers(0, 2**31))
 def test_quantiles_are_those_of_repeated_values(count: int, seed: int) -> None:
     random = torch.Generator().manual_seed(seed)

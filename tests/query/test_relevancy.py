@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from scoup.base.errors import InputError
 from scoup.query.relevancy import relevancy
+from support import examples
 
 
 def literal_relevancy(query: float, canonical: list[float], temperature: float) -> float:
@@ -21,7 +22,7 @@ def literal_relevancy(query: float, canonical: list[float], temperature: float) 
     return min(pairs)
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(st.lists(st.floats(-1, 1, width=32), min_size=2, max_size=6), st.floats(0.1, 30))
 def test_relevancy_is_the_minimum_over_canonical_phrases(cosines: list[float], temperature: float) -> None:
     values = torch.tensor(cosines)[None, :, None]

@@ -12,7 +12,7 @@ from scoup.base.errors import InputError
 from scoup.query.locate import LONGEST_LINK, NEIGHBOURS
 from scoup.query.reshape import Reshaping, reshaped
 from scoup.scene.gaussians import Gaussians
-from support import random_gaussians
+from support import examples, random_gaussians
 
 
 def at(means: torch.Tensor) -> Gaussians:
@@ -40,7 +40,7 @@ def literal(points: np.ndarray, inside: list[bool], wanted: Reshaping) -> list[b
     return inside
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     st.integers(2, 60),
     st.integers(0, 3),

@@ -15,6 +15,7 @@ from scoup.base.errors import InputError
 from scoup.query.localize import localize
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.segment import LevelMasks, choose_level, level_masks, main_parts, mask_box, segment
+from support import examples
 
 
 def literal_segment(
@@ -46,7 +47,7 @@ def literal_segment(
 shapes = st.tuples(st.integers(1, 11), st.integers(1, 11))
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(shapes, st.sampled_from(list(QUERY_PRESETS)), st.integers(1, 3), st.integers(0, 2**31))
 def test_segment_equals_the_protocol_read_literally(
     shape: tuple[int, int], name: str, levels: int, seed: int
@@ -216,7 +217,7 @@ def test_the_main_parts_hold_the_point_and_no_specks() -> None:
     assert not main_parts(torch.zeros(3, 4, dtype=torch.bool), (1, 1), torch.zeros(3, 4)).any()
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(shapes, st.integers(0, 2**31))
 def test_a_part_is_what_a_flood_reaches(shape: tuple[int, int], seed: int) -> None:
     random = torch.Generator().manual_seed(seed)

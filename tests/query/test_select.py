@@ -15,6 +15,7 @@ from scoup.base.errors import InputError
 from scoup.query.neighbours import Neighbourhood
 from scoup.query.select import ABSOLUTE_THRESHOLD, select, select_by_relevancy, select_each
 from scoup.query.stable_threshold import stable_thresholds
+from support import examples
 
 
 def fake_field(relevancy: Tensor, coded: Tensor, means: Tensor) -> SimpleNamespace:
@@ -78,7 +79,7 @@ def literal_stable_select(relevancy, coded, means, neighbours) -> tuple[list[boo
     return max(answers, key=lambda answer: answer[3 if by_mean else 4])[:3]  # the first of equals
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(st.integers(1, 40), st.sampled_from([None, 1, 10]), st.booleans(), st.integers(0, 2**31))
 def test_select_equals_loops(count: int, neighbours: int | None, rescaled: bool, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
@@ -93,7 +94,7 @@ def test_select_equals_loops(count: int, neighbours: int | None, rescaled: bool,
     assert chosen.tolist() == expected
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(st.integers(1, 40), st.sampled_from([None, 1, 10]), st.floats(0, 1), st.integers(0, 2**31))
 def test_without_a_threshold_it_is_the_most_stable_one(
     count: int, neighbours: int | None, share: float, seed: int

@@ -21,6 +21,7 @@ from scoup.query.smoothing import (
     plain_smoothed_masks,
     smoothed_masks,
 )
+from support import examples
 
 needs_core = pytest.mark.skipif(native_core() is None, reason=str(missing_reason()))
 shapes = st.tuples(st.integers(1, 3), st.integers(1, 40), st.integers(1, 40))
@@ -54,7 +55,7 @@ def assert_same(found: Tensor, expected: Tensor) -> None:
 
 
 @needs_core
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 @given(shapes, sides, st.sampled_from(["inside", "reflect"]), st.integers(0, 2**31), st.booleans())
 def test_box_means(shape, kernel, border, seed, ugly) -> None:
     maps = random_maps(shape, seed, ugly)
@@ -62,7 +63,7 @@ def test_box_means(shape, kernel, border, seed, ugly) -> None:
 
 
 @needs_core
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 @given(shapes, sides, sides, three_thresholds, st.integers(0, 2**31), st.booleans())
 def test_masks_and_their_sums(shape, kernel, smoothing, three, seed, ugly) -> None:
     maps = random_maps(shape, seed, ugly)

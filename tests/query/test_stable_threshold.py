@@ -12,6 +12,7 @@ from torch import Tensor
 
 from scoup.query.smoothing import rescale
 from scoup.query.stable_threshold import STABILITY, stable_thresholds
+from support import examples
 
 STEPS = range(44, 85)
 """Hundredths of the thresholds considered."""
@@ -56,7 +57,7 @@ def test_the_constants_are_those_of_the_rule_read_here() -> None:
     assert (STABILITY.window, STABILITY.centre, STABILITY.pull) == (0.1, 0.64, 0.05)
 
 
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 @given(grid_values(), st.sampled_from([torch.float32, torch.float64]))
 def test_it_is_the_slow_reading(values: list[int], dtype: torch.dtype) -> None:
     row = torch.tensor(values, dtype=dtype) / GRID
@@ -69,7 +70,7 @@ def test_it_is_the_slow_reading(values: list[int], dtype: torch.dtype) -> None:
     assert costs[step][1] == pytest.approx(min(cost for _, cost in costs.values()), abs=1e-6)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(grid_values(), st.floats(0.05, 2), st.floats(-1, 1), st.sampled_from([torch.float32, torch.float64]))
 def test_scaling_and_shifting_relevancy_change_nothing(values, scale, shift, dtype) -> None:
     row = torch.tensor(values, dtype=dtype)[None] / GRID
@@ -78,7 +79,7 @@ def test_scaling_and_shifting_relevancy_change_nothing(values, scale, shift, dty
         assert found.equal(same)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(st.integers(1, 300), st.integers(1, 300), st.integers(0, 2**31))
 def test_of_two_modes_it_is_between_them(low_count: int, high_count: int, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
@@ -90,7 +91,7 @@ def test_of_two_modes_it_is_between_them(low_count: int, high_count: int, seed: 
     assert (rescale(row) > float(thresholds)).equal(row > 0.6)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(st.integers(39, 77), st.integers(12, 20))
 def test_it_is_in_the_only_gap(start: int, width: int) -> None:
     end = min(start + width, 90)

@@ -14,6 +14,7 @@ from scoup import raster
 from scoup.raster import native
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from support import examples
 
 pytest.importorskip("scoup._native", reason="the compiled core is not built")
 COUNT = 30_000  # four chunks
@@ -33,7 +34,7 @@ def town(seed: int) -> Gaussians:
     return Gaussians(means, numbers.normal(size=(COUNT, 4)), scales, opacities, np.zeros((COUNT, 1, 3)))  # type: ignore[arg-type]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(
     seed=st.integers(0, 3),
     eye=st.tuples(*[st.floats(-60, 60)] * 3),

@@ -12,7 +12,7 @@ from raster.brute_force import blending_weights
 from raster.parity import ABSOLUTE, BACKENDS, RELATIVE, same_bytes
 from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
-from support import KINDS, make_camera, random_gaussians, random_labels, scenes
+from support import KINDS, examples, make_camera, random_gaussians, random_labels, scenes
 
 pytestmark = pytest.mark.parametrize("backend", BACKENDS)
 
@@ -25,7 +25,7 @@ def close(actual, expected, sure):
     assert worst.size == 0 or worst.max() <= 1, f"error is {worst.max():.3g} x the limit"
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(scene=scenes(), preset=st.sampled_from(["inria", "gsplat"]))
 def test_channels_and_alpha_equal_brute_force(backend, scene, preset):
     gaussians, camera = scene
@@ -41,7 +41,7 @@ def test_channels_and_alpha_equal_brute_force(backend, scene, preset):
     assert torch.isfinite(alpha).all()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(scene=scenes(25), levels=st.integers(1, 4), regions=st.integers(1, 9), seed=st.integers(0, 999))
 def test_region_sums_equal_brute_force(backend, scene, levels, regions, seed):
     gaussians, camera = scene
@@ -63,7 +63,7 @@ def test_region_sums_equal_brute_force(backend, scene, levels, regions, seed):
     assert (pair[1:] > pair[:-1]).all()  # sorted, each once
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(scene=scenes(25), seed=st.integers(0, 999))
 def test_codes_by_regions_equal_codes_per_pixel(backend, scene, seed):
     """The regrouping of method.md, stage 2: sums over regions first, or codes scattered pixel by pixel."""
@@ -87,7 +87,7 @@ def test_codes_by_regions_equal_codes_per_pixel(backend, scene, seed):
         assert torch.allclose(out, expected, rtol=1e-4, atol=1e-5)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(scene=scenes(25), k=st.integers(1, 5), seed=st.integers(0, 999))
 def test_codes_and_cosines_equal_decoded_features(backend, scene, k, seed):
     gaussians, camera = scene

@@ -24,7 +24,7 @@ from raster.parity import (
 from scoup import raster
 from scoup.raster.combinations import combine_reference
 from scoup.scene.codes import index_dtype
-from support import make_camera, random_gaussians, random_labels, unit
+from support import examples, make_camera, random_gaussians, random_labels, unit
 
 pytestmark = needs_native
 PRESETS = st.sampled_from(["inria", "gsplat"])
@@ -42,7 +42,7 @@ def random_codes(count, levels, k, n_atoms, seed, dtype=torch.float32):
     return indices, weights.to(dtype)
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(scene=any_scenes(), preset=PRESETS, channels=st.sampled_from(CHANNELS), seed=SEEDS)
 def test_channels_and_alpha(scene, preset, channels, seed):
     gaussians, camera = scene
@@ -60,7 +60,7 @@ def test_channels_and_alpha(scene, preset, channels, seed):
     assert (image[alpha == 0] == 0).all()
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(scene=any_scenes(), preset=PRESETS)
 def test_alpha_is_the_sum_of_the_weights(scene, preset):
     """One minus the transmittance left, and the sum of what was painted, are the same in exact arithmetic."""
@@ -71,7 +71,7 @@ def test_alpha_is_the_sum_of_the_weights(scene, preset):
     assert ((alpha >= 0) & (alpha <= 1 - raster.RASTER_PRESETS[preset].stop + 1e-7)).all()
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     scene=any_scenes(),
     preset=PRESETS,
@@ -103,7 +103,7 @@ def test_every_pixel_its_own_region(levels, holes):
     assert_same_sums(raster.region_sums(native, labels), raster.region_sums(reference, labels))
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(scene=any_scenes(), highest=st.sampled_from([2**16, 2**24 + 1, 2**31 - 2]), levels=st.integers(1, 8))
 def test_label_numbers_may_be_huge(scene, highest, levels):
     """Only the names of the regions change."""
@@ -116,7 +116,7 @@ def test_label_numbers_may_be_huge(scene, highest, levels):
     assert same_bytes(found, replace(sums, table=renamed.int()))
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(
     levels=st.integers(1, 9),
     width=st.integers(1, 70),
@@ -151,7 +151,7 @@ def test_combinations(levels, width, height, regions, edge, dtype, threads, seed
     assert torch.equal(known, labels.int().clamp(min=-1))
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     scene=any_scenes(),
     preset=PRESETS,
@@ -177,7 +177,7 @@ def test_codes(scene, preset, levels, n_atoms, k, halves, longs, seed):
     assert_close(actual.movedim(0, 2), expected.movedim(0, 2), max(1, k / 4), sure)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     scene=any_scenes(),
     preset=PRESETS,

@@ -10,7 +10,7 @@ from raster.hard_scenes import any_scenes
 from raster.parity import BACKENDS
 from scoup import raster
 from scoup.raster.ordering import morton_order
-from support import KINDS, make_camera, random_gaussians, random_labels
+from support import KINDS, examples, make_camera, random_gaussians, random_labels
 
 pytestmark = pytest.mark.parametrize("backend", BACKENDS)
 
@@ -26,7 +26,7 @@ def test_views_show_the_same(backend):
     assert torch.equal(found, expected)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(scene=any_scenes())
 def test_hard_scenes_show_the_same(backend, scene):
     """Behind the camera, huge, needles, not finite, opacities of 0 and infinity; empty scenes, images of one pixel."""

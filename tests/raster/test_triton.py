@@ -21,7 +21,7 @@ from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
 from scoup import raster
 from scoup.base.errors import InputError
-from support import make_camera, random_gaussians, scenes
+from support import examples, make_camera, random_gaussians, scenes
 
 # Bytes a thread, nearly all of it behind the loop over Gaussians, where the coefficients of one level wait for those of
 # another.
@@ -50,7 +50,7 @@ def test_region_sums_agree_with_the_reference(interpreted, number, kind):
 
 
 @pytest.mark.slow
-@settings(max_examples=12)
+@settings(max_examples=examples(12))
 @given(
     scene=scenes(25),
     seed=st.integers(0, 2**31),

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from raster.parity import needs_native
 from scoup.base.errors import InputError
 from scoup.scene.codes import code_scores, cosines_from_codes, plain_code_scores
+from support import examples
 
 
 def test_cosines_equal_decoding_and_normalising() -> None:
@@ -27,7 +28,7 @@ def test_cosines_equal_decoding_and_normalising() -> None:
 
 
 @needs_native
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     count=st.integers(0, 70),
     k=st.integers(0, 6),

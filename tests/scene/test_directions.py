@@ -13,14 +13,14 @@ from scoup.scene.directions import normalise_embeddings, query_vectors, unit_row
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from support import small_scene, unit
+from support import examples, small_scene, unit
 
 
 def rows(count: int, seed: int = 0) -> torch.Tensor:
     return unit(torch.randn(count, 5, generator=torch.Generator().manual_seed(seed)))
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(st.integers(0, 2**31), st.integers(-30, 30))
 def test_any_norm_gives_the_same_direction(seed: int, exponent: int) -> None:
     expected = rows(4, seed)

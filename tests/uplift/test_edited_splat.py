@@ -24,7 +24,7 @@ from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.update import update, vote_again
-from support import KINDS, random_gaussians, small_scene
+from support import KINDS, examples, random_gaussians, small_scene
 from uplift.edits import joined
 
 QUICK = BuildSettings(n_atoms=6, k=3, keep=3)
@@ -101,7 +101,7 @@ def edits(draw: st.DrawFn) -> tuple[list[int], Gaussians, bool]:
     return [*rows.tolist(), *twice.tolist()], appended, draw(st.sampled_from([False, False, True]))
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(edits(), st.integers(0, 2**31))
 def test_codes_and_sums_are_those_of_a_vote_from_the_start(scene, edit, seed):
     rows, appended, shuffled = edit

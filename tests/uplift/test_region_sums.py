@@ -20,7 +20,7 @@ from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage import entries
 from scoup.uplift.storage.record_file import RecordFile
-from support import KINDS, random_gaussians, small_scene
+from support import KINDS, examples, random_gaussians, small_scene
 
 
 @pytest.fixture(scope="module")
@@ -293,7 +293,10 @@ def sums_bytes(tmp_path_factory) -> bytes:
     return path.read_bytes()
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(
+    max_examples=examples(150),
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(data=st.data())
 def test_damaged_files_never_crash(sums_bytes: bytes, tmp_path: Path, data):
     """Whatever the bytes: an error that names the file, or what was complete."""
@@ -312,7 +315,10 @@ def test_damaged_files_never_crash(sums_bytes: bytes, tmp_path: Path, data):
     assert "damaged.sums" in message
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(
+    max_examples=examples(150),
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(data=st.data())
 def test_arrays_that_make_no_sense_never_crash_a_vote(data):
     """As a file may hold them whose checksums fit."""

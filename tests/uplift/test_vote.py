@@ -18,6 +18,7 @@ from scoup.scene.codes import SparseCodes
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.vote_backends.native import Vote as NativeVote
 from scoup.uplift.vote_backends.reference import Vote as ReferenceVote
+from support import examples
 from uplift.random_votes import Sizes, buckets_of, check_rounds, damaged, earlier_of, random_vote
 
 CPU = torch.device("cpu")
@@ -31,7 +32,7 @@ def restore_threads() -> Iterator[None]:
 
 
 @needs_native
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     sizes=st.builds(
         Sizes,
@@ -116,7 +117,7 @@ def test_every_instruction_set_agrees_with_the_reference(asked):
 
 
 @needs_native
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     n_atoms=st.sampled_from([1, 2, 16, 33, 256, 257, 1024]),
     keep=st.integers(1, 40),

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from scoup.view.viewer import Viewer
 
 pytest.importorskip("uvicorn")
-pytestmark = pytest.mark.usefixtures("built_page")
+pytestmark = pytest.mark.usefixtures("quick_python", "built_page")
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from scoup.view.packing import byte_planes, packed
 from scoup.view.scene_data import surroundings
 from scoup.view.shown import morton_codes, shown_rows
 from scoup.view.viewed_field import ViewedField
-from support import KINDS, random_gaussians
+from support import KINDS, examples, random_gaussians
 
 
 def test_the_splat_comes_through_within_its_rounding() -> None:
@@ -60,7 +60,7 @@ def test_codes_and_scores_give_the_relevancy_of_the_field() -> None:
     assert np.isfinite(colors).all()
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.integers(0, 30), st.integers(0, 2**31), st.integers(1, 40))
 def test_ugly_gaussians_are_left_out_and_the_rest_is_finite(count: int, seed: int, most: int) -> None:
     viewed = viewed_field(count=count, seed=seed, kinds=KINDS, most=most)

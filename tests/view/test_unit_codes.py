@@ -9,10 +9,10 @@ from view_samples import DIM, random_field
 
 from scoup.query.relevancy import relevancy
 from scoup.view.unit_codes import UnitCodes, atom_scores
-from support import unit
+from support import examples, unit
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(
     st.integers(0, 40),
     st.integers(0, 2**31),

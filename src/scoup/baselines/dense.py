@@ -26,7 +26,7 @@ def dense_features(sums: RegionSums, rows: Tensor, level: int) -> Tensor:
         level: position of the level.
     """
     summed = torch.from_numpy(sums.matrix(level) @ rows.cpu().numpy())
-    return torch.nn.functional.normalize(summed, dim=1)
+    return summed.div_(torch.linalg.vector_norm(summed, dim=1, keepdim=True).clamp(min=1e-12))
 
 
 def mean_features(sums: RegionSums, rows: Tensor, level: int) -> Tensor:

@@ -190,7 +190,8 @@ def image_relevancy(image: Tensor, cosines: Cosines, queries: Tensor, canonical:
 
 def embedding_cosines(rows: Tensor, queries: Tensor) -> Tensor:
     """``Cosines`` of channels that are embeddings themselves."""
-    return torch.nn.functional.normalize(rows, dim=1) @ queries.T
+    norms = torch.linalg.vector_norm(rows, dim=1, keepdim=True).clamp(min=1e-12)
+    return (rows @ queries.T) / norms  # a copy of all rows, scaled, would take longer than the products
 
 
 def code_cosines(atoms: Tensor) -> Cosines:

@@ -43,7 +43,9 @@ class Console:
             return
         if all(isinstance(part, str) for part in parts):
             with _output_named():
-                print(*parts)  # not by rich: file names and texts may contain what it takes for markup
+                # Not by rich: file names and texts may contain what it takes for markup. At once, also into a pipe: a
+                # server goes on for hours.
+                print(*parts, flush=True)
             return
         from rich.console import Console as RichConsole
 
@@ -56,7 +58,7 @@ class Console:
             if self.warnings:
                 record = {**record, "warnings": self.warnings}
             with _output_named():
-                print(json.dumps(record, indent=2, default=_plain))
+                print(json.dumps(record, indent=2, default=_plain), flush=True)
 
     def warn(self, message: str) -> None:
         """Print a warning the first time it comes, and keep it for the JSON result."""
