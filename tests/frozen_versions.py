@@ -32,9 +32,9 @@ CODES = ("--n-atoms", 8, "--effort", "fast")
 
 
 def write_scene(folder: Path) -> None:
-    """320 Gaussians, half of them behind the three cameras, so that some buckets of region sums have no entries."""
+    """420 Gaussians, more than 256 of them behind the three cameras, so that a bucket of region sums has no entries."""
     _, cameras, regions = small_scene(10, views=3, width=32, height=24, seed=7)
-    save_gaussians(random_gaussians(320, 7, ("plain", "behind")), folder / "point_cloud.ply")
+    save_gaussians(random_gaussians(420, 7, ("plain", "behind", "behind")), folder / "point_cloud.ply")
     write_colmap(cameras, folder / "sparse" / "0")
     for camera in cameras:
         black = torch.zeros(camera.height, camera.width, 3, dtype=torch.uint8)
