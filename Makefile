@@ -3,7 +3,7 @@
 # make test-all   the same, and the exhaustive sweeps
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
 # make count  instructions of the compiled kernels against benchmarks/instruction_counts.json (needs valgrind)
-# make lint   ruff and pyright; the types of the viewer's page
+# make lint   ruff, spelling and pyright; the types of the viewer's page
 # make page   the page of `scoup view` again, where it could not be fetched or its sources have changed
 
 PYTHON ?= python3
@@ -39,6 +39,7 @@ count: .venv/installed-dev
 lint: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell
 	$(BIN)/pyright
 	$(BIN)/python tools/build_viewer.py --check
 

@@ -162,7 +162,8 @@ def test_headers_are_not_trusted(tmp_path: Path) -> None:
         ({"levels": []}, "claims 0 levels"),
         ({"levels": ["s", "m", "x"]}, "is not a file of region features or is damaged"),
         ({"levels": ["s", "m"]}, "has levels"),
-        ({"version": 2}, "written by a newer SCOUP"),
+        ({"version": 2}, r"written by a newer SCOUP \(format version 2, this one reads up to 1\); update it"),
+        ({"version": "1"}, "makes no sense"),
         ({"schema": "other"}, "is not a file of region features"),
     ):
         save_file(tensors, path, {"scoup": json.dumps({**header, **change})})

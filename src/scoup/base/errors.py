@@ -58,7 +58,7 @@ def refused_read(path: str | Path, error: OSError) -> FileFormatError:
 
 
 class FieldVersionError(FileFormatError):
-    """A language field in a version of the format that this software does not know yet.
+    """A language field, or another file of ours, in a version of its format that this software does not know yet.
 
     Args:
         path: the file.
@@ -74,6 +74,24 @@ class FieldVersionError(FileFormatError):
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.path, self.version, self.newest)
+
+
+def check_format_version(path: str | Path, version: object, newest: int) -> None:
+    """Refuse versions of a format that this software does not read.
+
+    Args:
+        path: the file, for the error.
+        version: what it says of itself.
+        newest: of the versions that are read; all from 1 on are.
+
+    Raises:
+        FieldVersionError: the file is of a newer one.
+        FileFormatError: there never was such a version.
+    """
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise FileFormatError(path, f"makes no sense (its format version is {version!r})", "make it again")
+    if version > newest:
+        raise FieldVersionError(path, version, newest)
 
 
 class MissingFileError(FileFormatError, FileNotFoundError):

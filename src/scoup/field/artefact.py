@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.atomic import Move, atomic_path, check_output
-from scoup.base.errors import FieldVersionError, FileFormatError, InputError, MissingFileError, WriteError
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, WriteError, check_format_version
 from scoup.io.reading import safetensors_damage_named
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
@@ -153,10 +153,7 @@ def read_field(path: Path) -> FieldParts:
     text, header, tensors = _read(path)
     with field_damage_named(path):
         version = header["version"]
-        if not isinstance(version, int) or isinstance(version, bool) or version < 1:
-            raise InputError(f"its format version is {version!r}")
-        if version not in READERS:
-            raise FieldVersionError(path, version, VERSION)
+        check_format_version(path, version, VERSION)
         return READERS[version](path, text, header, tensors)
 
 
@@ -269,7 +266,14 @@ def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
     if not path.is_file():
         raise MissingFileError(path, f"there is no such file ({what} was expected)", "check the path")
     with safetensors_damage_named(path, what, _REBUILD), safe_open(path, framework="pt") as stream:
-        text = (stream.metadata() or {}).get(METADATA_KEY, "{}")
+        metadata = stream.metadata() or {}
+        if (
+            metadata.get("schema") == SCHEMA
+        ):  # several entries: so only the first commit wrote it, and nobody since
+            raise FileFormatError(
+                path, "is of a form from before version 1, which is not read", "build it again"
+            )
+        text = metadata.get(METADATA_KEY, "{}")
         header = json.loads(text)
         if not isinstance(header, dict) or header.get("schema") != SCHEMA:
             raise FileFormatError(path, f"is a safetensors file, but not {what}", "check the path")

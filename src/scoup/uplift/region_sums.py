@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.errors import FileFormatError, InputError
+from scoup.base.errors import FileFormatError, InputError, check_format_version
 from scoup.base.processes import Processes
 from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
@@ -118,8 +118,9 @@ class RegionSums:
         file = RecordFile.open(path, writable)
         first = file.records[0]
         try:
-            if first.kind != SUMS or int(first.header["version"]) > VERSION:
-                raise FileFormatError(path, "was written by a newer SCOUP", "pip install -U scoup")
+            if first.kind != SUMS:
+                raise ValueError(f"it begins with {first.kind!r}")
+            check_format_version(path, first.header["version"], VERSION)
             order = torch.from_numpy(first.arrays["order"].astype(np.int64))
             if order.dim() != 1 or not torch.equal(order.sort().values, torch.arange(len(order))):
                 raise ValueError("an order that lacks Gaussians")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base.atomic import atomic_file
-from scoup.base.errors import FileFormatError
+from scoup.base.errors import FileFormatError, check_format_version
 from scoup.io.reading import MAX_IMAGE_SIDE, existing_file, safetensors_damage_named
 from scoup.io.regions.manifest import SCHEMA, VERSION
 from scoup.io.regions.views import REMEDY, ViewRegions
@@ -95,9 +95,7 @@ def open_view(folder: Path, stem: str) -> CompactView:
         header = json.loads((stream.metadata() or {}).get(_KEY, "{}"))
         if not isinstance(header, dict) or header.get("schema") != SCHEMA:
             raise FileFormatError(path, "is not a file of region features", REMEDY)
-        if int(header["version"]) > VERSION:
-            problem = f"was written by a newer SCOUP (format {header['version']})"
-            raise FileFormatError(path, problem, "pip install -U scoup")
+        check_format_version(path, header["version"], VERSION)
         width, height = int(header["width"]), int(header["height"])
         levels = [str(level) for level in header["levels"]]
         if not levels or not (1 <= width <= MAX_IMAGE_SIDE and 1 <= height <= MAX_IMAGE_SIDE):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from scoup.base.atomic import write_text
-from scoup.base.errors import FileFormatError, InputError, OutputExistsError
+from scoup.base.errors import FileFormatError, InputError, OutputExistsError, check_format_version
 from scoup.io.reading import read_json
 
 MANIFEST = "regions.json"
@@ -87,11 +87,8 @@ def read_manifest(folder: Path) -> RegionManifest | None:
     remedy = "extract the features again into another folder"
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise FileFormatError(path, "is not a manifest of region features", remedy)
-    version, layout = record.get("version"), record.get("layout")
-    if not isinstance(version, int) or version > VERSION:
-        raise FileFormatError(
-            path, f"was written by a newer SCOUP (format {version})", "pip install -U scoup"
-        )
+    check_format_version(path, record.get("version"), VERSION)
+    layout = record.get("layout")
     model, settings = record.get("embedding_model"), record.get("settings")
     if layout not in LAYOUTS or not isinstance(model, str) or not isinstance(settings, dict):
         raise FileFormatError(path, "lacks its layout, embedding model or settings", remedy)

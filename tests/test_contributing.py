@@ -1,0 +1,139 @@
+"""What is written for contributors: paths that exist, one address of the repository, forms and hooks that are read."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from scoup.base.version import VERSION
+
+ROOT = Path(__file__).resolve().parents[1]
+TEXTS = (
+    "CONTRIBUTING.md",
+    "SECURITY.md",
+    "CODE_OF_CONDUCT.md",
+    "docs/versions.md",
+    ".github/pull_request_template.md",
+)
+REPOSITORY = "https://github.com/scoup/scoup"
+PATH = re.compile(r"`(\.?[\w-]+(?:/[\w.-]+)+/?|[\w-]+\.(?:md|toml|cff))`")
+
+
+def paths_in(text: str) -> set[str]:
+    """Paths in backticks; those that are only a part of a name, or of a user's file, are left out."""
+    return {path for path in PATH.findall(text) if "NAME" not in path and "FOLDER" not in path}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_paths_exist(name: str) -> None:
+    text = (ROOT / name).read_text()
+    lost = [
+        path for path in sorted(paths_in(text)) if not (ROOT / path).exists() and path not in KINDS_OF_FILES
+    ]
+    links = re.findall(r"\]\((?!https?://|#)([^)#]+)", text)
+    lost += [link for link in links if not (ROOT / name).parent.joinpath(link).exists()]
+    assert not lost
+
+
+KINDS_OF_FILES = {"regions.json", ".venv/installed-dev"}
+
+
+def test_a_path_that_is_not_there_is_found() -> None:
+    assert paths_in("`src/scoup/none.py` and `native/`, `CHANGELOG.md`, `x.y()`, `FOLDER/NAME`") == {
+        "src/scoup/none.py",
+        "CHANGELOG.md",
+    }
+
+
+def test_every_recipe_names_tests() -> None:
+    recipes = (
+        (ROOT / "CONTRIBUTING.md").read_text().split("## Recipes")[1].split("\n## ")[0].split("\n### ")[1:]
+    )
+    assert len(recipes) == 5
+    for recipe in recipes:
+        assert re.search(r"^\d\. Tests: .*`tests/", recipe, re.MULTILINE), recipe.splitlines()[0]
+
+
+def community_files() -> list[Path]:
+    found = [
+        ROOT / "CITATION.cff",
+        *(ROOT / name for name in TEXTS),
+        *(ROOT / ".github" / "ISSUE_TEMPLATE").glob("*"),
+    ]
+    return [*found, *(ROOT / "docker").glob("*"), *(ROOT / "notebooks").glob("*.ipynb")]
+
+
+def test_the_repository_has_one_address() -> None:
+    addresses = {
+        address
+        for path in community_files()
+        for address in re.findall(
+            r"https://(?:colab\.research\.google\.com/github|github\.com)/[\w-]+/scoup", path.read_text()
+        )
+    }
+    assert addresses - {"https://colab.research.google.com/github/scoup/scoup"} == {REPOSITORY}
+
+
+def test_the_citation_is_of_this_version_and_names_no_author_of_the_paper() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["cff-version"] == "1.2.0"
+    assert str(citation["version"]) == VERSION
+    assert citation["repository-code"] == REPOSITORY
+    (author,) = citation["authors"]
+    assert f'authors = [{{ name = "{author["name"]}" }}]' in (ROOT / "pyproject.toml").read_text()
+    assert "not the paper's authors" in author["name"]
+    (paper,) = citation["references"]
+    assert [list(author) for author in paper["authors"]] == [["name"]]
+    assert "2605.13600" in paper["url"]
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("[0-9]*.yml")), ids=lambda path: path.stem
+)
+def test_forms_have_what_they_need(path: Path) -> None:
+    form = yaml.safe_load(path.read_text())
+    assert {"name", "description", "body"} <= form.keys()
+    names = [item["id"] for item in form["body"] if item["type"] != "markdown"]
+    assert len(set(names)) == len(names)
+    assert any(item.get("validations", {}).get("required") for item in form["body"])
+
+
+def test_hooks_are_those_of_make_lint() -> None:
+    hooks = [
+        hook
+        for repo in yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
+        for hook in repo["hooks"]
+    ]
+    lint = (ROOT / "Makefile").read_text().split("\nlint:")[1].split("\n\n")[0]
+    for tool in ("ruff check", "ruff format", "codespell", "pyright"):
+        assert f"$(BIN)/{tool}" in lint
+        assert any(hook["entry"].startswith(f".venv/bin/{tool}") for hook in hooks), tool
+
+
+def test_every_kept_version_is_explained() -> None:
+    text = (ROOT / "docs" / "versions.md").read_text()
+    folders = [
+        path.name for path in (ROOT / "tests" / "frozen" / "versions").iterdir() if path.name != "scene"
+    ]
+    assert len(folders) > 5
+    assert [name for name in folders if name not in text] == []
+
+
+def test_sentences_of_refusals_are_the_real_ones() -> None:
+    from scoup.base.errors import FieldVersionError
+
+    text = (ROOT / "docs" / "versions.md").read_text()
+    assert f"> {FieldVersionError('FILE', 3, 2)}" in text
+    tests = "".join(
+        (ROOT / "tests" / name).read_text()
+        for name in ("field/test_past_fields.py", "uplift/test_past_sums.py")
+    )
+    for sentence in (
+        "is of a form from before version 1, which is not read; build it again",
+        "is a shard of an older form",
+    ):
+        assert sentence in text
+        assert sentence in tests
