@@ -2,11 +2,12 @@
 
     python tools/cross_compile.py [TARGET ...] [--headers FOLDER] [--rounds 20] [--out build/cross]
 
-Needs the PyPI packages ziglang, nanobind, cmake and ninja; a target whose compiler is not there is left out, and the table
-says so. The core and the programs in native/tests/ are built as native/CMakeLists.txt says, then the files that know Python
-are compiled with the headers of this Python, or of another one in a folder; those of 3.12 or newer also for the stable
-interface. Programs are run by qemu-aarch64 and wine. Nothing here needs the real systems, so it proves less than they do:
-no compiler of Apple or Microsoft is run, and Python's headers are those of Linux.
+Needs the PyPI packages ziglang, nanobind, cmake and ninja; a target whose compiler is not there is left out, and the
+table says so. The core and the programs in native/tests/ are built as native/CMakeLists.txt says, then the files that
+know Python are compiled with the headers of this Python, or of another one in a folder; those of 3.12 or newer also for
+the stable interface. Programs are run by qemu-aarch64 and wine. clang as clang-cl compiles the kernels for Windows with
+Microsoft's conventions. Nothing here needs the real systems, so it proves less than they do: no compiler or library of
+Apple or Microsoft is used, and Python's headers are those of Linux.
 """
 
 from __future__ import annotations
@@ -123,7 +124,9 @@ def compiler_of(target: Target, tools: Path) -> list[str] | None:
 def script(path: Path, command: list[str]) -> Path:
     """A program of one word that runs a command: CMake wants such ones."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("#!/bin/sh\nexec " + " ".join(f"'{word}'" for word in command) + ' "$@"\n', encoding="utf-8")
+    path.write_text(
+        "#!/bin/sh\nexec " + " ".join(f"'{word}'" for word in command) + ' "$@"\n', encoding="utf-8"
+    )
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
     return path
 
@@ -158,7 +161,7 @@ def compile_bindings(target: Target, compiler: list[str], headers: Path, out: Pa
         return "nanobind is not installed"
     nanobind = Path(spec.origin).parent
     folders = [headers, nanobind / "include", nanobind / "ext" / "robin_map" / "include", SOURCES]
-    flags = ["-std=c++17", "-O1", "-c", *(f"-I{folder}" for folder in folders)]
+    flags = ["-std=c++17", "-O1", "-c", "-include", "cstdio", *(f"-I{folder}" for folder in folders)]
     if "windows" not in target.name:
         flags += ["-fPIC"]
     version = header_version(headers)
@@ -221,7 +224,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Returns the exit code: 1 where a target failed, or none could be tried."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("targets", nargs="*", metavar="TARGET", help=", ".join(each.name for each in TARGETS))
-    parser.add_argument("--headers", type=Path, default=Path(sysconfig.get_paths()["include"]), help="of Python")
+    parser.add_argument(
+        "--headers", type=Path, default=Path(sysconfig.get_paths()["include"]), help="of Python"
+    )
     parser.add_argument("--rounds", type=int, default=20, help="of the fuzzing where programs are run")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "cross", help="where to build")
     options = parser.parse_args(arguments)
@@ -230,7 +235,9 @@ def main(arguments: list[str] | None = None) -> int:
     if unknown:
         parser.error(f"there is no target {sorted(unknown)[0]}")
     # cmake and ninja may be beside the interpreter only.
-    os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
+    os.environ["PATH"] = os.pathsep.join(
+        [str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)]
+    )
     status, tried = 0, 0
     print("| target | core | files that know Python | run |\n|---|---|---|---|")
     for target in TARGETS:

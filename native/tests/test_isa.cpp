@@ -11,14 +11,17 @@
 
 namespace {
 
-// What /proc/cpuinfo lists of the first processor; nothing where there is no such file.
+// What /proc/cpuinfo lists of the first processor; nothing where there is no such file, or it is another processor's (an
+// emulator shows the real one's).
 std::set<std::string> features() {
+#if defined(SCOUP_X86)
     std::ifstream file("/proc/cpuinfo");
     for (std::string line; std::getline(file, line);) {
         if (line.rfind("flags", 0) != 0) continue;
         std::istringstream words(line.substr(line.find(':') + 1));
         return {std::istream_iterator<std::string>(words), std::istream_iterator<std::string>()};
     }
+#endif
     return {};
 }
 
