@@ -28,6 +28,14 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "native" / "src"
 OLDEST_STABLE = (3, 12)
 """The oldest Python whose stable interface nanobind can use."""
+HEADERS = {
+    "stdlib.h": 'extern "C" { void* malloc(__SIZE_TYPE__); void free(void*); }',
+    "malloc.h": 'extern "C" { void* _aligned_malloc(__SIZE_TYPE__, __SIZE_TYPE__); void _aligned_free(void*); }',
+    "cstdint": "#include <stdint.h>",
+    "cstddef": "#include <stddef.h>\nnamespace std { using ::size_t; }",
+    "cfloat": "#include <float.h>",
+}
+"""Stand-ins for the headers of Microsoft that the kernels include."""
 LIMIT = 1500
 """Seconds for one program."""
 ZIG = (sys.executable, "-m", "ziglang")
@@ -44,6 +52,7 @@ class Target:
         cmake: settings of CMake beside the compiler.
         runner: the program that runs what was built; nothing where it is not run.
         ending: of programs.
+        parts: what CMake builds; nothing for everything, with the programs.
     """
 
     name: str
@@ -52,6 +61,7 @@ class Target:
     cmake: tuple[str, ...] = ()
     runner: str | None = None
     ending: str = ""
+    parts: tuple[str, ...] = ()
 
 
 def _system(name: str, processor: str) -> tuple[str, ...]:
@@ -75,6 +85,13 @@ TARGETS = (
     Target("windows-zig", zig="x86_64-windows-gnu", cmake=_WINDOWS, runner="wine", ending=".exe"),
     # Not run: GCC does not align the stack of 64-bit Windows for vectors of 32 bytes.
     Target("windows-mingw", compiler="x86_64-w64-mingw32-g++-posix", cmake=_WINDOWS, ending=".exe"),
+    # Kernels only: the rest needs Microsoft's library of C++.
+    Target(
+        "windows-msvc",
+        compiler="clang",
+        cmake=(*_system("Windows", "AMD64"), "-DCMAKE_TRY_COMPILE_TARGET_TYPE=STATIC_LIBRARY"),
+        parts=("scoup_kernels_baseline", "scoup_kernels_v3", "scoup_kernels_v4"),
+    ),
 )
 
 
@@ -113,12 +130,24 @@ def call(command: list[str], folder: Path = ROOT) -> str:
 
 def compiler_of(target: Target, tools: Path) -> list[str] | None:
     """The command of a target's C++ compiler; None where it is not installed."""
+    if target.name == "windows-msvc":
+        return clang_cl(tools) if shutil.which("clang") else None
     if target.compiler:
         found = shutil.which(target.compiler)
         return [found] if found else None
     if importlib.util.find_spec("ziglang") is None:
         return None
     return [str(script(tools / f"{target.name}-c++", [*ZIG, "c++", "-target", target.zig]))]
+
+
+def clang_cl(tools: Path) -> list[str]:
+    """clang as clang-cl, with stand-ins for Microsoft's headers."""
+    folder = tools / "msvc"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in HEADERS.items():
+        (folder / name).write_text(f"#pragma once\n{text}\n", encoding="utf-8")
+    options = ["--driver-mode=cl", "--target=x86_64-pc-windows-msvc", "-fms-compatibility-version=19.40"]
+    return [str(script(tools / "clang-cl", ["clang", *options, "-imsvc", str(folder)]))]
 
 
 def script(path: Path, command: list[str]) -> Path:
@@ -142,8 +171,12 @@ def build_core(target: Target, compiler: list[str], out: Path) -> Path:
     if target.zig:
         for tool in ("ar", "ranlib"):
             settings.append(f"-DCMAKE_{tool.upper()}={script(out / 'tools' / tool, [*ZIG, tool])}")
+    if target.parts:
+        named = {"AR": "llvm-lib", "LINKER": "lld-link", "RC_COMPILER": "llvm-rc", "MT": "llvm-mt"}
+        settings += [f"-DCMAKE_{role}={shutil.which(tool)}" for role, tool in named.items()]
     call(["cmake", "-S", str(ROOT / "native"), "-B", str(folder), "-G", "Ninja", *settings])
-    printed = call(["cmake", "--build", str(folder), "--parallel", "4"])
+    wanted = ["--target", *target.parts] if target.parts else []
+    printed = call(["cmake", "--build", str(folder), "--parallel", "4", *wanted])
     warnings = re.findall(r"^.*native/.*warning: .*$", printed, re.MULTILINE)
     for warning in warnings:
         print(f"{target.name}: {warning}")
@@ -216,6 +249,8 @@ def check(target: Target, options: argparse.Namespace) -> Row | None:
     if compiler is None:
         return None
     folder = build_core(target, compiler, options.out)
+    if target.parts:
+        return Row(target.name, "kernels compiled", "not compiled", "not run")
     python = compile_bindings(target, compiler, options.headers, options.out)
     return Row(target.name, "linked", python, run_programs(target, folder, options.rounds))
 
