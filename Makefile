@@ -31,6 +31,7 @@ test-native: .venv/installed-dev
 	  -DSCOUP_TESTS=ON -DSCOUP_SANITIZE=ON
 	$(BIN)/cmake --build build/native-tests
 	build/native-tests/fuzz 200
+	build/native-tests/test_isa
 	build/native-tests/test_threads
 
 count: .venv/installed-dev

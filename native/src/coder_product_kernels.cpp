@@ -1,5 +1,8 @@
 // Products and sums over rows. Every number is summed in an order that depends on nothing but the shapes.
 #include "coder_kernels.h"
+
+#include <cstddef>
+
 #include "vector.h"
 
 namespace scoup::SCOUP_ISA {

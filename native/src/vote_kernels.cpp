@@ -1,5 +1,7 @@
 #include "vote_kernels.h"
 
+#include <cstddef>
+
 #include "half.h"
 #include "vector.h"
 

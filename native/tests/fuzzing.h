@@ -1,8 +1,10 @@
 // What the test programs share: random numbers, memory without slack, checks, interruptions at random moments.
 #pragma once
 
+#if !defined(_WIN32)
 #include <signal.h>
 #include <sys/time.h>
+#endif
 
 #include <chrono>
 #include <cmath>
@@ -119,7 +121,13 @@ inline std::vector<const char*> instruction_sets() {
 }
 
 // for_chunks asks whether to go on after a tenth of a second only. The calls here are over long before, so a timer
-// goes off within them and its handler sleeps for as long: the question comes after the chunk that was at work.
+// goes off within them and its handler sleeps for as long: the question comes after the chunk that was at work. Windows
+// has no such timers: there calls come to their end.
+#if defined(_WIN32)
+struct Timer {
+    explicit Timer(double) {}
+};
+#else
 class Timer {
   public:
     explicit Timer(double seconds) {
@@ -139,6 +147,7 @@ class Timer {
         setitimer(ITIMER_REAL, &value, nullptr);
     }
 };
+#endif
 
 inline bool never() { return false; }
 

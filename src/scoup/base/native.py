@@ -20,7 +20,7 @@ _INSTRUCTION_SETS = ("baseline", "v3", "v4")
 _COMPILERS = {
     "linux": "Debian and Ubuntu: apt install g++ python3-dev; Fedora: dnf install gcc-c++ python3-devel",
     "darwin": "xcode-select --install",
-    "win32": "clang-cl, from the installer of Visual Studio, and the environment variables CC and CXX=clang-cl",
+    "win32": "clang-cl, from the installer of Visual Studio, and the variable CMAKE_GENERATOR_TOOLSET=ClangCL",
 }
 # Without --no-cache-dir, pip might take the wheel it built without a compiler.
 _AGAIN = (
