@@ -4,6 +4,7 @@
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
 # make count  instructions of the compiled kernels against benchmarks/instruction_counts.json (needs valgrind)
 # make lint   ruff, spelling and pyright; the types of the viewer's page
+# make docs   the site of the documents, in site/; fails where a link leads nowhere
 # make page   the page of `scoup view` again, where it could not be fetched or its sources have changed
 
 PYTHON ?= python3
@@ -12,13 +13,16 @@ NATIVE := $(wildcard native/CMakeLists.txt native/*.cmake native/src/*)
 VIEWER := $(wildcard viewer/*.* viewer/src/*)
 INSTALL := pyproject.toml tools/install.py tools/build_viewer.py tools/build_backend.py $(NATIVE) $(VIEWER)
 
-.PHONY: demo page test test-all test-native count lint format clean
+.PHONY: demo page docs test test-all test-native count lint format clean
 
 demo: .venv/installed
 	$(BIN)/scoup demo --out demo --overwrite
 
 page: .venv/installed
 	$(BIN)/python tools/build_viewer.py
+
+docs: .venv/installed-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 test: .venv/installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow"
@@ -57,4 +61,4 @@ format: .venv/installed-dev
 	@touch $@ .venv/installed
 
 clean:
-	rm -rf .venv demo build dist viewer/node_modules src/scoup/view/page .pytest_cache .hypothesis .ruff_cache
+	rm -rf .venv demo site build dist viewer/node_modules src/scoup/view/page .pytest_cache .hypothesis .ruff_cache
