@@ -1,6 +1,6 @@
 # make demo   create the environment, install, build and query a small scene (pictures and a table in demo/)
 # make test   create the environment, install, run the tests (two processes of one thread each, about five minutes)
-# make test-all   the same, and the exhaustive sweeps
+# make test-all   the same, then all random examples, and the exhaustive sweeps (about half an hour)
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
 # make count  instructions of the compiled kernels against benchmarks/instruction_counts.json (needs valgrind)
 # make lint   ruff, spelling and pyright; the types of the viewer's page

@@ -17,6 +17,7 @@ from scoup.base.errors import InputError
 from scoup.scene.cameras import Cameras
 
 
+@pytest.mark.slow
 def test_a_city_is_built_within_its_limit(tmp_path: Path) -> None:
     record = city.main(
         city.Arguments(

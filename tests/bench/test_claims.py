@@ -17,6 +17,7 @@ def _benchmarks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT))
 
 
+@pytest.mark.slow
 def test_every_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from benchmarks.claims import Arguments, main
 

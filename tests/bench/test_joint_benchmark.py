@@ -26,6 +26,7 @@ def arguments(tmp_path_factory: pytest.TempPathFactory) -> Arguments:
     )
 
 
+@pytest.mark.slow
 def test_every_row_is_measured(arguments: Arguments, capsys: pytest.CaptureFixture[str]) -> None:
     with one_light():
         record = main(arguments)

@@ -217,6 +217,7 @@ def test_stream(script, tmp_path: Path, capsys: pytest.CaptureFixture[str], in_f
     assert "views kept" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_scenes_that_fit_and_scenes_that_do_not(script, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     fit, cases = script("fit"), script("fit_cases")
     arguments = fit.Arguments(

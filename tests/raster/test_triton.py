@@ -37,13 +37,21 @@ def interpreted(needs_triton: None) -> Iterator[Callable[..., None]]:
 
 
 # Each kind of scene once, in turn with what is asked of it: the interpreter is slow.
-@pytest.mark.parametrize(("number", "kind"), list(enumerate(KINDS_OF_SCENES)))
+def every_other(first: int) -> list[Any]:
+    """The kinds of scenes by number; every second one is left to `make test-all`."""
+    return [
+        pytest.param(number, kind, marks=[] if number % 2 == first else pytest.mark.slow)
+        for number, kind in enumerate(KINDS_OF_SCENES)
+    ]
+
+
+@pytest.mark.parametrize(("number", "kind"), every_other(0))
 def test_channels_agree_with_the_reference(interpreted, number, kind):
     preset, channels = ("inria", "gsplat")[number % 2], (1, 3, 17, 0, 70)[number % 5]
     interpreted(gpu_checks.check_channels, kind, number, preset, channels)
 
 
-@pytest.mark.parametrize(("number", "kind"), list(enumerate(KINDS_OF_SCENES)))
+@pytest.mark.parametrize(("number", "kind"), every_other(1))
 def test_region_sums_agree_with_the_reference(interpreted, number, kind):
     levels, n_regions = ((3, 6), (1, 40), (8, 3), (2, 10**6))[number % 4]
     interpreted(gpu_checks.check_regions, kind, 3, levels, n_regions)

@@ -78,7 +78,11 @@ def exported(viewed: ViewedField, folder: Path) -> str:
     return (folder / "scene.html").as_uri()
 
 
-@pytest.fixture(params=KINDS)
+both_pages = pytest.mark.parametrize("visit", KINDS, indirect=True)
+"""In every run; other tests visit the exported page in `make test-all` only: it shares all code but that of answers."""
+
+
+@pytest.fixture(params=["live", pytest.param("exported", marks=pytest.mark.slow)])
 def visit(request: pytest.FixtureRequest, browser: Browser) -> Iterator[Visit]:
     """A visitor of either page; of the exported one without a network."""
     kind = request.param
@@ -105,6 +109,7 @@ def render(viewed: ViewedField, camera: Camera, mask: torch.Tensor | None = None
     return as_picture(raster.render_colors(gaussians, camera))
 
 
+@both_pages
 def test_the_scene_is_seen_as_our_rasteriser_draws_it(visit: Visit, viewed: ViewedField, camera: Camera):
     assert difference(visit.picture(), render(viewed, camera)) < ALIKE
     visit.page.get_by_role("button", name="left.png").click()
@@ -131,6 +136,7 @@ def test_a_text_lights_up_its_thing_and_nothing_else(visit: Visit, camera: Camer
         np.testing.assert_allclose(pixels, before[name], atol=2)
 
 
+@both_pages
 def test_several_texts_have_a_colour_each(visit: Visit, camera: Camera):
     visit.ask("kettle", "lamp")
     colors = {query["text"]: np.array(query["color"]) for query in visit.state()["queries"]}
@@ -167,6 +173,7 @@ def test_the_legend_says_what_the_library_says(visit: Visit, viewed: ViewedField
     assert "not in this scene" in visit.row(ABSENT).inner_text()
 
 
+@both_pages
 def test_something_absent_lights_up_only_if_wanted(visit: Visit, viewed: ViewedField, camera: Camera):
     plain = visit.picture()
     visit.ask(ABSENT)
@@ -236,6 +243,7 @@ def test_a_click_reads_what_is_there(visit: Visit, camera: Camera):
     assert "nothing" in visit.click((0.5, 0.5))
 
 
+@both_pages
 def test_a_selection_is_saved_and_loaded_back(visit: Visit, viewed: ViewedField, tmp_path: Path):
     visit.ask("kettle", "lamp")
     mask = selected(viewed, "kettle") | selected(viewed, "lamp")
@@ -264,6 +272,7 @@ def test_a_picture_is_saved(visit: Visit, tmp_path: Path):
     assert saved.max() > 100
 
 
+@both_pages
 def test_what_cannot_be_asked_or_saved_is_said(visit: Visit):
     message = visit.page.locator("#message")
     visit.page.get_by_role("button", name="Save selection").click()

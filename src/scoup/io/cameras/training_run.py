@@ -16,6 +16,7 @@ from scoup.io.reading import read_text
 
 GSPLAT_CONFIG = "cfg.yml"
 _ABOVE = 8  # folders above a run that are looked into for its data
+_MOST_PARTS = 64  # of the end of a named path that is looked for: each part is tried in every folder
 _KEY = re.compile(r"^( *)data: *(.*)$")
 
 
@@ -115,7 +116,7 @@ def _on_this_machine(named: str, run: Path, config: Path, remedy: str) -> Path:
     if _holds_cameras(path):
         return path
     above = [run.absolute(), *list(run.absolute().parents)[:_ABOVE]]
-    parts = [part for part in path.parts if part not in (path.anchor, "..")]
+    parts = [part for part in path.parts if part not in (path.anchor, "..")][-_MOST_PARTS:]
     # The longest end of the named path that is there, with cameras in it: data are moved with their last folders.
     for start in range(len(parts)):
         for folder in above:
