@@ -89,7 +89,9 @@ def export_page(
         with staged(out, FOLDER_FILES, overwrite) as hidden:
             (hidden / "index.html").write_text(html, encoding="utf-8")
             for name, value in data.items():
-                (hidden / f"{name}.js").write_text(_assignment(f"window.scoupData.{name}", value))
+                (hidden / f"{name}.js").write_text(
+                    _assignment(f"window.scoupData.{name}", value), encoding="utf-8"
+                )
         size = sum((out / name).stat().st_size for name in FOLDER_FILES)
     else:
         html = files.in_one(settings, f"<script>{_assignment('window.scoupData', data)}</script>")

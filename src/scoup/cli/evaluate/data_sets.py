@@ -73,7 +73,7 @@ class Scored(DataSetOptions):
         described = {"environment": describe_environment(), "root": str(self.root)}
         records = write_reports(evaluations, out, described, settings, self.overwrite)
         for stem in records:
-            for table in (out / f"{stem}.md").read_text().split("## ")[1:3]:
+            for table in (out / f"{stem}.md").read_text(encoding="utf-8").split("## ")[1:3]:
                 console.say("\n" + table.strip())
         drawn = ", failures" if settings.sheets else ""
         console.say(f"\n{out}: tables (.md, .json, .tex), fields, cache{drawn}")
