@@ -267,9 +267,8 @@ def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
         raise MissingFileError(path, f"there is no such file ({what} was expected)", "check the path")
     with safetensors_damage_named(path, what, _REBUILD), safe_open(path, framework="pt") as stream:
         metadata = stream.metadata() or {}
-        if (
-            metadata.get("schema") == SCHEMA
-        ):  # several entries: so only the first commit wrote it, and nobody since
+        # An entry of its own: only the first commit wrote it so.
+        if metadata.get("schema") == SCHEMA:
             raise FileFormatError(
                 path, "is of a form from before version 1, which is not read", "build it again"
             )
@@ -277,7 +276,11 @@ def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
         header = json.loads(text)
         if not isinstance(header, dict) or header.get("schema") != SCHEMA:
             raise FileFormatError(path, f"is a safetensors file, but not {what}", "check the path")
-        return text, header, {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
+        tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
+    if "codebook" in tensors:
+        # In the file it begins anywhere; products of matrices are the same bytes only where both begin alike.
+        tensors["codebook"] = tensors["codebook"].clone()
+    return text, header, tensors
 
 
 def _write(temporary: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
