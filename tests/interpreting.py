@@ -6,11 +6,12 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 import torch
+
+from support import ready_processes
 
 
 def interpret_kernels() -> None:
@@ -25,7 +26,7 @@ def interpret_kernels() -> None:
 @contextmanager
 def interpreter() -> Iterator[ProcessPoolExecutor]:
     """A process that interprets all kernels."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=interpret_kernels) as worker:
+    with ProcessPoolExecutor(1, mp_context=ready_processes(), initializer=interpret_kernels) as worker:
         yield worker
 
 

@@ -10,6 +10,7 @@ program is killed, too. Nothing is preloaded that reads the environment when imp
 from __future__ import annotations
 
 import atexit
+import gc
 import importlib
 import io
 import json
@@ -188,6 +189,7 @@ def ended(arguments: list[str]) -> int:
 if __name__ == "__main__":
     for module in MODULES:
         importlib.import_module(module)
+    gc.freeze()  # no program need look through all of this for garbage
     given = serve(sys.argv[1])
     become(given, sys.argv[2])
     os._exit(ended(given.arguments))

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import get_context
+from multiprocessing.context import BaseContext
 
 import torch
 from hypothesis import strategies as st
@@ -21,6 +24,16 @@ HANGS = 1800
 def examples(full: int) -> int:
     """How many examples a test tries: a quarter of ``full``; all of them in ``make test-all``."""
     return full if os.environ.get("SCOUP_TEST_EXAMPLES") == "all" else max(5, full // 4)
+
+
+def ready_processes() -> BaseContext:
+    """Starts processes that have imported torch and scoup already; elsewhere than on Linux, they import them."""
+    if not sys.platform.startswith("linux"):
+        return get_context("spawn")
+    context = get_context("forkserver")
+    # One server serves all tests of this process, among them those that try readers.
+    context.set_forkserver_preload(["torch.distributed", "scoup.uplift.build", "benchmarks.hostile.worker"])
+    return context
 
 
 @contextmanager

@@ -119,6 +119,7 @@ def work(connection: Connection, job: Job) -> None:
 
 def _work(connection: Connection, job: Job) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    gc.freeze()  # what the modules hold need not be looked through again and again
     # What is given back goes back to the system at once: else memory from before would hide what a file takes.
     ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 16)
     torch.set_num_threads(1)
@@ -131,14 +132,12 @@ def _work(connection: Connection, job: Job) -> None:
         shutil.copytree(job.samples, folder)
         valid = [(folder / sample).read_bytes() for sample in (reader.file, *reader.more)]
         result = Result(VALID, 0, "accepted")
-        for content in [
-            *valid,
-            valid[0],
-        ]:  # modules are loaded, and pools of memory grow, before anything counts
+        # Modules are loaded, and pools of memory grow, before anything counts.
+        for content in [*valid, valid[0]]:
             result = _read(job, folder, VALID, content)
             if result.outcome != "accepted":
                 break
-        gc.freeze()  # what the modules hold need not be looked through again and again
+        gc.freeze()  # what they have loaded, too
         connection.send(result)
         for number in job.numbers:
             connection.send(_read(job, folder, number, damaged_file(job, number)))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -14,7 +14,7 @@ from scoup import BuildSettings, LanguageField, build
 from scoup.base.errors import InputError, OutputExistsError
 from scoup.base.processes import Processes, device_of_process, of_environment, process_group
 from scoup.uplift.rasterise import region_sums, resumed
-from support import HANGS, environments, small_scene
+from support import HANGS, environments, ready_processes, small_scene
 
 SETTINGS = BuildSettings(n_atoms=8, k=3)
 
@@ -117,10 +117,10 @@ def test_alone_the_first_finds_and_raises_itself() -> None:
 
 
 def run_together(work: Callable[[int, dict[str, str], Path], None], world: int, folder: Path) -> None:
-    spawn = get_context("spawn")
+    context: Any = ready_processes()
     with environments(world) as ranks:
         workers = [
-            spawn.Process(target=work, args=(rank, environment, folder))
+            context.Process(target=work, args=(rank, environment, folder))
             for rank, environment in enumerate(ranks)
         ]
         for worker in workers:

@@ -7,7 +7,7 @@ import inspect
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -103,10 +103,15 @@ def attribute_texts(kind: type) -> dict[str, str]:
     for base in reversed(kind.__mro__):
         if not is_dataclass(base):
             continue
-        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
-        assert isinstance(definition, ast.ClassDef)
-        texts |= dict(_texts_under(definition.body))
+        texts |= _own_texts(base)
     return texts
+
+
+@cache
+def _own_texts(kind: type) -> dict[str, str]:
+    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(definition, ast.ClassDef)
+    return dict(_texts_under(definition.body))
 
 
 def _texts_under(body: Sequence[ast.stmt]) -> Iterator[tuple[str, str]]:
