@@ -26,7 +26,9 @@ CHANGELOG = "# Changelog\n\n## 0.2.0 (2027-01-31)\n\n### Added\n- This.\n\n## 0.
 def files_of_a_wheel() -> dict[str, str]:
     page = {f"scoup/view/page/{name}": "x" for name in PAGE}
     page["scoup/view/page/licences.txt"] = "The page.\n\nthree 1 (MIT)\n\n@sparkjsdev/spark 2 (MIT)\n"
-    return {"scoup/__init__.py": "", CORE: "x", "scoup-0.1.0.dist-info/licenses/LICENSE": "x", **page}
+    described = "Name: scoup\n\n[a](https://a.example/docs/a.md) [b](#b)\n"
+    about = {"scoup-0.1.0.dist-info/licenses/LICENSE": "x", "scoup-0.1.0.dist-info/METADATA": described}
+    return {"scoup/__init__.py": "", CORE: "x", **about, **page}
 
 
 def write_wheel(folder: Path, files: dict[str, str], name: str = WHEEL) -> Path:
@@ -48,6 +50,7 @@ def test_a_whole_wheel_has_no_faults(tmp_path: Path) -> None:
         ({"scoup/view/page/viewer.js": ""}, "it has no viewer.js"),
         ({"scoup/view/page/licences.txt": "\nthree 1"}, "licences.txt does not name @sparkjsdev/spark"),
         ({"scoup-0.1.0.dist-info/licenses/LICENSE": None}, "it has no LICENSE"),
+        ({"scoup-0.1.0.dist-info/METADATA": "[a](docs/a.md)"}, "dist-info/METADATA links to docs/a.md"),
         ({CORE: None}, "it has 0 compiled cores instead of 1"),
         ({"scoup/__pycache__/a.pyc": "x"}, "scoup/__pycache__/a.pyc does not belong into it"),
         ({"tests/test_a.py": "x"}, "tests/test_a.py does not belong into it"),

@@ -3,7 +3,8 @@
     python tools/check_distributions.py [--complete] FOLDER
 
 Each must hold the page of `scoup view` with the licences of what it is made of, the licence of scoup, and nothing that
-belongs to a checkout only; a wheel has the compiled core just where its name says so. With --complete the folder must
+belongs to a checkout only; a wheel has the compiled core just where its name says so; what the package says of itself
+links to what can be found from elsewhere, too. With --complete the folder must
 hold the sdist and a wheel for every version of Python and every system that pyproject.toml names.
 """
 
@@ -24,6 +25,8 @@ STRAY = re.compile(
     r"(^|/)(__pycache__|node_modules|\.git|\.venv|\.hypothesis|build|dist)/|^(tests|docs|benchmarks|examples|notebooks)/"
     r"|\.(pyc|so\.\d|scoup|o|npz|whl)$"
 )
+LINK = re.compile(r"\]\((?!https?:|#)([^)]*)\)")
+"""Of Markdown, relative."""
 PYTHONS = ("cp310-cp310", "cp311-cp311", "cp312-abi3")
 PLATFORMS = (
     r"manylinux\S*_x86_64",
@@ -65,6 +68,9 @@ def faults(path: Path) -> Iterator[str]:
     )
     if not any(PurePosixPath(name).name == "LICENSE" for name in files):
         yield "it has no LICENSE"
+    for name in files:
+        if re.search(r"(^|\.dist-info/)(METADATA|PKG-INFO)$", name):
+            yield from (f"{name} links to {link}" for link in LINK.findall(files[name].decode()))
     yield from (f"{name} does not belong into it" for name in sorted(files) if STRAY.search(name))
     cores = [name for name in files if name.startswith(f"{package}/_native.")]
     wanted = is_wheel and not path.name.endswith("-py3-none-any.whl")

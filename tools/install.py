@@ -23,7 +23,13 @@ VENV = ROOT / ".venv"
 PYTHON = VENV / ("Scripts/python.exe" if platform.system() == "Windows" else "bin/python")
 TORCH = "2.13.0"
 # Kept in .venv: with build tools in a new place every time, pip would compile everything every time.
-BUILD_TOOLS = ("scikit-build-core>=0.10", "nanobind>=2.2", "cmake>=3.26", "ninja")
+BUILD_TOOLS = (
+    "scikit-build-core>=0.10",
+    "nanobind>=2.2",
+    "hatch-fancy-pypi-readme>=24.1",
+    "cmake>=3.26",
+    "ninja",
+)
 WHY_NO_CORE = "import scoup.base.native, sys; sys.exit(scoup.base.native.missing_reason())"
 
 
