@@ -24,7 +24,7 @@ PYTHON = VENV / ("Scripts/python.exe" if platform.system() == "Windows" else "bi
 TORCH = "2.13.0"
 # Kept in .venv: with build tools in a new place every time, pip would compile everything every time.
 BUILD_TOOLS = (
-    "scikit-build-core>=0.10",
+    "scikit-build-core>=0.10.7",
     "nanobind>=2.2",
     "hatch-fancy-pypi-readme>=24.1",
     "cmake>=3.26",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -140,8 +141,9 @@ def test_what_cannot_be_loaded_is_told(tmp_path: Path, monkeypatch) -> None:
     folder = saved(tiny_sam(), tmp_path / "pickled")
     (folder / "model.safetensors").unlink()
     torch.save(tiny_sam().state_dict(), folder / "pytorch_model.bin")
-    with pytest.raises(ScoupError, match="cannot be loaded"):
-        open_sam(str(folder))
+    if int(version("transformers").split(".")[0]) >= 5:  # older ones read it, and of pickles the weights only
+        with pytest.raises(ScoupError, match="cannot be loaded"):
+            open_sam(str(folder))
     newer = str(saved(tiny_sam2(), tmp_path / "sam2"))
     monkeypatch.setattr(sys.modules["transformers"], "Sam2Model", None)  # an older transformers
     with pytest.raises(ScoupError, match="has no sam2"):

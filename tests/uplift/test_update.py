@@ -356,7 +356,7 @@ def test_past_256_atoms(tmp_path, keep: int) -> None:
     assert grown.n_atoms == 260
     assert grown.code_indices.dtype == torch.uint16
     assert grown.code_indices.shape[2] == (260 if keep == 0 else 3)
-    assert int(grown.code_indices[grown.code_weights > 0].long().max()) >= 256
+    assert int(grown.code_indices.long()[grown.code_weights > 0].max()) >= 256
     grown.save(tmp_path / "f.scoup", weight_bits=8)
     back = LanguageField.load(tmp_path / "f.scoup", gaussians)
     assert back.code_indices.dtype == torch.uint16

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import pickle
 import re
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -158,7 +160,7 @@ def process_group(device: str) -> Iterator[Processes]:
         torch.cuda.set_device(device)
     backend = "cpu:gloo,cuda:nccl" if device.startswith("cuda") else "gloo"
     try:
-        with _losses_named():
+        with _losses_named(), _nothing_on_stdout():
             meeting = torch.distributed.rendezvous("env://")  # pyright: ignore[reportPrivateImportUsage]
             store, rank, world = next(meeting)
             torch.distributed.init_process_group(backend, store=store, rank=rank, world_size=world)
@@ -171,6 +173,22 @@ def process_group(device: str) -> Iterator[Processes]:
         raise
     finally:
         torch.distributed.destroy_process_group()
+
+
+@contextmanager
+def _nothing_on_stdout() -> Iterator[None]:
+    """Of what libraries print: gloo, before torch 2.11, says who has met, amid our JSON."""
+    sys.stdout.flush()
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        if os.name == "posix":
+            ctypes.CDLL(None).fflush(None)  # what they would print later
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
 
 
 @contextmanager

@@ -30,7 +30,7 @@ from scoup.field.cosine_cache import CosineCache, FieldCodes
 from scoup.query.methods import Encoder, FieldQueries
 from scoup.query.relevancy import relevancy
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import cosines_from_codes
+from scoup.scene.codes import cosines_from_codes, rows_of
 from scoup.scene.directions import query_vectors
 from scoup.scene.gaussians import Gaussians, chosen_rows
 
@@ -229,7 +229,9 @@ class LanguageField(FieldQueries):
             InputError: there is no such Gaussian, or the geometry cannot be loaded.
         """
         rows = chosen_rows(chosen, len(self)).to(self.codebook.device)
-        return self._of(self.gaussians.select(chosen), self.code_indices[rows], self.code_weights[rows])
+        return self._of(
+            self.gaussians.select(chosen), rows_of(self.code_indices, rows), self.code_weights[rows]
+        )
 
     def with_gaussians(self, gaussians: Gaussians) -> LanguageField:
         """The same codes on other Gaussians, one for one: of a splat that was moved, recoloured or faded.

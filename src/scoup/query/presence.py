@@ -31,6 +31,7 @@ from scoup.query.queried_field import QueriedField
 from scoup.query.segment import Segmentation
 from scoup.query.select import Selection
 from scoup.query.text_vectors import TextVectors
+from scoup.scene.codes import rows_of
 
 PRESENT_FROM = 1.5
 """The z-score from which a query counts as present, unless another is given."""
@@ -179,7 +180,7 @@ def scene_z_scores(
 def mean_embedding(field: QueriedField, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
     """[D] on the CPU: sum of the decoded codes of some Gaussians [M] by weights [M], at one level."""
     # On the CPU: sums by index on a GPU are not the same twice.
-    atoms = field.code_indices[gaussians, level].cpu().long()
+    atoms = rows_of(field.code_indices[:, level], gaussians).cpu().long()
     shares = (field.code_weights[gaussians, level].float() * weights[:, None]).cpu()
     code = torch.bincount(atoms.flatten(), shares.flatten().double(), field.n_atoms)
     return code.float() @ field.codebook[level].cpu()

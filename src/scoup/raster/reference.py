@@ -18,7 +18,7 @@ from scoup.raster.presets import ALPHA_MIN, RasterPreset
 from scoup.raster.projection import ProjectedGaussians, project_gaussians
 from scoup.raster.view_sums import merge
 from scoup.scene.cameras import Camera
-from scoup.scene.codes import check_atoms, cosines_and_norms, decoded
+from scoup.scene.codes import check_atoms, cosines_and_norms, decoded, rows_of
 from scoup.scene.gaussians import Gaussians
 
 PREPARES = False  # the order of the rows makes no difference to the speed
@@ -112,7 +112,7 @@ def render_codes(projection: ReferenceProjection, indices: Tensor, weights: Tens
     levels = indices.shape[1]
     tiles = _empty_tiles(projection, levels * n_atoms, weights.device)
     for tile, ids, blending in tile_weights(projection):
-        tiles[tile] = blending.T @ _dense_codes(indices[ids], weights[ids], n_atoms)
+        tiles[tile] = blending.T @ _dense_codes(rows_of(indices, ids), weights[ids], n_atoms)
     image = _from_tiles(tiles, projection)
     return (
         image.reshape(projection.height, projection.width, levels, n_atoms).permute(2, 0, 1, 3).contiguous()
@@ -138,7 +138,7 @@ def render_cosines_and_norms(
     scores, grams = codebook @ queries.T, codebook @ codebook.transpose(1, 2)
     tiles = _empty_tiles(projection, levels * (count + 1), weights.device)
     for tile, ids, blending in tile_weights(projection):
-        painted = blending.T @ _dense_codes(indices[ids], weights[ids], n_atoms)
+        painted = blending.T @ _dense_codes(rows_of(indices, ids), weights[ids], n_atoms)
         by_level = painted.view(-1, levels, n_atoms).transpose(0, 1)
         cosines, norms = cosines_and_norms(by_level, scores, grams)  # [S, P, Q] and [S, P]
         found = torch.cat([cosines, norms[..., None]], 2)

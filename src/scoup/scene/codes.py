@@ -26,6 +26,13 @@ def index_dtype(n_atoms: int) -> torch.dtype:
     return torch.uint8 if n_atoms <= 256 else torch.uint16
 
 
+def rows_of(indices: Tensor, chosen: Tensor | slice) -> Tensor:
+    """``indices[chosen]``, which torch before 2.10 does of uint16 by its signed counterpart only."""
+    if indices.dtype != torch.uint16:
+        return indices[chosen]
+    return indices.view(torch.int16)[chosen].view(torch.uint16)
+
+
 @dataclass(frozen=True, eq=False)
 class SparseCodes:
     """R rows of at most K weighted atoms.
@@ -75,7 +82,7 @@ class SparseCodes:
         return SparseCodes(self.indices.to(device), self.weights.to(device), self.n_atoms)
 
     def rows(self, chosen: Tensor | slice) -> SparseCodes:
-        return SparseCodes(self.indices[chosen], self.weights[chosen], self.n_atoms)
+        return SparseCodes(rows_of(self.indices, chosen), self.weights[chosen], self.n_atoms)
 
     @classmethod
     def from_dense(cls, dense: Tensor, k: int) -> SparseCodes:

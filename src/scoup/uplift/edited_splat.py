@@ -145,7 +145,7 @@ def _check_matching(matching: Matching, source: str, tolerant: bool) -> None:
 
 def _carried(rows: Tensor, matching: Matching) -> Tensor:
     """The codes [M, S, K] of matched Gaussians; zeros for the others."""
-    # torch moves rows of uint16 by its signed counterpart only.
+    # torch sets rows of uint16 by its signed counterpart only.
     plain = rows.view(torch.int16) if rows.dtype == torch.uint16 else rows
     before = matching.before.to(rows.device)
     carried = plain[before.clamp(min=0)]

@@ -16,7 +16,7 @@ from scoup.pictures.colors import code_basis
 from scoup.query.drawing import placed_atoms
 from scoup.query.queried_field import QueriedField
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import SparseCodes
+from scoup.scene.codes import SparseCodes, rows_of
 from scoup.scene.gaussians import SH_C0, Gaussians
 from scoup.scene.paths import upwards
 from scoup.view.packing import byte_planes, fine_fractions, fractions, packed
@@ -83,7 +83,7 @@ def scene_data(
     largest = float(weights.max()) if weights.numel() else 0.0
     tensors, ranges = _splat(gaussians.select(rows))
     tensors |= {
-        "code_indices": codes.indices[rows].permute(1, 2, 0).numpy(),
+        "code_indices": rows_of(codes.indices, rows).permute(1, 2, 0).numpy(),
         "code_weights": fine_fractions(weights.permute(1, 2, 0).numpy(), largest),
         "confidence": fractions(codes.confidence[rows].T.numpy(), 0.0, 1.0),
         **_code_colors(field, codes),

@@ -16,6 +16,7 @@ from scoup import raster
 from scoup.baselines.fitted import FittedField
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera
+from scoup.scene.codes import rows_of
 from scoup.scene.gaussians import Gaussians
 
 
@@ -40,7 +41,7 @@ def relevancy_of_coded(
     for level, chosen in enumerate(fitted.coded()):
         info = replace(field.info, levels=(field.levels[level],), n_gaussians=int(chosen.sum()))
         part = slice(level, level + 1)
-        codes = field.code_indices[chosen, part], field.code_weights[chosen, part]
+        codes = rows_of(field.code_indices[:, part], chosen), field.code_weights[chosen, part]
         alone = FittedField(LanguageField(*codes, field.codebook[part], info), fitted.all_kept)
         projection = raster.project(gaussians.select(chosen), camera, field.info.raster_preset)
         levels.append(alone.relevancy(projection, queries, canonical, size))
