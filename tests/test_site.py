@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ast
 import re
-import sys
 import unicodedata
 from pathlib import Path
 
 import pytest
 import yaml
+from tools import document_verbs, site_hooks
 
 import scoup
 from cli_support import run
@@ -19,11 +19,6 @@ DOCS = ROOT / "docs"
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.glob("*.md")])
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
-
-sys.path.append(str(ROOT / "tools"))
-
-import document_verbs  # noqa: E402  (a tool, not a module of the package)
-import site_hooks  # noqa: E402
 
 VERBS = dict(document_verbs.verbs(document_verbs.SCOUP, "scoup"))
 

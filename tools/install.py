@@ -9,8 +9,10 @@ faster there. A torch that is already in .venv is left alone. Safe to run again:
 
 from __future__ import annotations
 
+import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import venv
@@ -22,14 +24,6 @@ ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 PYTHON = VENV / ("Scripts/python.exe" if platform.system() == "Windows" else "bin/python")
 TORCH = "2.13.0"
-# Kept in .venv: with build tools in a new place every time, pip would compile everything every time.
-BUILD_TOOLS = (
-    "scikit-build-core>=0.10.7",
-    "nanobind>=2.2",
-    "hatch-fancy-pypi-readme>=24.1",
-    "cmake>=3.26",
-    "ninja",
-)
 WHY_NO_CORE = "import scoup.base.native, sys; sys.exit(scoup.base.native.missing_reason())"
 
 
@@ -49,7 +43,7 @@ def main(extras: list[str]) -> int:
         return 1
     wanted = f"{ROOT}[{','.join(extras)}]" if extras else str(ROOT)
     print("installing scoup, with its compiled core where there is a C++ compiler")
-    if not runs("-m", "pip", "install", "--quiet", *BUILD_TOOLS):
+    if not runs("-m", "pip", "install", "--quiet", *build_tools()):
         return 1
     make_page()
     install = ("-m", "pip", "install", "--no-build-isolation", "--editable", wanted)
@@ -71,6 +65,14 @@ def install_torch() -> bool:
     return runs("-m", "pip", "install", "--quiet", "uv") and runs(
         "-m", "uv", "pip", "install", "--quiet", "--python", str(PYTHON), "--torch-backend", "cpu", "torch"
     )
+
+
+def build_tools() -> list[str]:
+    """What pyproject.toml builds with, and what that runs."""
+    # Kept in .venv: with build tools in a new place every time, pip would compile everything every time.
+    stated = re.search(r"^requires = (\[.*\])$", (ROOT / "pyproject.toml").read_text("utf-8"), re.MULTILINE)
+    assert stated is not None
+    return [*json.loads(stated[1]), "cmake>=3.26", "ninja"]
 
 
 def make_page() -> None:

@@ -36,9 +36,10 @@ def interpreted(needs_triton: None) -> Iterator[Callable[..., None]]:
         yield lambda check, *arguments: worker.submit(check, *arguments, "cpu").result()
 
 
-# Each kind of scene once, in turn with what is asked of it: the interpreter is slow.
 def every_other(first: int) -> list[Any]:
-    """The kinds of scenes by number; every second one is left to `make test-all`."""
+    """The kinds of scenes by number, each once in turn with what is asked of it: the interpreter is slow. Every second
+    one is left to `make test-all`.
+    """
     return [
         pytest.param(number, kind, marks=[] if number % 2 == first else pytest.mark.slow)
         for number, kind in enumerate(KINDS_OF_SCENES)

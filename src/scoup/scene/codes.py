@@ -26,11 +26,14 @@ def index_dtype(n_atoms: int) -> torch.dtype:
     return torch.uint8 if n_atoms <= 256 else torch.uint16
 
 
+def signed(indices: Tensor) -> Tensor:
+    """The same memory, as int16 where it is uint16: torch neither sets such rows nor, before 2.10, chooses them."""
+    return indices.view(torch.int16) if indices.dtype == torch.uint16 else indices
+
+
 def rows_of(indices: Tensor, chosen: Tensor | slice) -> Tensor:
-    """``indices[chosen]``, which torch before 2.10 does of uint16 by its signed counterpart only."""
-    if indices.dtype != torch.uint16:
-        return indices[chosen]
-    return indices.view(torch.int16)[chosen].view(torch.uint16)
+    """``indices[chosen]``, of all types of ``index_dtype``."""
+    return signed(indices)[chosen].view(indices.dtype)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.codes import signed
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.matching import Matching, Tolerance, match
@@ -145,10 +146,8 @@ def _check_matching(matching: Matching, source: str, tolerant: bool) -> None:
 
 def _carried(rows: Tensor, matching: Matching) -> Tensor:
     """The codes [M, S, K] of matched Gaussians; zeros for the others."""
-    # torch sets rows of uint16 by its signed counterpart only.
-    plain = rows.view(torch.int16) if rows.dtype == torch.uint16 else rows
     before = matching.before.to(rows.device)
-    carried = plain[before.clamp(min=0)]
+    carried = signed(rows)[before.clamp(min=0)]
     carried[before < 0] = 0
     return carried.view(rows.dtype)
 
