@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from machine_code import unwritten
+
 _WARP = 32
 
 
@@ -21,11 +23,13 @@ class Usage:
         registers: of a thread.
         spilled: bytes of stack and local memory of a thread, where what does not fit into registers goes.
         shared: bytes of shared memory of a block.
+        unwritten: uniform registers that are read before they are written, a bug of the compiler.
     """
 
     registers: int
     spilled: int
     shared: int
+    unwritten: list[str]
 
 
 def compile_kernel(
@@ -60,18 +64,24 @@ def compile_kernel(
     )
     binary = folder / "kernel.cubin"
     binary.write_bytes(compiled.asm["cubin"])
-    return Usage(*_resources(binary), compiled.metadata.shared)
+    registers, spilled = _resources(binary)
+    code = unwritten(_cuobjdump("--dump-sass", binary))
+    return Usage(registers, spilled, compiled.metadata.shared, code)
 
 
-def _resources(binary: Path) -> tuple[int, int]:
-    """Registers, and bytes of stack and local memory, of a thread."""
+def _cuobjdump(option: str, binary: Path) -> str:
     import triton
 
     tool = Path(triton.__file__).parent / "backends" / "nvidia" / "bin" / "cuobjdump"
     if not tool.exists():
         pytest.skip("compiled; this triton comes without cuobjdump, which reports what spills")
-    done = subprocess.run([str(tool), "-res-usage", str(binary)], capture_output=True, text=True, check=True)
-    found = re.search(r"REG:(\d+) STACK:(\d+) .*?LOCAL:(\d+)", done.stdout, re.DOTALL)
-    assert found is not None, done.stdout
+    return subprocess.run([str(tool), option, str(binary)], capture_output=True, text=True, check=True).stdout
+
+
+def _resources(binary: Path) -> tuple[int, int]:
+    """Registers, and bytes of stack and local memory, of a thread."""
+    printed = _cuobjdump("-res-usage", binary)
+    found = re.search(r"REG:(\d+) STACK:(\d+) .*?LOCAL:(\d+)", printed, re.DOTALL)
+    assert found is not None, printed
     registers, stack, local = map(int, found.groups())
     return registers, stack + local

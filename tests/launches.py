@@ -35,16 +35,16 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
         types = {**LISTS, **SIZE, **BOUNDS, **CODES}
         found[f"codes {levels} x {n_atoms}"] = codes.codes_kernel, types, constants, gpu.WARPS
         found[f"cosines {levels} x {n_atoms}"] = (
-            products.products_kernel, {**types, **TABLES}, {**constants, **_table(n_atoms, True)}, gpu.WARPS,
+            products.products_kernel, {**types, **TABLES}, {**constants, **_table(True)}, gpu.WARPS,
         )  # fmt: skip
     for n_atoms, precision in ((64, "ieee"), (128, "tf32x3")):
         constants = {**blended, **_of_codes(1, n_atoms, precision)}
         types = {**LISTS, **SIZE, **BOUNDS, **CODES, "words": I64}
         found[f"codes 1 x {n_atoms} in {precision}"] = codes.codes_kernel, types, constants, gpu.WARPS
-    for n_atoms in (64, 256):
-        constants = {**blended, **_of_codes(1, n_atoms), **_table(n_atoms, False)}
+    for levels, n_atoms in ((1, 64), (3, 64), (2, 128), (1, 256)):
+        constants = {**blended, **_of_codes(levels, n_atoms), **_table(False)}
         types = {**LISTS, **SIZE, **BOUNDS, **CODES, **TABLES}
-        found[f"features 1 x {n_atoms}"] = products.products_kernel, types, constants, gpu.WARPS
+        found[f"features {levels} x {n_atoms}"] = products.products_kernel, types, constants, gpu.WARPS
     types = {"indices": U8, "weights": HALF, "words": I32, "n_codes": "i32", "n_atoms": "i32"}
     constants = {"K": 4, "GROUPS": 1, "WIDE": False, "BLOCK": 128}
     found["pack"] = codes.pack_kernel, types, constants, 4
@@ -91,8 +91,7 @@ def _of_codes(levels: int, n_atoms: int, precision: Any = "fp16x3") -> dict[str,
     return {**sizes, "WIDE": precision != "fp16x3", "PRECISION": precision}
 
 
-def _table(n_atoms: int, pixels_last: bool) -> dict[str, Any]:
+def _table(pixels_last: bool) -> dict[str, Any]:
     from scoup.raster.triton import rendering as gpu
 
-    columns = gpu.product_columns(gpu.code_blocks(1, n_atoms), pixels_last)
-    return {"COLUMNS": columns, "PIXELS_LAST": pixels_last, "TABLE_PRECISION": "fp16x3"}
+    return {"COLUMNS": gpu.COLUMNS, "PIXELS_LAST": pixels_last, "TABLE_PRECISION": "fp16x3"}

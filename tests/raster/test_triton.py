@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from compiling import compile_kernel
 from interpreting import interpreter
 from launches import launches
+from machine_code import unwritten
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
 from scoup import raster
@@ -114,7 +115,7 @@ def test_a_build_agrees_with_the_reference(interpreted, rounds):
 @pytest.mark.parametrize(
     ("capability", "names"),
     [
-        (90, ("codes 3 x 64", "region sums")),
+        (90, ("codes 3 x 64", "cosines 3 x 64", "region sums")),
         pytest.param(80, None, marks=pytest.mark.slow, id="80-all"),
         pytest.param(90, None, marks=pytest.mark.slow, id="90-all"),
     ],
@@ -127,6 +128,24 @@ def test_kernels_compile_within_a_gpu(
         usage = compile_kernel(*launch, capability, tmp_path)
         assert usage.spilled <= MOST_SPILLED, (name, usage)
         assert usage.shared <= MOST_SHARED, (name, usage)
+        assert not usage.unwritten, (name, usage)
+
+
+def test_registers_that_are_read_before_they_are_written_are_found() -> None:
+    code = """
+        /*0000*/                   ULDC.64 UR4, c[0x0][0x208] ;
+        /*0010*/                   UIADD3 UR14, UP0, UR14, 0x20, URZ ;
+        /*0020*/               @P0 BRA 0x50 ;
+        /*0030*/                   UMOV UR22, 0x10 ;
+        /*0040*/              @!P1 UMOV UR9, 0x1 ;
+        /*0050*/                   UMOV UR23, URZ ;
+        /*0060*/                   HGMMA.64x16x16.F32 R24, R64, gdesc[UR20].tnspB, R24 ;
+        /*0070*/                   LDG.E R2, desc[UR4][R2.64] ;
+        /*0080*/                   IMAD R3, R2, UR9, RZ ;
+        /*0090*/                   EXIT ;
+        /*00a0*/                   UMOV UR30, UR31 ;
+    """
+    assert unwritten(code) == ["UR9", "UR14", "UR22"]
 
 
 def test_triton_is_not_imported_for_tensors_on_a_cpu() -> None:

@@ -32,6 +32,9 @@ MOST_ATOMS: dict[Precision, int] = {"fp16x3": 256, "tf32x3": 128, "tf32": 128, "
 # Of a program that renders codes: Hopper's matrix products are made by four warps, and among eight Triton spreads sums
 # that two products are added to in two ways, and moves them in between.
 WARPS = 4
+# Columns that coefficients are multiplied with at a time. With 16, ptxas 12.8 (Triton 3.4 to 3.6) reads a descriptor of
+# a matrix product from a register that it has not written; twice as many of 256 rows exceed 99 KB.
+COLUMNS = 32
 _COEFFICIENTS = 128 * 32 * WARPS  # of a program: 128 registers of each thread
 _BLOCK = 128
 
@@ -198,7 +201,7 @@ def _render_products(
             products_kernel[(projection.n_tiles,)](
                 *_lists(projection), codes.words, *tables, out, *_size(projection), levels, n_atoms, columns, first,
                 *_bounds(projection), **_constants(projection), **_of_codes(projection, codes, blocks, levels - first),
-                COLUMNS=product_columns(blocks, pixels_last), PIXELS_LAST=pixels_last, TABLE_PRECISION=precision,
+                COLUMNS=COLUMNS, PIXELS_LAST=pixels_last, TABLE_PRECISION=precision,
                 num_warps=WARPS,
             )  # fmt: skip
     return out
@@ -256,11 +259,6 @@ def code_blocks(levels: int, n_atoms: int, precision: Precision = "fp16x3") -> C
     most = max(1, min(4, _COEFFICIENTS // (TILE * TILE * atoms)))
     passes = triton.cdiv(levels, most)
     return CodeBlocks(triton.cdiv(levels, passes), atoms, 32)
-
-
-def product_columns(blocks: CodeBlocks, pixels_last: bool) -> int:
-    """Columns that coefficients are multiplied with at a time; twice as many of 256 rows are more than 99 KB."""
-    return 16 if pixels_last or blocks.atoms > 128 else 32
 
 
 def _lists(projection: TritonProjection) -> tuple[Tensor, ...]:

@@ -219,7 +219,10 @@ def accumulate_codes(
     words_0, words_1, words_2, words_3 = first_words(
         words, numbers, start, end, level, n_levels, LEVELS, GROUPS, CHUNK
     )
-    while start < end:
+    # Each tile has a first chunk, even an empty one: without a way around the loop ptxas 12.8 (Triton 3.4 to 3.6) does
+    # not lose the registers that matrix products behind it take descriptors from (tests/machine_code.py).
+    going = tl.full([], 1, tl.int32)
+    while going != 0:
         # The codes of the next chunk are on their way while this one is blended.
         next_0, next_1, next_2, next_3 = first_words(
             words, numbers, start + CHUNK, end, level, n_levels, LEVELS, GROUPS, CHUNK
@@ -246,7 +249,8 @@ def accumulate_codes(
                 sums_3, blending, words_3, words, numbers, start, end, level + 3, n_levels, first_atom, CHUNK, GROUPS,
                 ATOMS, WIDE, PRECISION,
             )  # fmt: skip
-        start = tl.where(is_lit(transmittance), start + CHUNK, end)
+        start += CHUNK
+        going = tl.where(is_lit(transmittance) & (start < end), going, 0)
         words_0, words_1, words_2, words_3 = next_0, next_1, next_2, next_3
     return sums_0, sums_1, sums_2, sums_3
 
