@@ -28,11 +28,13 @@ def wide_codes(rows: Tensor, atoms: Tensor, k: int) -> SparseCodes:
         k: K, atoms kept of each row; the codes have K columns even if there are fewer atoms.
 
     Returns:
-        Codes on the device of the rows. Weights are those of the whole solution, not solved for again.
+        Codes on the device of the rows. The atoms are those of the whole solution, the weights solved for again with
+        these atoms alone: what the others had explained would be missing.
     """
     atoms = atoms.detach().float().to(rows.device)
     similarities = stable_products(rows.detach().float(), atoms)
-    weights = _weights(similarities, stable_products(atoms, atoms))
+    gram = stable_products(atoms, atoms)
+    weights = _weights(similarities, gram)
     kept = min(k, len(atoms))
     # A stable sort: of equal weights the first atoms are kept, on every device.
     order = weights.argsort(dim=1, descending=True, stable=True)[:, :kept]
@@ -40,8 +42,26 @@ def wide_codes(rows: Tensor, atoms: Tensor, k: int) -> SparseCodes:
     largest = torch.zeros(len(rows), k, device=rows.device)
     indices[:, :kept] = order
     largest[:, :kept] = weights.gather(1, order)
+    largest = _solved_again(largest, indices, similarities, gram)
+    order = largest.argsort(dim=1, descending=True, stable=True)
+    indices, largest = indices.gather(1, order), largest.gather(1, order)
     indices[largest == 0] = 0
     return SparseCodes(indices.to(index_dtype(len(atoms))), largest, len(atoms))
+
+
+def _solved_again(weights: Tensor, indices: Tensor, similarities: Tensor, gram: Tensor) -> Tensor:
+    """[R, K] non-negative least squares over the atoms [R, K] with a weight, by coordinate descent."""
+    used = weights > 0
+    wanted = similarities.gather(1, indices)  # [R, K]
+    products = gram[indices[:, :, None], indices[:, None, :]]  # [R, K, K]
+    weights = weights.clone()
+    for _ in range(2 * SWEEPS):
+        for place in range(weights.shape[1]):
+            own = products[:, place, place].clamp(min=1e-12)
+            rest = wanted[:, place] - (products[:, place] * weights).sum(1)
+            better = (weights[:, place] + rest / own).clamp(min=0)
+            weights[:, place] = torch.where(used[:, place], better, 0.0)
+    return weights
 
 
 def _weights(similarities: Tensor, gram: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +22,7 @@ from scoup.io.reading import safetensors_damage_named
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.things import MOST_THINGS, NO_THING, Things
 
 SCHEMA = "scoup.language_field"
 VERSION = 2  # READERS reads this one and those before it
@@ -65,6 +66,7 @@ class FieldParts:
     gaussians: Gaussians | None
     geometry_path: Path | None
     cameras: Cameras | None
+    things: Things | None = None
 
 
 def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, info: FieldInfo) -> None:
@@ -101,6 +103,19 @@ def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, in
         raise InputError(f"a code index is beyond the {n_atoms} atoms of the codebook")
 
 
+def check_things(things: Things, codes: Sequence[int], dim: int) -> None:
+    """Check that things belong to codes [N, S, K] and embeddings of some size.
+
+    Raises:
+        InputError: they do not.
+    """
+    if tuple(things.owners.shape) != tuple(codes[:2]) or things.embeddings.shape[1] != dim:
+        raise InputError(
+            f"things of {list(things.owners.shape)} Gaussians and levels and {things.embeddings.shape[1]} dimensions "
+            f"do not fit codes {list(codes)} of {dim} dimensions"
+        )
+
+
 def write_field(
     parts: FieldParts, path: Path, overwrite: bool, weight_bits: int, move: Move = os.replace
 ) -> None:
@@ -118,6 +133,8 @@ def write_field(
         tensors |= {f"geometry.{name}": getattr(parts.gaussians, name) for name in _GEOMETRY}
     if parts.cameras is not None:
         tensors |= _camera_tensors(parts.cameras)
+    if parts.things is not None:
+        tensors |= _thing_tensors(parts.things)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     header = {
         "schema": SCHEMA,
@@ -187,6 +204,7 @@ def _read_version_1(path: Path, text: str, header: dict[str, Any], tensors: dict
         gaussians,
         geometry_path,
         _cameras(tensors, header["cameras"]),
+        _things(tensors),
     )
 
 
@@ -315,6 +333,24 @@ def _camera_tensors(cameras: Cameras) -> dict[str, Tensor]:
         "cameras.Ks": torch.stack([camera.K for camera in cameras]),
         "cameras.sizes": torch.tensor(sizes, dtype=torch.int32),
     }
+
+
+def _things(tensors: dict[str, Tensor]) -> Things | None:
+    parts = {
+        name.removeprefix("things."): tensor for name, tensor in tensors.items() if name.startswith("things.")
+    }
+    for name in ("owners", "parents") if parts else ():
+        numbers = parts[name].int()
+        parts[name] = torch.where(numbers == MOST_THINGS, NO_THING, numbers)
+    return Things(**parts) if parts else None
+
+
+def _thing_tensors(things: Things) -> dict[str, Tensor]:
+    """Their numbers take two bytes in a file; the largest stands for none."""
+    tensors = {f"things.{name}": tensor for name, tensor in vars(things).items()}
+    for name in ("things.owners", "things.parents"):
+        tensors[name] = torch.where(tensors[name] == NO_THING, MOST_THINGS, tensors[name]).to(torch.uint16)
+    return tensors
 
 
 def _cameras(tensors: dict[str, Tensor], names: list[str] | None) -> Cameras | None:

@@ -22,6 +22,7 @@ from scoup.field.artefact import (
     FieldInfo,
     FieldParts,
     check_codes,
+    check_things,
     field_damage_named,
     read_field,
     write_field,
@@ -33,6 +34,7 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import cosines_from_codes, rows_of
 from scoup.scene.directions import query_vectors
 from scoup.scene.gaussians import Gaussians, chosen_rows
+from scoup.scene.things import Things
 
 if TYPE_CHECKING:
     from scoup.view.viewer import Viewer
@@ -51,6 +53,7 @@ class LanguageField(FieldQueries):
         gaussians: the geometry; None loads it from ``geometry_path`` when first needed.
         geometry_path: the file with the geometry.
         cameras: of the views it was built from, so that it can be queried without its scene folder.
+        things: instances of the scene; None where none are known, and the votes of the Gaussians answer alone.
 
     Codes and codebook may be given as numpy arrays.
 
@@ -71,16 +74,20 @@ class LanguageField(FieldQueries):
         gaussians: Gaussians | None = None,
         geometry_path: Path | None = None,
         cameras: Cameras | None = None,
+        things: Things | None = None,
     ) -> None:
         code_indices, codebook = torch.as_tensor(code_indices), torch.as_tensor(codebook)
         code_weights = torch.as_tensor(code_weights).to(torch.float16)
         check_codes(code_indices, code_weights, codebook, info)
+        if things is not None:
+            check_things(things, code_indices.shape, codebook.shape[2])
         self.code_indices = code_indices
         self.code_weights = code_weights
         self.codebook = codebook
         self.info = info
         self.geometry_path = geometry_path
         self.cameras = cameras
+        self.things = things
         self.path: Path | None = None
         self._gaussians = None
         self._cosine_cache = CosineCache()
@@ -143,6 +150,7 @@ class LanguageField(FieldQueries):
             self.info,
             geometry_path=self.geometry_path,
             cameras=self.cameras,
+            things=None if self.things is None else self.things.to(device),
         )
         moved.path = self.path
         moved.keep_encoder_of(self)
@@ -229,9 +237,9 @@ class LanguageField(FieldQueries):
             InputError: there is no such Gaussian, or the geometry cannot be loaded.
         """
         rows = chosen_rows(chosen, len(self)).to(self.codebook.device)
-        return self._of(
-            self.gaussians.select(chosen), rows_of(self.code_indices, rows), self.code_weights[rows]
-        )
+        things = None if self.things is None else self.things.rows(rows)
+        gaussians = self.gaussians.select(chosen)
+        return self._of(gaussians, rows_of(self.code_indices, rows), self.code_weights[rows], things)
 
     def with_gaussians(self, gaussians: Gaussians) -> LanguageField:
         """The same codes on other Gaussians, one for one: of a splat that was moved, recoloured or faded.
@@ -247,15 +255,18 @@ class LanguageField(FieldQueries):
         """
         if len(gaussians) != len(self):
             raise InputError(f"{len(gaussians):,} Gaussians, but the field has codes of {len(self):,}")
-        return self._of(gaussians.to(self.codebook.device), self.code_indices, self.code_weights)
+        codes = self.code_indices, self.code_weights
+        return self._of(gaussians.to(self.codebook.device), *codes, self.things)
 
-    def _of(self, gaussians: Gaussians, indices: Tensor, weights: Tensor) -> LanguageField:
+    def _of(
+        self, gaussians: Gaussians, indices: Tensor, weights: Tensor, things: Things | None
+    ) -> LanguageField:
         """A field of these Gaussians and their codes, made from this one."""
         provenance = {**self.info.provenance, "selected_from": self.fingerprint}
         info = replace(
             self.info, fingerprint=gaussians.fingerprint(), n_gaussians=len(gaussians), provenance=provenance
         )
-        made = LanguageField(indices, weights, self.codebook, info, cameras=self.cameras)
+        made = LanguageField(indices, weights, self.codebook, info, cameras=self.cameras, things=things)
         made.attach(gaussians, known=True)
         made.keep_encoder_of(self)
         return made
@@ -437,6 +448,7 @@ class LanguageField(FieldQueries):
             self.gaussians if embed_geometry else None,
             self.geometry_path,
             self.cameras,
+            self.things,
         )
         write_field(parts, Path(path), overwrite, weight_bits, move)
         self.path = Path(path)
@@ -460,7 +472,8 @@ class LanguageField(FieldQueries):
         parts = read_field(path)
         with field_damage_named(path):
             codes = parts.code_indices, parts.code_weights, parts.codebook
-            loaded = cls(*codes, parts.info, geometry_path=parts.geometry_path, cameras=parts.cameras)
+            known = {"geometry_path": parts.geometry_path, "cameras": parts.cameras, "things": parts.things}
+            loaded = cls(*codes, parts.info, **known)
         loaded.path, loaded.tables_folder = path, path.parent
         if gaussians is not None:
             loaded.attach(gaussians, f"{path} with the Gaussians given")

@@ -29,16 +29,13 @@ class Answer:
     Attributes:
         mask: [H, W] boolean; empty if the thing is not there.
         heat: [H, W] float32 relevancy at the level of the mask, 0..1.
-        main_parts: [H, W] boolean, the mask without strays: the connected part that holds the point, and those alike in
-            size and relevancy (``scoup.query.segment.main_parts``). If the point, which may be of another level, is
-            outside of the mask, the mask's most relevant pixel takes its place.
+        main_parts: [H, W] boolean, the mask without strays: the connected part with the point, and those alike in size
+            and relevancy (``scoup.query.segment.main_parts``).
         box: (x0, y0, x1, y1) around the main parts in pixels, x1 and y1 one past the last; None if it is empty.
         coverage: share of the view in the mask, 0..1.
         level: name of the level of the mask.
         score: the largest smoothed relevancy at that level, 0..1.
-        point: (x, y), the pixel that fits best; None if the thing is not there.
-        point_level: name of the level of the point.
-        point_score: averaged relevancy at the point, 0..1.
+        point: (x, y), the pixel of the mask that fits best; None if the thing is not there.
         z_score: of what was found (``scoup.query.presence``), minus infinity if nothing was found; None if presence
             was not judged.
         presence: whether the thing is there; true if that was not judged.
@@ -58,8 +55,6 @@ class Answer:
     level: str
     score: float
     point: tuple[int, int] | None
-    point_level: str
-    point_score: float
     z_score: float | None = None
     presence: bool = True
     text: str = ""
@@ -82,7 +77,7 @@ class Answer:
         return {**self.__dict__, "render": None, "depth": None}  # which hold the scene
 
     def _repr_html_(self) -> str:
-        facts = {name: value for name, value in self.record().items() if name != "pixel_level"}
+        facts = self.record()
         return card(f"{_said(self)} in {self.view}", facts, as_picture(self.pictures()["overlay"]))
 
     def remark(self) -> str:
@@ -145,8 +140,6 @@ class Answer:
             "score": round(self.score, 4),
             "threshold": _threshold_record(self.threshold),
             "pixel": None if self.point is None else list(self.point),
-            "pixel_level": self.point_level,
-            "pixel_score": round(self.point_score, 4),
             "coverage": round(self.coverage, 6),
             "box": None if self.box is None else list(self.box),
             **_presence_record(self.z_score, self.presence),

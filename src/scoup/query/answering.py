@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -13,13 +14,14 @@ from torch import Tensor
 from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.query.answer import Answer, SceneAnswer
-from scoup.query.localize import Localization
+from scoup.query.localize import averaged_relevancy, best_pixel
 from scoup.query.presence import scene_z_scores, view_z_scores
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.queried_field import QueriedField
-from scoup.query.segment import Segmentation, localize_and_segment, main_parts, mask_box
-from scoup.query.select import select_each
+from scoup.query.segment import Segmentation, main_parts, mask_box, segment
+from scoup.query.select import Selection, select_each
 from scoup.query.text_vectors import TextVectors
+from scoup.query.things import ThingFits, thing_of_scene, things_of_view
 from scoup.query.view_depth import ViewDepth
 from scoup.scene.cameras import Camera
 
@@ -59,21 +61,30 @@ def answer_view(
     projection = field.project(camera) if projection is None else projection
     maps = field.relevancy(camera, texts.queries, texts.canonical, projection).unbind(1)
     chosen = None if level is None else field.level_index(level)
-    found = [_found(each, preset, chosen) for each in maps]
+    found = [_segmented(each, preset, chosen) for each in maps]
     judged: list[float | None] = [None] * len(found)
     if present_from is not None:
-        segmentations = [segmentation for _, segmentation in found]
-        judged = view_z_scores(field, projection, segmentations, texts.queries, texts.everyday).tolist()
+        judged = view_z_scores(field, projection, found, texts.queries, texts.everyday).tolist()
+    if field.things is not None and preset.follows_things:
+        fits = ThingFits.of(field.things, texts)
+        seen = things_of_view(fits, projection, [each.mask for each in found], chosen)
+        found = [
+            each if thing is None else _of_thing(each, relevancy, *thing)
+            for each, relevancy, thing in zip(found, maps, seen.masks, strict=True)
+        ]
+        judged = [
+            None if z is None else z + of_things for z, of_things in zip(judged, seen.presence, strict=True)
+        ]
     render, depth = partial(_colors, field, camera), ViewDepth(field, camera, projection)
     return [
         replace(
-            _answer(field.levels, *places, relevancy, z_score, present_from),
+            _answer(field.levels, shape, relevancy, z_score, present_from),
             text=text,
             view=camera.name,
             render=render,
             depth=depth,
         )
-        for text, places, relevancy, z_score in zip(texts.texts, found, maps, judged, strict=True)
+        for text, shape, relevancy, z_score in zip(texts.texts, found, maps, judged, strict=True)
     ]
 
 
@@ -120,17 +131,13 @@ def answer_scene(
         InputError: as ``answer_view``, or ``neighbours`` is below 1.
     """
     check_arguments("answer_scene", field=(field, QueriedField), texts=(texts, TextVectors))
-    found = list(select_each(field, texts.queries, texts.canonical, threshold, neighbours, rescaled, level))
-    judged: list[float | None] = [None] * len(found)
-    if present_from is not None:
-        judged = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
+    found = judged_selections(field, texts, threshold, neighbours, rescaled, present_from, level)
     answers = []
-    for text, each, z_score in zip(texts.texts, found, judged, strict=True):
+    for text, (each, z_score) in zip(texts.texts, found, strict=True):
         presence = _presence(z_score, present_from)
-        mask = each.mask.cpu() & presence
         answers.append(
             SceneAnswer(
-                mask=mask,
+                mask=each.mask.cpu() & presence,
                 relevancy=each.relevancy.cpu(),
                 level=field.levels[each.level],
                 score=each.score,
@@ -143,26 +150,78 @@ def answer_scene(
     return answers
 
 
-def _found(relevancy: Tensor, preset: QueryPreset, level: int | None) -> tuple[Localization, Segmentation]:
-    """Point and mask in relevancy [S, H, W], of one level if that is given."""
+def judged_selections(
+    field: QueriedField,
+    texts: TextVectors,
+    threshold: float | None = None,
+    neighbours: int | None = None,
+    rescaled: bool = True,
+    present_from: float | None = None,
+    level: str | int | None = None,
+) -> Iterator[tuple[Selection, float | None]]:
+    """What each text selects in the scene, one after the other, and how surely it is there; arguments as for
+    ``answer_scene``.
+
+    Things answer where the field has them, unless a threshold or neighbours of choice say how the votes are read.
+    """
+    things = field.things if threshold is None and neighbours is None and rescaled else None
+    fits = None if things is None else ThingFits.of(things, texts)
+    chosen = None if level is None else field.level_index(level)
+    for number, found in enumerate(
+        select_each(field, texts.queries, texts.canonical, threshold, neighbours, rescaled, level)
+    ):
+        query = texts.queries[number : number + 1]
+        z_score = None
+        if present_from is not None:
+            z_score = float(scene_z_scores(field, [found], query, texts.everyday)[0])
+        if fits is not None:
+            thing = thing_of_scene(fits, number, found.mask, chosen)
+            found = found if thing is None else _selected_thing(field, found, query, texts.canonical, *thing)
+            z_score = None if z_score is None else z_score + fits.presence(number)
+        yield found, z_score
+
+
+def _segmented(relevancy: Tensor, preset: QueryPreset, level: int | None) -> Segmentation:
+    """The mask that the votes give in relevancy [S, H, W], of one level if that is given."""
     if level is None:
-        return localize_and_segment(relevancy, preset)
-    place, shape = localize_and_segment(relevancy[level : level + 1], preset)
-    return replace(place, level=level), replace(shape, level=level)
+        return segment(relevancy, preset)
+    return replace(segment(relevancy[level : level + 1], preset), level=level)
+
+
+def _of_thing(voted: Segmentation, relevancy: Tensor, mask: Tensor, level: int) -> Segmentation:
+    """The mask of a thing in the place of the votes'."""
+    smoothed = 0.5 * (
+        relevancy[level] + averaged_relevancy(relevancy[level][None], QUERY_PRESETS["default"])[0]
+    )
+    coverage = int(mask.sum()) / mask.numel()
+    mask = mask.to(smoothed.device)
+    return Segmentation(mask, smoothed, level, float(smoothed[mask].max()), coverage, None)
+
+
+def _selected_thing(
+    field: QueriedField, voted: Selection, query: Tensor, canonical: Tensor, mask: Tensor, level: int
+) -> Selection:
+    """The Gaussians of a thing in the place of those that the votes select."""
+    relevancy = voted.relevancy
+    if level != voted.level:
+        relevancy = field.gaussian_relevancy(query, canonical)[level, 0]
+    mask = mask.to(relevancy.device)
+    return Selection(mask, relevancy, level, float(relevancy[mask].max()) if mask.any() else -math.inf, None)
 
 
 def _answer(
     levels: tuple[str, ...],
-    place: Localization,
     shape: Segmentation,
     relevancy: Tensor,  # [S, H, W]
     z_score: float | None,
     present_from: float | None,
 ) -> Answer:
+    """Point, box and mask are of one thing at one level."""
     presence = _presence(z_score, present_from)
     mask = shape.mask.cpu() & presence
     heat = relevancy[shape.level].clone().cpu()  # a copy, so that the other levels can be freed
-    parts = main_parts(mask, place.pixel, heat)
+    point = best_pixel(shape.smoothed.cpu(), mask) if presence else None
+    parts = mask if point is None else main_parts(mask, point, heat)
     return Answer(
         mask=mask,
         heat=heat,
@@ -171,9 +230,7 @@ def _answer(
         coverage=shape.coverage if presence else 0.0,
         level=levels[shape.level],
         score=shape.score,
-        point=place.pixel if presence else None,
-        point_level=levels[place.level],
-        point_score=place.score,
+        point=point,
         z_score=z_score,
         presence=presence,
         threshold=shape.threshold,

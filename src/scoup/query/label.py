@@ -10,9 +10,9 @@ from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card
-from scoup.query.presence import scene_z_scores
+from scoup.query.answering import judged_selections
 from scoup.query.queried_field import QueriedField
-from scoup.query.select import Selection, select_each
+from scoup.query.select import Selection
 from scoup.query.text_vectors import TextVectors
 
 NONE = -1
@@ -73,14 +73,14 @@ def label(
 ) -> GaussianLabels:
     """The word that fits each Gaussian best, of several, or none.
 
-    A word fits the Gaussians that ``select`` would choose for it, unless the thing is not in the scene. Of several
+    A word fits the Gaussians that ``answer_scene`` gives for it, unless the thing is not in the scene. Of several
     words that fit, the one that a finer level answers counts, for the name of a part says more than that of its whole;
     of words of one level the most relevant, which is the one with the largest cosine.
 
     Args:
         field: to be queried.
         texts: the words, and what they are compared with.
-        threshold: see ``select``; None: of each word the most stable one.
+        threshold: see ``answer_scene``.
         present_from: the z-score from which a thing counts as present; None: presence is not judged.
 
     Raises:
@@ -97,10 +97,9 @@ def label(
 
     def there() -> Iterator[tuple[Selection, bool]]:
         """The selections one after the other, so that only one relevancy is in memory, and whether each counts."""
-        for number, found in enumerate(select_each(field, texts.queries, texts.canonical, threshold)):
-            if present_from is not None:
-                query = texts.queries[number : number + 1]
-                judged.append(float(scene_z_scores(field, [found], query, texts.everyday)))
+        for found, z_score in judged_selections(field, texts, threshold, present_from=present_from):
+            if z_score is not None:
+                judged.append(z_score)
             presence.append(present_from is None or judged[-1] >= present_from)
             levels.append(field.levels[found.level])
             yield found, presence[-1]

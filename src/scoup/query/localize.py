@@ -56,10 +56,20 @@ def localize(
     peaks = averaged.flatten(1).amax(1)
     level = int(peaks.argmax())
     pixels = (averaged[level] == peaks[level]).nonzero().flip(1)
+    return Localization(pixels, best_pixel(averaged[level]), level, float(peaks[level]))
+
+
+def best_pixel(values: Tensor, mask: Tensor | None = None) -> tuple[int, int]:
+    """(x, y) of the largest value [H, W], in a mask that is not empty, if one is given; of equals the one nearest to
+    their mean.
+    """
+    if mask is not None and mask.any():
+        values = torch.where(mask, values, -torch.inf)
+    pixels = (values == values.max()).nonzero().flip(1)
     # Of a plateau, a pixel in its middle says more than its first corner.
     offsets = pixels.double() - pixels.double().mean(0)
     x, y = pixels[int(offsets.square().sum(1).argmin())].tolist()
-    return Localization(pixels, (x, y), level, float(peaks[level]))
+    return x, y
 
 
 def averaged_relevancy(relevancy: Tensor, preset: QueryPreset) -> Tensor:

@@ -10,6 +10,9 @@ Where another word fits better, what was found is rather that: a query for "toil
 most ``LEAD`` above the query's lead over the best of the other words, in the same unit. Words for one thing differ by
 a little, and a query may lose to a synonym by up to 0.8 and count as present still.
 
+Where a field has things, the score is the sum of this and of what the thing that fits the query best says
+(``scoup.query.things.ThingFits.presence``).
+
 The query counts as present from a score of 1.5 on. This is ours; the method's paper and the protocols have nothing of
 the kind, and scores by their rules never use it. Measured in docs/answers.md.
 """

@@ -42,6 +42,11 @@ class QueryPreset:
     level_choice: LevelChoice = "peak"
     smoothing_border: VoteBorder = "inside"
 
+    @property
+    def follows_things(self) -> bool:
+        """Whether instances answer where a field has them; a threshold of choice, and papers' rules, are for votes."""
+        return self.level_choice == "evidence" and self.threshold is None
+
     def __post_init__(self) -> None:
         if self.kernel < 1 or self.smoothing < 1:
             raise InputError(f"box sides must be at least 1 pixel, got {self.kernel} and {self.smoothing}")

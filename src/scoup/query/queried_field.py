@@ -10,6 +10,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.things import Things
 
 
 class QueriedField(ABC):
@@ -21,6 +22,7 @@ class QueriedField(ABC):
         geometry_path: file of the Gaussians, if the field names one.
         path: the file the field was read from or last saved to, if any.
         cameras: of the views it was built from, if it holds them.
+        things: instances of the scene, if they are known.
     """
 
     code_indices: Tensor  # [N, S, K]
@@ -29,6 +31,7 @@ class QueriedField(ABC):
     geometry_path: Path | None
     path: Path | None
     cameras: Cameras | None
+    things: Things | None
 
     @abstractmethod
     def __len__(self) -> int: ...

@@ -35,7 +35,7 @@ class Segmentation:
         level: position of the level chosen.
         score: the largest smoothed relevancy at that level, 0..1.
         coverage: share of the image in the mask, 0..1.
-        threshold: of the mask, on the rescaled relevancy.
+        threshold: of the mask, on the rescaled relevancy; None for the mask of a thing.
     """
 
     mask: Tensor  # [H, W]
@@ -43,7 +43,7 @@ class Segmentation:
     level: int
     score: float
     coverage: float
-    threshold: float
+    threshold: float | None
 
     __repr__ = brief
 

@@ -32,14 +32,14 @@ class Selection:
         level: position of the level chosen.
         score: the largest relevancy of a Gaussian with a code at that level; minus infinity if there is none.
         threshold: the Gaussians of the mask are above it, once relevancy is rescaled over the Gaussians with a code at
-            that level; on the relevancy itself if that was wanted.
+            that level; on the relevancy itself if that was wanted; None for the Gaussians of a thing.
     """
 
     mask: Tensor  # [N]
     relevancy: Tensor  # [N]
     level: int
     score: float
-    threshold: float
+    threshold: float | None
 
     __repr__ = brief
 

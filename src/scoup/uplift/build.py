@@ -10,7 +10,7 @@ import torch
 
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import ScoupWarning
-from scoup.base.processes import at_work
+from scoup.base.processes import ALONE, Processes, at_work
 from scoup.base.progress import Progress, no_progress
 from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
@@ -18,12 +18,14 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions
+from scoup.scene.things import Things
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import build_record
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums, exchanged
 from scoup.uplift.region_codes import RegionCodes, RegionEmbeddings, inputs_digest, learn_region_codes
 from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.things import find_things
 from scoup.uplift.vote import vote
 
 
@@ -88,12 +90,13 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
 
     codes = learn_region_codes(sums, embeddings, settings, device, processes, progress)
     digest = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
-    del embeddings  # the vote needs the codes only
+    del embeddings  # codes, and rounded embeddings, are enough from here on
     add_views(sums, gaussians, views, regions, backend, progress, processes)
     sums = exchanged(sums, names, processes)
+    things = things_of(sums, codes, processes, progress)
     path = None if geometry_path is None else Path(geometry_path)
-    sources = Sources(tuple(views), embedding_model, path)
-    field = voted(sums, codes, sources, settings, digest, device, backend, progress)
+    sources = Sources(tuple(views), embedding_model, path, digest)
+    field = voted(sums, codes, things, sources, settings, device, backend, progress)
     field.attach(gaussians, known=True)
     return field
 
@@ -106,19 +109,37 @@ class Sources:
         views: the cameras of the views it was built from.
         embedding_model: id of the model the embeddings come from.
         geometry_path: file of the Gaussians, if it is known.
+        digest: of everything the codes depend on, once it is known (``inputs_digest``).
     """
 
     views: tuple[Camera, ...]
     embedding_model: str = ""
     geometry_path: Path | None = None
+    digest: str = ""
+
+
+def things_of(
+    sums: RegionSums, codes: RegionCodes, processes: Processes = ALONE, progress: Progress = no_progress
+) -> Things | None:
+    """The things of the views of ``codes``; None where their embeddings are not known.
+
+    Args:
+        sums: of these views; on each of several processes those of some of the Gaussians.
+        codes: of the regions.
+        processes: all that hold a part of the sums.
+        progress: called for the stage "things".
+    """
+    if not codes.embeddings:
+        return None
+    return find_things(sums.of_views(codes.rows[0], codes.rows), codes.embeddings, processes, progress)
 
 
 def voted(
     sums: RegionSums,
     codes: RegionCodes,
+    things: Things | None,
     sources: Sources,
     settings: BuildSettings,
-    digest: str,
     device: torch.device,
     backend: str | None = None,
     progress: Progress = no_progress,
@@ -128,8 +149,8 @@ def voted(
     Args:
         sums: of the views of ``sources``, on each process those of the Gaussians that it votes for.
         codes: of the regions of these views.
+        things: of these views.
         sources, settings: of the build.
-        digest: of everything the codes depend on, for the record (``inputs_digest``).
         device, backend: of the vote.
         progress: called for the stage "vote".
     """
@@ -139,7 +160,7 @@ def voted(
         progress=progress,
     )  # fmt: skip
     fit.check_coded(found.weights)
-    record = build_record(settings, digest, sums, codes, found.sharpness)
+    record = build_record(settings, sources.digest, sums, codes, found.sharpness)
     info = FieldInfo(
         sums.levels,
         sources.embedding_model,
@@ -156,4 +177,5 @@ def voted(
         info,
         geometry_path=sources.geometry_path,
         cameras=cameras,
+        things=things,
     ).to(device)

@@ -31,10 +31,11 @@ class BuildSettings:
         tolerance: stop the "adam" solver once its loss has fallen by less than this over 100 epochs; None never.
         seed: of the codebook's start.
         raster_preset: rasteriser constants the scene was trained with: "inria" or "gsplat".
+        things: merge the regions of all views into instances, which answer texts (``scoup.uplift.things``).
     """
 
     n_atoms: int = 128
-    k: int = 8
+    k: int = 4
     wide: bool = True
     keep: int = 4
     rounds: int = 2
@@ -44,6 +45,7 @@ class BuildSettings:
     tolerance: float | None = None
     seed: int = 0
     raster_preset: str = "inria"
+    things: bool = True
 
     @property
     def of_fit(self) -> dict[str, Any]:
@@ -53,7 +55,7 @@ class BuildSettings:
     @property
     def of_codes(self) -> dict[str, Any]:
         """Those that decide the codes of the regions."""
-        return {**self.of_fit, "wide": self.wide}
+        return {**self.of_fit, "wide": self.wide, "things": self.things}
 
     def __post_init__(self) -> None:
         if not 1 <= self.k <= self.n_atoms or not 0 <= self.keep <= self.n_atoms:
@@ -71,7 +73,7 @@ class BuildSettings:
 
 BUILD_PRESETS: dict[str, BuildSettings] = {
     "default": BuildSettings(),
-    "paper": BuildSettings(n_atoms=64, k=4, wide=False, rounds=1, solver="adam"),
+    "paper": BuildSettings(n_atoms=64, k=4, wide=False, rounds=1, solver="adam", things=False),
 }
 """What answers best at little cost (docs/benchmarks.md, "Codes and votes"), and the paper's method as published."""
 

@@ -24,6 +24,8 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import signed
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
+from scoup.scene.things import NO_THING, Things
+from scoup.uplift.build import things_of
 from scoup.uplift.matching import Matching, Tolerance, match
 from scoup.uplift.rasterise import add_views
 from scoup.uplift.region_codes import RegionCodes
@@ -113,18 +115,21 @@ def follow(
     path = None if geometry_path is None else Path(geometry_path)
     if kept is None:
         indices, weights = _carried(field.code_indices, matching), _carried(field.code_weights, matching)
-        return Followed(_field_of(field, gaussians, indices, weights, record, path), matching)
+        things = None if field.things is None else _carried_things(field.things, matching)
+        return Followed(_field_of(field, gaussians, (indices, weights), things, record, path), matching)
     coded = codes_of(field, kept.sums)
     sums, changed = _followed_sums(kept, coded, before, gaussians, matching, backend, progress)
     coded.compacted().keep(sums, "")
     record["rasterised"] = list(changed)
     if matching.is_identity:
-        made = _field_of(field, gaussians, field.code_indices, field.code_weights, record, path)
+        codes = field.code_indices, field.code_weights
+        made = _field_of(field, gaussians, codes, field.things, record, path)
         return Followed(made, matching, sums, changed)
     found = vote_again(field, sums, coded, backend, progress)
     if found.sharpness is not None:
         record["sharpness"] = found.sharpness.tolist()
-    made = _field_of(field, gaussians, found.indices, found.weights, record, path)
+    things = things_of(sums, coded, progress=progress)
+    made = _field_of(field, gaussians, (found.indices, found.weights), things, record, path)
     return Followed(made, matching, sums, changed)
 
 
@@ -152,11 +157,19 @@ def _carried(rows: Tensor, matching: Matching) -> Tensor:
     return carried.view(rows.dtype)
 
 
+def _carried_things(things: Things, matching: Matching) -> Things:
+    """The things with the owners of matched Gaussians; appended ones belong to none."""
+    before = matching.before.to(things.owners.device)
+    owners = things.owners[before.clamp(min=0)]
+    owners[before < 0] = NO_THING
+    return replace(things, owners=owners)
+
+
 def _field_of(
     field: LanguageField,
     gaussians: Gaussians,
-    indices: Tensor,
-    weights: Tensor,
+    codes: tuple[Tensor, Tensor],
+    things: Things | None,
     record: dict[str, Any],
     path: Path | None,
 ) -> LanguageField:
@@ -169,7 +182,8 @@ def _field_of(
     info = replace(
         field.info, fingerprint=gaussians.fingerprint(), n_gaussians=len(gaussians), provenance=provenance
     )
-    made = LanguageField(indices, weights, field.codebook, info, geometry_path=path, cameras=field.cameras)
+    known = {"geometry_path": path, "cameras": field.cameras, "things": things}
+    made = LanguageField(*codes, field.codebook, info, **known)
     made = made.to(field.codebook.device)
     made.keep_encoder_of(field)
     made.attach(gaussians, known=True)

@@ -115,12 +115,15 @@ class RegionCodes:
         codes: per level, of the regions of all views.
         rows: per level, the rows of each view in them.
         reports: per level, the report of the coding as JSON values.
+        embeddings: per level [R, D] float16 of the regions, from which things are made again when views change; none
+            where nobody wants things.
     """
 
     codebook: Tensor  # [S, L, D]
     codes: Sequence[SparseCodes]
     rows: Rows
     reports: Sequence[dict[str, Any]]
+    embeddings: Sequence[Tensor] = ()
 
     @property
     def n_atoms(self) -> int:
@@ -131,6 +134,7 @@ class RegionCodes:
         tensors = {"codebook": self.codebook}
         for s, level in enumerate(self.codes):
             tensors |= {f"indices.{s}": level.indices, f"weights.{s}": level.weights}
+        tensors |= {f"embeddings.{s}": rows for s, rows in enumerate(self.embeddings)}
         rows = [{name: [part.start, part.stop] for name, part in level.items()} for level in self.rows]
         sums.keep_codes({"key": key, "rows": rows, "reports": list(self.reports)}, tensors)
 
@@ -156,7 +160,11 @@ class RegionCodes:
             ]
             if len(rows) != len(codes) or len(header["reports"]) != len(codes):
                 raise ValueError("levels are missing")
-            return cls(codebook, codes, rows, list(header["reports"]))
+            places = range(len(codes)) if "embeddings.0" in tensors else ()
+            embeddings = [tensors[f"embeddings.{s}"] for s in places]
+            if any(len(part) != len(of_level) for part, of_level in zip(embeddings, codes, strict=False)):
+                raise ValueError("embeddings of other regions")
+            return cls(codebook, codes, rows, list(header["reports"]), embeddings)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError, InputError) as error:
             raise InputError(f"{sums.path}: the codes in it make no sense ({error}); build again") from error
 
@@ -170,18 +178,17 @@ class RegionCodes:
             known = ", ".join(list(self.rows[0])[:5])
             raise InputError(f"the view {view_name!r} is not in the field; there are {known}, ...")
         rows = [{name: part for name, part in level.items() if name != view_name} for level in self.rows]
-        return RegionCodes(self.codebook, self.codes, rows, self.reports)
+        return replace(self, rows=rows)
 
     def compacted(self) -> RegionCodes:
         """The same, where most of the codes are unused: without these. Else itself."""
         used = sum(part.stop - part.start for level in self.rows for part in level.values())
         if 2 * used >= sum(map(len, self.codes)):
             return self
-        codes, rows = [], []
+        codes, rows, chosen = [], [], []
         for level, places in zip(self.codes, self.rows, strict=True):
-            codes.append(
-                level.rows(torch.cat([torch.arange(part.start, part.stop) for part in places.values()]))
-            )
+            chosen.append(torch.cat([torch.arange(part.start, part.stop) for part in places.values()]))
+            codes.append(level.rows(chosen[-1]))
             ends = accumulate(part.stop - part.start for part in places.values())
             rows.append(
                 {
@@ -189,21 +196,27 @@ class RegionCodes:
                     for (name, part), end in zip(places.items(), ends, strict=True)
                 }
             )
-        return RegionCodes(self.codebook, codes, rows, self.reports)
+        embeddings = [part[own] for part, own in zip(self.embeddings, chosen, strict=False)]
+        return RegionCodes(self.codebook, codes, rows, self.reports, embeddings)
 
-    def with_view(self, view_name: str, codes: Sequence[SparseCodes], codebook: Tensor) -> RegionCodes:
+    def with_view(
+        self, view_name: str, codes: Sequence[SparseCodes], codebook: Tensor, embeddings: Sequence[Tensor]
+    ) -> RegionCodes:
         """One view more, or with other regions.
 
         Args:
             view_name: its name.
             codes: per level, of its regions, over the atoms of ``codebook``.
             codebook: [S, L', D], whose first atoms are those of before.
+            embeddings: per level [R, D], of its regions.
         """
         longer, rows = [], []
         for old, new, places in zip(self.codes, codes, self.rows, strict=True):
             longer.append(joined(old, new))
             rows.append({**places, view_name: slice(len(old), len(old) + len(new))})
-        return RegionCodes(codebook, longer, rows, self.reports)
+        parts = zip(self.embeddings, embeddings, strict=False)
+        known = [torch.cat([of_level, own.cpu().half()]) for of_level, own in parts]
+        return RegionCodes(codebook, longer, rows, self.reports, known)
 
 
 def learn_region_codes(
@@ -236,7 +249,8 @@ def learn_region_codes(
         learned[level] = book.atoms.cpu(), book.codes.to("cpu"), report
     everything = {level: found for part in processes.gather(learned) for level, found in part.items()}
     atoms, codes, reports = zip(*(everything[level] for level in embeddings.levels), strict=True)
-    coded = RegionCodes(torch.stack(atoms), codes, embeddings.rows, reports)
+    known = [rows.cpu().half() for rows in embeddings.of_levels] if settings.things else []
+    coded = RegionCodes(torch.stack(atoms), codes, embeddings.rows, reports, known)
     if processes.first and sums.writable:
         coded.keep(sums, key)
     return coded

@@ -33,7 +33,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions
 from scoup.uplift import fit
-from scoup.uplift.build import Sources, voted
+from scoup.uplift.build import Sources, things_of, voted
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums
 from scoup.uplift.region_codes import RegionEmbeddings, inputs_digest, learn_region_codes
@@ -224,7 +224,9 @@ def merge(
     if keep is not None:
         for name in holders:
             keep.append_record(name, sums.views[name])
-    return voted(sums, codes, Sources(tuple(views), model, path), settings, digest, device, backend, progress)
+    things = things_of(sums, codes, progress=progress)  # every process has all sums
+    sources = Sources(tuple(views), model, path, digest)
+    return voted(sums, codes, things, sources, settings, device, backend, progress)
 
 
 def _moved(model: str, shard: Path | None, field: Path | None) -> str:

@@ -16,6 +16,7 @@ from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
 from scoup.uplift import fit
+from scoup.uplift.build import things_of
 from scoup.uplift.new_views import MANY, CodedView, code_view, embeddings_of, explained_thresholds
 from scoup.uplift.rasterise import add_views
 from scoup.uplift.region_codes import RegionCodes
@@ -89,6 +90,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
 
     device = field.codebook.device
     found = vote_again(field, sums, coded, backend, progress)
+    things = things_of(sums, coded, progress=progress)
     _keep(coded, sums)
     provenance = dict(field.info.provenance)
     provenance["views"] = list(coded.rows[0])
@@ -102,6 +104,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
         replace(field.info, provenance=provenance),
         geometry_path=field.geometry_path,
         cameras=_cameras(field.cameras, add, remove),
+        things=things,
     ).to(device)
     updated.keep_encoder_of(field)
     if field.has_geometry:
@@ -178,7 +181,7 @@ def _code_new_views(
         thresholds = explained_thresholds(field.info.provenance, field.levels)
         view = code_view(coded.codebook, rows, recorded.k, thresholds, new_atoms, recorded.wide)
         _warn_of_badly_explained(name, view, new_atoms)
-        coded = coded.with_view(name, view.codes, view.codebook)
+        coded = coded.with_view(name, view.codes, view.codebook, rows)
         found.append(view)
     return found, coded
 

@@ -1,0 +1,230 @@
+"""Which things answer a text: instances compared by the mean embedding of their regions.
+
+The fit of a thing to a text is the cosine of the two, less half of what the thing reaches with the words that fit it
+best: some things are near to any word (local scaling of cosines, Conneau et al. 2018, one side of it). Fits are counted
+in units of the scene's spread, how far the cosines of one thing's regions with a text differ (``Things.spread``), so
+that a gap means the same for every embedding model.
+
+Of each level the things with the largest fits may answer together, for a text may mean several, or one that is seen in
+pieces. A set is judged by the gap behind it, by how far its mean fit lies below the best of all levels, and by its
+overlap with what the votes of the Gaussians select (``scoup.query.segment``, ``scoup.query.select``): the less the
+regions of one thing agree over the views, the more that counts, and the votes alone answer where no set is convincing.
+Own; measured in docs/answers.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.query.text_vectors import TextVectors
+from scoup.scene.things import NO_THING, Things
+
+HUB_QUANTILE, HUB_SHARE = 0.99, 0.5
+"""The words that fit a thing best are those above this quantile; this share of their cosine is subtracted."""
+MOST_GAP = 2.0
+"""A gap behind a set counts up to so many spreads."""
+VOTES, LEAST_SCORE = 8.0, 0.5
+"""What overlap with the votes counts, times the disagreement of the things' regions; and the score, without that, from
+which a set is convincing."""
+SIMILAR = 3.0
+"""Standard deviations by which a word is nearer to a text than words are, from which it may be another name of it."""
+STANDS_OUT = 0.5
+"""What it counts for presence how far the best thing stands out among things."""
+AT_A_TIME = 7  # texts in one pass over a view
+LEAST_PART = 1e-4
+"""Things with a smaller share of the whole mass are not seen in a view."""
+
+
+@dataclass(frozen=True, eq=False)
+class ThingFits:
+    """How well things fit texts.
+
+    Attributes:
+        things: T of them.
+        fits: [T, Q] float32 in units of the spread.
+        cosines: [T, Q] float32, with the texts.
+        to_words: [T, B] float32 cosines with everyday words.
+        similar: [Q, B] boolean, words so near to a text that they may mean the same.
+    """
+
+    things: Things
+    fits: Tensor  # [T, Q]
+    cosines: Tensor  # [T, Q]
+    to_words: Tensor  # [T, B]
+    similar: Tensor  # [Q, B]
+
+    @classmethod
+    def of(cls, things: Things, texts: TextVectors) -> ThingFits:
+        """Of all things to all texts, on the CPU; canonical phrases take the place of too few everyday words."""
+        embeddings = things.embeddings.float().cpu()
+        words = (texts.everyday if texts.can_judge_presence else texts.canonical).float().cpu()
+        queries = texts.queries.float().cpu()
+        to_words, cosines = embeddings @ words.T, embeddings @ queries.T
+        best = torch.quantile(to_words, HUB_QUANTILE, dim=1, keepdim=True)
+        near = queries @ words.T  # [Q, B]
+        similar = near > near.mean(1, keepdim=True) + SIMILAR * near.std(1, keepdim=True)
+        return cls(things, (cosines - HUB_SHARE * best) / things.spread, cosines, to_words, similar)
+
+    def presence(self, query: int, seen: Tensor | None = None) -> float:
+        """How surely a text names one of the things seen [T] boolean, or of all; minus infinity if there is none.
+
+        Of the thing that fits it best: by how many standard deviations its cosine with the text exceeds those of the
+        words that fit it best, other names of the text left out; and half of by how many the text fits this thing
+        better than the mean thing.
+        """
+        fits = self.fits[:, query].double()
+        if seen is None:
+            seen = torch.ones(len(fits), dtype=torch.bool)
+        if not bool(seen.any()):
+            return -math.inf
+        best = int(torch.where(seen, fits, -torch.inf).argmax())
+        words = self.to_words[best][~self.similar[query]].double()
+        lead = (float(self.cosines[best, query]) - float(torch.quantile(words, HUB_QUANTILE))) / max(
+            float(words.std()), 1e-6
+        )
+        stands_out = float(fits[best] - fits.mean()) / max(float(fits.std()) if len(fits) > 1 else 0.0, 1e-6)
+        return lead + STANDS_OUT * stands_out
+
+
+def thing_of_scene(
+    fits: ThingFits, query: int, selected: Tensor, level: int | None = None
+) -> tuple[Tensor, int] | None:
+    """The Gaussians [N] boolean of the things that answer a text in the scene, and their level; None where the votes
+    answer.
+
+    Args:
+        fits: of all texts.
+        query: which of them.
+        selected: [N] boolean, the Gaussians that the votes select.
+        level: the one that answers; None: the best.
+    """
+    things = fits.things
+    mass = things.mass.double().cpu()
+    counts = things.sums(torch.ones(len(things.owners))).clamp(min=1)
+    voted = mass * things.sums(selected.float()) / counts  # Gaussians of one thing count alike
+    all_voted = torch.zeros(things.owners.shape[1], dtype=torch.float64)
+    all_voted.index_add_(0, things.levels.long().cpu(), voted)
+    chosen = choose_things(things, fits.fits[:, query], mass, voted, all_voted, level)
+    return None if chosen is None else (things.members(chosen), int(things.levels[chosen[0]]))
+
+
+@dataclass(frozen=True, eq=False)
+class ThingsSeen:
+    """The things that answer in a view.
+
+    Attributes:
+        masks: per text [H, W] boolean on the CPU, and the level; None where the votes answer.
+        presence: per text, see ``ThingFits.presence``.
+    """
+
+    masks: list[tuple[Tensor, int] | None]
+    presence: list[float]
+
+
+def things_of_view(
+    fits: ThingFits, projection: raster.Projection, voted: Sequence[Tensor], level: int | None = None
+) -> ThingsSeen:
+    """The pixels of the things that answer each text in a view: those to which they contribute more than all others.
+
+    Args:
+        fits: of Q texts.
+        projection: of the scene to the camera.
+        voted: per text [H, W] boolean, the pixels that the votes select.
+        level: the one that answers; None: the best.
+    """
+    things, masks, presence = fits.things, [], []
+    for start in range(0, len(voted), AT_A_TIME):
+        part = voted[start : start + AT_A_TIME]
+        labels = torch.stack(
+            [torch.zeros_like(part[0], dtype=torch.int32), *(mask.int() - 1 for mask in part)]
+        )
+        sums = raster.region_sums(projection, labels)
+        masses = []
+        for number in range(len(labels)):
+            gaussian, _, weight = sums.triplets(number)
+            masses.append(torch.zeros(len(things.owners), dtype=torch.float64))
+            masses[-1][gaussian.cpu()] = weight.double().cpu()
+        mass = things.sums(masses[0])
+        seen = mass > LEAST_PART * float(masses[0].sum())
+        chosen: list[Tensor | None] = []
+        for number in range(len(part)):
+            inside, query = masses[number + 1], start + number
+            own = fits.fits[:, query]
+            all_voted = inside.sum().expand(things.owners.shape[1])
+            chosen.append(choose_things(things, own, mass, things.sums(inside), all_voted, level))
+            presence.append(fits.presence(query, seen))
+        masks += _rendered(things, projection, chosen)
+    return ThingsSeen(masks, presence)
+
+
+def _rendered(
+    things: Things, projection: raster.Projection, chosen: Sequence[Tensor | None]
+) -> list[tuple[Tensor, int] | None]:
+    """The masks [H, W] of things, with their levels."""
+    there = [each for each in chosen if each is not None]
+    if not there:
+        return [None] * len(chosen)
+    owned = things.owners != NO_THING
+    channels = torch.cat([owned.float(), *(things.members(each).float()[:, None] for each in there)], 1)
+    image, _ = raster.render_channels(projection, channels)
+    count, found, place = owned.shape[1], [], owned.shape[1]
+    for each in chosen:
+        if each is None:
+            found.append(None)
+            continue
+        level = int(things.levels[each[0]])
+        assert level < count
+        mask = (image[..., place] > 0.5 * image[..., level]).cpu()
+        found.append((mask, level) if bool(mask.any()) else None)
+        place += 1
+    return found
+
+
+def choose_things(
+    things: Things,
+    fits: Tensor,
+    mass: Tensor,
+    voted: Tensor,
+    voted_mass: Tensor,
+    level: int | None = None,
+) -> Tensor | None:
+    """The things of one level that answer a text together; None where the votes answer.
+
+    Args:
+        things: of the scene.
+        fits: [T] of the text.
+        mass: [T] float64, what of each thing is seen: in a view, or in the scene.
+        voted: [T] float64, how much of that lies in what the votes select.
+        voted_mass: [S] float64, all that the votes select, as each level sees it.
+        level: the one that answers; None: the best.
+
+    Returns:
+        [M] int64, M >= 1, best first.
+    """
+    seen = (mass > LEAST_PART * mass.sum()) & (things.embeddings.any(1).cpu())
+    weight = VOTES * things.disagreement
+    best_score, chosen = LEAST_SCORE + weight, None
+    top = float(fits[seen].max()) if bool(seen.any()) else 0.0
+    for each in range(things.owners.shape[1]) if level is None else (level,):
+        mine = (seen & (things.levels.cpu() == each)).nonzero()[:, 0]
+        if not len(mine):
+            continue
+        if level is not None:
+            top = float(fits[mine].max())
+        mine = mine[fits[mine].argsort(descending=True, stable=True)]
+        ordered, sizes = fits[mine].double(), mass[mine]
+        area, inside = sizes.cumsum(0), voted[mine].cumsum(0)
+        mean = (ordered * sizes).cumsum(0) / area
+        gap = torch.cat([ordered[:-1] - ordered[1:], ordered.new_full((1,), MOST_GAP)]).clamp(max=MOST_GAP)
+        overlap = inside / (area + voted_mass[each] - inside).clamp(min=1e-9)
+        scores = gap - (top - mean) + weight * overlap
+        place = int(scores.argmax())
+        if float(scores[place]) > best_score:
+            best_score, chosen = float(scores[place]), mine[: place + 1]
+    return chosen

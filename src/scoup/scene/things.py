@@ -1,0 +1,121 @@
+"""Instances of a scene: what regions of many views are one thing, and which Gaussians belong to it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from scoup.base.brief import brief
+from scoup.base.errors import InputError
+
+NO_THING = -1
+"""The owner of a Gaussian that belongs to no thing of a level; also the parent of a thing without one."""
+MOST_THINGS = 65535
+"""Files hold their numbers in 16 bits, and one says that there is none."""
+LEAST_SPREAD = 1e-3
+"""Of the cosines of a thing's regions with a text; things whose regions are all alike would have none."""
+SURE_REGIONS = 3
+"""Things of fewer regions say nothing about how far regions of one thing differ."""
+
+
+@dataclass(frozen=True, eq=False)
+class Things:
+    """The T instances of all levels.
+
+    Attributes:
+        owners: [N, S] int32, the thing that each Gaussian belongs to at each level; ``NO_THING`` for none.
+        levels: [T] uint8, position of the level of each thing, rising.
+        parents: [T] int32, the thing of the next coarser level that holds most of it; ``NO_THING`` for none.
+        embeddings: [T, D] float16, mean embedding of its regions, unit norm.
+        agreement: [T] float32, norm of the mean of its regions' unit embeddings: 1 if they are all alike.
+        n_regions: [T] int32, how many regions it was merged from.
+        mass: [T] float32, what its Gaussians contribute to all views, in pixels.
+
+    Raises:
+        InputError: shapes, dtypes or values do not fit together.
+    """
+
+    owners: Tensor  # [N, S]
+    levels: Tensor  # [T]
+    parents: Tensor  # [T]
+    embeddings: Tensor  # [T, D]
+    agreement: Tensor  # [T]
+    n_regions: Tensor  # [T]
+    mass: Tensor  # [T]
+
+    __repr__ = brief
+
+    def __post_init__(self) -> None:
+        count = len(self.levels)
+        kinds = {
+            "owners": (torch.int32, 2),
+            "levels": (torch.uint8, 1),
+            "parents": (torch.int32, 1),
+            "embeddings": (torch.float16, 2),
+            "agreement": (torch.float32, 1),
+            "n_regions": (torch.int32, 1),
+            "mass": (torch.float32, 1),
+        }
+        for name, (dtype, dims) in kinds.items():
+            part = getattr(self, name)
+            if part.dtype != dtype or part.dim() != dims or (name != "owners" and len(part) != count):
+                raise InputError(
+                    f"{name} of things is {part.dtype} {list(part.shape)}, expected {dtype} of {count} things"
+                )
+        if count > MOST_THINGS:
+            raise InputError(f"{count:,} things; there may be {MOST_THINGS:,}")
+        for name in ("owners", "parents"):
+            numbers = getattr(self, name)
+            if bool(((numbers >= count) | (numbers < NO_THING)).any()):
+                raise InputError(f"{name} of things name one beyond the {count}")
+        if count and int(self.levels.max()) >= self.owners.shape[1]:
+            raise InputError(f"a thing is of a level beyond the {self.owners.shape[1]}")
+        for name in ("embeddings", "agreement", "mass"):
+            if not bool(torch.isfinite(getattr(self, name)).all()):
+                raise InputError(f"{name} of things holds values that are not finite")
+
+    def __len__(self) -> int:
+        return len(self.levels)
+
+    @property
+    def disagreement(self) -> float:
+        """1 - the median agreement of the things merged from enough regions: 0 where all views say the same."""
+        sure = self.agreement[self.n_regions >= SURE_REGIONS]
+        return 1.0 - float((sure if len(sure) else self.agreement.new_ones(1)).median())
+
+    @property
+    def spread(self) -> float:
+        """How far the cosines of one thing's regions with a text differ, in the median thing.
+
+        A region's embedding lies about sqrt(1 - agreement^2) from its thing's mean, in any of the D directions, one of
+        which is the text's.
+        """
+        agreement = 1.0 - self.disagreement
+        dim = max(1, self.embeddings.shape[1])
+        return max(LEAST_SPREAD, math.sqrt(max(0.0, 1.0 - agreement * agreement) / dim))
+
+    def members(self, things: Tensor) -> Tensor:
+        """[N] boolean: the Gaussians of some things [M] of one level."""
+        chosen = torch.zeros(len(self) + 1, dtype=torch.bool, device=self.owners.device)
+        chosen[things.long().to(chosen.device)] = True  # the last stands for none
+        level = int(self.levels[things[0]]) if len(things) else 0
+        return chosen[self.owners[:, level].long()]
+
+    def sums(self, weights: Tensor) -> Tensor:
+        """[T] float64: the sum of weights [N] over the Gaussians of each thing."""
+        found = torch.zeros(len(self), dtype=torch.float64)
+        for level in range(self.owners.shape[1]):
+            owners = self.owners[:, level].cpu() + 1
+            of_level = torch.bincount(owners, weights.cpu().double(), len(self) + 1)[1:]
+            found += of_level  # numbers of other levels own nothing here
+        return found
+
+    def rows(self, chosen: Tensor) -> Things:
+        """The things of some of the Gaussians; all things stay, those left without a Gaussian too."""
+        return replace(self, owners=self.owners[chosen])
+
+    def to(self, device: torch.device | str) -> Things:
+        return Things(*(part.to(device) for part in vars(self).values()))
