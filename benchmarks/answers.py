@@ -16,8 +16,11 @@ Every way is scored by the same rules:
 * peak: the protocol of LERF-OVS, threshold 0.6, the level with the largest relevancy;
 * mask: the same threshold, the level with the largest mean relevancy in its mask;
 * everyday: the same beside everyday words;
-* asked: as `scoup query` answers;
-* best level: as asked, with the best level for each pair, which no rule can know;
+* always: as `scoup query --always` answers: things where the way has them, else the stable threshold and the level by
+  evidence;
+* asked: as `scoup query` answers; a text that it calls absent scores 0. Ways that are no field cannot judge presence
+  and have none;
+* best level: the stable threshold on the votes, with the best level for each pair, which no rule can know;
 * localisation: by the protocol of LERF-OVS, 1 where the point is right.
 
 OUT holds the scores of all pairs (means over the seeds) beside their means and paired differences. With --rows they are
@@ -27,6 +30,7 @@ kept while the run goes on, and what is there is not run again.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -41,7 +45,7 @@ from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.data import data_folder
 from scoup.base.errors import InputError, looked_up
 from scoup.base.records import record_text
-from scoup.baselines.fitted import FittedMethod
+from scoup.baselines.fitted import FittedField, FittedMethod
 from scoup.baselines.method import Method, MethodSettings
 from scoup.baselines.methods import METHODS
 from scoup.baselines.sparse import SparseUplift
@@ -49,23 +53,27 @@ from scoup.bench import describe_environment, markdown
 from scoup.evaluate.metrics import any_inside, bootstrap_interval, iou
 from scoup.io import write_text
 from scoup.models.words import with_everyday
+from scoup.query.answering import answer_view
 from scoup.query.localize import localize
+from scoup.query.presence import PRESENT_FROM
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import choose_level, level_masks
+from scoup.query.text_vectors import TextVectors
 from scoup.uplift.build_settings import BuildSettings
 
 DRAWS = tuple(f"kitchen-{seed}{noise}" for noise in ("", "x2") for seed in (11, 12, 13, 14, 15))
 LAYOUTS = ("table-1", "shelves-1", "hall-1", "yard-1")
-RULES = ("peak", "mask", "everyday", "asked", "best level", "localisation")
+RULES = ("peak", "mask", "everyday", "always", "asked", "best level", "localisation")
 WAYS = {
     "dense": METHODS["dense"],
     "paper": METHODS["paper"],
     "sparse-64": METHODS["sparse-64"],
     "sparse-64-all": METHODS["sparse-64-all"],
-    "k-sparse": Method("k-sparse", SparseUplift(k=4, wide=False, effort="best")),
-    "one-round": Method("one-round", SparseUplift(rounds=1)),
+    "k-sparse": Method("k-sparse", SparseUplift(wide=False, effort="best", things=False)),
+    "one-round": Method("one-round", SparseUplift(rounds=1, things=False)),
+    "votes": Method("votes", SparseUplift(things=False)),
     "default": METHODS["sparse"],
-    "wide-4": Method("wide-4", SparseUplift(k=4)),
+    "wide-8": Method("wide-8", SparseUplift(k=8)),
     "best-effort": Method("best-effort", SparseUplift(effort="best")),
     "256-atoms": Method("256-atoms", SparseUplift(n_atoms=256)),
     "three-rounds": Method("three-rounds", SparseUplift(rounds=3)),
@@ -73,12 +81,13 @@ WAYS = {
     "keep-2": Method("keep-2", SparseUplift(keep=2)),
     "keep-all": Method("keep-all", SparseUplift(keep=0)),
 }
-"""By name; "k-sparse" is the default without wide codes, as it was before them, "one-round" without the second,
-and those after it change one thing each, but for "two-atoms", which halves the file."""
+"""By name; "votes" is the default without things, "k-sparse" is that without wide codes, "one-round" that without the
+second round, and those after the default change one thing of it each, but for "two-atoms", which halves the file."""
 SLOW = frozenset({"paper"})  # which takes a minute a level: the first seed alone
 COMPARED = (
     ("default", "dense"),
     ("default", "paper"),
+    ("default", "votes"),
     ("default", "k-sparse"),
     ("default", "one-round"),
     ("default", "two-atoms"),
@@ -95,7 +104,7 @@ class Arguments:
     """Draws of the kitchen, and layouts of benchmarks.scenes with a seed."""
     cases: tuple[str, ...] = ("clean",)
     """Faults, see scoup.synthetic.faults."""
-    ways: tuple[str, ...] = ("dense", "sparse-64", "k-sparse", "one-round", "default")
+    ways: tuple[str, ...] = ("dense", "k-sparse", "one-round", "votes", "default")
     """Names of WAYS; paper takes minutes a scene and seed."""
     seeds: tuple[int, ...] = (2, 3, 4)
     """Of the codebook; scores are means over them."""
@@ -126,7 +135,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
             rows["pairs"][name] = scene.pairs
             for way, scores in run_case(scene, case, missing, arguments):
                 of_case[way] = scores
-                said = "  ".join(f"{rule} {mean(scores[rule]):.3f}" for rule in RULES)
+                said = "  ".join(f"{rule} {mean(scores[rule]):.3f}" for rule in RULES if scores[rule])
                 print(f"{name:12} {case:9} {way:10} {said}", flush=True)
                 if arguments.rows is not None:
                     write_text(arguments.rows, json.dumps(rows), overwrite=True)
@@ -164,20 +173,31 @@ def run_case(
             rule: [round(mean(each), 3) for each in zip(*(of[rule] for of in by_seed), strict=True)]
             for rule in RULES
         }
+        by_seeds = {rule: [round(mean(of[rule]), 4) for of in by_seed] for rule in RULES if by_seed[0][rule]}
         seconds = round(time.perf_counter() - started, 1)
-        yield name, {**means, "bytes_per_gaussian": size, "seconds": seconds}
+        yield name, {**means, "seeds": by_seeds, "bytes_per_gaussian": size, "seconds": seconds}
 
 
 def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
-    """Per rule, the IoU of each (frame, label) pair, or whether it is a hit."""
+    """Per rule, the IoU of each (frame, label) pair, or whether it is a hit; none where the way cannot follow a rule."""
     scores: dict[str, list[float]] = {rule: [] for rule in RULES}
     everyday = with_everyday(scene.canonical, scene.everyday)
     fixed, asked = QUERY_PRESETS["scoup"], QUERY_PRESETS["default"]
     by_mask = replace(fixed, level_choice="mask")
-    for frame, view in scene.frames:
+    field = fitted.field if isinstance(fitted, FittedField) else None
+    if field is not None:
+        field.attach(scene.gaussians, known=True)
+    for (frame, view), camera in zip(scene.frames, scene.cameras, strict=True):
         queries = torch.stack([scene.queries[label] for label in frame.labels])
         plain = fitted.relevancy(view, queries, scene.canonical)  # [S, Q, H, W]
         beside = fitted.relevancy(view, queries, everyday)
+        if field is not None:
+            texts = TextVectors(tuple(frame.labels), queries, everyday, scene.everyday, scene.name)
+            answers = answer_view(field, camera, texts, present_from=-math.inf, projection=view)
+            found = [iou(answer.mask, frame.masks[answer.text]) for answer in answers]
+            scores["always"] += found
+            there = [(answer.z_score or 0) >= PRESENT_FROM for answer in answers]
+            scores["asked"] += [each * float(present) for each, present in zip(found, there, strict=True)]
         for position, label in enumerate(frame.labels):
             truth = frame.masks[label]
             hit = any_inside(localize(plain[:, position], fixed).pixels, frame.boxes[label])
@@ -186,12 +206,13 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
                 ("peak", plain, fixed),
                 ("mask", plain, by_mask),
                 ("everyday", beside, by_mask),
-                ("asked", beside, asked),
             ):
-                found = level_masks(maps[:, position], preset)
-                scores[rule].append(iou(found.masks[choose_level(found, preset.level_choice)], truth))
-                if rule == "asked":
-                    scores["best level"].append(max(iou(mask, truth) for mask in found.masks))
+                masks = level_masks(maps[:, position], preset)
+                scores[rule].append(iou(masks.masks[choose_level(masks, preset.level_choice)], truth))
+            votes = level_masks(beside[:, position], asked)
+            scores["best level"].append(max(iou(mask, truth) for mask in votes.masks))
+            if field is None:
+                scores["always"].append(iou(votes.masks[choose_level(votes, asked.level_choice)], truth))
     return scores
 
 
@@ -230,11 +251,11 @@ def summary(rows: dict[str, Any], arguments: Arguments) -> dict[str, Any]:
         sets["all"] = [cell for cells in sets.values() for cell in cells]
     for way in arguments.ways:
         found["ways"][way] = {
-            key: {rule: round(mean(_mean(rows, cell, way, rule) for cell in cells), 4) for rule in RULES}
+            key: {rule: _rounded_mean([_mean(rows, cell, way, rule) for cell in cells]) for rule in RULES}
             for key, cells in sets.items()
         }
         found["scenes"][way] = {
-            cell: {rule: round(_mean(rows, cell, way, rule), 4) for rule in RULES}
+            cell: {rule: _rounded_mean([_mean(rows, cell, way, rule)]) for rule in RULES}
             for cell in dict.fromkeys(cell for cells in sets.values() for cell in cells)
         }
     for first, second in COMPARED:
@@ -246,16 +267,24 @@ def summary(rows: dict[str, Any], arguments: Arguments) -> dict[str, Any]:
     return found
 
 
-def _mean(rows: dict[str, Any], cell: str, way: str, rule: str) -> float:
-    return mean(rows["scores"][cell][way][rule])
+def _mean(rows: dict[str, Any], cell: str, way: str, rule: str) -> float | None:
+    found = rows["scores"][cell][way][rule]
+    return mean(found) if found else None
+
+
+def _rounded_mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return round(mean(known), 4) if len(known) == len(values) else None
 
 
 def _difference(
     rows: dict[str, Any], cells: Sequence[str], first: str, second: str, rule: str
-) -> list[float]:
+) -> list[float] | None:
     values, labels, scenes = [], [], []
     for cell in cells:
-        both = (rows["scores"][cell][way][rule] for way in (first, second))
+        both = [rows["scores"][cell][way][rule] for way in (first, second)]
+        if not all(both):
+            return None
         values += [a - b for a, b in zip(*both, strict=True)]
         labels += [label for _, label in rows["pairs"][cell.split("/")[0]]]
         scenes += [cell] * len(rows["pairs"][cell.split("/")[0]])
@@ -271,9 +300,15 @@ def table(found: dict[str, Any]) -> str:
 
 def table_of(found: dict[str, Any], key: str) -> str:
     """Markdown of one set of scenes of a ``summary``: every way by every rule, then the differences."""
-    body = [[way, *(f"{of[key][rule]:.3f}" for rule in RULES)] for way, of in found["ways"].items()]
+    body = [
+        [way, *("" if of[key][rule] is None else f"{of[key][rule]:.3f}" for rule in RULES)]
+        for way, of in found["ways"].items()
+    ]
     body += [
-        [name, *("{:+.3f} [{:+.3f}, {:+.3f}]".format(*of[key][rule]) for rule in RULES)]
+        [
+            name,
+            *("{:+.3f} [{:+.3f}, {:+.3f}]".format(*of[key][rule]) if of[key][rule] else "" for rule in RULES),
+        ]
         for name, of in found["differences"].items()
     ]
     return markdown(["way", *RULES], body)

@@ -15,8 +15,10 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
+from scoup.scene.things import Things
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.things import find_things
 
 Codes = tuple[list[SparseCodes], Tensor]
 """Codes of the regions of each level, and the codebook [S, L, D]."""
@@ -38,12 +40,14 @@ class UpliftInputs:
         sums: region sums.
         embeddings: per level [R, D], of the regions of these sums.
         kept_codes: codes learned so far, by the coder and settings.
+        kept_things: the things of these sums, once they are known.
         scene: with the regions of these sums alone, for methods that render; None where only sums are at hand.
     """
 
     sums: RegionSums
     embeddings: Sequence[Tensor]
     kept_codes: dict[tuple[Coder, BuildSettings], Codes] = field(default_factory=dict)
+    kept_things: list[Things] = field(default_factory=list)
     scene: RasterisedScene | None = None
 
     def codes(self, coder: Coder, settings: BuildSettings) -> Codes:
@@ -52,13 +56,19 @@ class UpliftInputs:
             self.keep(coder, settings, coder(self.embeddings, settings))
         return self.kept_codes[_key(coder, settings)]
 
+    def things(self) -> Things:
+        """Instances of the scene, made once."""
+        if not self.kept_things:
+            self.kept_things.append(find_things(self.sums, self.embeddings))
+        return self.kept_things[0]
+
     def keep(self, coder: Coder, settings: BuildSettings, codes: Codes) -> None:
         """Keep codes that were learned elsewhere."""
         self.kept_codes[_key(coder, settings)] = codes
 
 
 def _key(coder: Coder, settings: BuildSettings) -> tuple[Coder, BuildSettings]:
-    return coder, replace(settings, keep=0, rounds=1)
+    return coder, replace(settings, keep=0, rounds=1, things=False)
 
 
 class RasterisedScene:
@@ -117,7 +127,7 @@ class RasterisedScene:
             rows = [regions.embeddings(level)[1] for level in regions.levels]
             sums = sums.of_views([name for name in sums.views if name in regions], rows)
         scene = self if views == 1 else self.with_regions(regions)
-        return UpliftInputs(sums, self._embeddings[views], self._codes.setdefault(views, {}), scene)
+        return UpliftInputs(sums, self._embeddings[views], self._codes.setdefault(views, {}), scene=scene)
 
     def forget_codes(self) -> None:
         """Drop the codes learned so far: the next method learns its own."""

@@ -85,7 +85,8 @@ class SparseUplift:
         if self.dropped is not None:
             whole, _ = vote_codes(inputs, build, self.coder, all_kept=True)
             found = without_half(found, whole, self.dropped)
-        return fitted_field(inputs.sums, found.indices, found.weights, codebook, not build.keep)
+        things = inputs.things() if build.things else None
+        return fitted_field(inputs.sums, found.indices, found.weights, codebook, not build.keep, things)
 
 
 def vote_codes(
