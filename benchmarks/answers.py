@@ -179,7 +179,7 @@ def run_case(
 
 
 def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
-    """Per rule, the IoU of each (frame, label) pair, or whether it is a hit; none where the way cannot follow a rule."""
+    """Per rule, the IoU of each (frame, label) pair, or whether it is a hit; none if the way cannot follow it."""
     scores: dict[str, list[float]] = {rule: [] for rule in RULES}
     everyday = with_everyday(scene.canonical, scene.everyday)
     fixed, asked = QUERY_PRESETS["scoup"], QUERY_PRESETS["default"]

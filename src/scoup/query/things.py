@@ -215,8 +215,6 @@ def choose_things(
         mine = (seen & (things.levels.cpu() == each)).nonzero()[:, 0]
         if not len(mine):
             continue
-        if level is not None:
-            top = float(fits[mine].max())
         mine = mine[fits[mine].argsort(descending=True, stable=True)]
         ordered, sizes = fits[mine].double(), mass[mine]
         area, inside = sizes.cumsum(0), voted[mine].cumsum(0)
