@@ -79,12 +79,12 @@ def encode_texts(
         source: what messages call the encoder; by default its model.
 
     Warns:
-        ScoupWarning: encoder and field name different models.
+        ScoupWarning: encoder and field name different models, or the table lacks the canonical phrases.
 
     Raises:
         UnknownNameError: a text is not in the encoder's table; the nearest names are listed.
-        InputError: the vectors have another size than the field's embeddings, or the table lacks the
-            canonical phrases.
+        InputError: the vectors have another size than the field's embeddings, or the table lacks the canonical phrases
+            and has too few names to stand in for them.
     """
     check_arguments("encode_texts", encoder=(encoder, TextEncoder), field=(field, QueriedField))
     source = source or encoder.name or "the word table"
@@ -98,11 +98,26 @@ def encode_texts(
     try:
         canonical = encoder.canonical()
     except UnknownNameError as error:
-        raise InputError(
-            f"{source}: lacks {error.name!r}; relevancy compares every text with the phrases "
-            f"{', '.join(CANONICAL_PHRASES)}, so encode them into the table too"
-        ) from error
+        canonical = _mean_phrase(encoder, source, error)
     return TextVectors(tuple(texts), queries, canonical, encoder.everyday(), source)
+
+
+def _mean_phrase(encoder: TextEncoder, source: str, error: UnknownNameError) -> Tensor:
+    """[1, D] unit mean of a table's names, which stands in for canonical phrases that the table lacks."""
+    words = encoder.everyday()
+    phrases = ", ".join(CANONICAL_PHRASES)
+    if len(words) < LEAST_WORDS:
+        raise InputError(
+            f"{source}: lacks {error.name!r}; relevancy compares every text with the phrases {phrases}; encode them "
+            f"into the table too, or give a table of {LEAST_WORDS} names or more"
+        ) from error
+    warnings.warn(
+        f"{source}: lacks {error.name!r}; texts are compared with the mean of its {len(words):,} names in place of the "
+        f"phrases {phrases}",
+        ScoupWarning,
+        stacklevel=4,
+    )
+    return torch.nn.functional.normalize(words.mean(0, keepdim=True), dim=1)
 
 
 def _warn_of_another_model(given: str, wanted: str, source: str) -> None:

@@ -32,7 +32,7 @@ class Things:
         embeddings: [T, D] float16, mean embedding of its regions, unit norm.
         agreement: [T] float32, norm of the mean of its regions' unit embeddings: 1 if they are all alike.
         n_regions: [T] int32, how many regions it was merged from.
-        mass: [T] float32, what its Gaussians contribute to all views, in pixels.
+        mass: [T] float32, what the Gaussians that decided what is merged contribute to its regions.
 
     Raises:
         InputError: shapes, dtypes or values do not fit together.

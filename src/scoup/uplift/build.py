@@ -119,7 +119,10 @@ class Sources:
 
 
 def things_of(
-    sums: RegionSums, codes: RegionCodes, processes: Processes = ALONE, progress: Progress = no_progress
+    sums: RegionSums,
+    codes: RegionCodes,
+    processes: Processes = ALONE,
+    progress: Progress = no_progress,
 ) -> Things | None:
     """The things of the views of ``codes``; None where their embeddings are not known.
 
@@ -131,7 +134,9 @@ def things_of(
     """
     if not codes.embeddings:
         return None
-    return find_things(sums.of_views(codes.rows[0], codes.rows), codes.embeddings, processes, progress)
+    return find_things(
+        sums.of_views(codes.rows[0], codes.rows), codes.embeddings, processes, progress=progress
+    )
 
 
 def voted(

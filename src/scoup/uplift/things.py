@@ -24,9 +24,12 @@ from torch import Tensor
 
 from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
+from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.directions import normalise_embeddings
 from scoup.scene.things import MOST_THINGS, NO_THING, Things
 from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.storage.entries import Entries
+from scoup.uplift.vote import vote
 
 Matrix = Any
 """A scipy CSR array, which type checkers know little of."""
@@ -39,12 +42,14 @@ LEAST_SHARE = 0.05
 """Entries below this share of a Gaussian's largest say nothing about what it is part of."""
 MASS = 0.98
 """The Gaussians that contribute this much of everything, the largest contributors first, decide what is merged."""
+MOST_DECIDING = 300_000
+"""Of more Gaussians only every second, third, ... decides what is merged; all of them have owners."""
 LEAST_REGIONS = 2
 """A region that no other view confirms is no thing."""
 ROOT_STEPS = 64.0
 """Whole numbers that stand for a square root of 1 pixel."""
 INSIDE = 0.5
-"""Share of a thing that its parent must own."""
+"""Share of a thing's Gaussians that its parent must own, too."""
 
 
 def find_things(
@@ -67,65 +72,71 @@ def find_things(
     found: list[_LevelThings] = []
     for number, (rows, of_level) in enumerate(zip(sums.rows, embeddings, strict=True)):
         progress("things", number, len(embeddings))
-        matrix = _by_region(entries, number, rows)
-        found.append(
-            _things_of_level(matrix, rows, of_level, entries.decides, MOST_THINGS // len(embeddings))
-        )
+        matrix = _by_region(entries, number, len(of_level))
+        found.append(_things_of_level(matrix, rows, of_level, MOST_THINGS // len(embeddings)))
     progress("things", len(embeddings), len(embeddings))
-    return _joined(found, sums, entries.total)
+    return _joined(found, _owners(sums, found))
 
 
 @dataclass(frozen=True, eq=False)
 class _StrongEntries:
-    """What Gaussians contribute to regions, without what is weak.
+    """What the Gaussians that decide contribute to regions, without what is weak.
 
     Attributes:
         gaussians: [E] int32 in the order of the sums.
         regions: [E, S] int32, rows of the regions among those of all views; -1 for none.
         weights: [E] float32.
-        total: [N] float64, of each Gaussian over all views.
-        decides: [N] boolean, the Gaussians that decide what is merged.
+        total: [N] float64, of each of these Gaussians over all views; 0 for the others.
     """
 
     gaussians: NDArray[np.int32]
     regions: NDArray[np.int32]
     weights: NDArray[np.float32]
     total: NDArray[np.float64]
-    decides: NDArray[np.bool_]
 
 
 def _strong_entries(sums: RegionSums) -> _StrongEntries:
+    """Of every so manieth Gaussian, in the order of the sums, which is that of space."""
     count = sums.n_gaussians
     assert sums.rows is not None
+    stride = -(-count // MOST_DECIDING)
     total, largest = np.zeros(count), np.zeros(count, np.float32)
     names = sorted(sums.rows[0])
     for name in names:
         for part in sums.views[name].parts:
             part.check_numbers(count)
-            gaussians, weights = part.gaussians(), part.weights.astype(np.float32)
+            gaussians, weights, _ = _deciding(part, stride)
             starts = np.flatnonzero(np.diff(gaussians, prepend=-1))
             if len(starts):
                 each = gaussians[starts]
                 total[each] += np.add.reduceat(weights.astype(np.float64), starts)
                 largest[each] = np.maximum(largest[each], np.maximum.reduceat(weights, starts))
-    kept: list[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]] = []
+    kept = [(np.zeros(0, np.int32), np.zeros((0, len(sums.rows)), np.int32), np.zeros(0, np.float32))]
     for name in names:
         firsts = np.array([rows[name].start for rows in sums.rows])
         for part in sums.views[name].parts:
-            gaussians, weights = part.gaussians(), part.weights.astype(np.float32)
+            gaussians, weights, combinations = _deciding(part, stride)
             strong = np.flatnonzero((weights >= LEAST_SHARE * largest[gaussians]) & (weights > 0))
             table = np.where(part.table >= 0, part.table + firsts, -1).astype(np.int32)
-            kept.append(
-                (gaussians[strong].astype(np.int32), table[part.combinations[strong]], weights[strong])
-            )
-    if not kept:
-        kept = [(np.zeros(0, np.int32), np.zeros((0, len(sums.rows)), np.int32), np.zeros(0, np.float32))]
+            kept.append((gaussians[strong].astype(np.int32), table[combinations[strong]], weights[strong]))
+        sums.forget_pages()
     gaussians, regions, weights = (np.concatenate(parts) for parts in zip(*kept, strict=True))
-    return _StrongEntries(gaussians, regions, weights, total, np.zeros(count, bool))
+    return _StrongEntries(gaussians, regions, weights, total)
+
+
+def _deciding(
+    part: Entries, stride: int
+) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.uint16]]:
+    """(gaussian, weight, combination) of the entries whose Gaussians decide."""
+    gaussians = part.gaussians()
+    if stride == 1:
+        return gaussians, part.weights.astype(np.float32), part.combinations
+    chosen = np.flatnonzero(gaussians % stride == 0)
+    return gaussians[chosen], part.weights[chosen].astype(np.float32), part.combinations[chosen]
 
 
 def _gathered(entries: _StrongEntries, processes: Processes) -> _StrongEntries:
-    """The entries of all processes, each of which holds those of some Gaussians; and which Gaussians decide."""
+    """The entries of all processes, each of which has those of some Gaussians; without those of small Gaussians."""
     parts = processes.gather(entries)
     total = sum((part.total for part in parts[1:]), parts[0].total)
     order = np.argsort(-total, kind="stable")
@@ -133,16 +144,18 @@ def _gathered(entries: _StrongEntries, processes: Processes) -> _StrongEntries:
     decides = np.zeros(len(total), bool)
     if len(mass) and mass[-1] > 0:
         decides[order[: int(np.searchsorted(mass, MASS * mass[-1])) + 1]] = True
-    arrays = ("gaussians", "regions", "weights")
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
-    return _StrongEntries(**joined, total=total, decides=decides)
+    gaussians = np.concatenate([part.gaussians for part in parts])
+    mine = decides[gaussians]
+    regions, weights = (
+        np.concatenate([getattr(part, name) for part in parts])[mine] for name in ("regions", "weights")
+    )
+    return _StrongEntries(gaussians[mine], regions, weights, total)
 
 
-def _by_region(entries: _StrongEntries, level: int, rows: Mapping[str, slice]) -> Matrix:
-    """[N, R] float32 of one level; R in the order of the rows."""
+def _by_region(entries: _StrongEntries, level: int, n_regions: int) -> Matrix:
+    """[N, R] float32 of one level."""
     from scipy.sparse import coo_array
 
-    n_regions = max((part.stop for part in rows.values()), default=0)
     region = entries.regions[:, level]
     there = region >= 0
     places = (entries.gaussians[there], region[there])
@@ -157,40 +170,39 @@ class _LevelThings:
     """The things of one level, largest first.
 
     Attributes:
-        owners: [N] int64, -1 for none.
+        member: [R] int64 thing of each region, -1 for none.
         embeddings: [T, D] float32.
         agreement, mass: [T] float32.
         n_regions: [T] int32.
     """
 
-    owners: NDArray[np.int64]
+    member: NDArray[np.int64]
     embeddings: NDArray[np.float32]
     agreement: NDArray[np.float32]
     n_regions: NDArray[np.int32]
+    mass: NDArray[np.float32]
 
 
 def _things_of_level(
-    matrix: Matrix, rows: Mapping[str, slice], embeddings: Tensor, decides: NDArray[np.bool_], most: int
+    matrix: Matrix, rows: Mapping[str, slice], embeddings: Tensor, most: int
 ) -> _LevelThings:
-    count = matrix.shape[1]
     order, views = np.zeros(0, np.int64), np.zeros(0, np.int64)
     for number, name in enumerate(sorted(rows)):
         mine = np.arange(rows[name].start, rows[name].stop)
         order, views = np.append(order, mine), np.append(views, np.full(len(mine), number))
-    labels = np.full(count, -1)
-    labels[order] = merge_regions(matrix[decides][:, order], views)
+    labels = np.full(matrix.shape[1], -1)
+    labels[order] = merge_regions(matrix[:, order], views)
+    region_mass = np.asarray(matrix.sum(0)).ravel()
     sizes = np.bincount(labels[order], minlength=1)
-    mass = np.bincount(labels[order], np.asarray(matrix.sum(0)).ravel()[order], len(sizes))
+    mass = np.bincount(labels[order], region_mass[order], len(sizes))
     things = np.flatnonzero((sizes >= LEAST_REGIONS) & (mass > 0))
     things = things[np.argsort(-mass[things], kind="stable")][:most]
     place = np.full(len(sizes), -1)
     place[things] = np.arange(len(things))
-    member = np.where(labels >= 0, place[labels], -1)  # [R] thing of each region
-    region_mass = np.asarray(matrix.sum(0)).ravel()
+    member = np.where(labels >= 0, place[labels], -1)
     means, agreement = mean_embeddings(embeddings, member, region_mass, len(things))
-    return _LevelThings(
-        _owners(matrix, member, len(things)), means, agreement, sizes[things].astype(np.int32)
-    )
+    counts, masses = sizes[things].astype(np.int32), mass[things].astype(np.float32)
+    return _LevelThings(member, means, agreement, counts, masses)
 
 
 def merge_regions(
@@ -307,62 +319,42 @@ def mean_embeddings(
     return unit.astype(np.float32), agreement.astype(np.float32)
 
 
-def _owners(matrix: Matrix, member: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """[N] the thing that each Gaussian contributes most to; the largest of equals, -1 for none."""
-    from scipy.sparse import csr_array
+def _owners(sums: RegionSums, found: Sequence[_LevelThings]) -> NDArray[np.int64]:
+    """[N, S] the thing of its level that each Gaussian of the scene contributes to most, -1 for none.
 
-    owners = np.full(matrix.shape[0], -1)
-    mine = np.flatnonzero(member >= 0)
-    if not count or not len(mine):
-        return owners
-    one_hot = csr_array((np.ones(len(mine)), (mine, member[mine])), (matrix.shape[1], count))
-    votes: Matrix = (matrix.astype(np.float64) @ one_hot).tocsr()
-    votes.sort_indices()
-    lengths = np.diff(votes.indptr)
-    there = np.flatnonzero(lengths)
-    starts = votes.indptr[there]
-    most = np.maximum.reduceat(votes.data, starts)
-    is_most = votes.data == np.repeat(most, lengths[there])
-    # The first of the largest of each row: minimum over places that are not the largest is never taken.
-    places = np.where(is_most, np.arange(len(votes.data)), len(votes.data))
-    owners[there] = votes.indices[np.minimum.reduceat(places, starts)]
-    return owners
+    That is a vote in which the code of a region is its thing.
+    """
+    most = max(1, *(len(level.agreement) for level in found))
+    codes = []
+    for level in found:
+        there = torch.from_numpy(level.member >= 0)
+        indices = torch.from_numpy(level.member).clamp(min=0)[:, None].to(index_dtype(most))
+        codes.append(SparseCodes(indices, there[:, None].float(), most))
+    voted = vote(sums, codes, torch.ones(len(found), most, 1), keep=1)
+    owners = voted.indices[..., 0].numpy().astype(np.int64)
+    return np.where(voted.weights[..., 0].numpy() > 0, owners, -1)
 
 
-def _joined(found: Sequence[_LevelThings], sums: RegionSums, total: NDArray[np.float64]) -> Things:
-    """The things of all levels, numbered level by level, with their parents; Gaussians in the order of the scene."""
+def _joined(found: Sequence[_LevelThings], owners: NDArray[np.int64]) -> Things:
+    """The things of all levels, numbered level by level, with their parents."""
     sizes = [len(level.agreement) for level in found]
     first = np.cumsum([0, *sizes])
-    owners = np.full((sums.n_gaussians, len(found)), NO_THING, np.int64)
-    parents = np.full(first[-1], NO_THING, np.int64)
-    mass = np.zeros(first[-1])
-    for number, level in enumerate(found):
-        there = level.owners >= 0
-        owners[there, number] = level.owners[there] + first[number]
-        mass[first[number] : first[number + 1]] = np.bincount(
-            level.owners[there], total[there], sizes[number]
-        )
+    parents = np.full(first[-1], NO_THING, np.int32)
     for number in range(len(found) - 1):
-        both = (owners[:, number] != NO_THING) & (owners[:, number + 1] != NO_THING)
-        keys = (
-            (owners[both, number] - first[number]) * sizes[number + 1]
-            + owners[both, number + 1]
-            - first[number + 1]
-        )
-        shared = np.bincount(keys, total[both], sizes[number] * sizes[number + 1]).reshape(sizes[number], -1)
-        if shared.size:
-            best = shared.argmax(1)
-            mine = slice(first[number], first[number + 1])
-            held = shared.max(1) > INSIDE * np.maximum(mass[mine], 1e-12)
-            parents[mine] = np.where(held, best + first[number + 1], NO_THING)
-    in_scene = np.empty_like(owners)
-    in_scene[sums.order.numpy()] = owners
+        fine, coarse = owners[:, number], owners[:, number + 1]
+        own = np.bincount(fine[fine >= 0], minlength=sizes[number])
+        both = (fine >= 0) & (coarse >= 0)
+        keys, counts = np.unique(fine[both] * max(1, sizes[number + 1]) + coarse[both], return_counts=True)
+        thing, parent = np.divmod(keys, max(1, sizes[number + 1]))
+        inside = counts > INSIDE * own[thing]  # true of one parent at most
+        parents[first[number] + thing[inside]] = first[number + 1] + parent[inside]
+    numbered = np.where(owners >= 0, owners + first[:-1], NO_THING)
     return Things(
-        torch.from_numpy(in_scene.astype(np.int32)),
+        torch.from_numpy(numbered.astype(np.int32)),
         torch.from_numpy(np.repeat(np.arange(len(found)), sizes).astype(np.uint8)),
-        torch.from_numpy(parents.astype(np.int32)),
+        torch.from_numpy(parents),
         torch.from_numpy(np.concatenate([level.embeddings for level in found])).half(),
         torch.from_numpy(np.concatenate([level.agreement for level in found])),
         torch.from_numpy(np.concatenate([level.n_regions for level in found])),
-        torch.from_numpy(mass.astype(np.float32)),
+        torch.from_numpy(np.concatenate([level.mass for level in found])),
     )
