@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +14,12 @@ from torch import Tensor
 
 import scoup
 from benchmarks.data import make_features
+from benchmarks.desk import DESKS, Desk
+from benchmarks.embedding_kinds import KINDS
 from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.scenes import find_layout
 from scoup import raster
+from scoup.base.errors import looked_up
 from scoup.baselines.rasterised_scene import UpliftInputs
 from scoup.io.labels import LabelledFrame, match_frames, read_labels
 from scoup.models.words import CANONICAL_PHRASES
@@ -60,7 +64,7 @@ class AnswerScene:
         everyday: [B, D] unit vectors of everyday words, the labels among them.
         words: the everyday words.
         absent: those of them that nothing in the scene is called.
-        members: label -> [N] boolean, the Gaussians that truly are it; empty for the kitchen as given.
+        members: label -> [N] boolean, the Gaussians that truly are it; empty for desk, where it is not known.
         shares: which Gaussians belong to each label (``gaussians_by_name``).
     """
 
@@ -88,16 +92,44 @@ class AnswerScene:
         return UpliftInputs(as_region_sums(levels), [level.embeddings for level in levels])
 
 
+class DrawName(NamedTuple):
+    """A draw of the kitchen by the name of its scene: "kitchen-3", "kitchen-3x2" with noise twice as strong,
+    "kitchen-3-desk" with embeddings of a kind."""
+
+    seed: int
+    noise: float
+    kind: str | None
+
+    @classmethod
+    def parse(cls, name: str) -> DrawName | None:
+        """Parse the name of a scene; none if it is not a draw of the kitchen.
+
+        Raises:
+            UnknownNameError: there is no such kind.
+        """
+        found = re.fullmatch(r"kitchen-(\d+)(?:x(\d+(?:\.\d+)?))?(?:-(\w+))?", name)
+        if not found:
+            return None
+        seed, noise, kind = found.groups()
+        if kind is not None:
+            looked_up("kind of embeddings", kind, KINDS)
+        return cls(int(seed), float(noise or 1), kind)
+
+    def __str__(self) -> str:
+        return f"kitchen-{self.seed}x{self.noise:g}" + (f"-{self.kind}" if self.kind else "")
+
+
 def make_scene(name: str, data: Path, size: SceneSize) -> AnswerScene:
-    """A scene by name: "kitchen" as given, one of its draws such as "kitchen-3", or "kitchen-3x2" with noise
-    twice as strong (``benchmarks.kitchen_draws``), or a
-    layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
+    """A scene by name: "kitchen" as given, one of its draws (``DrawName``, ``benchmarks.kitchen_draws``), "desk" or
+    "desk-all" (``benchmarks.desk``), or a layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
     if name == "kitchen":
         return _kitchen(data, size.kitchen_scale)
+    if name in DESKS:
+        return _desk(name, data)
+    draw = DrawName.parse(name)
+    if draw is not None:
+        return _kitchen_draw(data, draw, size.kitchen_scale)
     layout, _, seed = name.rpartition("-")
-    if layout == "kitchen":
-        number, _, noise = seed.partition("x")
-        return _kitchen_draw(data, int(number), float(noise or 1), size.kitchen_scale)
     demo = make_demo_scene(
         int(seed),
         size.n_gaussians,
@@ -136,12 +168,12 @@ def _kitchen(data: Path, scale: float) -> AnswerScene:
         return _prepared("kitchen", gaussians, cameras, regions, frames, _texts(data, truth), members)
 
 
-def _kitchen_draw(data: Path, seed: int, noise: float, scale: float) -> AnswerScene:
+def _kitchen_draw(data: Path, name: DrawName, scale: float) -> AnswerScene:
     truth = Truth.open(data, scale)
-    draw = make_draw(truth, seed, noise)
+    draw = make_draw(truth, name.seed, name.noise, KINDS[name.kind] if name.kind else None)
     texts = _texts(data, truth)
     return _prepared(
-        f"kitchen-{seed}x{noise:g}",
+        str(name),
         truth.gaussians,
         truth.cameras,
         draw.regions,
@@ -149,6 +181,13 @@ def _kitchen_draw(data: Path, seed: int, noise: float, scale: float) -> AnswerSc
         texts,
         draw.members,
     )
+
+
+def _desk(name: str, data: Path) -> AnswerScene:
+    desk = Desk.open(name, data)
+    gaussians = scoup.load_gaussians(data / "desk" / "point_cloud.splat")
+    texts = Texts(desk.canonical, desk.words, desk.everyday, desk.absent)
+    return _prepared(name, gaussians, desk.cameras, desk.regions, desk.frames, texts, {})
 
 
 class Texts(NamedTuple):

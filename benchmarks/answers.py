@@ -5,11 +5,13 @@ nothing.
         [--ways dense paper sparse-64 k-sparse one-round default] [--epochs 4000] [--rows ROWS.json]
         [--out docs/benchmarks/answers.json]
 
-Scenes are draws of the kitchen (``benchmarks.kitchen_draws``; "kitchen-11x2" has noise twice as strong) and procedural
-layouts; cases put faults into their regions (``scoup.synthetic.faults``). What chose the default, its threshold, level
-and constants: the kitchen as given, its draws 1 to 4 and 2x2 and 3x2, and table-0, shelves-0, hall-0 and yard-0, with
-codebook seeds 0 and 1. Those are not among the scenes by default; seeds are those of the codebook. Masks and embeddings
-are simulated everywhere: figures compare ways with each other and cannot be set against published ones.
+Scenes are draws of the kitchen (``benchmarks.kitchen_draws``; "kitchen-11x2" has noise twice as strong,
+"kitchen-11-desk" and "kitchen-11-clip" the statistics of ``benchmarks.embedding_kinds``), procedural layouts, and the
+real "desk" and "desk-all" (``benchmarks.desk``); cases put faults into their regions (``scoup.synthetic.faults``). What
+chose the default, its threshold, level and constants: the kitchen as given, its draws 1 to 4 and 2x2 and 3x2, and
+table-0, shelves-0, hall-0 and yard-0, with codebook seeds 0 and 1. Those are not among the scenes by default; seeds are
+those of the codebook. Masks and embeddings are simulated everywhere but on desk: figures of the other scenes compare
+ways with each other and cannot be set against published ones.
 
 Every way is scored by the same rules:
 
@@ -41,8 +43,10 @@ from typing import Any
 import torch
 import tyro
 
-from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
+from benchmarks.answer_scenes import AnswerScene, DrawName, SceneSize, make_scene
 from benchmarks.data import data_folder
+from benchmarks.desk import DESKS
+from benchmarks.embedding_kinds import KINDS
 from scoup.base.errors import InputError, looked_up
 from scoup.base.records import record_text
 from scoup.baselines.fitted import FittedField, FittedMethod
@@ -101,7 +105,7 @@ COMPARED = (
 @dataclass(frozen=True)
 class Arguments:
     scenes: tuple[str, ...] = (*DRAWS, *LAYOUTS)
-    """Draws of the kitchen, and layouts of benchmarks.scenes with a seed."""
+    """Draws of the kitchen, layouts of benchmarks.scenes with a seed, desk and desk-all."""
     cases: tuple[str, ...] = ("clean",)
     """Faults, see scoup.synthetic.faults."""
     ways: tuple[str, ...] = ("dense", "k-sparse", "one-round", "votes", "default")
@@ -115,7 +119,7 @@ class Arguments:
     out: Path | None = None
     """Where the summary is written; replaced."""
     data: Path = field(default_factory=data_folder)
-    """Folder that holds kitchen/ and clip/."""
+    """Folder that contains kitchen/ and clip/, and desk/ for its scenes."""
     size: SceneSize = field(default_factory=SceneSize)
 
 
@@ -217,13 +221,21 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
 
 
 def groups_of(scenes: Sequence[str]) -> dict[str, list[str]]:
-    """The scenes of each kind: clean draws of the kitchen, noisy ones, procedural layouts."""
-    kinds = {"kitchen draws": [], "kitchen draws, noise x 2": [], "procedural": []}
+    """Group scenes by what they are: draws of the kitchen by kind and noise, the real scene, procedural layouts."""
+    groups: dict[str, list[str]] = {}
     for name in scenes:
-        kitchen = name.startswith("kitchen")
-        kind = "procedural" if not kitchen else "kitchen draws, noise x 2" if "x" in name else "kitchen draws"
-        kinds[kind].append(name)
-    return {kind: names for kind, names in kinds.items() if names}
+        groups.setdefault(_group_of(name), []).append(name)
+    return groups
+
+
+def _group_of(name: str) -> str:
+    if name in DESKS:
+        return "desk (real)"
+    draw = DrawName.parse(name)
+    if draw is None:
+        return "kitchen draws" if name == "kitchen" else "procedural"
+    kind = f", {KINDS[draw.kind].title}" if draw.kind else ""
+    return f"kitchen draws{kind}" + (f", noise x {draw.noise:g}" if draw.noise != 1 else "")
 
 
 def summary(rows: dict[str, Any], arguments: Arguments) -> dict[str, Any]:

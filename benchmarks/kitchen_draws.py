@@ -2,8 +2,8 @@
 
     python -m benchmarks.kitchen_draws [--seeds 1 2 3] [--data DATA]
 
-prints how like the given scene the draws are. Geometry, colours, cameras and text vectors are the given ones, and real;
-the truth (``gt/``) is drawn by hand upon them. A seed draws:
+prints how like the given scene, and how like desk, the draws are. Geometry, colours, cameras and text vectors are the
+given ones, and real; the truth (``gt/``) is drawn by hand upon them. A seed draws:
 
 * pieces: every object is cut in space into some pieces, the regions of level s;
 * region maps of all 24 views: borders moved, regions missing, grown, shrunk, merged and split (``observe``). At level m
@@ -17,6 +17,9 @@ the truth (``gt/``) is drawn by hand upon them. A seed draws:
 * 15 of the 28 names are asked, in 6 of the views. Their true masks are what is rendered of the truth.
 
 The given scene follows the same recipe, but for details (its pieces and background are cut in the image).
+
+A draw of a kind (``benchmarks.embedding_kinds``) has the embeddings and the errors of that kind instead, the same
+pieces and the same labels.
 """
 
 from __future__ import annotations
@@ -24,8 +27,8 @@ from __future__ import annotations
 import json
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,9 +39,11 @@ from torch import Tensor
 
 import scoup
 from benchmarks.data import data_folder, make_features
+from benchmarks.desk import DESKS, Desk
+from benchmarks.embedding_kinds import KINDS, EmbeddingKind, RegionErrors, draw_hosts, draw_prototypes
 from scoup import raster
 from scoup.bench import markdown
-from scoup.io.labels import LabelledFrame
+from scoup.io.labels import LabelledFrame, match_frames, read_labels
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.segment import mask_box
 from scoup.scene.cameras import Camera, Cameras
@@ -116,6 +121,11 @@ class Truth:
         single = {name: (number,) for number, name in self.names.items() if name and name not in NOT_ASKED}
         return single | {name: GROUPS[name] for name in ("person", "shelves")}
 
+    def of_own_name(self) -> dict[str, tuple[int, ...]]:
+        """``of_name`` with the names that are not asked."""
+        there = {name: (number,) for number, name in self.names.items() if name}
+        return there | self.of_name()
+
     def members(self, names: Iterable[str]) -> dict[str, Tensor]:
         """Name -> [N] boolean, the Gaussians it stands for."""
         of_name = self.of_name()
@@ -155,15 +165,39 @@ class _Pieces:
     objects: NDArray[np.int64]
 
 
-def make_draw(truth: Truth, seed: int, noise_scale: float = 1.0) -> KitchenDraw:
-    """A draw by its seed; ``noise_scale`` multiplies all noise of the embeddings."""
-    for_pieces, for_words, for_regions, for_labels = (
-        np.random.default_rng([seed, purpose]) for purpose in range(4)
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """Errors of regions as drawn: the hosts [objects] of what is swallowed at level m, and further randomness."""
+
+    of: RegionErrors
+    hosts: NDArray[np.int64]
+    rng: np.random.Generator
+
+    def noisiness(self, labels: IntMap) -> Floats:
+        """[R] factor of the noise of each region."""
+        return NOISINESS * self.of.noise * np.exp(self.of.tail * self.rng.normal(size=int(labels.max()) + 1))
+
+
+def make_draw(
+    truth: Truth, seed: int, noise_scale: float = 1.0, kind: EmbeddingKind | None = None
+) -> KitchenDraw:
+    """A draw by its seed; ``noise_scale`` multiplies all noise of the embeddings. Without a kind, prototypes are real
+    centroids and errors those of ``observe``."""
+    for_pieces, for_words, for_regions, for_labels, for_errors = (
+        np.random.default_rng([seed, purpose]) for purpose in range(5)
     )
     pieces = _cut(truth, for_pieces)
     maps = {camera.name: _piece_map(truth, pieces, camera) for camera in truth.cameras}
-    prototypes = _prototypes(truth, int(pieces.objects.max()) + 1, for_words)
-    regions = _observed(maps, pieces, prototypes, for_regions, noise_scale)
+    count = int(pieces.objects.max()) + 1
+    if kind is None:
+        prototypes, errors = _prototypes(truth, count, for_words), RegionErrors()
+    else:
+        prototypes = draw_prototypes(kind, truth.words, truth.of_own_name(), count, for_words)
+        errors = kind.errors
+    errors = replace(errors, noise=noise_scale * errors.noise)
+    object_maps = (pieces.objects[shown] for shown in maps.values())
+    hosts = draw_hosts(object_maps, count, truth.names, errors.swallowed, for_errors)
+    regions = _observed(maps, pieces, prototypes, for_regions, _Errors(errors, hosts, for_errors))
 
     of_name = truth.of_name()
     asked = sorted(of_name)
@@ -263,7 +297,7 @@ def _observed(
     pieces: _Pieces,
     prototypes: Floats,
     rng: np.random.Generator,
-    noise_scale: float,
+    errors: _Errors,
 ) -> Regions:
     of_piece = prototypes[pieces.objects]
     offsets = {level: noise(of_piece.shape, OFFSET if level == "s" else 0.0, rng) for level in LEVELS}
@@ -280,15 +314,18 @@ def _observed(
         on_table = [number for number in ON_TABLE if rng.random() < 0.8]
         at_l = merged.copy()
         at_l[on_table] = TABLE
-        numbers = {"s": moved, "m": at_m[pieces.objects][moved], "l": at_l[pieces.objects][moved]}
+        numbers = {
+            "s": moved,
+            "m": at_m[errors.hosts[pieces.objects]][moved],
+            "l": at_l[pieces.objects][moved],
+        }
         found[name] = {}
         for level in LEVELS:
             # The view's noise belongs to an object, not to a piece of it.
-            shifts = noise(prototypes.shape, noise_scale * VIEW_NOISE, rng)[pieces.objects]
+            shifts = noise(prototypes.shape, errors.of.noise * VIEW_NOISE, rng)[pieces.objects]
             labels = make_regions(numbers[level].astype(np.int32), level, rng)
-            rows = embed_regions(
-                labels, Shown(shown, of_piece, offsets[level], shifts), rng, noise_scale * NOISINESS
-            )
+            seen = Shown(shown, of_piece, offsets[level], shifts)
+            rows = embed_regions(labels, seen, rng, errors.noisiness(labels), errors.of.wrong)
             found[name][level] = RegionMap(
                 torch.from_numpy(labels), torch.from_numpy(rows.astype(np.float32))
             )
@@ -311,74 +348,118 @@ def _labelled(
 
 
 @dataclass(frozen=True)
+class Likeness:
+    """What scenes can be compared by, at one level.
+
+    A thing's region in a labelled view is the one with the largest IoU with its mask. Below ``OWN_REGION`` the thing
+    has none there.
+
+    Attributes:
+        regions: per labelled view.
+        within, within_5: median and 5th percentile of the cosine of one thing's regions in two views.
+        between: median cosine of the mean embeddings of two things.
+        own, own_spread: mean and standard deviation of the cosine of a thing's region with its own name.
+        others, others_spread: the same with the names of other labelled things.
+        without: share of the labelled (view, thing) pairs in which the thing has no region.
+    """
+
+    regions: float
+    within: float
+    within_5: float
+    between: float
+    own: float
+    own_spread: float
+    others: float
+    others_spread: float
+    without: float
+
+
+OWN_REGION = 0.5
+COLUMNS = (
+    "regions per view", "within a thing", "5 %", "between things", "own name", "sd", "other names", "sd",
+    "no own region",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Arguments:
     seeds: tuple[int, ...] = (1, 2, 3)
-    """Draws to describe."""
+    """Draws to describe, as means over them."""
     data: Path = field(default_factory=data_folder)
-    """Folder that holds kitchen/ and clip/."""
+    """Folder that contains kitchen/ and clip/, and perhaps desk/."""
 
 
-def likeness(truth: Truth, regions: Regions) -> dict[str, list[float]]:
-    """What the draws can be compared by, per level: regions a view, the median cosine of regions of one object in
-    different views, and the 10th, 50th and 90th percentile of the cosine of a region with its own name."""
-    found: dict[str, list[float]] = {}
-    maps = {
-        camera.name: _object_map(truth, camera).numpy() for camera in truth.cameras if camera.name in regions
-    }
-    for level in regions.levels:
-        of_object = defaultdict(list)
-        count, texts = 0, []
-        for name, shown in maps.items():
-            labels = regions.load(name, level).labels.numpy()
-            rows = torch.nn.functional.normalize(regions.load_embeddings(name, level), dim=1).numpy()
-            count += len(rows)
-            for number in range(len(rows)):
-                inside = shown[labels == number]
-                if len(inside) and np.bincount(inside).max() > 0.8 * len(inside):
-                    main = int(np.bincount(inside).argmax())
-                    if main:
-                        of_object[main].append(rows[number])
-                        if truth.names[main]:
-                            texts.append(float(rows[number] @ truth.words[truth.names[main] or ""]))
-        cosines = [
-            np.median((stacked @ stacked.T)[np.triu_indices(len(stacked), 1)])
-            for stacked in (np.stack(rows) for rows in of_object.values() if len(rows) > 3)
-        ]
-        found[level] = [count / len(maps), float(np.median(cosines)), *np.quantile(texts, [0.1, 0.5, 0.9])]
+def likeness(
+    regions: Regions, frames: Sequence[tuple[LabelledFrame, Camera]], words: Mapping[str, Floats]
+) -> dict[str, Likeness]:
+    """Compare regions with the labels of their views, per level; ``words`` has the [D] unit vector of each label."""
+    labels = sorted({label for frame, _ in frames for label in frame.labels})
+    vectors = np.stack([words[label] for label in labels])
+    found = {}
+    for place, level in enumerate(regions.levels):
+        of_thing: dict[str, list[Floats]] = defaultdict(list)
+        count, pairs = 0, 0
+        for frame, camera in frames:
+            shown = regions.load_labels(camera.name, frame.width, frame.height)[place].numpy()
+            rows = torch.nn.functional.normalize(regions.load_embeddings(camera.name, level), dim=1).numpy()
+            count, pairs = count + len(rows), pairs + len(frame.labels)
+            for label, mask in frame.masks.items():
+                number = _own_region(shown, mask.numpy(), len(rows))
+                if number is not None:
+                    of_thing[label].append(rows[number])
+        stacked = {label: np.stack(rows) for label, rows in of_thing.items()}
+        within = np.concatenate([_pair_cosines(rows) for rows in stacked.values()])
+        cosines = np.concatenate([rows @ vectors.T for rows in stacked.values()])
+        mine = np.concatenate(
+            [np.tile(np.array(labels) == label, (len(stacked[label]), 1)) for label in stacked]
+        )
+        found[level] = Likeness(
+            count / len(frames),
+            float(np.median(within)),
+            float(np.quantile(within, 0.05)),
+            float(np.median(_pair_cosines(unit(np.stack([rows.mean(0) for rows in stacked.values()]))))),
+            *(float(value) for of in (cosines[mine], cosines[~mine]) for value in (of.mean(), of.std())),
+            without=1 - len(cosines) / pairs,
+        )
     return found
 
 
-def _object_map(truth: Truth, camera: Camera) -> Tensor:
-    indices = torch.from_numpy(truth.ids)[:, None, None].to(torch.uint8)
-    projection = raster.project(truth.gaussians, camera)
-    (image,) = raster.render_codes(projection, indices, torch.ones(len(indices), 1, 1), max(truth.names) + 1)
-    return image.argmax(2)
+def _own_region(shown: IntMap, mask: NDArray[np.bool_], count: int) -> int | None:
+    """The region with the largest IoU with a mask, if that is at least ``OWN_REGION``."""
+    both = np.bincount(shown[mask & (shown >= 0)], minlength=count)
+    ious = both / (np.bincount(shown[shown >= 0], minlength=count) + mask.sum() - both)
+    return int(ious.argmax()) if ious.max() >= OWN_REGION else None
 
 
-def main(arguments: Arguments) -> dict[str, dict[str, list[float]]]:
-    """Print how like the given scene the draws are."""
-    truth = Truth.open(arguments.data, 1.0)
+def _pair_cosines(rows: Floats) -> Floats:
+    return (rows @ rows.T)[np.triu_indices(len(rows), 1)]
+
+
+def main(arguments: Arguments) -> dict[str, dict[str, Likeness]]:
+    """Print how like the given scene, and desk, the draws are."""
+    data = arguments.data
+    truth = Truth.open(data, 1.0)
     found = {}
     with tempfile.TemporaryDirectory() as folder:
-        features = make_features(arguments.data / "kitchen", Path(folder))
-        found["as given"] = likeness(truth, scoup.load_regions(features, truth.cameras))
-    for seed in arguments.seeds:
-        found[f"draw {seed}"] = likeness(truth, make_draw(truth, seed).regions)
-    headings = [
-        "scene",
-        "level",
-        "regions a view",
-        "cosine within an object",
-        "10 %",
-        "median",
-        "90 % of own name",
-    ]
+        regions = scoup.load_regions(make_features(data / "kitchen", Path(folder)), truth.cameras)
+        frames = match_frames(read_labels(data / "kitchen" / "label"), truth.cameras)
+        found["kitchen"] = likeness(regions, frames, truth.words)
+    for suffix, kind in {"": None, **{f"-{name}": kind for name, kind in KINDS.items()}}.items():
+        draws = [make_draw(truth, seed, kind=kind) for seed in arguments.seeds]
+        each = [likeness(draw.regions, draw.frames, truth.words) for draw in draws]
+        found[f"draws{suffix}"] = {
+            level: Likeness(*np.mean([astuple(one[level]) for one in each], 0).tolist()) for level in LEVELS
+        }
+    for name in DESKS if (data / "desk").is_dir() else ():
+        desk = Desk.open(name, data)
+        words = dict(zip(desk.words, desk.everyday.numpy(), strict=True))
+        found[name] = likeness(desk.regions, desk.frames, words)
     body = [
-        [name, level, f"{values[0]:.0f}", *(f"{value:.3f}" for value in values[1:])]
+        [name, level, f"{values.regions:.0f}", *(f"{value:.3f}" for value in astuple(values)[1:])]
         for name, levels in found.items()
         for level, values in levels.items()
     ]
-    print(markdown(headings, body))
+    print(markdown(["scene", "level", *COLUMNS], body))
     return found
 
 

@@ -182,10 +182,17 @@ def _renumbered(labels: IntMap) -> IntMap:
     return np.where(labels >= 0, numbers[labels], -1).astype(np.int32)
 
 
-def embed_regions(labels: IntMap, shown: Shown, rng: np.random.Generator, noisiness: float = 1.0) -> Floats:
+def embed_regions(
+    labels: IntMap,
+    shown: Shown,
+    rng: np.random.Generator,
+    noisiness: float | Floats = 1.0,
+    swapped: float = SWAPPED,
+) -> Floats:
     """[R, D] unit embeddings of the regions of one map [H, W]: regions from 0, -1 for none.
 
-    ``noisiness`` scales the noise of the regions; that of the view is in ``shown``.
+    ``noisiness`` scales the noise of the regions, of all alike or of each [R]; that of the view is in ``shown``. The
+    share ``swapped`` carries the embedding of a neighbour.
     """
     count = int(labels.max()) + 1
     appearances = shown.prototypes + shown.offsets + shown.shifts
@@ -207,10 +214,11 @@ def embed_regions(labels: IntMap, shown: Shown, rng: np.random.Generator, noisin
         beside = labels[window][around]
         if (beside >= 0).any():
             neighbour[number] = np.bincount(beside[beside >= 0]).argmax()
-    swapped = rng.random(count) < SWAPPED
-    mixture = unit(np.where(swapped[:, None], clean[neighbour], mixture))
+    wrong = rng.random(count) < swapped
+    mixture = unit(np.where(wrong[:, None], clean[neighbour], mixture))
     pixels = areas * (REFERENCE_WIDTH / labels.shape[1]) ** 2
-    strength = noisiness * (1 + 0.5 * np.sqrt(SMALL_AREA / (pixels + SMALL_AREA / 4)).clip(max=1.6))[:, None]
+    of_area = 1 + 0.5 * np.sqrt(SMALL_AREA / (pixels + SMALL_AREA / 4)).clip(max=1.6)
+    strength = (noisiness * of_area)[:, None]
     isotropic = noise(mixture.shape, REGION_NOISE, rng)
     towards = (
         shown.prototypes[rng.integers(0, len(appearances), count)]

@@ -1,0 +1,62 @@
+"""The real scene "desk": photographs, regions, embeddings and labels, none of them simulated."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+import scoup
+from scoup.io.labels import LabelledFrame, match_frames, read_labels
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.regions import Regions
+
+DESKS = {"desk": "language_features", "desk-all": "language_features_all"}
+"""Name of the scene -> folder of its regions: the same masks, with embeddings pooled in two ways."""
+
+
+@dataclass(frozen=True, eq=False)
+class Desk:
+    """The scene without its Gaussians.
+
+    Attributes:
+        cameras, regions: of all photographs.
+        frames: labelled photographs with their cameras.
+        words: all names that have a text vector but the canonical phrases.
+        everyday: [words, D] their unit text vectors.
+        canonical: [P, D].
+        absent: those words that nothing in the scene is called.
+    """
+
+    cameras: Cameras
+    regions: Regions
+    frames: list[tuple[LabelledFrame, Camera]]
+    words: tuple[str, ...]
+    everyday: Tensor
+    canonical: Tensor
+    absent: tuple[str, ...]
+
+    @classmethod
+    def open(cls, name: str, data: Path) -> Desk:
+        """Open a scene of ``DESKS`` from the folder that contains desk/."""
+        root = data / "desk"
+        cameras = scoup.load_cameras(root)
+        frames = [
+            (frame.resized(camera.width, camera.height), camera)
+            for frame, camera in match_frames(read_labels(root / "label"), cameras)
+        ]
+        encoder = scoup.TextEncoder.open(root / "desk_words.npz")
+        words = tuple(word for word in encoder.names or () if word not in CANONICAL_PHRASES)
+        return cls(
+            cameras,
+            scoup.load_regions(root / DESKS[name], cameras),
+            frames,
+            words,
+            torch.nn.functional.normalize(encoder.encode(words), dim=1),
+            encoder.canonical(),
+            tuple(json.loads((root / "words.json").read_text())["absent"]),
+        )
