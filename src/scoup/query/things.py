@@ -66,7 +66,7 @@ class ThingFits:
         words = (texts.everyday if texts.can_judge_presence else texts.canonical).float().cpu()
         queries = texts.queries.float().cpu()
         to_words, cosines = embeddings @ words.T, embeddings @ queries.T
-        best = torch.quantile(to_words, HUB_QUANTILE, dim=1, keepdim=True)
+        best = _upper(to_words)[:, None]
         near = queries @ words.T  # [Q, B]
         similar = near > near.mean(1, keepdim=True) + SIMILAR * near.std(1, keepdim=True)
         return cls(things, (cosines - HUB_SHARE * best) / things.spread, cosines, to_words, similar)
@@ -85,11 +85,17 @@ class ThingFits:
             return -math.inf
         best = int(torch.where(seen, fits, -torch.inf).argmax())
         words = self.to_words[best][~self.similar[query]].double()
-        lead = (float(self.cosines[best, query]) - float(torch.quantile(words, HUB_QUANTILE))) / max(
-            float(words.std()), 1e-6
-        )
+        if len(words) < 2:
+            return -math.inf
+        lead = float(self.cosines[best, query] - _upper(words[None])[0]) / max(float(words.std()), 1e-6)
         stands_out = float(fits[best] - fits.mean()) / max(float(fits.std()) if len(fits) > 1 else 0.0, 1e-6)
         return lead + STANDS_OUT * stands_out
+
+
+def _upper(values: Tensor) -> Tensor:
+    """[T] of values [T, B], B >= 1: the one at ``HUB_QUANTILE`` of each row."""
+    rank = max(1, math.ceil(HUB_QUANTILE * values.shape[1]))
+    return values.kthvalue(rank, dim=1).values
 
 
 def thing_of_scene(
@@ -211,6 +217,10 @@ def choose_things(
     weight = VOTES * things.disagreement
     best_score, chosen = LEAST_SCORE + weight, None
     top = float(fits[seen].max()) if bool(seen.any()) else 0.0
+    # What stands behind all things of a level: a thing like any other.
+    middle = (
+        fits[seen].double().median().reshape(1) if bool(seen.any()) else torch.zeros(1, dtype=torch.float64)
+    )
     for each in range(things.owners.shape[1]) if level is None else (level,):
         mine = (seen & (things.levels.cpu() == each)).nonzero()[:, 0]
         if not len(mine):
@@ -219,7 +229,8 @@ def choose_things(
         ordered, sizes = fits[mine].double(), mass[mine]
         area, inside = sizes.cumsum(0), voted[mine].cumsum(0)
         mean = (ordered * sizes).cumsum(0) / area
-        gap = torch.cat([ordered[:-1] - ordered[1:], ordered.new_full((1,), MOST_GAP)]).clamp(max=MOST_GAP)
+        behind = torch.cat([ordered[1:], middle.clamp(max=ordered[-1])])
+        gap = (ordered - behind).clamp(max=MOST_GAP)
         overlap = inside / (area + voted_mass[each] - inside).clamp(min=1e-9)
         scores = gap - (top - mean) + weight * overlap
         place = int(scores.argmax())
