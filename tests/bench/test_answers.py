@@ -55,7 +55,10 @@ def test_scores_are_those_of_the_protocol() -> None:
         assert found[rule] == [pair.iou for pair in expected]
         assert found["localisation"] == [float(bool(pair.hit)) for pair in expected]
         assert scene.pairs == [(pair.frame, pair.label) for pair in expected]
-    assert all(best >= asked for best, asked in zip(found["best level"], found["asked"], strict=True))
+    assert len(found["always"]) == len(found["asked"]) == len(scene.pairs)
+    assert all(asked in (0, always) for asked, always in zip(found["asked"], found["always"], strict=True))
+    votes = answers.score(scene, answers.WAYS["votes"].uplift(scene.inputs(), DEFAULTS))
+    assert all(best >= always for best, always in zip(votes["best level"], votes["always"], strict=True))
 
 
 def test_kept_pairs_give_the_means_and_differences(
@@ -72,6 +75,9 @@ def test_kept_pairs_give_the_means_and_differences(
     labels = [label for _, label in kept["pairs"]["table-0"]]
     for rule in answers.RULES:
         one, other = (cells["table-0/clean"][way][rule] for way in ("default", "dense"))
+        if rule == "asked":  # dense uplift is no field, which cannot judge presence
+            assert (other, kept["differences"]["default - dense"]["procedural, clean"][rule]) == ([], None)
+            continue
         shown = kept["ways"]["default"]["procedural, clean"][rule]
         assert shown == pytest.approx(sum(one) / len(one), abs=1e-4)
         expected = bootstrap_interval(
@@ -100,7 +106,8 @@ def test_ways_are_what_their_names_say() -> None:
 
     default = BUILD_PRESETS["default"]
     assert (build_of("default"), build_of("paper")) == (default, BUILD_PRESETS["paper"])
-    assert build_of("one-round") == replace(default, rounds=1)
+    assert build_of("one-round") == replace(default, rounds=1, things=False)
+    assert build_of("votes") == replace(default, things=False)
     assert build_of("three-rounds") == replace(default, rounds=3)
     assert build_of("two-atoms") == replace(default, k=2, wide=False, keep=2)
     assert {name for pair in answers.COMPARED for name in pair} <= set(answers.WAYS)

@@ -27,12 +27,13 @@ def test_the_main_path_says_what_it_did():
     assert "150 Gaussians, 4 views with regions of 4 cameras" in out
     assert "level m: 24 regions, mean cosine" in out
     assert "of 150 Gaussians coded" in out
-    # 3 levels of 4 atoms, each with an index of 1 byte and a weight of 2; 3 codebooks of 8 atoms of 16 numbers.
-    assert "MB (36 bytes of codes a Gaussian, a codebook of 2 kB)" in out
+    # 3 levels of 4 atoms, each with an index of 1 byte and a weight of 2, and a thing of 2; 3 codebooks of 8 atoms of
+    # 16 numbers.
+    assert "MB (36 bytes of codes and 6 of things a Gaussian, a codebook of 2 kB)" in out
     field = LanguageField.load("scene.scoup")  # the default name
     assert field.geometry_path == Path("scene/point_cloud.ply").absolute()
     assert field.info.embedding_model == ""  # that of LangSplat has 512 dimensions
-    assert field.info.provenance["settings"]["k"] == 8
+    assert field.info.provenance["settings"]["k"] == 4
     assert field.cameras is not None
     assert field.cameras.names[0] == "view_00.png"
     assert len(field.gaussians) == 150

@@ -85,10 +85,8 @@ def test_the_record_of_an_answer():
     }
     assert (answer["camera"], answer["text"]) == ("view_00.png", "kettle")
     assert answer["level"] in "sml"
-    assert answer["pixel_level"] in "sml"
     assert 0 < answer["score"] < 1
-    assert 0.44 <= answer["threshold"] <= 0.84
-    assert 0 < answer["pixel_score"] < 1
+    assert answer["threshold"] is None or 0.44 <= answer["threshold"] <= 0.84  # none where a thing answers
     x, y = answer["pixel"]
     assert 0 <= x < 40
     assert 0 <= y < 30
@@ -149,9 +147,7 @@ def test_rules_are_the_presets_and_the_first_is_the_default():
     ask = ("query", "f.scoup", "kettle", "mug", "--camera", "all", "--pictures", "none", "--overwrite")
     answers = lambda *options: run_json(*ask, *options)["answers"]  # noqa: E731
     assert answers() == answers("--rule", "default")
-    for plain, paper in zip(answers(), answers("--rule", "scoup"), strict=True):
-        same = ("camera", "text", "pixel", "pixel_level", "pixel_score")
-        assert [plain[key] for key in same] == [paper[key] for key in same]
+    assert {answer["threshold"] for answer in answers("--rule", "scoup")} == {0.6}
 
 
 def test_cameras_of_another_scene():

@@ -16,19 +16,23 @@ class PartSizes:
         codes: of all Gaussians at all levels.
         codebook: of all levels.
         geometry: of the embedded Gaussians; 0 for none.
+        owners: of the numbers that say to which things the Gaussians belong; 0 for none.
     """
 
     gaussians: int
     codes: int
     codebook: int
     geometry: int
+    owners: int = 0
 
     @property
     def codes_a_gaussian(self) -> float:
         return self.codes / max(1, self.gaussians)
 
     def __str__(self) -> str:
-        return f"{self.codes_a_gaussian:.0f} bytes of codes a Gaussian, a codebook of {self.codebook / 1e3:,.0f} kB"
+        owners = f" and {self.owners / max(1, self.gaussians):.0f} of things" if self.owners else ""
+        codebook = f"a codebook of {self.codebook / 1e3:,.0f} kB"
+        return f"{self.codes_a_gaussian:.0f} bytes of codes{owners} a Gaussian, {codebook}"
 
 
 def part_sizes(path: Path) -> PartSizes:
@@ -42,4 +46,6 @@ def part_sizes(path: Path) -> PartSizes:
             part = name.split(".")[0]
             sizes[part] = sizes.get(part, 0) + end - start
     codes = sizes["code_indices"] + sizes["code_weights"]
-    return PartSizes(header["code_indices"]["shape"][0], codes, sizes["codebook"], sizes.get("geometry", 0))
+    start, end = header["things.owners"]["data_offsets"] if "things.owners" in header else (0, 0)
+    count = header["code_indices"]["shape"][0]
+    return PartSizes(count, codes, sizes["codebook"], sizes.get("geometry", 0), end - start)
