@@ -26,6 +26,7 @@ from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene.things import NO_THING, Things
 from scoup.view.page import PAGE_FOLDER
 from support import unit
 
@@ -105,6 +106,32 @@ def things_field() -> LanguageField:
     groups = [list(GROUPS).index(group) for name in THINGS for group, own in GROUPS.items() if name in own]
     main = torch.stack([owner, owner, len(THINGS) + torch.tensor(groups)[owner]], 1)  # [N, 3 levels]
     return coded(gaussians, main, generator, views())
+
+
+def field_of_instances() -> LanguageField:
+    """``things_field`` with instances that select other Gaussians than the votes do.
+
+    That of the kettle has every second Gaussian of the book, too, a few of which have no code; the lamp has none.
+    """
+    field = things_field()
+    place = torch.arange(len(field))
+    book = (place // A_THING == list(THINGS).index("book")) & (place % 2 == 0)
+    field.code_weights[book & (place % 10 == 0)] = 0
+    main = torch.where(book, 0, place // A_THING)
+    main = torch.where(main == list(THINGS).index("lamp"), NO_THING, main)
+    names = list(THINGS)[:3]
+    owners = torch.stack([torch.where(main < 0, NO_THING, main + shift) for shift in (0, 3, 6)], 1)
+    count = 3 * len(names)
+    field.things = Things(
+        owners.int(),
+        torch.arange(3, dtype=torch.uint8).repeat_interleave(len(names)),
+        torch.full((count,), NO_THING, dtype=torch.int32),
+        torch.stack([table()[name] for name in names * 3]).half(),
+        torch.full((count,), 0.6),
+        torch.full((count,), 9, dtype=torch.int32),
+        torch.bincount(owners.flatten() + 1, minlength=count + 1)[1:].float(),
+    )
+    return field
 
 
 def splat(means: Tensor, scale: float, colors: Tensor, opacity: float = 0.98) -> Gaussians:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from view_samples import random_field, splat_of, unpacked, viewed_field
+from view_samples import field_with_things, random_field, splat_of, table, unpacked, viewed_field
 
 from scoup.base.errors import InputError
 from scoup.scene.cameras import Camera, Cameras
@@ -58,6 +58,27 @@ def test_codes_and_scores_give_the_relevancy_of_the_field() -> None:
     colors = np.stack([tensors["code_colors"][level][:, tensors["code_indices"][level]] for level in (0, 1)])
     assert colors.shape == (2, 3, 5, 150)
     assert np.isfinite(colors).all()
+
+
+def test_owners_are_those_of_the_gaussians_shown() -> None:
+    field = field_with_things(60)
+    assert field.things is not None
+    viewed = ViewedField(field, table(), most=40)
+    tensors, metadata = unpacked(viewed.scene())
+    assert metadata["n_things"] == len(field.things)
+    owners = field.things.owners[shown_rows(viewed.gaussians, 40)].T.numpy()
+    assert tensors["owners"].dtype == np.uint16
+    assert (owners == -1).any()
+    np.testing.assert_array_equal(tensors["owners"], np.where(owners == -1, 65535, owners))
+    plain = viewed_field(count=60)
+    tensors, metadata = unpacked(plain.scene())
+    assert "owners" not in tensors
+    assert "n_things" not in metadata
+    other = ViewedField(field_with_things(60), table())
+    assert other.identity == viewed.identity != viewed_field(count=60).identity
+    assert other.field.things is not None
+    other.field.things.owners[0, 0] = 1 - other.field.things.owners[0, 0].clamp(0, 1)
+    assert ViewedField(other.field, table()).identity != viewed.identity
 
 
 @settings(max_examples=examples(20), deadline=None)

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from view_samples import DIM, WORDS, random_field, table, unpacked, viewed_field
+from view_samples import DIM, WORDS, field_with_things, random_field, table, unpacked, viewed_field
 
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.query.answering import answer_scene
@@ -46,6 +46,77 @@ def test_level_threshold_presence_and_gaussians_are_those_of_select(viewed: View
     assert answer.gaussians == int(anyway.mask.sum())
     shown = selected(viewed, answer, answer.level, float(answer.thresholds[answer.level]))
     assert int((shown != anyway.mask).sum()) <= 1  # one on the threshold, by rounding
+
+
+@pytest.fixture(scope="module", params=[0.85, 0.95])
+def of_things(request: pytest.FixtureRequest) -> ViewedField:
+    """A field whose things answer some texts, and the votes others."""
+    return ViewedField(field_with_things(agreement=request.param), table())
+
+
+def members(viewed: ViewedField, things: list[int]) -> torch.Tensor:
+    """What the page selects by things, whatever their level."""
+    assert viewed.field.things is not None
+    return torch.isin(viewed.field.things.owners, torch.tensor(things)).any(1)
+
+
+def test_things_level_presence_and_gaussians_are_those_of_select(of_things: ViewedField) -> None:
+    for answer in of_things.answers(WORDS):
+        texts, present_from = of_things.texts([answer.text])
+        wanted = answer_scene(of_things.field, texts, present_from=present_from)[0]
+        assert of_things.field.levels[answer.level] == wanted.level
+        assert answer.score == pytest.approx(wanted.score, abs=1e-5)
+        assert answer.present == wanted.presence
+        assert answer.z_score == pytest.approx(wanted.z_score, abs=1e-3)
+        anyway = answer_scene(of_things.field, texts)[0]
+        assert answer.gaussians == int(anyway.mask.sum())
+        assert (answer.chosen_things is None) == (anyway.threshold is not None)
+        if answer.chosen_things is not None:
+            assert torch.equal(members(of_things, answer.chosen_things), anyway.mask)
+            assert json.loads(json.dumps(answer.record()))["chosen_things"] == answer.chosen_things
+
+
+def test_things_of_each_level_are_those_of_select(of_things: ViewedField) -> None:
+    by_votes = set()
+    for answer in of_things.answers(WORDS):
+        texts, _ = of_things.texts([answer.text])
+        for level, chosen in enumerate(answer.things):
+            wanted = answer_scene(of_things.field, texts, level=level)[0]
+            by_votes.add(chosen is None)
+            if chosen is not None:
+                assert wanted.threshold is None
+                assert torch.equal(members(of_things, chosen), wanted.mask)
+                continue
+            assert wanted.threshold == pytest.approx(float(answer.thresholds[level]))
+    assert False in by_votes  # some are answered by things
+    saved = of_things.selection(["thing 1"], 0, always=True)
+    wanted = answer_scene(of_things.field, of_things.texts(["thing 1"])[0], level=0)[0]
+    assert len(saved) == int(wanted.mask.sum())
+
+
+def test_both_things_and_votes_answer() -> None:
+    answers = ViewedField(field_with_things(), table()).answers(WORDS)
+    assert {answer.chosen_things is None for answer in answers} == {False, True}
+
+
+def test_without_things_the_votes_answer_at_every_level(viewed: ViewedField) -> None:
+    answer = viewed.answers(["thing 1"])[0]
+    assert answer.chosen_things is None
+    assert answer.things == [None, None]
+    assert answer.record()["things"] == [None, None]
+    assert "things" not in unpacked(words_data(viewed.field, [answer]))[0]
+
+
+def test_words_name_the_same_things() -> None:
+    viewed = ViewedField(field_with_things(), table())
+    answers = viewed.answers(WORDS)
+    tensors = unpacked(words_data(viewed.field, answers))[0]
+    counts, numbers = tensors["thing_counts"], iter(tensors["things"].tolist())
+    assert counts.shape == (len(WORDS), 3)
+    for row, answer in zip(counts.tolist(), answers, strict=True):
+        found = [[next(numbers) for _ in range(count)] or None for count in row]
+        assert found == [answer.chosen_things, *answer.things]
+    assert list(numbers) == []
 
 
 def test_a_level_and_a_threshold_of_ones_own(viewed: ViewedField) -> None:

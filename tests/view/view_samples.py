@@ -18,11 +18,13 @@ from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.things import NO_THING, Things
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
 from scoup.view.viewed_field import ViewedField
 from support import make_camera, random_gaussians, unit
 
 DIM = 12
+THINGS_OF_A_LEVEL = 5
 WORDS = tuple(f"thing {number}" for number in range(20))
 PAGE = PageFiles(
     f"<!doctype html><head>{STYLE}{SETTINGS}</head><body>{PROGRAM}</body>",
@@ -52,6 +54,26 @@ def random_field(
     codebook = unit(torch.randn(2, n_atoms, DIM, generator=generator))
     views = Cameras(make_camera(seed=seed + number, name=f"view_{number}.png") for number in range(3))
     return LanguageField(indices, weights, codebook, info, gaussians, cameras=views if cameras else None)
+
+
+def field_with_things(count: int = 300, agreement: float = 0.85) -> LanguageField:
+    """A random field with things at two levels, some of which mean a word; some Gaussians belong to none."""
+    field = random_field(count)
+    generator = torch.Generator().manual_seed(9)
+    levels = torch.arange(2).repeat_interleave(THINGS_OF_A_LEVEL)
+    number = torch.randint(-1, THINGS_OF_A_LEVEL, (count, 2), generator=generator)
+    owners = torch.where(number < 0, -1, number + torch.tensor([0, THINGS_OF_A_LEVEL]))
+    vectors = torch.stack([table()[name] for name in WORDS[: len(levels)]])
+    field.things = Things(
+        owners.int(),
+        levels.to(torch.uint8),
+        torch.full((len(levels),), NO_THING, dtype=torch.int32),
+        unit(vectors + 0.1 * torch.randn(vectors.shape, generator=generator)).half(),
+        torch.full((len(levels),), agreement),
+        torch.full((len(levels),), 5, dtype=torch.int32),
+        torch.rand(len(levels), generator=generator) + 0.5,
+    )
+    return field
 
 
 @cache

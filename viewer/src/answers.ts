@@ -27,6 +27,10 @@ export interface Answer {
   /** Relevancies that rescaling takes to 0 and 1, level by level. */
   spans: [number, number][];
   gaussians: number;
+  /** Things that answer if no level is chosen; null where the votes answer. */
+  chosen_things: number[] | null;
+  /** The same if a level is chosen, level by level. */
+  things: (number[] | null)[];
   /** [S, L] inner products of atoms and text. */
   scores: Float32Array;
 }

@@ -1,7 +1,7 @@
 // A page without a server: scene and vocabulary lie within it.
 import type { Answer, Source } from "./answers";
 import type { Words } from "./picking";
-import { fromBase64, unpack, type Packed, type Progress } from "./safetensors";
+import { fromBase64, unpack, type Packed, type Progress, type Tensor } from "./safetensors";
 import type { Metadata } from "./scene_data";
 
 interface PageData {
@@ -56,6 +56,7 @@ export class ExportedPage implements Source {
     const { tensors } = await this.unpackedWords();
     const numbers = (name: string) => tensors.get(name)!.data;
     const [, levels, atoms] = tensors.get("scores")!.shape;
+    const things = thingsOf(tensors);
     return rows.map((row) => {
       const z = numbers("z_scores")[row];
       const spans = numbers("spans");
@@ -71,6 +72,8 @@ export class ExportedPage implements Source {
           return [spans[at], spans[at + 1]];
         }),
         gaussians: numbers("gaussians")[row],
+        chosen_things: things(row, 0),
+        things: Array.from({ length: levels }, (_, level) => things(row, 1 + level)),
         scores: (numbers("scores") as Float32Array).slice(row * levels * atoms, (row + 1) * levels * atoms),
       };
     });
@@ -93,6 +96,19 @@ export class ExportedPage implements Source {
     this.packedWords ??= unpack(fromBase64(this.data.words));
     return this.packedWords;
   }
+}
+
+/** Reads which things answer a word; the first column is for no level of choice. */
+function thingsOf(tensors: Map<string, Tensor>): (row: number, column: number) => number[] | null {
+  const counts = tensors.get("thing_counts");
+  if (!counts) return () => null;
+  const numbers = tensors.get("things")!.data;
+  const starts = [0];
+  for (const count of counts.data) starts.push(starts[starts.length - 1] + count);
+  return (row, column) => {
+    const at = row * counts.shape[1] + column;
+    return counts.data[at] ? Array.from(numbers.subarray(starts[at], starts[at + 1])) : null;
+  };
 }
 
 /** What is said of a word that the page does not know, with the nearest that it knows. */

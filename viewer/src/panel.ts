@@ -63,7 +63,7 @@ export class Panel {
     if (state.threshold === null && own !== undefined) this.threshold.value = String(own);
     if (state.threshold !== null) this.threshold.value = String(state.threshold);
     this.automatic.checked = state.threshold === null;
-    const values = [...new Set(state.shown().map((query) => query.threshold.toFixed(2)))];
+    const values = [...new Set(state.shown().map(({ things, threshold }) => (things ? "things" : threshold.toFixed(2))))];
     byId("threshold-value").textContent = state.threshold === null ? values.join(", ") : state.threshold.toFixed(2);
     this.opacity.value = String(state.opacity);
     byId("opacity-value").textContent = state.opacity.toFixed(2);
@@ -117,12 +117,18 @@ export class Panel {
     return { all, hide, facts };
   }
 
-  private facts({ answer }: Query): string {
+  /** The largest relevancy of a level, the upper end of its span; that within things is not known for each level. */
+  private bestOf(query: Query, level: number): number | null {
+    return this.state.thingsOf(query) ? null : query.answer.spans[level][1];
+  }
+
+  private facts(query: Query): string {
+    const { answer } = query;
     const zScore = answer.z_score === null ? "" : `z-score ${answer.z_score.toFixed(2)}`;
     if (!answer.present) return `not in this scene (${zScore || "nothing found"})`;
     const level = this.state.level ?? answer.level;
-    // The largest relevancy of a level is the upper end of its span.
-    const best = this.state.level === null ? answer.score : answer.spans[level][1];
+    const isOwn = this.state.level === null && (this.state.threshold === null || answer.chosen_things === null);
+    const best = isOwn ? answer.score : this.bestOf(query, level);
     const score = best === null ? "" : `score ${best.toFixed(2)}`;
     const parts = [`level ${this.metadata.levels[level]}`, score, this.state.level === null ? zScore : ""];
     if (this.state.level === null && this.state.threshold === null) parts.push(counted(answer.gaussians, "Gaussian"));

@@ -8,8 +8,8 @@ const PROPERTIES = [
   "rot_0", "rot_1", "rot_2", "rot_3",
 ];
 
-/** Whether a Gaussian answers a query: the same sums as in the shader. */
-export function answers(scene: Scene, i: number, query: ShownQuery): boolean {
+/** Whether a Gaussian's votes answer a query: the same sums as in the shader. */
+function votes(scene: Scene, i: number, query: ShownQuery): boolean {
   const { level } = query;
   let own = 0;
   let coded = false;
@@ -33,9 +33,14 @@ export function answers(scene: Scene, i: number, query: ShownQuery): boolean {
 
 /** Gaussians that answer any query, or all others. */
 export function selected(scene: Scene, queries: ShownQuery[], rest: boolean): number[] {
+  const answering = queries.map((query) => {
+    if (!query.things) return (i: number) => votes(scene, i, query);
+    const things = new Set(query.things);
+    return (i: number) => things.has(scene.owner(i, query.level));
+  });
   const rows = [];
   for (let i = 0; i < scene.count; i++) {
-    if (queries.some((query) => answers(scene, i, query)) !== rest) rows.push(i);
+    if (answering.some((answers) => answers(i)) !== rest) rows.push(i);
   }
   return rows;
 }

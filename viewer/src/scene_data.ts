@@ -21,8 +21,13 @@ export interface Metadata {
   embedding_model: string;
   words_problem: string | null;
   present_from: number | null;
+  /** Things of all levels; missing where the field has none. */
+  n_things?: number;
   cameras: CameraRecord[];
 }
+
+/** The owner of a Gaussian that belongs to no thing. */
+export const NO_OWNER = 65535;
 
 interface Ranges {
   means_low: number[];
@@ -52,6 +57,7 @@ export class Scene {
   private readonly indices: TensorData;
   private readonly weights: TensorData;
   private readonly sureness: TensorData;
+  private readonly owners: TensorData | null;
 
   constructor(packed: Packed) {
     this.metadata = packed.metadata as Metadata & Ranges;
@@ -65,6 +71,7 @@ export class Scene {
     this.indices = this.tensor("code_indices").data;
     this.weights = this.tensor("code_weights").data;
     this.sureness = this.tensor("confidence").data;
+    this.owners = this.tensors.get("owners")?.data ?? null;
     this.count = this.opacities.length;
     const [levels, k] = this.tensor("code_indices").shape;
     [this.levels, this.k, this.atoms] = [levels, k, this.metadata.n_atoms];
@@ -123,5 +130,10 @@ export class Scene {
 
   confidence(i: number, level: number): number {
     return this.sureness[level * this.count + i] / 255;
+  }
+
+  /** Number of the thing that a Gaussian belongs to at a level, or `NO_OWNER`. */
+  owner(i: number, level: number): number {
+    return this.owners ? this.owners[level * this.count + i] : NO_OWNER;
   }
 }

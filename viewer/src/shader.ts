@@ -1,9 +1,13 @@
 // What happens to each Gaussian on the GPU: cosines from its codes, relevancy, and a colour.
+import { NO_OWNER } from "./scene_data";
 
 /** Queries shown at once. */
 export const MOST_QUERIES = 8;
 /** Width of textures that hold something for each Gaussian. */
 export const WIDTH = 4096;
+
+/** In the place of a threshold: things answer, not relevancy. */
+export const BY_THINGS = -1;
 
 export const MODES = ["colour", "heat", "only", "except", "codes", "confidence", "relevancy"] as const;
 export type Mode = (typeof MODES)[number];
@@ -53,6 +57,12 @@ bool scoupCoded(usampler2D weights, int code) {
   return any(notEqual(sum, uvec4(0u)));
 }
 
+// Whether a query selects the thing that a Gaussian belongs to.
+bool scoupOwned(usampler2D owners, usampler2D things, int code, int query) {
+  uint owner = texelFetch(owners, scoupPlace(code), 0).r;
+  return owner != ${NO_OWNER}u && (texelFetch(things, scoupPlace(int(owner)), 0).r >> uint(query) & 1u) != 0u;
+}
+
 // Relevancy of a query: method.md, stage 3. The largest cosine of the canonical phrases is the same for all queries.
 float scoupRelevancy(usampler2D indices, usampler2D weights, float scale, sampler2D canonical, sampler2D scores, int code, int level, int query) {
   float best = -1e9;
@@ -75,6 +85,8 @@ export interface Inputs {
   canonical: string;
   scores: string;
   queries: string;
+  owners: string;
+  things: string;
   confidence: string;
   codeColors: string;
   mode: string;
@@ -97,11 +109,13 @@ for (int query = 0; query < ${MOST_QUERIES}; query++) {
   int level = int(look.a);
   if (level < 0) continue;
   asked = true;
-  if (!scoupCoded(${inputs.weights}, ${code})) continue;
   vec4 cut = texelFetch(${inputs.queries}, ivec2(query, 1), 0);
-  float found = scoupRelevancy(${inputs.indices}, ${inputs.weights}, ${inputs.scale}, ${inputs.canonical}, ${inputs.scores}, ${code}, level, query);
-  float rescaled = cut.y - cut.x > 1e-6 ? clamp((found - cut.x) / (cut.y - cut.x), 0.0, 1.0) : 0.0;
-  bool above = rescaled > cut.z;
+  // Things may own Gaussians that have no code; their relevancy counts as the least.
+  bool coded = scoupCoded(${inputs.weights}, ${code}), byThings = cut.z < 0.0;
+  if (!coded && !byThings) continue;
+  float found = !coded ? 0.5 : scoupRelevancy(${inputs.indices}, ${inputs.weights}, ${inputs.scale}, ${inputs.canonical}, ${inputs.scores}, ${code}, level, query);
+  float rescaled = coded && cut.y - cut.x > 1e-6 ? clamp((found - cut.x) / (cut.y - cut.x), 0.0, 1.0) : 0.0;
+  bool above = byThings ? scoupOwned(${inputs.owners}, ${inputs.things}, ${code}, query) : rescaled > cut.z;
   if (above && rescaled > strongest || !selected && rescaled > amount) tint = look.rgb;
   if (above) { selected = true; strongest = max(strongest, rescaled); }
   amount = max(amount, rescaled);

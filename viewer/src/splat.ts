@@ -3,8 +3,8 @@ import { dyno, ExtSplats, SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
 import * as THREE from "three";
 import { World } from "./camera";
 import { breathe, type Progress } from "./safetensors";
-import type { Scene } from "./scene_data";
-import { body, functions, MODES, MOST_QUERIES, WIDTH, type Inputs, type Mode } from "./shader";
+import { NO_OWNER, type Scene } from "./scene_data";
+import { body, BY_THINGS, functions, MODES, MOST_QUERIES, WIDTH, type Inputs, type Mode } from "./shader";
 
 /** Gaussians between two moments in which the browser may draw. */
 const AT_A_TIME = 40000;
@@ -16,6 +16,8 @@ export interface ShownQuery {
   /** Level that answers. */
   level: number;
   threshold: number;
+  /** Numbers of the things that answer; null where relevancy above the threshold does. */
+  things: number[] | null;
   span: [number, number];
   /** 0..1. */
   color: [number, number, number];
@@ -34,6 +36,8 @@ export class Splat {
   private readonly scene: Scene;
   private readonly scores: THREE.DataTexture;
   private readonly queries: THREE.DataTexture;
+  /** A byte for each thing; bit q says that query q selects it. */
+  private readonly things: THREE.DataTexture;
   private readonly mode = dyno.dynoInt(0);
   private readonly level = dyno.dynoInt(0);
   private readonly opacity = dyno.dynoFloat(1);
@@ -42,6 +46,8 @@ export class Splat {
     this.scene = scene;
     this.scores = floats(scene.atoms, (scene.levels * MOST_QUERIES) / 4);
     this.queries = floats(MOST_QUERIES, 2);
+    const rows = Math.max(1, Math.ceil((scene.metadata.n_things ?? 0) / WIDTH));
+    this.things = integers(new Uint8Array(WIDTH * rows), rows, THREE.UnsignedByteType, "R8UI");
     this.mesh = new SplatMesh({ extSplats: splats });
     this.mesh.objectModifier = this.modifier();
     this.update([], { mode: "colour", level: 0, opacity: 1 });
@@ -86,11 +92,15 @@ export class Splat {
     const { levels, atoms } = this.scene;
     const scores = this.scores.image.data as unknown as Float32Array;
     const queries = this.queries.image.data as unknown as Float32Array;
+    const things = this.things.image.data as unknown as Uint8Array;
+    things.fill(0);
     for (let q = 0; q < MOST_QUERIES; q++) {
       const query = shown[q];
+      const cut = query?.things ? BY_THINGS : query?.threshold;
       queries.set(query ? [...query.color, query.level] : [0, 0, 0, -1], 4 * q);
-      queries.set(query ? [...query.span, query.threshold, shown.length] : [0, 0, 0, 0], 4 * (MOST_QUERIES + q));
+      queries.set(query ? [...query.span, cut, shown.length] : [0, 0, 0, 0], 4 * (MOST_QUERIES + q));
       if (!query) continue;
+      for (const thing of query.things ?? []) things[thing] |= 1 << q;
       for (let level = 0; level < levels; level++) {
         const row = (level * MOST_QUERIES) / 4 + (q >> 2);
         for (let atom = 0; atom < atoms; atom++) {
@@ -98,7 +108,7 @@ export class Splat {
         }
       }
     }
-    this.scores.needsUpdate = this.queries.needsUpdate = true;
+    this.scores.needsUpdate = this.queries.needsUpdate = this.things.needsUpdate = true;
     this.mode.value = MODES.indexOf(look.mode);
     this.level.value = look.level;
     this.opacity.value = look.opacity;
@@ -116,6 +126,8 @@ export class Splat {
       canonical: dyno.dynoSampler2D(canonicalTexture(scene)),
       scores: dyno.dynoSampler2D(this.scores),
       queries: dyno.dynoSampler2D(this.queries),
+      owners: dyno.dynoUsampler2D(ownerTexture(scene)),
+      things: dyno.dynoUsampler2D(this.things),
       confidence: dyno.dynoSampler2D(confidenceTexture(scene)),
       codeColors: dyno.dynoSampler2D(codeColorTexture(scene)),
       mode: this.mode,
@@ -130,6 +142,8 @@ export class Splat {
       canonical: "sampler2D",
       scores: "sampler2D",
       queries: "sampler2D",
+      owners: "usampler2D",
+      things: "usampler2D",
       confidence: "sampler2D",
       codeColors: "sampler2D",
       mode: "int",
@@ -193,7 +207,8 @@ function integers(
   type: THREE.TextureDataType,
   format: THREE.PixelFormatGPU,
 ): THREE.DataTexture {
-  const texture = new THREE.DataTexture(data, WIDTH, height, THREE.RGBAIntegerFormat, type);
+  const layout = format.startsWith("RGBA") ? THREE.RGBAIntegerFormat : THREE.RedIntegerFormat;
+  const texture = new THREE.DataTexture(data, WIDTH, height, layout, type);
   texture.internalFormat = format;
   texture.needsUpdate = true;
   return texture;
@@ -215,6 +230,19 @@ function canonicalTexture(scene: Scene): THREE.DataTexture {
     }
   }
   return texture;
+}
+
+/** The thing of each Gaussian at each level; one row of none where the scene has no things. */
+function ownerTexture(scene: Scene): THREE.DataTexture {
+  const { count, levels } = scene;
+  const height = scene.metadata.n_things ? Math.max(1, Math.ceil((count * levels) / WIDTH)) : 1;
+  const data = new Uint16Array(WIDTH * height).fill(NO_OWNER);
+  if (scene.metadata.n_things) {
+    for (let level = 0; level < levels; level++) {
+      for (let i = 0; i < count; i++) data[i * levels + level] = scene.owner(i, level);
+    }
+  }
+  return integers(data, height, THREE.UnsignedShortType, "R16UI");
 }
 
 function confidenceTexture(scene: Scene): THREE.DataTexture {

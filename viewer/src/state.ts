@@ -68,6 +68,12 @@ export class State {
     return this.level ?? query.answer.level;
   }
 
+  /** Things that answer; null where the votes of the Gaussians do, as they do with a threshold of one's own. */
+  thingsOf({ answer }: Query): number[] | null {
+    if (this.threshold !== null) return null;
+    return this.level === null ? answer.chosen_things : answer.things[this.level];
+  }
+
   /** Texts that colour something. */
   visible(): Query[] {
     return this.queries.filter((query) => !query.hidden && (query.answer.present || this.absent));
@@ -78,7 +84,7 @@ export class State {
       const { answer, color } = query;
       const level = this.levelOf(query);
       const threshold = this.threshold ?? answer.thresholds[level];
-      return { scores: answer.scores, level, threshold, span: answer.spans[level], color };
+      return { scores: answer.scores, level, threshold, things: this.thingsOf(query), span: answer.spans[level], color };
     });
   }
 

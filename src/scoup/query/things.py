@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -71,6 +72,11 @@ class ThingFits:
         similar = near > near.mean(1, keepdim=True) + SIMILAR * near.std(1, keepdim=True)
         return cls(things, (cosines - HUB_SHARE * best) / things.spread, cosines, to_words, similar)
 
+    @cached_property
+    def counts(self) -> Tensor:
+        """[T] float64: the Gaussians of each thing, at least 1."""
+        return self.things.sums(torch.ones(len(self.things.owners))).clamp(min=1)
+
     def presence(self, query: int, seen: Tensor | None = None) -> float:
         """How surely a text names one of the things seen [T] boolean, or of all; minus infinity if there is none.
 
@@ -102,7 +108,14 @@ def thing_of_scene(
     fits: ThingFits, query: int, selected: Tensor, level: int | None = None
 ) -> tuple[Tensor, int] | None:
     """The Gaussians [N] boolean of the things that answer a text in the scene, and their level; None where the votes
-    answer.
+    answer. Arguments as for ``things_of_scene``.
+    """
+    chosen, things = things_of_scene(fits, query, selected, level), fits.things
+    return None if chosen is None else (things.members(chosen), int(things.levels[chosen[0]]))
+
+
+def things_of_scene(fits: ThingFits, query: int, selected: Tensor, level: int | None = None) -> Tensor | None:
+    """Return the things [M] int64 of one level that answer a text in the scene; None where the votes answer.
 
     Args:
         fits: of all texts.
@@ -112,12 +125,10 @@ def thing_of_scene(
     """
     things = fits.things
     mass = things.mass.double().cpu()
-    counts = things.sums(torch.ones(len(things.owners))).clamp(min=1)
-    voted = mass * things.sums(selected.float()) / counts  # Gaussians of one thing count alike
+    voted = mass * things.sums(selected.float()) / fits.counts  # Gaussians of one thing count alike
     all_voted = torch.zeros(things.owners.shape[1], dtype=torch.float64)
     all_voted.index_add_(0, things.levels.long().cpu(), voted)
-    chosen = choose_things(things, fits.fits[:, query], mass, voted, all_voted, level)
-    return None if chosen is None else (things.members(chosen), int(things.levels[chosen[0]]))
+    return choose_things(things, fits.fits[:, query], mass, voted, all_voted, level)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,14 +14,18 @@ from torch import Tensor
 from scoup.query.presence import scene_z_scores
 from scoup.query.queried_field import QueriedField
 from scoup.query.relevancy import relevancy as relevancy_of
-from scoup.query.select import level_thresholds, select_by_relevancy
+from scoup.query.select import Selection, level_thresholds, select_by_relevancy
 from scoup.query.text_vectors import TextVectors
+from scoup.query.things import ThingFits, things_of_scene
 from scoup.view.unit_codes import UnitCodes, atom_scores
 
 
 @dataclass(frozen=True, eq=False)
 class PageAnswer:
     """The answer of a scene to one text, as the page takes it. The level and the Gaussians are those of `scoup select`.
+
+    Things answer where the field has them and they are convincing; the votes of the Gaussians answer otherwise, and
+    wherever the page is given a threshold.
 
     Attributes:
         text: the query.
@@ -33,6 +37,8 @@ class PageAnswer:
         z_score: of what was found; None if presence is not judged.
         present: whether the thing is in the scene; true if that is not judged.
         gaussians: how many answer.
+        chosen_things: the things that answer if no level is chosen; None where the votes answer.
+        things: per level, the things that answer if this level is chosen; None where the votes answer.
     """
 
     text: str
@@ -44,6 +50,8 @@ class PageAnswer:
     z_score: float | None
     present: bool
     gaussians: int
+    chosen_things: list[int] | None
+    things: list[list[int] | None]
 
     def record(self) -> dict[str, Any]:
         """Plain JSON values; ``scores`` as base64 of float32, little-endian."""
@@ -57,6 +65,8 @@ class PageAnswer:
             "thresholds": [round(value, 4) for value in self.thresholds.tolist()],
             "spans": [[round(low, 6), round(high, 6)] for low, high in self.spans.tolist()],
             "gaussians": self.gaussians,
+            "chosen_things": self.chosen_things,
+            "things": self.things,
             "scores": base64.b64encode(self.scores.contiguous().numpy().astype("<f4").tobytes()).decode(),
         }
 
@@ -75,6 +85,7 @@ def scene_answers(
     coded = codes.coded()
     canonical = codes.cosines(atom_scores(field, texts.canonical)).amax(1, keepdim=True)  # [S, 1, N]
     scores = atom_scores(field, texts.queries)
+    fits = None if field.things is None else ThingFits.of(field.things, texts)
     for number, text in enumerate(texts.texts):
         own = scores[:, :, number : number + 1].contiguous()
         relevancy = relevancy_of(codes.cosines(own), canonical)[:, 0]
@@ -83,6 +94,12 @@ def scene_answers(
         if present_from is not None:
             query = texts.queries[number : number + 1]
             z_score = float(scene_z_scores(field, [found], query, texts.everyday)[0])
+        own_things, of_levels = None, [None] * len(relevancy)
+        if fits is not None:
+            own_things = things_of_scene(fits, number, found.mask)
+            of_levels = _things_of_levels(fits, number, relevancy, coded)
+            found = found if own_things is None else _selected_things(fits, own_things, relevancy)
+            z_score = None if z_score is None else z_score + fits.presence(number)
         yield PageAnswer(
             text=text,
             scores=own[:, :, 0],
@@ -93,7 +110,26 @@ def scene_answers(
             z_score=z_score,
             present=present_from is None or z_score is None or z_score >= present_from,
             gaussians=int(found.mask.sum()),
+            chosen_things=None if own_things is None else own_things.tolist(),
+            things=[None if each is None else each.tolist() for each in of_levels],
         )
+
+
+def _things_of_levels(fits: ThingFits, query: int, relevancy: Tensor, coded: Tensor) -> list[Tensor | None]:
+    """The things that answer a text if one level is chosen, level by level; relevancy and coded [S, N]."""
+    found = []
+    for level in range(len(relevancy)):
+        rows = slice(level, level + 1)
+        voted = select_by_relevancy(relevancy[rows], coded[rows]).mask
+        found.append(things_of_scene(fits, query, voted, level))
+    return found
+
+
+def _selected_things(fits: ThingFits, chosen: Tensor, relevancy: Tensor) -> Selection:
+    """The Gaussians of some things of one level, in the place of those that the votes select."""
+    mask, level = fits.things.members(chosen).cpu(), int(fits.things.levels[chosen[0]])
+    score = float(relevancy[level][mask].max()) if bool(mask.any()) else -math.inf
+    return Selection(mask, relevancy[level], level, score, None)
 
 
 def spans(relevancy: Tensor, coded: Tensor) -> Tensor:

@@ -19,6 +19,7 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes, rows_of
 from scoup.scene.gaussians import SH_C0, Gaussians
 from scoup.scene.paths import upwards
+from scoup.scene.things import NO_THING
 from scoup.view.packing import byte_planes, fine_fractions, fractions, packed
 from scoup.view.shown import MOST_GAUSSIANS, shown_rows
 from scoup.view.unit_codes import UnitCodes
@@ -27,6 +28,7 @@ VERSION = 1
 _SCALE_SHARES = (0.0005, 0.9995)  # smaller scales than the first count as it
 _LARGER = 6.0  # logarithm of how much larger than the second a scale may be
 _CODES_FOR_COLORS = 50_000
+_NO_OWNER = 65535
 
 
 def scene_metadata(
@@ -56,6 +58,7 @@ def scene_metadata(
         "words_problem": words_problem,
         "present_from": present_from,
         "cameras": [_camera_record(camera) for camera in field.cameras or ()],
+        **({} if field.things is None else {"n_things": len(field.things)}),
     }
 
 
@@ -88,6 +91,9 @@ def scene_data(
         "confidence": fractions(codes.confidence[rows].T.numpy(), 0.0, 1.0),
         **_code_colors(field, codes),
     }
+    if field.things is not None:
+        owners = field.things.owners.cpu()[rows].T.numpy()
+        tensors["owners"] = np.where(owners == NO_THING, _NO_OWNER, owners).astype(np.uint16)
     if canonical is not None:
         tensors["canonical"] = canonical.permute(0, 2, 1).numpy()
     return packed(tensors, {**metadata, **ranges, "weights_scale": largest}, effort)

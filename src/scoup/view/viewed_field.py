@@ -135,9 +135,12 @@ class ViewedField:
 
     @cached_property
     def identity(self) -> str:
-        """The same for the same geometry and codebook: an open page goes on with a server of the same field only."""
+        """The same for the same geometry, codebook and things: an open page goes on with a server of the same field
+        only."""
         digest = hashlib.sha256(self.field.fingerprint.encode())
         digest.update(self.field.codebook.float().cpu().contiguous().numpy().tobytes())
+        if self.field.things is not None:  # answers name them by their numbers
+            digest.update(self.field.things.owners.cpu().contiguous().numpy().tobytes())
         return digest.hexdigest()[:16]
 
     def metadata(self, exported: bool = False) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
@@ -70,7 +71,18 @@ def words_data(field: QueriedField, answers: Sequence[PageAnswer], effort: int =
         "present": np.array([answer.present for answer in answers], np.uint8),
         "gaussians": np.array([answer.gaussians for answer in answers], np.int32),
     }
+    if field.things is not None:
+        tensors |= _things(answers)
     return packed(tensors, {"names": [answer.text for answer in answers]}, effort)
+
+
+def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
+    """How many things answer each word, [V, 1 + S]: without and with a level of choice, 0 where the votes answer; and
+    their numbers, one after the other."""
+    found = [[answer.chosen_things, *answer.things] for answer in answers]
+    counts = [[0 if each is None else len(each) for each in row] for row in found]
+    numbers = [number for row in found for each in row for number in each or ()]
+    return {"thing_counts": np.array(counts, np.uint16), "things": np.array(numbers, np.uint16)}
 
 
 def vocabulary_answers(
