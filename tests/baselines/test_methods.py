@@ -90,7 +90,8 @@ def test_sizes(scene: RasterisedScene) -> None:
         name: METHODS[name].fit(scene, SETTINGS).bytes_per_gaussian
         for name in ("sparse", "sparse-all", "sparse-64-all", "dense", "top-contributors", "autoencoder")
     }
-    # 3 levels; 4 atoms of 3 bytes and a thing of 2; 8 or 64 coefficients of 2, and a thing of 2; 16 floats; 16 bytes (D = 16); 3 floats.
+    # 3 levels; 4 atoms of 3 bytes and a thing of 2; 8 or 64 coefficients of 2, the 8 with a thing; 16 floats; 16 bytes
+    # (D = 16); 3 floats.
     assert sizes == {
         "sparse": 42, "sparse-all": 54, "sparse-64-all": 384, "dense": 192, "top-contributors": 48, "autoencoder": 36,
     }  # fmt: skip

@@ -25,7 +25,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import MOST_THINGS, NO_THING, Things
 
 SCHEMA = "scoup.language_field"
-VERSION = 2  # READERS reads this one and those before it
+VERSION = 3  # READERS reads this one and those before it
 METADATA_KEY = "scoup"
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
 _REBUILD = "build the field again, or copy the file again if it was cut short"
@@ -225,6 +225,7 @@ def _read_version_2(path: Path, text: str, header: dict[str, Any], tensors: dict
 READERS: Mapping[int, Callable[[Path, str, dict[str, Any], dict[str, Tensor]], FieldParts]] = {
     1: _read_version_1,
     2: _read_version_2,
+    3: _read_version_2,  # there may be things, which the file says by itself
 }
 """What reads a file of each format version: from its path, the text of the header, that parsed, and all tensors."""
 
