@@ -126,7 +126,7 @@ def test_sentences_of_refusals_are_the_real_ones() -> None:
     from scoup.base.errors import FieldVersionError
 
     text = (ROOT / "docs" / "versions.md").read_text()
-    assert f"> {FieldVersionError('FILE', 3, 2)}" in text
+    assert f"> {FieldVersionError('FILE', 4, 3)}" in text
     tests = "".join(
         (ROOT / "tests" / name).read_text()
         for name in ("field/test_past_fields.py", "uplift/test_past_sums.py")
