@@ -35,7 +35,7 @@ from benchmarks import (
     viewer,
 )
 from benchmarks.coding_tables import compared_table
-from benchmarks.documents_claims import CLEAN, LAYOUTS, NOISE, claims_table
+from benchmarks.documents_claims import claims_table
 from benchmarks.hostile import __main__ as hostile
 from scoup.bench import markdown
 
@@ -57,38 +57,40 @@ def interval(values: Sequence[float]) -> str:
 
 
 def readme() -> str:
-    """Ours beside others, by the protocol and as users ask."""
+    """Ours beside others, by the protocol and as users ask; the real scene first."""
     found = record("answers")
     names = {
         "default": "`scoup build`",
         "paper": "`scoup build --preset paper`",
         "dense": "dense 512-d uplift",
     }
-    sizes = {"default": "36", "paper": "36", "dense": "6144"}
+    columns = {f"{group}, clean": title for group, title in README_COLUMNS.items()}
     parts = []
-    for rule, title in (("peak", "by the protocol"), ("asked", "as `scoup query` answers")):
+    for rule, title in README_RULES.items():
         for way, name in names.items():
-            figures = [f"{found['ways'][way][key][rule]:.3f}" for key in (CLEAN, NOISE, LAYOUTS)]
-            parts.append([title, name, *figures, sizes[way]])
+            figures = [found["ways"][way][key][rule] for key in columns]
+            if None not in figures:  # what is no field cannot judge presence
+                parts.append([title, name, *(f"{figure:.3f}" for figure in figures)])
         for other in ("dense", "paper"):
             of_sets = found["differences"][f"default - {other}"]
-            parts.append(
-                [
-                    title,
-                    f"default - {other}",
-                    *(interval(of_sets[key][rule]) for key in (CLEAN, NOISE, LAYOUTS)),
-                    "",
-                ]
-            )
-    headers = [
-        "read",
-        "field",
-        "kitchen, 5 draws",
-        "noise doubled, 3 draws",
-        "procedural, 2 scenes",
-        "bytes a Gaussian",
-    ]
-    return markdown(headers, parts)
+            if all(of_sets[key][rule] for key in columns):
+                cells = (interval(of_sets[key][rule]) for key in columns)
+                parts.append([title, f"default - {other}", *cells])
+    return markdown(["read", "field", *columns.values()], parts)
+
+
+README_RULES = {
+    "asked": "as `scoup query` answers",
+    "always": "as `scoup query --always` answers",
+    "peak": "by the protocol",
+}
+README_COLUMNS = {
+    "desk (real)": "desk (real)",
+    "kitchen draws, desk's statistics": "kitchen, as desk",
+    "kitchen draws, CLIP's statistics": "kitchen, as CLIP",
+    "kitchen draws": "kitchen, as before",
+    "procedural": "procedural",
+}
 
 
 def study(name: str, number: int) -> str:
@@ -214,10 +216,10 @@ def lerf_sized_beside() -> str:
 
 TABLES: dict[str, Callable[[], str]] = {
     "readme": readme,
-    "answers on draws of the kitchen": lambda: answers.table_of(record("answers"), CLEAN),
-    "answers under noise": lambda: answers.table_of(record("answers"), NOISE),
-    "answers on procedural scenes": lambda: answers.table_of(record("answers"), LAYOUTS),
-    "answers on all scenes": lambda: answers.table_of(record("answers"), "all"),
+    **{
+        f"answers on {group}": lambda group=group: answers.table_of(record("answers"), f"{group}, clean")
+        for group in (*README_COLUMNS, "kitchen draws, noise x 2")
+    },
     "answers under faults": faults,
     "presence signals": lambda: study("eval-presence", 0),
     "presence in a view": lambda: study("eval-presence", 1),
