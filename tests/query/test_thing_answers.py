@@ -123,11 +123,13 @@ def test_what_is_not_seen_does_not_answer() -> None:
 
 
 def test_a_level_of_ones_own_answers() -> None:
-    fits, levels = [2.0, 0.0, 9.0, 0.5], [0, 0, 1, 1]
-    assert chosen_of(fits, levels) == [2]
+    fits, levels = [2.0, 0.0, 2.4, 0.5], [0, 0, 1, 1]
+    assert chosen_of([2.0, -1.0, 2.4, 1.5], levels) == [0]  # its gap is larger
     assert chosen_of(fits, levels, level=1) == [2]
-    assert chosen_of(fits, levels, level=0) == [0]  # though it fits much less
+    assert chosen_of(fits, levels, level=0) == [0]
     assert chosen_of(fits[:2], levels[:2], level=1) is None
+    # Where what fits is of another level, the votes know more.
+    assert chosen_of([2.0, 0.0, 9.0, 0.5], levels, level=0) is None
 
 
 def test_of_levels_that_fit_alike_the_votes_decide() -> None:
@@ -153,16 +155,13 @@ def literally_chosen(
     seen = [
         number
         for number in range(len(things))
-        if float(mass[number]) > LEAST_PART * whole
-        and bool(things.embeddings[number].any())
-        and level in (None, int(things.levels[number]))
+        if float(mass[number]) > LEAST_PART * whole and bool(things.embeddings[number].any())
     ]
     top = max((float(fits[number]) for number in seen), default=0.0)
     scores: list[tuple[float, list[int]]] = []
     for each in range(things.owners.shape[1]):
-        mine = sorted(
-            (number for number in seen if int(things.levels[number]) == each), key=lambda n: -float(fits[n])
-        )
+        mine = [number for number in seen if int(things.levels[number]) == each and level in (None, each)]
+        mine.sort(key=lambda number: -float(fits[number]))
         for size in range(1, len(mine) + 1):
             chosen = mine[:size]
             behind = float(fits[mine[size - 1]]) - float(fits[mine[size]]) if size < len(mine) else MOST_GAP

@@ -287,9 +287,9 @@ def test_owners_are_the_things_that_gaussians_contribute_most_to(wall: Wall, thi
         contributes += of_all[:, rows]
     expected = torch.from_numpy(contributes.argmax(1))
     assert of_thing[things.owners[:, 1].long()].equal(expected)
-    # What all Gaussians of a thing contribute to all views is its mass.
-    total = torch.from_numpy(contributes.sum(1))
-    torch.testing.assert_close(things.sums(total).float(), things.mass, rtol=1e-4, atol=0)
+    # Its mass is what is contributed to its regions, but for small Gaussians and weak entries.
+    share = things.mass[things.levels == 1] / torch.from_numpy(contributes.sum(0))[of_thing[2 * COUNT :]]
+    assert 0.9 < float(share.min()) <= float(share.max()) <= 1
 
 
 def test_what_no_other_view_confirms_is_no_thing(wall: Wall) -> None:
