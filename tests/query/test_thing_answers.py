@@ -435,20 +435,43 @@ def test_a_thing_out_of_sight_does_not_answer(asked: Asked) -> None:
     assert not last.mask.any()
 
 
+def with_owners(asked: Asked, owners: Tensor) -> LanguageField:
+    field = asked.field
+    return LanguageField(
+        field.code_indices, field.code_weights, field.codebook, field.info, asked.wall.gaussians,
+        cameras=field.cameras, things=replace(asked.things, owners=owners),
+    )  # fmt: skip
+
+
+def test_the_point_is_in_the_mask_where_something_else_is_more_relevant(asked: Asked) -> None:
+    """The Gaussians of the first thing and of the last have changed places, and relevancy has not."""
+    wall, owners = asked.wall, asked.things.owners.clone()
+    first, last = wall.thing == 0, wall.thing == COUNT - 1
+    owners[first], owners[last] = asked.things.owners[last], asked.things.owners[first]
+    field = with_owners(asked, owners)
+    maps = field.relevancy(wall.cameras[2], wall.texts.queries, wall.texts.canonical)
+    answers = answer_view(field, 2, wall.texts)
+    shows = wall.shows(wall.cameras[2])
+    for query, there in ((0, COUNT - 1), (COUNT - 1, 0)):
+        answer = answers[query]
+        assert answer.threshold is None
+        check_whole(answer, maps[:, query])
+        assert answer.point is not None
+        x, y = answer.point
+        assert (x > shows.shape[1] // 2) == (there > 0)
+        assert bool((shows[:, x] != query).all())
+        assert float(answer.heat[y, x]) < float(answer.heat.max())
+
+
 def test_gaussians_of_no_thing_are_others_too(asked: Asked) -> None:
     """Where a thing contributes little among Gaussians of none, the pixels are not its own."""
-    field, wall, things = asked.field, asked.wall, asked.things
-    owners = things.owners.clone()
+    wall, owners = asked.wall, asked.things.owners.clone()
     scattered = (torch.arange(len(owners)) % 11 == 0) & (wall.thing == 1)
     none = (wall.thing == 1) & ~scattered
     first = owners[(wall.thing == 0) & wall.is_upper][0]
     owners[none] = NO_THING
     owners[scattered] = first
-    other = LanguageField(
-        field.code_indices, field.code_weights, field.codebook, field.info, wall.gaussians,
-        cameras=field.cameras, things=replace(things, owners=owners),
-    )  # fmt: skip
-    answer = answer_view(other, 2, wall.texts)[0]
+    answer = answer_view(with_owners(asked, owners), 2, wall.texts)[0]
     assert answer.threshold is None
     beside = answer.mask & (wall.shows(wall.cameras[2]) == 1)
     beside[:, : int((wall.shows(wall.cameras[2])[14] == 0).nonzero()[-1]) + 2] = False  # the border
