@@ -97,7 +97,9 @@ def chosen_of(
 
 def test_one_clear_winner_answers_alone() -> None:
     assert chosen_of([0.0, 3.0, 0.5, 0.1]) == [1]
-    assert chosen_of([4.0]) == [0]
+    # Behind all things of a level stands one like any other; nothing is like the only one there is.
+    assert chosen_of([4.0, 0.0, 0.1, 0.2], [0, 1, 1, 1]) == [0]
+    assert chosen_of([4.0]) is None
 
 
 def test_two_that_fit_alike_answer_together_where_a_gap_is_behind_them() -> None:
@@ -111,13 +113,13 @@ def test_where_no_set_stands_out_the_votes_answer() -> None:
 
 def test_what_is_not_seen_does_not_answer() -> None:
     assert chosen_of([0.0, 3.0, 0.5], mass=[0.0, 0.0, 0.0]) is None
-    assert chosen_of([0.0, 3.0, 0.5], mass=[1.0, 0.0, 1.0]) == [2, 0]
+    assert chosen_of([0.0, 9.0, 3.0], mass=[1.0, 0.0, 1.0]) == [2]
     assert chosen_of([0.0, 3.0, 2.9], mass=[1.0, LEAST_PART / 2, 1.0]) == [2]
     assert chosen_of([]) is None
-    blind = some_things([0, 0])
+    blind = some_things([0, 0, 0])
     blind.embeddings[1] = 0  # no view says what it is
-    ones = torch.ones(2, dtype=torch.float64)
-    found = choose_things(blind, torch.tensor([0.0, 9.0]), ones, 0 * ones, 0 * ones)
+    ones = torch.ones(3, dtype=torch.float64)
+    found = choose_things(blind, torch.tensor([3.0, 9.0, 0.0]), ones, 0 * ones, 0 * ones[:2])
     assert found is not None
     assert found.tolist() == [0]
 
@@ -158,13 +160,16 @@ def literally_chosen(
         if float(mass[number]) > LEAST_PART * whole and bool(things.embeddings[number].any())
     ]
     top = max((float(fits[number]) for number in seen), default=0.0)
+    in_order = sorted(float(fits[number]) for number in seen)
+    middle = in_order[(len(seen) - 1) // 2] if seen else 0.0
     scores: list[tuple[float, list[int]]] = []
     for each in range(things.owners.shape[1]):
         mine = [number for number in seen if int(things.levels[number]) == each and level in (None, each)]
         mine.sort(key=lambda number: -float(fits[number]))
         for size in range(1, len(mine) + 1):
             chosen = mine[:size]
-            behind = float(fits[mine[size - 1]]) - float(fits[mine[size]]) if size < len(mine) else MOST_GAP
+            last = float(fits[mine[size - 1]])
+            behind = last - (float(fits[mine[size]]) if size < len(mine) else min(middle, last))
             area = sum(float(mass[n]) for n in chosen)
             mean = sum(float(mass[n]) * float(fits[n]) for n in chosen) / area
             inside = sum(float(voted[n]) for n in chosen)
@@ -200,15 +205,17 @@ def test_the_choice_is_that_of_the_rule(
 # How well things fit.
 
 
+def at_quantile(cosines: Tensor) -> float:
+    """The smallest of them that is as large as 99 of 100, or more."""
+    return sorted(cosines.tolist())[math.ceil(HUB_QUANTILE * len(cosines)) - 1]
+
+
 def test_fits_are_cosines_less_half_of_what_words_reach(asked: Asked) -> None:
     things, texts = asked.things, asked.wall.texts
     fits = ThingFits.of(things, texts)
     embeddings = things.embeddings.double()
     for number in range(len(things)):
-        to_words = sorted((texts.everyday.double() @ embeddings[number]).tolist())
-        place = HUB_QUANTILE * (len(to_words) - 1)
-        low = to_words[int(place)]
-        best = low + (place - int(place)) * (to_words[min(int(place) + 1, len(to_words) - 1)] - low)
+        best = at_quantile(texts.everyday.double() @ embeddings[number])
         for query, vector in enumerate(texts.queries.double()):
             cosine = float(vector @ embeddings[number])
             assert float(fits.cosines[number, query]) == pytest.approx(cosine, abs=1e-5)
@@ -225,7 +232,7 @@ def test_presence_is_the_lead_over_words_and_over_things(asked: Asked) -> None:
         own = fits.fits[:, query].double()
         best = int(own.argmax())
         words = texts.everyday.double() @ things.embeddings[best].double()
-        lead = (float(fits.cosines[best, query]) - float(torch.quantile(words, HUB_QUANTILE))) / words.std()
+        lead = (float(fits.cosines[best, query]) - at_quantile(words)) / words.std()
         stands_out = (own[best] - own.mean()) / own.std()
         expected = float(lead + STANDS_OUT * stands_out)
         assert fits.presence(query) == pytest.approx(expected, abs=1e-3)
@@ -445,10 +452,12 @@ def with_owners(asked: Asked, owners: Tensor) -> LanguageField:
 
 def test_the_point_is_in_the_mask_where_something_else_is_more_relevant(asked: Asked) -> None:
     """The Gaussians of the first thing and of the last have changed places, and relevancy has not."""
-    wall, owners = asked.wall, asked.things.owners.clone()
-    first, last = wall.thing == 0, wall.thing == COUNT - 1
-    owners[first], owners[last] = asked.things.owners[last], asked.things.owners[first]
-    field = with_owners(asked, owners)
+    wall, things = asked.wall, asked.things
+    of_thing = (things.embeddings.float() @ wall.vectors.T).argmax(1)
+    numbers = torch.arange(len(things), dtype=torch.int32)
+    first, last = (of_thing == 0).nonzero()[:, 0], (of_thing == COUNT - 1).nonzero()[:, 0]
+    numbers[first], numbers[last] = last.int(), first.int()  # of each level in their order
+    field = with_owners(asked, numbers[things.owners.long()])
     maps = field.relevancy(wall.cameras[2], wall.texts.queries, wall.texts.canonical)
     answers = answer_view(field, 2, wall.texts)
     shows = wall.shows(wall.cameras[2])
