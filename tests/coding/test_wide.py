@@ -141,18 +141,25 @@ def test_the_usual_sweeps_come_near(form: None) -> None:
 
 @pytest.mark.usefixtures("form")
 @pytest.mark.parametrize("k", [1, 3, 8, 40])
-def test_the_largest_weights_are_kept_as_they_are(k: int) -> None:
+def test_the_atoms_of_the_largest_weights_are_solved_for_again(k: int) -> None:
+    """The atoms are those of the whole solution; their weights are the best that these atoms have alone."""
     rows, atoms, similarities, gram = problem(100, 40)
     codes = wide_codes(rows, atoms, k)
     assert codes.indices.shape == codes.weights.shape == (100, k)
     assert codes.n_atoms == 40
-    weights = plain_weights(similarities, gram)
-    largest = weights.sort(dim=1, descending=True, stable=True).values[:, :k]
-    torch.testing.assert_close(codes.weights, largest, atol=1e-5, rtol=0)
-    of_atoms = weights.gather(1, codes.indices.long())
-    used = codes.weights > 0
-    torch.testing.assert_close(of_atoms[used], codes.weights[used], atol=1e-5, rtol=0)
-    assert not codes.indices[~used].any()
+    assert bool((codes.weights >= 0).all())
+    assert bool((codes.weights[:, 1:] <= codes.weights[:, :-1]).all())
+    assert not codes.indices[codes.weights == 0].any()
+    whole, found = plain_weights(similarities, gram), codes.to_dense()
+    for row, weights, code in zip(rows, whole, found, strict=True):
+        largest = weights.argsort(descending=True, stable=True)[:k]
+        largest = largest[weights[largest] > 0]
+        best, _ = nnls(atoms[largest].T.double().numpy(), row.double().numpy())
+        expected = torch.zeros(40)
+        expected[largest] = torch.from_numpy(best).float()
+        torch.testing.assert_close(code, expected, atol=1e-3, rtol=0)
+        other, ours = (float((row - each @ atoms).square().sum()) for each in (expected, code))
+        assert ours == pytest.approx(other, abs=1e-5)
 
 
 @pytest.mark.usefixtures("form")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
@@ -37,3 +37,19 @@ def queried() -> Queried:
     return Queried(
         field, cameras[0], TextVectors(tuple(f"word {i}" for i in range(11)), *vectors, source="words.npz")
     )
+
+
+def without_things(field: LanguageField) -> LanguageField:
+    """The same field, answered by the votes of its Gaussians alone."""
+    gaussians = field.gaussians if field.has_geometry else None
+    bare = LanguageField(
+        field.code_indices, field.code_weights, field.codebook, field.info, gaussians, cameras=field.cameras
+    )
+    bare.keep_encoder_of(field)
+    return bare
+
+
+@pytest.fixture(scope="session")
+def voted(queried: Queried) -> Queried:
+    """The same scene and texts, with a field that has no things."""
+    return replace(queried, field=without_things(queried.field))

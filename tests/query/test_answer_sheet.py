@@ -33,8 +33,6 @@ def answer(score: float, is_present: bool = True) -> Answer:
         level="m",
         score=score,
         point=(15, 15) if found else None,
-        point_level="m",
-        point_score=score,
         z_score=3.0,
         presence=is_present,
     )

@@ -12,11 +12,12 @@ from scoup.base.errors import InputError, UnknownNameError
 from scoup.query.label import NONE, label
 from scoup.query.presence import scene_z_scores
 from scoup.query.select import select_each
+from scoup.query.things import ThingFits
 
 
 @pytest.mark.parametrize("threshold", [0.3, None])
-def test_labels_are_the_best_words_of_those_that_select(queried: Queried, threshold: float | None) -> None:
-    field, texts = queried.field, queried.texts
+def test_labels_are_the_best_words_of_those_that_select(voted: Queried, threshold: float | None) -> None:
+    field, texts = voted.field, voted.texts
     found = label(field, texts, threshold)
     selections = list(select_each(field, texts.queries, texts.canonical, threshold))
     for row in range(len(field)):
@@ -41,11 +42,16 @@ def test_labels_are_the_best_words_of_those_that_select(queried: Queried, thresh
         found.mask("word one")
 
 
-def test_words_for_absent_things_label_nothing(queried: Queried) -> None:
-    field, texts = queried.field, queried.texts
+@pytest.mark.parametrize("has_things", [False, True])
+def test_words_for_absent_things_label_nothing(queried: Queried, voted: Queried, has_things: bool) -> None:
+    field, texts = (queried if has_things else voted).field, queried.texts
     everything = label(field, texts)
     found = list(select_each(field, texts.queries, texts.canonical))
     scores = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
+    if has_things:
+        assert field.things is not None
+        fits = ThingFits.of(field.things, texts)
+        scores = [score + fits.presence(number) for number, score in enumerate(scores)]
     middle = sorted(scores)[5]
     judged = label(field, texts, present_from=middle)
     assert judged.z_scores is not None

@@ -16,7 +16,8 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.uplift.build import build
+from scoup.scene.things import Things
+from scoup.uplift.build import build, things_of
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.edited_splat import KeptSums, follow
 from scoup.uplift.matching import Tolerance
@@ -69,6 +70,13 @@ def assert_same_codes(one: LanguageField, other: LanguageField) -> None:
     assert one.code_weights.equal(other.code_weights)
 
 
+def assert_same_things(one: Things | None, other: Things | None) -> None:
+    assert one is not None
+    assert other is not None
+    for name, tensor in vars(one).items():
+        assert tensor.equal(getattr(other, name)), name
+
+
 def assert_same_sums(one: RegionSums, other: RegionSums) -> None:
     assert (one.fingerprint, set(one.views)) == (other.fingerprint, set(other.views))
     assert one.order.equal(other.order)
@@ -114,6 +122,9 @@ def test_codes_and_sums_are_those_of_a_vote_from_the_start(scene, edit, seed):
     assert_same_codes(found.field, field)
     assert_same_sums(found.sums, sums)
     assert found.field.fingerprint == edited.fingerprint()
+    coded = RegionCodes.kept(scene.sums)
+    assert coded is not None
+    assert_same_things(found.field.things, things_of(sums, coded))
 
 
 @given(edits(), st.integers(0, 2**31))

@@ -1,0 +1,272 @@
+"""Fields with things: kept in files, chosen rows, and what does not fit."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from planted_wall import COUNT, SETTINGS, planted_wall
+from scoup.base.errors import FileFormatError, InputError
+from scoup.field.artefact import METADATA_KEY, NO_CHECKSUM, tensor_checksum, text_checksum
+from scoup.field.language_field import LanguageField
+from scoup.scene.things import MOST_THINGS, NO_THING, Things
+from scoup.uplift.build import build
+
+PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", "mass")
+
+
+@pytest.fixture(scope="module")
+def field() -> LanguageField:
+    """With Gaussians and things that belong to none, too."""
+    wall = planted_wall(views=3)
+    built = build(wall.gaussians, wall.cameras, wall.regions, SETTINGS, check_fit=False)
+    owners = things_of(built).owners.clone()
+    owners[::7, 0] = owners[::11, 1] = NO_THING
+    return with_things(built, replace(things_of(built), owners=owners))
+
+
+def things_of(field: LanguageField) -> Things:
+    assert field.things is not None
+    return field.things
+
+
+def with_things(field: LanguageField, things: Things | None) -> LanguageField:
+    codes = field.code_indices, field.code_weights, field.codebook
+    return LanguageField(*codes, field.info, field.gaussians, cameras=field.cameras, things=things)
+
+
+def assert_same(one: Things | None, other: Things | None) -> None:
+    assert one is not None
+    assert other is not None
+    for name in PARTS:
+        mine, theirs = getattr(one, name), getattr(other, name)
+        assert mine.dtype == theirs.dtype
+        assert mine.equal(theirs), name
+
+
+def parts_of(path: Path) -> tuple[dict, dict[str, Tensor]]:
+    with safe_open(path, framework="pt") as stream:
+        tensors = {name: stream.get_tensor(name).clone() for name in stream.keys()}  # noqa: SIM118
+        return json.loads(stream.metadata()[METADATA_KEY]), tensors
+
+
+def write_whole(path: Path, header: dict, tensors: dict[str, Tensor]) -> None:
+    """A file whose checksums are right, whatever its tensors hold."""
+    header = {**header, "checksums": {name: tensor_checksum(tensor) for name, tensor in tensors.items()}}
+    text = json.dumps({**header, "checksum": NO_CHECKSUM}, sort_keys=True)
+    text = text.replace(f'"checksum": "{NO_CHECKSUM}"', f'"checksum": "{text_checksum(text)}"', 1)
+    save_file(tensors, path, {METADATA_KEY: text})
+
+
+@pytest.mark.parametrize("weight_bits", [16, 8])
+def test_files_give_things_back_bit_by_bit(field: LanguageField, tmp_path: Path, weight_bits: int) -> None:
+    path = tmp_path / "f.scoup"
+    field.save(path, weight_bits=weight_bits)
+    back = LanguageField.load(path, field.gaussians)
+    assert_same(back.things, field.things)
+    assert bool((things_of(back).owners == NO_THING).any())
+    assert bool((things_of(back).parents == NO_THING).any())
+    assert bool((things_of(back).parents != NO_THING).any())
+    back.save(tmp_path / "again.scoup", weight_bits=weight_bits)
+    assert_same(LanguageField.load(tmp_path / "again.scoup", field.gaussians).things, field.things)
+
+
+def test_numbers_take_two_bytes_in_files(field: LanguageField, tmp_path: Path) -> None:
+    field.save(tmp_path / "f.scoup")
+    _, tensors = parts_of(tmp_path / "f.scoup")
+    mine = {name.removeprefix("things.") for name in tensors if name.startswith("things.")}
+    assert mine == set(PARTS)
+    for name in ("owners", "parents"):
+        kept, numbers = tensors[f"things.{name}"], getattr(things_of(field), name)
+        assert kept.dtype == torch.uint16
+        assert kept.int().equal(torch.where(numbers == NO_THING, MOST_THINGS, numbers))
+
+
+def test_a_field_without_things_has_none_in_its_file(field: LanguageField, tmp_path: Path) -> None:
+    with_things(field, None).save(tmp_path / "f.scoup")
+    _, tensors = parts_of(tmp_path / "f.scoup")
+    assert not [name for name in tensors if name.startswith("things.")]
+    assert LanguageField.load(tmp_path / "f.scoup", field.gaussians).things is None
+
+
+def test_a_scene_in_which_nothing_was_found_keeps_that(field: LanguageField, tmp_path: Path) -> None:
+    things = things_of(field)
+    parts = {name: getattr(things, name)[:0] for name in PARTS if name != "owners"}
+    nothing = Things(owners=torch.full_like(things.owners, NO_THING), **parts)
+    with_things(field, nothing).save(tmp_path / "f.scoup")
+    assert_same(LanguageField.load(tmp_path / "f.scoup", field.gaussians).things, nothing)
+
+
+def test_the_last_number_of_a_thing_is_not_taken_for_none(field: LanguageField, tmp_path: Path) -> None:
+    """As many as there may be: 65534 is a thing, and 65535 in a file is none."""
+    things = things_of(field)
+
+    def filled(part: Tensor) -> Tensor:
+        return torch.cat([part, part[-1:].expand(MOST_THINGS - len(things), *part.shape[1:])])
+
+    owners = things.owners.clone()
+    owners[5, 1] = MOST_THINGS - 1
+    many = Things(owners, *(filled(getattr(things, name)) for name in PARTS if name != "owners"))
+    with_things(field, many).save(tmp_path / "f.scoup")
+    back = things_of(LanguageField.load(tmp_path / "f.scoup", field.gaussians))
+    assert_same(back, many)
+    assert int(back.owners.max()) == MOST_THINGS - 1
+
+
+def test_some_gaussians_keep_their_owners(field: LanguageField, tmp_path: Path) -> None:
+    things = things_of(field)
+    mask = torch.zeros(len(field), dtype=torch.bool)
+    mask[40:400:3] = True
+    for chosen in (mask, mask.numpy(), mask.nonzero()[:, 0].tolist()):
+        part = things_of(field[chosen])
+        assert part.owners.equal(things.owners[mask])
+        assert_same(replace(part, owners=things.owners), things)
+    some = field[mask]
+    some.save(tmp_path / "part.scoup")
+    assert_same(LanguageField.load(tmp_path / "part.scoup").things, some.things)
+    backwards = list(range(len(field)))[::-1]
+    assert things_of(field[backwards]).owners.equal(things.owners.flip(0))
+    assert things_of(field.select([])).owners.shape == (0, 2)
+    assert with_things(field, None)[mask].things is None
+
+
+def test_other_gaussians_one_for_one_keep_their_owners(field: LanguageField) -> None:
+    moved = replace(field.gaussians, means=field.gaussians.means + 1)
+    assert_same(field.with_gaussians(moved).things, field.things)
+    faded = replace(field.gaussians, opacities=field.gaussians.opacities * 0.5)
+    assert_same(field.with_gaussians(faded).things, field.things)
+
+
+def test_fields_that_are_there_already_stay_themselves(field: LanguageField) -> None:
+    assert field.to("cpu") is field
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_fields_move_to_a_gpu_with_their_things(field: LanguageField) -> None:
+    moved = field.to("cuda")
+    assert {part.device.type for part in vars(things_of(moved)).values()} == {"cuda"}
+    assert_same(things_of(moved.to("cpu")), field.things)
+    assert things_of(moved[10:20]).owners.cpu().equal(things_of(field).owners[10:20])
+
+
+def test_copies_and_pickles_have_the_same_things(field: LanguageField) -> None:
+    assert_same(pickle.loads(pickle.dumps(field)).things, field.things)
+    assert_same(copy.deepcopy(field).things, field.things)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda things: replace(things, owners=things.owners[:-1]),
+        lambda things: replace(things, owners=things.owners[:, :1].expand(-1, 3).contiguous()),
+        lambda things: replace(things, embeddings=things.embeddings[:, :-1]),
+    ],
+    ids=["Gaussians", "levels", "dimensions"],
+)
+def test_things_of_another_field_are_refused(
+    field: LanguageField, change: Callable[[Things], Things]
+) -> None:
+    with pytest.raises(InputError, match="do not fit codes"):
+        with_things(field, change(things_of(field)))
+
+
+def wrong(name: str, change: Callable[[Tensor], Tensor | None]) -> object:
+    return pytest.param(name, change, id=f"{name}-{change.__name__}")
+
+
+def missing(tensor: Tensor) -> None:
+    return None
+
+
+def shorter(tensor: Tensor) -> Tensor:
+    return tensor[:-1].contiguous()
+
+
+def narrower(tensor: Tensor) -> Tensor:
+    return tensor[:, :-1].contiguous()
+
+
+def flat(tensor: Tensor) -> Tensor:
+    return tensor.flatten()
+
+
+def single(tensor: Tensor) -> Tensor:
+    return tensor.flatten()[0].clone()
+
+
+def beyond(tensor: Tensor) -> Tensor:
+    """Numbers 3 * COUNT of a thing that is not there, or a level that is not."""
+    return torch.full(tensor.shape, 3 * COUNT, dtype=tensor.dtype)
+
+
+def not_a_number(tensor: Tensor) -> Tensor:
+    return torch.full_like(tensor, torch.nan)
+
+
+def doubled(tensor: Tensor) -> Tensor:
+    return tensor.double()
+
+
+DAMAGE = [
+    *(wrong(name, missing) for name in PARTS),
+    *(wrong(name, shorter) for name in PARTS),
+    *(wrong(name, single) for name in PARTS),
+    *(wrong(name, flat) for name in ("owners", "embeddings")),
+    *(wrong(name, narrower) for name in ("owners", "embeddings")),
+    *(wrong(name, beyond) for name in ("owners", "parents", "levels")),
+    *(wrong(name, not_a_number) for name in ("embeddings", "agreement", "mass")),
+    *(wrong(name, doubled) for name in PARTS),
+]
+
+
+@pytest.mark.parametrize(("name", "change"), DAMAGE)
+def test_things_that_make_no_sense_are_refused_with_the_file(
+    field: LanguageField, tmp_path: Path, name: str, change: Callable[[Tensor], Tensor | None]
+) -> None:
+    """Though every checksum is right."""
+    field.save(tmp_path / "f.scoup")
+    header, tensors = parts_of(tmp_path / "f.scoup")
+    changed = change(tensors.pop(f"things.{name}"))
+    if changed is not None:
+        tensors[f"things.{name}"] = changed
+    path = tmp_path / "damaged.scoup"
+    write_whole(path, header, tensors)
+    with pytest.raises(FileFormatError, match=r"damaged\.scoup"):
+        LanguageField.load(path)
+
+
+def test_a_part_of_things_that_nobody_knows_is_refused(field: LanguageField, tmp_path: Path) -> None:
+    field.save(tmp_path / "f.scoup")
+    header, tensors = parts_of(tmp_path / "f.scoup")
+    write_whole(tmp_path / "damaged.scoup", header, {**tensors, "things.colours": torch.zeros(3)})
+    with pytest.raises(FileFormatError, match=r"damaged\.scoup"):
+        LanguageField.load(tmp_path / "damaged.scoup")
+
+
+def test_flipped_bits_of_things_are_found(field: LanguageField, tmp_path: Path) -> None:
+    field.save(tmp_path / "f.scoup")
+    header, tensors = parts_of(tmp_path / "f.scoup")
+    for name in PARTS:
+        changed = tensors[f"things.{name}"].clone()
+        changed.view(torch.uint8).view(-1)[0] ^= 1
+        save_file(
+            {**tensors, f"things.{name}": changed}, tmp_path / "d.scoup", {METADATA_KEY: kept(tmp_path)}
+        )
+        with pytest.raises(FileFormatError, match=rf"d\.scoup.*checksum of things\.{name}"):
+            LanguageField.load(tmp_path / "d.scoup")
+    assert header["checksums"].keys() == tensors.keys()
+
+
+def kept(folder: Path) -> str:
+    with safe_open(folder / "f.scoup", framework="pt") as stream:
+        return stream.metadata()[METADATA_KEY]

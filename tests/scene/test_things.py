@@ -1,0 +1,163 @@
+"""Things: what is refused, and what they say of themselves."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.scene.things import LEAST_SPREAD, MOST_THINGS, NO_THING, SURE_REGIONS, Things
+
+PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", "mass")
+
+
+def parts(**changes: Any) -> dict[str, Tensor]:
+    """Five things: 0 to 2 of level 0, 3 and 4 of level 1; six Gaussians."""
+    owners = [[0, 3], [0, 3], [1, 3], [2, NO_THING], [NO_THING, 4], [NO_THING, NO_THING]]
+    good = {
+        "owners": torch.tensor(owners, dtype=torch.int32),
+        "levels": torch.tensor([0, 0, 0, 1, 1], dtype=torch.uint8),
+        "parents": torch.tensor([3, 3, NO_THING, NO_THING, NO_THING], dtype=torch.int32),
+        "embeddings": torch.eye(5, 8, dtype=torch.float16),
+        "agreement": torch.tensor([0.9, 0.8, 0.2, 0.95, 0.1]),
+        "n_regions": torch.tensor([3, 4, 2, 9, 2], dtype=torch.int32),
+        "mass": torch.tensor([5.0, 3.0, 2.0, 9.0, 1.0]),
+    }
+    return {**good, **changes}
+
+
+@pytest.fixture
+def things() -> Things:
+    return Things(**parts())
+
+
+def test_what_is_whole_is_taken(things: Things) -> None:
+    assert tuple(parts()) == PARTS == tuple(vars(things))
+    assert len(things) == 5
+    nothing = Things(
+        torch.full((6, 2), NO_THING, dtype=torch.int32),
+        torch.zeros(0, dtype=torch.uint8),
+        torch.zeros(0, dtype=torch.int32),
+        torch.zeros(0, 8, dtype=torch.float16),
+        torch.zeros(0),
+        torch.zeros(0, dtype=torch.int32),
+        torch.zeros(0),
+    )
+    assert len(nothing) == 0
+    assert not nothing.members(torch.zeros(0, dtype=torch.int64)).any()
+    assert nothing.sums(torch.ones(6)).shape == (0,)
+    assert (nothing.disagreement, nothing.spread) == (0.0, LEAST_SPREAD)
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_parts_of_another_type_or_shape_are_refused(name: str) -> None:
+    good = parts()[name]
+    other = torch.int64 if good.dtype != torch.int64 else torch.int32
+    wrong = [good.to(other), good[None], good.double()]
+    if name != "owners":
+        wrong.append(good[:-1])
+    for each in wrong:
+        with pytest.raises(InputError, match="of things"):
+            Things(**parts(**{name: each}))
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_a_single_number_is_no_part(name: str) -> None:
+    with pytest.raises(InputError, match="of things"):
+        Things(**parts(**{name: torch.zeros((), dtype=parts()[name].dtype)}))
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value", "message"),
+    [
+        ("owners", (2, 1), 5, "name one beyond the 5"),
+        ("owners", (2, 1), MOST_THINGS, "name one beyond the 5"),
+        ("owners", (0, 0), -2, "name one beyond the 5"),
+        ("parents", 0, 5, "name one beyond the 5"),
+        ("parents", 1, -7, "name one beyond the 5"),
+        ("levels", 4, 2, "of a level beyond the 2"),
+        ("embeddings", (1, 3), math.nan, "embeddings of things holds values that are not finite"),
+        ("embeddings", (1, 3), math.inf, "embeddings of things holds values that are not finite"),
+        ("agreement", 2, math.nan, "agreement of things holds"),
+        ("mass", 0, -math.inf, "mass of things holds"),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(name: str, place: Any, value: float, message: str) -> None:
+    tensor = parts()[name].clone()
+    tensor[place] = value
+    with pytest.raises(InputError, match=message):
+        Things(**parts(**{name: tensor}))
+
+
+def test_files_can_number_no_more() -> None:
+    def many(count: int) -> Things:
+        return Things(
+            torch.zeros(1, 1, dtype=torch.int32),
+            torch.zeros(count, dtype=torch.uint8),
+            torch.zeros(count, dtype=torch.int32),
+            torch.zeros(count, 1, dtype=torch.float16),
+            torch.zeros(count),
+            torch.zeros(count, dtype=torch.int32),
+            torch.zeros(count),
+        )
+
+    assert len(many(MOST_THINGS)) == MOST_THINGS
+    with pytest.raises(InputError, match="65,536 things; there may be 65,535"):
+        many(MOST_THINGS + 1)
+
+
+def test_members_are_the_gaussians_of_things(things: Things) -> None:
+    def members(*numbers: int) -> list[int]:
+        return things.members(torch.tensor(numbers, dtype=torch.int64)).nonzero()[:, 0].tolist()
+
+    assert members(0) == [0, 1]
+    assert members(2, 0) == [0, 1, 3]
+    assert members(3) == [0, 1, 2]
+    assert members(4) == [4]
+    assert members(4, 3) == [0, 1, 2, 4]
+    assert members() == []
+    assert things.members(torch.tensor([1], dtype=torch.int32)).dtype == torch.bool
+
+
+def test_sums_are_over_the_gaussians_of_each_thing(things: Things) -> None:
+    weights = torch.tensor([1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
+    found = things.sums(weights)
+    assert found.dtype == torch.float64
+    assert found.tolist() == [3, 4, 8, 7, 16]
+    for thing in range(len(things)):
+        assert float(found[thing]) == float(weights[things.members(torch.tensor([thing]))].sum())
+    assert things.sums(weights > 3).tolist() == [0, 1, 1, 1, 1]
+
+
+def test_rows_keep_all_things(things: Things) -> None:
+    some = things.rows(torch.tensor([4, 0]))
+    assert some.owners.tolist() == [[NO_THING, 4], [0, 3]]
+    assert len(some) == 5
+    assert some.sums(torch.ones(2)).tolist() == [1, 0, 0, 1, 1]
+    mask = torch.tensor([True, False, False, False, True, False])
+    assert things.rows(mask).owners.tolist() == [[0, 3], [NO_THING, 4]]
+    assert things.owners.shape == (6, 2)
+
+
+def test_disagreement_is_that_of_the_median_sure_thing(things: Things) -> None:
+    """Of the things of three regions or more, which here agree by 0.8, 0.9 and 0.95."""
+    assert SURE_REGIONS == 3
+    assert things.disagreement == pytest.approx(0.1, abs=1e-6)
+    assert things.spread == pytest.approx(math.sqrt((1 - 0.9**2) / 8), abs=1e-6)
+    unsure = Things(**parts(n_regions=torch.full((5,), 2, dtype=torch.int32)))
+    assert (unsure.disagreement, unsure.spread) == (0.0, LEAST_SPREAD)
+    alike = Things(**parts(agreement=torch.ones(5)))
+    assert (alike.disagreement, alike.spread) == (0.0, LEAST_SPREAD)
+    apart = Things(**parts(agreement=torch.zeros(5)))
+    assert apart.disagreement == 1.0
+    assert apart.spread == pytest.approx(8**-0.5)
+
+
+def test_they_move_between_devices(things: Things) -> None:
+    moved = things.to("cpu")
+    for name in PARTS:
+        assert getattr(moved, name).equal(getattr(things, name))

@@ -1,0 +1,474 @@
+"""Things against a literal clustering, and the same things from all ways to the same views."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
+from scoup.base.processes import Item, Processes, shard
+from scoup.field.language_field import LanguageField
+from scoup.scene.cameras import Cameras
+from scoup.scene.regions import RegionMap, Regions
+from scoup.scene.things import NO_THING, Things
+from scoup.uplift.build import build, things_of
+from scoup.uplift.build_settings import BUILD_PRESETS
+from scoup.uplift.rasterise import region_sums
+from scoup.uplift.region_codes import RegionCodes
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.shards import add_shard, merge
+from scoup.uplift.things import (
+    LEAST_IOU,
+    LEAST_OVERLAP,
+    LEAST_REGIONS,
+    ROOT_STEPS,
+    find_things,
+    mean_embeddings,
+    merge_regions,
+)
+from scoup.uplift.update import update
+from support import examples, small_scene
+
+DECIDED = ("owners", "levels", "parents", "n_regions")
+
+
+@pytest.fixture(scope="module")
+def wall() -> Wall:
+    return planted_wall()
+
+
+@pytest.fixture(scope="module")
+def things(wall: Wall) -> Things:
+    return of_field(built(wall))
+
+
+def built(wall: Wall, views: Sequence[str] | None = None, **how) -> LanguageField:
+    cameras = Cameras(camera for camera in wall.cameras if views is None or camera.name in views)
+    return build(wall.gaussians, cameras, wall.regions, SETTINGS, check_fit=False, **how)
+
+
+def of_field(field: LanguageField) -> Things:
+    assert field.things is not None
+    return field.things
+
+
+def assert_same(one: Things | None, other: Things | None, names: Sequence[str] = ()) -> None:
+    assert one is not None
+    assert other is not None
+    for name in names or vars(one):
+        assert getattr(one, name).equal(getattr(other, name)), name
+
+
+def clusters(matrix: object, views: object, least_iou: float = LEAST_IOU) -> list[int]:
+    array = csr_array(np.asarray(matrix, np.float32))
+    return merge_regions(array, np.asarray(views, np.int64), least_iou).tolist()
+
+
+# Regions merged.
+
+
+def literal_clusters(
+    matrix: NDArray[np.float32], views: NDArray[np.int64], least_iou: float = LEAST_IOU
+) -> list[int]:
+    """Average linkage, best pair first, by comparing all pairs of clusters again and again. Pairs of regions of one
+    view overlap by nothing.
+    """
+    count = len(views)
+    root = np.rint(ROOT_STEPS * np.sqrt(matrix.astype(np.float64)))
+    overlap, union = np.zeros((count, count)), np.zeros((count, count))
+    for one, other in itertools.product(range(count), repeat=2):
+        seen = [
+            np.rint(ROOT_STEPS * np.sqrt(matrix[:, views == views[each]].astype(np.float64).sum(1)))
+            for each in (other, one)
+        ]
+        shared = 0.0 if views[one] == views[other] else float((root[:, one] * root[:, other]).sum())
+        union[one, other] = (root[:, one] * seen[0]).sum() + (root[:, other] * seen[1]).sum() - shared
+        if shared > LEAST_OVERLAP * union[one, other]:
+            overlap[one, other] = shared
+        else:
+            union[one, other] += shared
+    members = {region: [region] for region in range(count)}
+    while True:
+        found = []
+        for one, other in itertools.combinations(sorted(members), 2):
+            places = np.ix_(members[one], members[other])
+            iou = overlap[places].sum() / max(1.0, union[places].sum())
+            if iou > least_iou:
+                found.append((-iou, one, other))
+        if not found:
+            break
+        _, one, other = min(found)
+        members[one] += members.pop(other)
+    labels = np.zeros(count, int)
+    for number, first in enumerate(sorted(members)):
+        labels[members[first]] = number
+    return labels.tolist()
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What Gaussians contribute [N, R] to regions of views [R]."""
+
+    matrix: NDArray[np.float32]
+    views: NDArray[np.int64]
+
+
+@st.composite
+def seen(draw: st.DrawFn) -> Seen:
+    """Objects seen from several views, whose regions bleed, split and join them; some have nothing."""
+    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n_gaussians, n_objects = draw(st.integers(0, 14)), draw(st.integers(1, 4))
+    thing = generator.integers(n_objects, size=n_gaussians)
+    sizes = draw(st.lists(st.integers(0, 4), min_size=1, max_size=5))  # regions of each view; some have none
+    bleeds = draw(st.sampled_from([0.0, 0.1, 0.9]))
+    alike = draw(st.sampled_from([False, False, False, True]))
+    columns, views = [], []
+    for view, size in enumerate(sizes):
+        region_of = generator.integers(max(1, size), size=n_objects)
+        weight = np.ones(n_gaussians) if alike else generator.gamma(1.0, 5.0, size=n_gaussians)
+        weight *= generator.random(n_gaussians) >= draw(st.sampled_from([0.0, 0.0, 0.5]))
+        for region in range(size):
+            inside = region_of[thing] == region
+            columns.append(
+                weight * np.where(inside, 1.0 - bleeds / 2, bleeds * generator.random(n_gaussians))
+            )
+            views.append(view)
+    if draw(st.booleans()):
+        columns = [column * (generator.random() > 0.2) for column in columns]
+    matrix = np.array(columns, np.float32).reshape(len(columns), n_gaussians).T
+    return Seen(matrix, np.array(views, np.int64))
+
+
+def same(n_gaussians: int, views: Sequence[int]) -> Seen:
+    return Seen(np.ones((n_gaussians, len(views)), np.float32), np.array(views, np.int64))
+
+
+@settings(max_examples=examples(200), deadline=None)
+@given(seen(), st.sampled_from([LEAST_IOU, 0.1, 0.6]))
+@example(same(3, [0]), LEAST_IOU)
+@example(same(3, []), LEAST_IOU)
+@example(same(0, [0, 1, 1]), LEAST_IOU)
+@example(same(4, [0, 1, 2, 3]), LEAST_IOU)
+@example(same(4, [0, 0, 0]), LEAST_IOU)
+@example(same(4, [0, 0, 3, 3, 7]), 0.1)
+def test_regions_merge_as_in_the_literal_clustering(each: Seen, least_iou: float) -> None:
+    found = clusters(each.matrix, each.views, least_iou)
+    assert found == literal_clusters(each.matrix, each.views, least_iou)
+    firsts = [found.index(label) for label in range(max(found, default=-1) + 1)]
+    assert firsts == sorted(firsts)
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(seen(), st.randoms(use_true_random=False))
+def test_the_order_of_gaussians_does_not_matter(each: Seen, random) -> None:
+    rows = list(range(len(each.matrix)))
+    random.shuffle(rows)
+    assert clusters(each.matrix[rows], each.views) == clusters(each.matrix, each.views)
+
+
+def test_two_objects_over_several_views() -> None:
+    """Each view shows both, its regions in another order; the last shows only one of them."""
+    one, other = [5, 5, 5, 0, 0, 0], [0, 0, 0, 7, 7, 1]
+    columns = [one, other, other, one, one, other, other]
+    assert clusters(np.array(columns).T, [0, 0, 1, 1, 2, 2, 3]) == [0, 1, 1, 0, 0, 1, 1]
+
+
+def test_a_part_that_a_view_does_not_see_is_no_difference() -> None:
+    """The second view sees half of the object only, and says nothing of the other half."""
+    whole, half, elsewhere = [4, 4, 4, 4, 0], [4, 4, 0, 0, 0], [0, 0, 0, 0, 4]
+    assert clusters(np.array([whole, half, elsewhere]).T, [0, 1, 1]) == [0, 0, 1]
+    beside = [0, 0, 4, 4, 0]  # now it sees the rest, as something else
+    assert clusters(np.array([whole, half, beside]).T, [0, 1, 1], 0.6) == [0, 1, 2]
+
+
+def test_regions_of_one_view_stay_apart_without_others() -> None:
+    alike = np.full((5, 3), 2.0)
+    assert clusters(alike, [0, 0, 0]) == [0, 1, 2]
+    assert clusters(alike, [0, 1, 2]) == [0, 0, 0]
+
+
+def test_regions_that_touch_stay_apart() -> None:
+    """A Gaussian on their border is seen in both, and is too little to join them."""
+    left, right = [9, 9, 9, 0.4, 0, 0, 0], [0, 0, 0, 0.5, 9, 9, 9]
+    columns = np.array([left, right, left, right, left, right]).T
+    assert clusters(columns, [0, 0, 1, 1, 2, 2]) == [0, 1] * 3
+    assert clusters(columns, [0, 0, 1, 1, 2, 2], 0.0) == [0, 1] * 3
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_regions_of_nothing_stay_alone(count: int) -> None:
+    assert clusters(np.zeros((4, count)), range(count)) == list(range(count))
+    assert clusters(np.zeros((0, count)), range(count)) == list(range(count))
+
+
+# Embeddings of things.
+
+
+def test_mean_embeddings_are_weighed_by_square_roots_of_masses() -> None:
+    generator = torch.Generator().manual_seed(0)
+    embeddings = 3 * torch.randn(30, 6, generator=generator)  # of any norm
+    embeddings[[4, 9]] = 0
+    member = np.arange(30) % 5 - 1  # four things, and what is of none
+    mass = np.abs(np.random.default_rng(0).normal(size=30)) * 100
+    means, agreement = mean_embeddings(embeddings, member, mass, 4)
+    rows = embeddings.half().double().numpy()
+    for thing in range(4):
+        summed, total = np.zeros(6), 0.0
+        for region in range(30):
+            length = np.linalg.norm(rows[region])
+            if member[region] == thing and length:
+                summed += np.sqrt(mass[region]) * rows[region] / length
+                total += np.sqrt(mass[region])
+        np.testing.assert_allclose(means[thing], summed / np.linalg.norm(summed), atol=1e-6)
+        assert agreement[thing] == pytest.approx(np.linalg.norm(summed) / total, abs=1e-6)
+    assert (means.dtype, agreement.dtype) == (np.float32, np.float32)
+
+
+def test_zero_embeddings_say_nothing() -> None:
+    embeddings = torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, 2.0], [0.0, 0.0]])
+    member, mass = np.array([0, 0, 1, 1]), np.array([1.0, 2.0, 3.0, 4.0])
+    means, agreement = mean_embeddings(embeddings, member, mass, 3)
+    assert means.tolist() == [[0, 0], [0, 1], [0, 0]]
+    assert agreement.tolist() == [1, 1, 1]
+    opposed = mean_embeddings(torch.tensor([[1.0, 0.0], [-1.0, 0.0]]), np.array([0, 0]), np.ones(2), 1)
+    assert [part.tolist() for part in opposed] == [[[0, 0]], [0]]
+    none = mean_embeddings(torch.zeros(0, 2), np.zeros(0, np.int64), np.zeros(0), 0)
+    assert [part.shape for part in none] == [(0, 2), (0,)]
+
+
+# Things of scenes.
+
+
+def test_the_things_of_a_wall_are_found(wall: Wall, things: Things) -> None:
+    """Four whole ones with two parts each, from all five views."""
+    assert things.levels.tolist() == [0] * 2 * COUNT + [1] * COUNT
+    assert things.n_regions.tolist() == [5] * 3 * COUNT
+    assert bool((things.owners != NO_THING).all())
+    cosines = things.embeddings.float() @ wall.vectors.T
+    of_thing = cosines.argmax(1)
+    assert of_thing[:8].bincount().tolist() == [2] * COUNT
+    assert of_thing[8:].sort().values.tolist() == list(range(COUNT))
+    assert float(cosines.amax(1).min()) > 0.97
+    assert float(things.agreement.min()) > 0.95
+    for number, level in enumerate(things.levels.tolist()):
+        mine = things.members(torch.tensor([number]))
+        planted = wall.thing == of_thing[number]
+        if not level:
+            planted &= wall.is_upper == bool(wall.is_upper[mine].float().mean() > 0.5)
+            assert int(of_thing[things.parents[number]]) == int(of_thing[number])
+        else:
+            assert int(things.parents[number]) == NO_THING
+        # But for a column of Gaussians on a border, which pixels cannot tell apart.
+        assert int((mine & planted).sum()) > 0.8 * int((mine | planted).sum())
+    for level in range(2):  # largest first
+        mass = things.mass[things.levels == level]
+        assert float(mass.max()) == pytest.approx(float(mass[0]), rel=0.01)
+
+
+def test_owners_are_the_things_that_gaussians_contribute_most_to(wall: Wall, things: Things) -> None:
+    sums = region_sums(wall.gaussians, wall.cameras, wall.regions)
+    of_thing = (things.embeddings.float() @ wall.vectors.T).argmax(1)
+    assert sums.rows is not None
+    contributes = np.zeros((len(wall.gaussians), COUNT))
+    of_all = sums.matrix(1).toarray()  # every view has its four regions from left to right
+    for rows in sums.rows[1].values():
+        contributes += of_all[:, rows]
+    expected = torch.from_numpy(contributes.argmax(1))
+    assert of_thing[things.owners[:, 1].long()].equal(expected)
+    # Its mass is what is contributed to its regions, but for small Gaussians and weak entries.
+    share = things.mass[things.levels == 1] / torch.from_numpy(contributes.sum(0))[of_thing[2 * COUNT :]]
+    assert 0.9 < float(share.min()) <= float(share.max()) <= 1
+
+
+def test_what_no_other_view_confirms_is_no_thing(wall: Wall) -> None:
+    assert LEAST_REGIONS == 2
+    alone = of_field(built(wall, wall.cameras.names[:1]))
+    assert len(alone) == 0
+    assert bool((alone.owners == NO_THING).all())
+    two = of_field(built(wall, wall.cameras.names[:2]))
+    assert two.n_regions.tolist() == [2] * 3 * COUNT
+
+
+def test_a_level_may_have_no_things(wall: Wall) -> None:
+    """The finer one has regions in one view only, or the coarser one."""
+    first = wall.cameras.names[0]
+    for bare in LEVELS:
+
+        def load(name: str, level: str, bare: str = bare) -> RegionMap:
+            known = wall.regions.load(name, level)
+            if level != bare or name == first:
+                return known
+            return RegionMap(torch.full_like(known.labels, -1), known.embeddings[:0])
+
+        found = of_field(built(replace(wall, regions=Regions(LEVELS, wall.cameras.names, load))))
+        other = 1 - LEVELS.index(bare)
+        assert found.levels.tolist() == [other] * (2 * COUNT, COUNT)[other]
+        assert bool((found.parents == NO_THING).all())
+        assert bool((found.owners[:, 1 - other] == NO_THING).all())
+
+
+def test_zero_embeddings_merge_as_others(wall: Wall, things: Things) -> None:
+    """Embeddings do not decide what is merged, and a thing of zeros has none."""
+
+    def load(name: str, level: str) -> RegionMap:
+        known = wall.regions.load(name, level)
+        embeddings = known.embeddings.clone()
+        embeddings[: 1 if level == "m" else 2] = 0
+        return RegionMap(known.labels, embeddings)
+
+    found = of_field(built(replace(wall, regions=Regions(LEVELS, wall.cameras.names, load))))
+    assert_same(found, things, (*DECIDED, "mass"))
+    bare = ~found.embeddings.any(1)
+    assert int(bare.sum()) == 3
+    assert bool((wall.thing[found.members(bare.nonzero()[-1])] == 0).all())
+    assert found.agreement[bare].tolist() == [1, 1, 1]
+
+
+def test_the_paper_has_no_things(wall: Wall) -> None:
+    settings = replace(BUILD_PRESETS["paper"], n_atoms=6, k=2, keep=2, epochs=5)
+    assert not settings.things
+    assert build(wall.gaussians, wall.cameras, wall.regions, settings, check_fit=False).things is None
+
+
+# The same views give the same things, whichever way they came.
+
+
+def saved(field: LanguageField, path: Path) -> bytes:
+    field.save(path, embed_geometry=False)
+    return path.read_bytes()
+
+
+def test_the_order_of_views_does_not_matter(wall: Wall, things: Things) -> None:
+    other = Cameras(reversed(list(wall.cameras)))
+    found = build(wall.gaussians, other, wall.regions, SETTINGS, check_fit=False)
+    assert found.info.provenance["views"] != list(wall.cameras.names)
+    assert_same(found.things, things, (*DECIDED, "mass"))
+    torch.testing.assert_close(of_field(found).embeddings, things.embeddings, atol=1e-3, rtol=0)
+    torch.testing.assert_close(of_field(found).agreement, things.agreement)
+
+
+def test_kept_in_memory_in_files_or_spilled_they_are_the_same(wall: Wall, tmp_path: Path) -> None:
+    expected = saved(built(wall), tmp_path / "a.scoup")
+    ways: list[dict[str, Any]] = [{"most_in_memory": 1}, {"path": tmp_path / "b.sums"}]
+    for number, how in enumerate(ways):
+        with closing(RegionSums.of(wall.gaussians, LEVELS, **how)) as sums:
+            assert saved(built(wall, sums=sums), tmp_path / f"{number}.scoup") == expected
+    with closing(RegionSums.open(tmp_path / "b.sums")) as sums:
+        assert saved(built(wall, sums=sums), tmp_path / "again.scoup") == expected
+        coded = RegionCodes.kept(sums)
+        assert coded is not None
+        assert [part.dtype for part in coded.embeddings] == [torch.float16] * 2
+        assert_same(things_of(sums, coded), of_field(built(wall)))
+
+
+@dataclass(frozen=True)
+class Together(Processes):
+    """Stands for several processes that each hold some of the Gaussians: all are given to ``gather`` at once."""
+
+    def gather(self, item: Item) -> list[Item]:
+        entries: list[Item] = []
+        count = len(item.total)  # pyright: ignore[reportAttributeAccessIssue]
+        for rank in range(self.world):
+            mine = np.zeros(count, bool)
+            part = Processes(rank, self.world).share_range(count)
+            mine[part.start : part.stop] = True
+            own = mine[item.gaussians]  # pyright: ignore[reportAttributeAccessIssue]
+            held = {name: getattr(item, name)[own] for name in ("gaussians", "regions", "weights")}
+            total = np.where(mine, item.total, 0.0)  # pyright: ignore[reportAttributeAccessIssue]
+            entries.append(replace(item, total=total, **held))  # pyright: ignore[reportArgumentType]
+        return entries
+
+
+@pytest.mark.parametrize("world", [2, 3, 1000])
+def test_how_gaussians_are_shared_does_not_matter(wall: Wall, things: Things, world: int) -> None:
+    sums = region_sums(wall.gaussians, wall.cameras, wall.regions)
+    embeddings = [wall.regions.embeddings(level)[0] for level in LEVELS]
+    assert_same(find_things(sums, embeddings), things)
+    assert_same(find_things(sums, embeddings, Together(0, world)), things)
+
+
+@pytest.mark.parametrize("share_out", [("1/1",), ("2/3", "3/3", "1/3")])
+def test_shards_merge_to_the_things_of_a_build(wall: Wall, tmp_path: Path, share_out: Sequence[str]) -> None:
+    with ExitStack() as stack:
+        shards = []
+        for number, share in enumerate(share_out):
+            path = tmp_path / f"{number}.sums"
+            shards.append(stack.enter_context(closing(RegionSums.of(wall.gaussians, LEVELS, path=path))))
+            add_shard(shards[-1], wall.gaussians, wall.cameras, wall.regions, shard(share), check_fit=False)
+        found = merge(shards, SETTINGS)
+    assert saved(found, tmp_path / "a.scoup") == saved(built(wall), tmp_path / "b.scoup")
+    assert len(of_field(found)) == 3 * COUNT
+
+
+@pytest.mark.parametrize("place", [0, 2, 4])
+def test_a_view_that_comes_and_goes_leaves_no_trace(wall: Wall, place: int) -> None:
+    late = wall.cameras[place]
+    before = [name for name in wall.cameras.names if name != late.name]
+    sums = RegionSums.of(wall.gaussians, LEVELS)
+    field = built(wall, before, sums=sums)
+    grown = update(field, sums, [late], wall.regions, check_fit=False)
+    assert of_field(grown).n_regions.tolist() == [5] * 3 * COUNT
+    assert_same(update(grown, sums, remove=[late.name]).things, field.things)
+
+
+@pytest.mark.parametrize("place", [0, 2, 4])
+def test_a_view_that_is_added_gives_the_things_of_all(wall: Wall, things: Things, place: int) -> None:
+    late = wall.cameras[place]
+    before = [name for name in wall.cameras.names if name != late.name]
+    sums = RegionSums.of(wall.gaussians, LEVELS)
+    field = built(wall, before, sums=sums)
+    grown = of_field(update(field, sums, [late], wall.regions, check_fit=False))
+    assert_same(grown, things, (*DECIDED, "mass"))
+    torch.testing.assert_close(grown.embeddings, things.embeddings, atol=1e-3, rtol=0)
+    torch.testing.assert_close(grown.agreement, things.agreement)
+
+
+def test_a_view_that_is_removed_leaves_the_things_of_the_others(wall: Wall) -> None:
+    for place in (0, 4):
+        gone = wall.cameras.names[place]
+        sums = RegionSums.of(wall.gaussians, LEVELS)
+        fewer = update(built(wall, sums=sums), sums, remove=[gone])
+        whole = of_field(built(wall, [name for name in wall.cameras.names if name != gone]))
+        assert_same(fewer.things, whole, (*DECIDED, "mass"))
+
+
+def test_a_field_without_things_stays_without(wall: Wall) -> None:
+    sums = RegionSums.of(wall.gaussians, LEVELS)
+    cameras = wall.cameras[:4]
+    field = build(
+        wall.gaussians, cameras, wall.regions, replace(SETTINGS, things=False), sums=sums, check_fit=False
+    )
+    assert field.things is None
+    coded = RegionCodes.kept(sums)
+    assert coded is not None
+    assert not coded.embeddings
+    assert update(field, sums, [wall.cameras[4]], wall.regions, check_fit=False).things is None
+
+
+def test_things_of_random_regions_are_of_their_levels() -> None:
+    """Regions are random blocks, of which few agree."""
+    gaussians, cameras, regions = small_scene(count=60, views=4, regions=3, seed=5)
+    sums = region_sums(gaussians, cameras, regions)
+    embeddings = [regions.embeddings(level)[0] for level in regions.levels]
+    found = find_things(sums, embeddings)
+    assert len(found) > 0
+    assert sums.rows is not None
+    for level, rows in enumerate(sums.rows):
+        mine = (found.levels == level).nonzero()[:, 0]
+        sizes = found.n_regions[mine].long()
+        assert int(sizes.sum()) <= sum(part.stop - part.start for part in rows.values())
+        assert not len(sizes) or int(sizes.min()) >= LEAST_REGIONS
+        owners = found.owners[:, level][found.owners[:, level] != NO_THING]
+        assert bool((found.levels[owners.long()] == level).all())
