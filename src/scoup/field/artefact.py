@@ -341,6 +341,8 @@ def _things(tensors: dict[str, Tensor]) -> Things | None:
         name.removeprefix("things."): tensor for name, tensor in tensors.items() if name.startswith("things.")
     }
     for name in ("owners", "parents") if parts else ():
+        if parts[name].dtype != torch.uint16:
+            raise InputError(f"things.{name} is {parts[name].dtype}, expected torch.uint16")
         numbers = parts[name].int()
         parts[name] = torch.where(numbers == MOST_THINGS, NO_THING, numbers)
     return Things(**parts) if parts else None

@@ -147,7 +147,8 @@ class ThingsSeen:
 def things_of_view(
     fits: ThingFits, projection: raster.Projection, voted: Sequence[Tensor], level: int | None = None
 ) -> ThingsSeen:
-    """The pixels of the things that answer each text in a view: those to which they contribute more than all others.
+    """The pixels of the things that answer each text in a view: those to which they contribute more than all other things
+    of their level. Gaussians of no thing, such as haze before the camera, do not count.
 
     Args:
         fits: of Q texts.
@@ -219,7 +220,7 @@ def choose_things(
         mass: [T] float64, what of each thing is seen: in a view, or in the scene.
         voted: [T] float64, how much of that lies in what the votes select.
         voted_mass: [S] float64, all that the votes select, as each level sees it.
-        level: the one that answers; None: the best.
+        level: the one that answers, judged by the best fit of all levels; None: the best.
 
     Returns:
         [M] int64, M >= 1, best first.

@@ -49,7 +49,7 @@ class Things:
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        count = len(self.levels)
+        count = self.levels.numel()
         kinds = {
             "owners": (torch.int32, 2),
             "levels": (torch.uint8, 1),
@@ -61,7 +61,7 @@ class Things:
         }
         for name, (dtype, dims) in kinds.items():
             part = getattr(self, name)
-            if part.dtype != dtype or part.dim() != dims or (name != "owners" and len(part) != count):
+            if part.dtype != dtype or part.dim() != dims or (name != "owners" and part.shape[0] != count):
                 raise InputError(
                     f"{name} of things is {part.dtype} {list(part.shape)}, expected {dtype} of {count} things"
                 )
