@@ -147,8 +147,10 @@ class ThingsSeen:
 def things_of_view(
     fits: ThingFits, projection: raster.Projection, voted: Sequence[Tensor], level: int | None = None
 ) -> ThingsSeen:
-    """The pixels of the things that answer each text in a view: those to which they contribute more than all other things
-    of their level. Gaussians of no thing, such as haze before the camera, do not count.
+    """The pixels of the things that answer each text in a view.
+
+    To these pixels they contribute more than all other things of their level. Gaussians of no thing, such as haze
+    before the camera, do not count.
 
     Args:
         fits: of Q texts.

@@ -2,9 +2,9 @@
 
 Two regions r of view a and q of view b overlap by I = sum over Gaussians of sqrt(A_ir A_iq). Each can overlap only as
 far as the other view sees it: D_rb = sum of sqrt(A_ir V_ib), where V_ib is what Gaussian i contributes to all regions
-of view b. So IoU = I / (D_rb + D_qa - I). Regions of one level merge best pair first, down to ``LEAST_IOU``. Clusters are
-compared by the same ratio of sums over all their pairs of regions (average linkage, weighed by mass; two regions of one
-view do not overlap). Own; measured in docs/answers.md.
+of view b. So IoU = I / (D_rb + D_qa - I). Regions of one level merge best pair first, down to ``LEAST_IOU``. Clusters
+are compared by the same ratio of sums over all their pairs of regions (average linkage, weighed by mass; two regions of
+one view do not overlap). Own; measured in docs/answers.md.
 
 Square roots are rounded to whole numbers, so every sum is exact, in any order. Regions are taken by the names of their
 views. So the same views give the same things, whether they were added at once, one by one, or by shards.
