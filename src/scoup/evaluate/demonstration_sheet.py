@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from torch import Tensor
-
-from scoup.evaluate.demonstration import METHOD, DemoResult, rows_by_name
+from scoup.evaluate.demonstration import METHOD, DemoResult, rows_by_name, texts_of
 from scoup.evaluate.scores import PairScore
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
-from scoup.query.segment import localize_and_segment, main_parts, mask_box
+from scoup.query.answering import answer_view
 from scoup.raster import render_colors
 
 TRUTH_COLOR = (70, 200, 110)
@@ -53,9 +51,7 @@ def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture
     camera = scene.held_out[pair.frame]
     projection = field.project(camera)
     rgb = render_colors(field.gaussians, camera, projection)
-    query = scene.text_vectors([pair.label])
-    maps: Tensor = field.relevancy(camera, query, scene.canonical, projection)[:, 0]
-    place, shape = localize_and_segment(maps)
+    (answer,) = answer_view(field, camera, texts_of(scene, [pair.label]), projection=projection)
     truth = mask_overlay(
         scene.mask(camera.name, pair.label),
         rgb,
@@ -63,7 +59,6 @@ def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture
         remark=f"truth, {pair.frame}",
         color=TRUTH_COLOR,
     )
-    heat = heat_map(maps[shape.level], rgb, "relevancy", field.levels[shape.level], shape.score)
-    parts = main_parts(shape.mask.cpu(), place.pixel, maps[shape.level].cpu())
-    found = mask_overlay(shape.mask, rgb, mask_box(parts), place.pixel, "found", f"IoU {pair.iou:.2f}")
+    heat = heat_map(answer.heat, rgb, "relevancy", answer.level, answer.score)
+    found = mask_overlay(answer.mask, rgb, answer.box, answer.point, "found", f"IoU {pair.iou:.2f}")
     return truth, heat, found
