@@ -22,6 +22,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup.base.counts import spread
 from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
 from scoup.scene.codes import SparseCodes, index_dtype
@@ -42,6 +43,8 @@ LEAST_SHARE = 0.05
 """Entries below this share of a Gaussian's largest say nothing about what it is part of."""
 MASS = 0.98
 """The Gaussians that contribute this much of everything, the largest contributors first, decide what is merged."""
+MOST_VIEWS = 48
+"""Of more views so many, evenly spread by their names, make the things; merging takes time with their square."""
 MOST_DECIDING = 300_000
 """Of more Gaussians only every second, third, ... decides what is merged; all of them have owners."""
 LEAST_REGIONS = 2
@@ -68,12 +71,14 @@ def find_things(
         progress: called for the stage "things".
     """
     assert sums.rows is not None
-    entries = _gathered(_strong_entries(sums), processes)
+    names = spread(sorted(sums.rows[0]), MOST_VIEWS)
+    entries = _gathered(_strong_entries(sums, names), processes)
     found: list[_LevelThings] = []
     for number, (rows, of_level) in enumerate(zip(sums.rows, embeddings, strict=True)):
         progress("things", number, len(embeddings))
         matrix = _by_region(entries, number, len(of_level))
-        found.append(_things_of_level(matrix, rows, of_level, MOST_THINGS // len(embeddings)))
+        mine = {name: rows[name] for name in names}
+        found.append(_things_of_level(matrix, mine, of_level, MOST_THINGS // len(embeddings)))
     progress("things", len(embeddings), len(embeddings))
     return _joined(found, _owners(sums, found))
 
@@ -95,13 +100,12 @@ class _StrongEntries:
     total: NDArray[np.float64]
 
 
-def _strong_entries(sums: RegionSums) -> _StrongEntries:
+def _strong_entries(sums: RegionSums, names: Sequence[str]) -> _StrongEntries:
     """Of every so manieth Gaussian, in the order of the sums, which is that of space."""
     count = sums.n_gaussians
     assert sums.rows is not None
     stride = -(-count // MOST_DECIDING)
     total, largest = np.zeros(count), np.zeros(count, np.float32)
-    names = sorted(sums.rows[0])
     for name in names:
         for part in sums.views[name].parts:
             part.check_numbers(count)
