@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
+from scoup.base.counts import spread
 from scoup.base.processes import Item, Processes, shard
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Cameras
@@ -472,3 +473,14 @@ def test_things_of_random_regions_are_of_their_levels() -> None:
         assert not len(sizes) or int(sizes.min()) >= LEAST_REGIONS
         owners = found.owners[:, level][found.owners[:, level] != NO_THING]
         assert bool((found.levels[owners.long()] == level).all())
+
+
+def test_of_many_views_some_make_the_things(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scoup.uplift.things.MOST_VIEWS", 2)
+    fewer = of_field(built(wall))
+    names = spread(sorted(camera.name for camera in wall.cameras), 2)
+    assert_same(
+        replace(fewer, owners=fewer.owners), of_field(built(wall, names)), ("levels", "n_regions", "mass")
+    )
+    assert int(fewer.n_regions.max()) <= 2
+    assert bool((fewer.owners != NO_THING).any())
