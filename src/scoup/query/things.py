@@ -193,13 +193,12 @@ def _rendered(
     owned = things.owners != NO_THING
     channels = torch.cat([owned.float(), *(things.members(each).float()[:, None] for each in there)], 1)
     image, _ = raster.render_channels(projection, channels)
-    count, found, place = owned.shape[1], [], owned.shape[1]
+    found, place = [], owned.shape[1]
     for each in chosen:
         if each is None:
             found.append(None)
             continue
         level = int(things.levels[each[0]])
-        assert level < count
         mask = (image[..., place] > 0.5 * image[..., level]).cpu()
         found.append((mask, level) if bool(mask.any()) else None)
         place += 1

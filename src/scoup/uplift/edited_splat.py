@@ -115,7 +115,9 @@ def follow(
     path = None if geometry_path is None else Path(geometry_path)
     if kept is None:
         indices, weights = _carried(field.code_indices, matching), _carried(field.code_weights, matching)
-        things = None if field.things is None else _carried_things(field.things, matching)
+        things = field.things
+        if things is not None:
+            things = replace(things, owners=_carried(things.owners, matching, NO_THING))
         return Followed(_field_of(field, gaussians, (indices, weights), things, record, path), matching)
     coded = codes_of(field, kept.sums)
     sums, changed = _followed_sums(kept, coded, before, gaussians, matching, backend, progress)
@@ -149,20 +151,12 @@ def _check_matching(matching: Matching, source: str, tolerant: bool) -> None:
         )
 
 
-def _carried(rows: Tensor, matching: Matching) -> Tensor:
-    """The codes [M, S, K] of matched Gaussians; zeros for the others."""
+def _carried(rows: Tensor, matching: Matching, others: int = 0) -> Tensor:
+    """The rows [M, ...] of matched Gaussians, such as codes or owners; ``others`` for those that are not."""
     before = matching.before.to(rows.device)
     carried = signed(rows)[before.clamp(min=0)]
-    carried[before < 0] = 0
+    carried[before < 0] = others
     return carried.view(rows.dtype)
-
-
-def _carried_things(things: Things, matching: Matching) -> Things:
-    """The things with the owners of matched Gaussians; appended ones belong to none."""
-    before = matching.before.to(things.owners.device)
-    owners = things.owners[before.clamp(min=0)]
-    owners[before < 0] = NO_THING
-    return replace(things, owners=owners)
 
 
 def _field_of(

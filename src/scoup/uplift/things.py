@@ -241,12 +241,13 @@ def merge_regions(
     union = reach[first, views[second]] + reach[second, views[first]] - overlaps
     keep = overlaps > LEAST_OVERLAP * union
     pairs = np.stack([first[keep], second[keep]], 1)
-    return _agglomerate(pairs, overlaps[keep], reach, views, least_iou)
+    return _agglomerate(pairs, overlaps[keep], union[keep], reach, views, least_iou)
 
 
 def _agglomerate(
     pairs: NDArray[np.int64],  # [P, 2]
     overlaps: NDArray[np.float64],  # [P]
+    unions: NDArray[np.float64],  # [P]
     reach: NDArray[np.float64],  # [R, V], changed
     views: NDArray[np.int64],  # [R]
     least_iou: float,
@@ -259,7 +260,6 @@ def _agglomerate(
     seen_in = np.zeros_like(reach)
     seen_in[np.arange(count), views] = 1
     grown, parent = [0] * count, list(range(count))
-    unions = reach[pairs[:, 0], views[pairs[:, 1]]] + reach[pairs[:, 1], views[pairs[:, 0]]] - overlaps
     ious = overlaps / np.maximum(unions, 1)
     above = ious > least_iou
     heap = [
