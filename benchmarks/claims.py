@@ -104,7 +104,7 @@ def uplift(arguments: Arguments) -> dict[str, Any]:
     sums = region_sums(gaussians, cameras, regions)
     embeddings = [regions.embeddings(level) for level in regions.levels]
     sums.rows = [rows for _, rows in embeddings]
-    settings = BuildSettings(n_atoms=64, k=4, wide=False, rounds=1, effort="fast", seed=arguments.seed)
+    settings = BuildSettings(n_atoms=64, k=4, rounds=1, effort="fast", seed=arguments.seed)
     codes, codebook = learn_codes([rows for rows, _ in embeddings], settings)
     counts = [len(rows) for rows, _ in embeddings]
     projection = raster.project(gaussians, cameras[0])

@@ -65,8 +65,6 @@ class Arguments:
     """Rounds of the vote."""
     k: int | None = None
     """K."""
-    wide: bool | None = None
-    """Whether regions vote with wide codes."""
     effort: str | None = None
     """How long the exact solver learns, see `scoup build`."""
     backend: str | None = None
@@ -100,7 +98,6 @@ def main(arguments: Arguments) -> dict[str, Any]:
         arguments.preset,
         n_atoms=arguments.n_atoms,
         k=arguments.k,
-        wide=arguments.wide,
         effort=arguments.effort,
         rounds=arguments.rounds,
         solver=arguments.solver,

@@ -24,7 +24,7 @@ from scoup.uplift.build_settings import build_settings
 EPOCHS = 0
 """Of the paper preset's solver, which is not what is frozen: steps of Adam amplify the last bits in which processors
 differ, until other atoms are kept."""
-FIRST_DEFAULT = {"n_atoms": 128, "k": 4, "wide": False, "keep": 4, "solver": "exact", "effort": "best"}
+FIRST_DEFAULT = {"n_atoms": 128, "k": 4, "keep": 4, "solver": "exact", "effort": "best"}
 """What "default" was when the files were written."""
 BUILDS = {
     "default, two rounds": {"settings": "default", **FIRST_DEFAULT, "rounds": 2},

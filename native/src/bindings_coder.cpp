@@ -11,7 +11,6 @@
 #include "coder.h"
 #include "coder_kernels.h"
 #include "python_signals.h"
-#include "wide_codes.h"
 
 namespace nb = nanobind;
 
@@ -77,18 +76,6 @@ nb::tuple py_code_rows(const Array& rows, const Array& atoms, int64_t slots, int
     });
 }
 
-nb::object py_wide_weights(const Array& similarities, const Array& gram, int64_t sweeps, float tolerance, int threads) {
-    const Matrix s = matrix(similarities, "similarities");
-    const auto* g = data_of<float>(gram, "gram", {s.columns, s.columns});
-    check(s.columns, "the number of atoms", 0, kMostAtoms);
-    check(sweeps, "sweeps", 0, 100000);
-    Buffer<float> out(s.rows * s.columns);
-    without_lock([&] {
-        wide_weights(s, g, {int32_t(sweeps), tolerance}, out.data(), sane(threads), python_signals());
-    });
-    return to_numpy(std::move(out), {size_t(s.rows), size_t(s.columns)});
-}
-
 nb::object py_row_products(const Array& rows, const Array& others, int threads) {
     const Matrix f = matrix(rows, "rows"), c = matrix(others, "others", f.columns);
     Buffer<float> out(f.rows * c.rows);
@@ -135,8 +122,6 @@ void bind_coder(nb::module_& m) {
           nb::arg("swap_passes"), array("warm") = nb::none(), nb::arg("threads") = 1, codes);
     m.def("code_rows", &py_code_rows, array("rows"), array("atoms"), nb::arg("slots"), nb::arg("swap_passes"),
           array("warm") = nb::none(), nb::arg("threads") = 1, codes);
-    m.def("wide_weights", &py_wide_weights, array("similarities"), array("gram"), nb::arg("sweeps"), nb::arg("tolerance"),
-          nb::arg("threads"), "Returns weights float32 [R, L].");
     m.def("row_products", &py_row_products, array("rows"), array("others"), nb::arg("threads") = 1,
           "rows [R, D] times others [N, D] transposed: float32 [R, N].");
     m.def("code_moments", &py_code_moments, array("rows"), array("support"), array("weights"), array("scale"),

@@ -9,7 +9,6 @@
 #include "fuzz_raster.h"
 #include "fuzz_smoothing.h"
 #include "fuzz_vote.h"
-#include "fuzz_wide_codes.h"
 
 namespace {
 
@@ -22,7 +21,6 @@ void run_round(uint64_t seed, long long round, const std::vector<const char*>& s
         scoup::fuzz_damaged_sums(random, int(random.between(1, 4)));
     }
     for (int i = 0; i < 4; ++i) scoup::fuzz_coder(random);
-    for (int i = 0; i < 4; ++i) scoup::fuzz_wide_codes(random);
     scoup::fuzz_smoothing(random, int(random.between(1, 4)));
 }
 

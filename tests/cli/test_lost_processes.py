@@ -32,12 +32,12 @@ DIES_AT_CODING = """
 import os, signal
 from scoup.cli.app import entry
 from scoup.uplift import region_codes
-learn = region_codes.learn_codebook
-def die(*arguments):
+learn = region_codes.fit_codes
+def die(*arguments, **options):
     if os.environ["RANK"] == os.environ["DIES"]:
         os.kill(os.getpid(), signal.SIGKILL)
-    return learn(*arguments)
-region_codes.learn_codebook = die
+    return learn(*arguments, **options)
+region_codes.fit_codes = die
 entry()
 """
 BUILD = ("build", "scene", *QUICK, "--out", "g.scoup", "--model", "scene/words.npz")

@@ -169,9 +169,7 @@ def test_what_the_process_of_a_scene_is_given(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("TORCHELASTIC_RUN_ID", "x")
     monkeypatch.setenv("ROLE_OF_MINE", "y")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(["src", "/else"]))
-    listed(
-        "a", **{"n-atoms": 8, "k": 3, "embed-geometry": True, "wide": False, "keep": None, "device": "cuda"}
-    )
+    listed("a", **{"n-atoms": 8, "k": 3, "embed-geometry": True, "keep": None, "device": "cuda"})
     code, found = many("--k=2", "--retries=0", "--rounds", "1", "--retries", "1", "--shard=1/1")
     assert (code, found) == (0, {"a": MADE})
     given = json.loads(Path("lists/a.scoup").read_text())
@@ -268,7 +266,10 @@ def test_what_is_refused() -> None:
     for options, said in (
         ({"n-atoms": "many"}, "lists/scenes.yaml: scene 'a': Error parsing --n-atoms"),
         ({"preset": "x"}, "lists/scenes.yaml: scene 'a': invalid choice 'x' for argument '--preset'"),
-        ({"wide": 1}, "lists/scenes.yaml: scene 'a': wide is '1', expected true or false"),
+        (
+            {"embed-geometry": 1},
+            "lists/scenes.yaml: scene 'a': embed-geometry is '1', expected true or false",
+        ),
         ({"seed": True}, "lists/scenes.yaml: scene 'a': seed is 'True', expected a text or a number"),
         ({"overwrite": True}, "lists/scenes.yaml: defaults: scoup build has no option 'overwrite' here"),
     ):

@@ -46,22 +46,6 @@ def test_the_usual_model_is_taken_for_embeddings_of_its_size():
     assert LanguageField.load("scene.scoup").info.embedding_model == "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 
 
-def test_the_kind_of_codes_that_regions_vote_with():
-    for options, wide in (
-        ((), True),
-        (("--no-wide",), False),
-        (("--preset", "paper", "--epochs", "3"), False),
-    ):
-        run_json("build", "scene", *QUICK, "--out", "a.scoup", "--overwrite", *options)
-        assert LanguageField.load("a.scoup").info.provenance["settings"]["wide"] is wide
-    run_json(
-        *("build", "scene", *QUICK, "--out", "a.scoup", "--overwrite"),
-        *("--preset", "paper", "--epochs", "3", "--wide"),
-    )
-    assert LanguageField.load("a.scoup").info.provenance["settings"]["wide"] is True
-    assert "--wide and --no-wide" in refused("build", "scene", "--out", "b.scoup", "--wide", "--no-wide")
-
-
 def test_the_record_for_machines():
     record = run_json("build", "scene", *QUICK, "--out", "a.scoup")
     assert record["field"] == "a.scoup"

@@ -90,7 +90,7 @@ def test_each_kind_of_feature_is_compared_between_the_observations_of_a_point() 
     }
     columns = (3, 20, 35)
     points = [[("a.png", column), ("b.png", column + 40)] for column in columns]
-    settings = BuildSettings(n_atoms=4, k=1, keep=1, effort="fast", wide=False)
+    settings = BuildSettings(n_atoms=4, k=1, keep=1, effort="fast")
     network_settings = replace(QUICK, epochs=60, learning_rate=0.01)
     regions = Regions.from_maps(maps)
     results = consistency(

@@ -227,14 +227,14 @@ def test_presets():
     assert BUILD_PRESETS["default"] == BuildSettings()
     paper = BUILD_PRESETS["paper"]
     assert (paper.n_atoms, paper.k, paper.keep, paper.solver, paper.epochs) == (64, 4, 4, "adam", 4000)
-    assert (paper.rounds, paper.wide, paper.things) == (1, False, False)
+    assert (paper.rounds, paper.things) == (1, False)
     default = BUILD_PRESETS["default"]
-    assert (default.n_atoms, default.k, default.wide, default.keep) == (128, 4, True, 4)
+    assert (default.n_atoms, default.k, default.keep) == (128, 4, 4)
     assert (default.rounds, default.solver, default.effort, default.things) == (2, "exact", "fast", True)
     assert build_settings("paper", k=2).keep == 4  # of a Gaussian, whatever a region's code has
     assert build_settings("paper", k=2, keep=0).keep == 0
-    assert build_settings(wide=False) == BuildSettings(wide=False)
-    assert build_settings("paper", wide=None).wide is False
+    assert build_settings(things=False) == BuildSettings(things=False)
+    assert build_settings("paper", things=None).things is False
     assert build_settings(seed=3) == BuildSettings(seed=3)
     few, two = build_settings(n_atoms=3), build_settings("paper", n_atoms=2)
     assert [(each.n_atoms, each.k, each.keep) for each in (few, two)] == [(3, 3, 3), (2, 2, 2)]

@@ -15,7 +15,6 @@ from scoup import raster
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.native import native_core
 from scoup.coding.encode import encode
-from scoup.coding.wide import wide_codes
 from scoup.field.language_field import LanguageField
 from scoup.pictures.colors import code_picture
 from scoup.scene.cameras import Camera, Cameras
@@ -196,12 +195,10 @@ def test_gaussians_that_a_view_does_not_see_keep_their_codes(wall: Wall) -> None
     assert not grown.code_weights[~unseen].equal(field.code_weights[~unseen])
 
 
-@pytest.mark.parametrize("wide", [True, False])
 @pytest.mark.parametrize("rounds", [1, 2])
-def test_an_update_equals_the_vote_of_all_views(wall: Wall, rounds: int, wide: bool) -> None:
+def test_an_update_equals_the_vote_of_all_views(wall: Wall, rounds: int) -> None:
     """Views added, removed and changed: bytes as of sums and codes made from nothing."""
-    field, sums = built(wall, replace(SETTINGS, rounds=rounds, wide=wide))
-    code = wide_codes if wide else encode
+    field, sums = built(wall, replace(SETTINGS, rounds=rounds))
     coded = RegionCodes.kept(sums)
     assert coded is not None
     changed = Regions.from_maps(
@@ -227,7 +224,7 @@ def test_an_update_equals_the_vote_of_all_views(wall: Wall, rounds: int, wide: b
             rows = changed.load_embeddings(camera.name, level)
             known = coded.codes[s].rows(coded.rows[s].get(camera.name, slice(0, 0)))
             new = camera.name in ("late_0.png", "early_3.png")
-            parts.append(code(normalise_embeddings(rows), field.codebook[s], 2) if new else known)
+            parts.append(encode(normalise_embeddings(rows), field.codebook[s], 2) if new else known)
         of_level = parts[0]
         for part in parts[1:]:
             of_level = joined(of_level, part)
@@ -241,32 +238,18 @@ def test_an_update_equals_the_vote_of_all_views(wall: Wall, rounds: int, wide: b
     assert list(after.cameras.names) == [camera.name for camera in views]
 
 
-def test_new_views_get_the_kind_of_codes_that_the_field_was_built_with(wall: Wall) -> None:
-    """A view that is given again, as it was, changes nothing; in fields from before wide codes, too."""
-    for wide in (True, False):
-        field, sums = built(wall, replace(SETTINGS, wide=wide))
-        before = RegionCodes.kept(sums)
-        if not wide:
-            settings = {**field.info.provenance["settings"], "consensus": True}
-            del settings["wide"]
-            provenance = {**field.info.provenance, "settings": settings}
-            field.info = replace(field.info, provenance=provenance)
-        again = update(field, sums, wall.early[2:3], wall.regions)
-        after = RegionCodes.kept(sums)
-        assert before is not None
-        assert after is not None
-        for s, rows in enumerate(before.rows):
-            old = before.codes[s].rows(rows["early_2.png"])
-            new = after.codes[s].rows(after.rows[s]["early_2.png"])
-            torch.testing.assert_close(new.to_dense(), old.to_dense(), atol=1e-5, rtol=0)
-        if wide:  # the whole is made of wide codes
-            expected = wide_codes(
-                normalise_embeddings(wall.regions.load_embeddings("early_2.png", "s")), field.codebook[0], 2
-            )
-            torch.testing.assert_close(
-                after.codes[0].rows(after.rows[0]["early_2.png"]).weights, expected.weights, atol=1e-5, rtol=0
-            )
-        assert float((again.code_weights - field.code_weights).abs().max()) < 2e-3
+def test_a_view_that_is_given_again_as_it_was_changes_nothing(wall: Wall) -> None:
+    field, sums = built(wall)
+    before = RegionCodes.kept(sums)
+    again = update(field, sums, wall.early[2:3], wall.regions)
+    after = RegionCodes.kept(sums)
+    assert before is not None
+    assert after is not None
+    for s, rows in enumerate(before.rows):
+        old = before.codes[s].rows(rows["early_2.png"])
+        new = after.codes[s].rows(after.rows[s]["early_2.png"])
+        torch.testing.assert_close(new.to_dense(), old.to_dense(), atol=1e-5, rtol=0)
+    assert float((again.code_weights - field.code_weights).abs().max()) < 2e-3
 
 
 def test_a_view_that_goes_again_leaves_no_trace(wall: Wall) -> None:

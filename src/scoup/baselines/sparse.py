@@ -12,10 +12,10 @@ from torch import Tensor
 from scoup.baselines.fitted import FittedField, fitted_field
 from scoup.baselines.method import MethodSettings
 from scoup.baselines.rasterised_scene import Coder, Codes, UpliftInputs
+from scoup.coding import fit_codes
 from scoup.coding.adam import AdamSettings, solve_adam
 from scoup.scene.directions import normalise_embeddings
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.region_codes import learn_codebook
 from scoup.uplift.vote import GaussianCodes, vote
 
 Half = Literal["highest", "lowest"]
@@ -24,7 +24,7 @@ Half = Literal["highest", "lowest"]
 
 def learn_codes(embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
     """Codes of the regions of each level, as ``scoup.build`` learns them."""
-    books = [learn_codebook(rows, settings) for rows in embeddings]
+    books = [fit_codes(rows, **settings.of_fit) for rows in embeddings]
     return [book.codes for book in books], torch.stack([book.atoms for book in books])
 
 

@@ -20,24 +20,18 @@ class BuildOptions(WritesCommon):
     """What a field is made like."""
 
     option_groups: ClassVar[OptionGroups] = {
-        "coding": "n_atoms k wide no_wide solver effort epochs tolerance",
+        "coding": "n_atoms k solver effort epochs tolerance",
         "vote": "keep rounds",
         "output": "weight_bits embed_geometry",
     }
 
     preset: Literal["default", "paper"] = "default"
-    """default answers best (128 atoms, exact coding, wide codes, two rounds of the vote); paper is the method as
+    """default answers best (128 atoms, exact coding, two rounds of the vote); paper is the method as
     published (64 atoms, Adam, one round). Options of coding and vote, where given, override it."""
     n_atoms: OptionalInteger = None
     """Atoms in the codebook of each level (L). Default: the preset's."""
     k: OptionalInteger = None
     """Atoms in the code of a region (K). Default: the preset's."""
-    wide: Flag = False
-    """Let regions vote with the K largest of the weights that explain them by all atoms together. Default: the
-    preset's."""
-    no_wide: Flag = False
-    """Let regions vote with the K atoms that explain them best by themselves, as in the paper. Default: the
-    preset's."""
     keep: OptionalInteger = None
     """Atoms each Gaussian keeps after the vote; 0 keeps all. Default: the preset's."""
     rounds: OptionalInteger = None
@@ -61,16 +55,12 @@ class BuildOptions(WritesCommon):
 
     def settings(self, raster_preset: str) -> BuildSettings:
         """The preset with the options given."""
-        from scoup.base.errors import InputError
         from scoup.uplift.build_settings import build_settings
 
-        if self.wide and self.no_wide:
-            raise InputError("--wide and --no-wide do not go together; give one of them")
         names = ("n_atoms", "k", "keep", "rounds", "solver", "effort", "epochs", "tolerance", "seed")
         return build_settings(
             self.preset,
             **{name: getattr(self, name) for name in names},
-            wide=self.wide if self.wide or self.no_wide else None,
             raster_preset=raster_preset,
         )
 

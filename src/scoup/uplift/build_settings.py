@@ -20,8 +20,6 @@ class BuildSettings:
     Attributes:
         n_atoms: L, atoms in each level's codebook.
         k: K, atoms in the code of a region.
-        wide: regions vote with the K largest weights of non-negative least squares over all atoms
-            (``scoup.coding.wide``); false: with the K-sparse codes that the codebook was learned with, as in the paper.
         keep: atoms kept for each Gaussian by the vote; 0 keeps all (no top-K step).
         rounds: of the vote, 1 or more. One is the paper's; in each further one regions count by their cosine with the
             outcome of the round before (``scoup.uplift.reweighting``).
@@ -36,7 +34,6 @@ class BuildSettings:
 
     n_atoms: int = 128
     k: int = 4
-    wide: bool = True
     keep: int = 4
     rounds: int = 2
     solver: str = "exact"
@@ -55,7 +52,7 @@ class BuildSettings:
     @property
     def of_codes(self) -> dict[str, Any]:
         """Those that decide the codes of the regions."""
-        return {**self.of_fit, "wide": self.wide, "things": self.things}
+        return {**self.of_fit, "things": self.things}
 
     def __post_init__(self) -> None:
         if not 1 <= self.k <= self.n_atoms or not 0 <= self.keep <= self.n_atoms:
@@ -73,7 +70,7 @@ class BuildSettings:
 
 BUILD_PRESETS: dict[str, BuildSettings] = {
     "default": BuildSettings(),
-    "paper": BuildSettings(n_atoms=64, k=4, wide=False, rounds=1, solver="adam", things=False),
+    "paper": BuildSettings(n_atoms=64, k=4, rounds=1, solver="adam", things=False),
 }
 """What answers best at little cost (docs/benchmarks.md, "Codes and votes"), and the paper's method as published."""
 

@@ -12,7 +12,6 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.coding.codebook import check_new_atoms, encode_rows, learn_atoms
 from scoup.coding.encode import encode
-from scoup.coding.wide import wide_codes
 from scoup.scene.codes import SparseCodes
 from scoup.scene.directions import normalise_embeddings
 from scoup.scene.regions import Regions
@@ -67,7 +66,6 @@ def code_view(
     k: int,
     thresholds: Sequence[float] | None,
     new_atoms: int = 0,
-    wide: bool = False,
 ) -> CodedView:
     """Code a view's regions, with atoms added for those badly explained if wanted.
 
@@ -78,7 +76,6 @@ def code_view(
         thresholds: per level, the cosine below which a region is badly explained (``explained_thresholds``); None if
             not known.
         new_atoms: add at most so many atoms a level.
-        wide: give wide codes (``scoup.coding.wide``), as the other regions of the field have them.
 
     Raises:
         InputError: embeddings are not finite, ``new_atoms`` is negative or too large, or wanted without ``thresholds``.
@@ -98,12 +95,10 @@ def code_view(
         learn_atoms(r[coded.badly_explained], atoms, k, new_atoms)
         for r, atoms, coded in zip(rows, codebook, encoded, strict=True)
     ]
-    codes, grown = [coded.codes for coded in encoded], any(len(atoms) for atoms in new)
-    if grown:
+    codes = [coded.codes for coded in encoded]
+    if any(len(atoms) for atoms in new):
         codebook = append_atoms(codebook, new)
-    if grown or wide:
-        coder = wide_codes if wide else encode
-        codes = [coder(r, atoms, k) for r, atoms in zip(rows, codebook, strict=True)]
+        codes = [encode(r, atoms, k) for r, atoms in zip(rows, codebook, strict=True)]
     badly_explained = sum(int(coded.badly_explained.sum()) for coded in encoded)
     return CodedView(
         codes,

@@ -16,17 +16,12 @@ from scoup.base.errors import InputError
 from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
 from scoup.base.version import VERSION
-from scoup.coding import Codebook, fit_codes
-from scoup.coding.wide import wide_codes
+from scoup.coding import fit_codes
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
-from scoup.scene.directions import normalise_embeddings
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums, Rows
-
-NO_LOSS = 1e-5
-"""Of a codebook that holds the embeddings themselves (``scoup.coding.distinct``), whose codes say all there is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,10 +234,10 @@ def learn_region_codes(
     by_level = dict(zip(embeddings.levels, embeddings.of_levels, strict=True))
     for level in processes.share(embeddings.levels):
         stage = f"coding {level}"
-        book = learn_codebook(
+        book = fit_codes(
             by_level[level].to(device),
-            settings,
-            lambda _, done, total, stage=stage: progress(stage, done, total),
+            **settings.of_fit,
+            progress=lambda _, done, total, stage=stage: progress(stage, done, total),
         )
         # Seconds would make two equal builds write different bytes.
         report = {name: value for name, value in asdict(book.report).items() if name != "seconds"}
@@ -254,14 +249,6 @@ def learn_region_codes(
     if processes.first and sums.writable:
         coded.keep(sums, key)
     return coded
-
-
-def learn_codebook(rows: Tensor, settings: BuildSettings, progress: Progress = no_progress) -> Codebook:
-    """Codebook of the embeddings [R, D] of one level, with the codes they vote with, by the settings of a build."""
-    book = fit_codes(rows, **settings.of_fit, progress=progress)
-    if not settings.wide or book.report.loss < NO_LOSS:
-        return book
-    return replace(book, codes=wide_codes(normalise_embeddings(rows), book.atoms, settings.k))
 
 
 def joined(first: SparseCodes, second: SparseCodes) -> SparseCodes:

@@ -148,11 +148,10 @@ def _keep(coded: RegionCodes, sums: RegionSums) -> None:
 
 @dataclass(frozen=True)
 class _Recorded:
-    """Settings of the build that a field records: K of a region's code, whether it is wide, atoms a Gaussian keeps (0:
+    """Settings of the build that a field records: K of a region's code, atoms a Gaussian keeps (0:
     all), rounds."""
 
     k: int
-    wide: bool
     keep: int
     rounds: int
 
@@ -162,7 +161,6 @@ class _Recorded:
         kept = field.code_indices.shape[2]
         return cls(
             int(settings.get("k", kept)),
-            bool(settings.get("wide", False)),
             int(settings.get("keep", kept)),
             int(settings.get("rounds", 1)),
         )
@@ -179,7 +177,7 @@ def _code_new_views(
     for name in (camera.name for camera in cameras):
         rows = embeddings_of(name, regions, field.levels, field.dim)
         thresholds = explained_thresholds(field.info.provenance, field.levels)
-        view = code_view(coded.codebook, rows, recorded.k, thresholds, new_atoms, recorded.wide)
+        view = code_view(coded.codebook, rows, recorded.k, thresholds, new_atoms)
         _warn_of_badly_explained(name, view, new_atoms)
         coded = coded.with_view(name, view.codes, view.codebook, rows)
         found.append(view)

@@ -69,7 +69,7 @@ def _changed(
     **changes: int,
 ) -> Ablation:
     """A row with other codes or another vote than the base."""
-    of_base = {"n_atoms": 64, "k": 4, "wide": False, "rounds": 1, "effort": "best"}
+    of_base = {"n_atoms": 64, "k": 4, "rounds": 1, "effort": "best"}
     uplift = SparseUplift(coder, dropped, **{**of_base, **changes})
     return Ablation(name, group, Method(name, uplift), published=published)
 

@@ -18,6 +18,7 @@ import torch
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.baselines.autoencoder import LANGSPLAT, AutoencoderSettings, fit_autoencoder
+from scoup.coding import fit_codes
 from scoup.evaluate.metrics import Interval, bootstrap_interval
 from scoup.evaluate.plots import IntervalPlot
 from scoup.evaluate.studies.matches import Matches, Observation, matched_points
@@ -27,7 +28,6 @@ from scoup.evaluate.tables import Table
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.region_codes import learn_codebook
 
 RAW = "raw"  # the features that others are compared with
 MOST_PAIRS = 40_000  # of matched observations, drawn at random beyond
@@ -101,7 +101,7 @@ def consistency(
         both = (one >= 0) & (other >= 0)
         if not both.any():
             continue
-        book = learn_codebook(rows, replace(settings, seed=seed))
+        book = fit_codes(rows, **replace(settings, seed=seed).of_fit)
         unit = torch.nn.functional.normalize(rows, dim=1)
         sparse = torch.nn.functional.normalize(book.codes.to_dense() @ book.atoms, dim=1)
         features = {RAW: unit, "autoencoder": network.decode(network.encode(rows)), "sparse codes": sparse}
