@@ -36,9 +36,6 @@ def test_synthetic_data_sets_are_complete(synthetic_data_sets: Path, name: str) 
     assert len(scene.frames) == 2
     table = load_table(root / "table" / "text.npz")
     assert {*scene.labels, "object", "things", "stuff", "texture"} <= set(table.names)
-    absent = (root / "table" / "absent.txt").read_text().split("\n")[:-1]
-    assert set(absent) <= set(table.names)
-    assert not set(absent) & set(scene.labels)
     for camera in scene.cameras:
         assert camera.image_path is not None
         with Image.open(camera.image_path) as image:

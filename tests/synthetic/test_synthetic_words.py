@@ -58,6 +58,9 @@ def test_each_name_finds_its_own_prototype(made: tuple[Parts, Words]):
     canonical = cosines[:, [words.texts.index(phrase) for phrase in CANONICAL]]
     assert 0.14 < np.median(canonical) < 0.22
     assert canonical.max() < right.min()
+    absent = cosines[:, [words.texts.index(word) for word in DISTRACTORS]]
+    assert 0.14 < np.median(absent) < 0.21
+    assert absent.max() < right.min() - 0.03
 
 
 def test_texts_and_images_are_as_alike_as_in_clip(made: tuple[Parts, Words]):

@@ -28,7 +28,6 @@ from scoup.synthetic.folder import label_file, write_scene, write_views
 from scoup.synthetic.point_truth import POINT_TRUTHS, with_class_words
 from scoup.synthetic.referring import write_referring_truth
 from scoup.synthetic.scene import LABELLED_LEVELS, DemoScene, make_demo_scene
-from scoup.synthetic.words import DISTRACTORS
 
 NOTE = """A data set made by a program, in the layout of {name}. Nothing in it was photographed,
 trained or labelled by hand: scores on it say nothing about {name}.
@@ -38,7 +37,6 @@ SCENE/images/             renders of them, in place of photographs
 SCENE/sparse/0/           their cameras, as COLMAP writes them
 SCENE/language_features/  simulated regions and embeddings, in LangSplat's layout
 SCENE/text.npz            simulated text vectors of the scene: names [M], vectors [M, 512]
-SCENE/absent.txt          words of that table for things the scene does not have
 {labels}
 
 Score it:
@@ -169,7 +167,6 @@ def _write_scene(data_set: str, scene: DemoScene, root: Path, name: str, size: D
     elif data_set == "ref-lerf":
         scene = write_referring_truth(scene, labelled, folder)
     (write_views if data_set == "scenesplat" else write_scene)(scene, folder)
-    write_text(folder / "absent.txt", "".join(f"{word}\n" for word in DISTRACTORS))
     for camera in scene.building:
         image = (render_colors(scene.gaussians, camera).numpy() * 255 + 0.5).astype(np.uint8)
         save_png(image, folder / "images" / camera.name)

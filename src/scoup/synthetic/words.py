@@ -10,8 +10,8 @@ No model has made these vectors. They follow a stated procedure, so that the dem
   modalities. Each thing has a prototype: the mean image direction plus a random direction of its own, mixed as the
   concepts are. Prototypes of unrelated things have a cosine of about 0.55.
 * Text with image. Each prototype is moved along the concepts until its cosine with its own name is a number drawn
-  from 0.26 to 0.31, and every other prototype stays clearly below that for the same name. Other pairs of text and
-  image have a cosine of about 0.18, canonical phrases and images of about 0.2.
+  from 0.26 to 0.31, and every other prototype stays clearly below that for the same name, as all do for words of what
+  is not there. Other pairs of text and image have a cosine of about 0.18, canonical phrases and images of about 0.2.
 """
 
 from __future__ import annotations
@@ -84,6 +84,8 @@ def make_words(parts: Parts, rng: np.random.Generator, dimensions: int = DIMENSI
     appearances = unit(kin @ unit(rng.normal(size=(len(names), dimensions))))
     prototypes = unit(IMAGE_MEAN * image_mean + np.sqrt(1 - IMAGE_MEAN**2) * appearances)
     prototypes = _named(prototypes, vectors, kin, rng)
+    absent = slice(len(names), -len(CANONICAL))
+    vectors[absent] = _kept_away(vectors[absent], prototypes)
     return Words(
         words,
         vectors,
@@ -126,3 +128,11 @@ def _named(prototypes: Floats, vectors: Floats, kin: Floats, rng: np.random.Gene
         step[diagonal, diagonal] = own - np.einsum("nd,nd->n", prototypes, vectors[:count])
         prototypes = unit(prototypes + 0.5 * (step / slope) @ concepts)
     return prototypes
+
+
+def _kept_away(vectors: Floats, prototypes: Floats) -> Floats:
+    """Text vectors [words, D] of what is not there, moved until they are as far from all prototypes as other names."""
+    back = np.linalg.pinv(prototypes).T
+    for _ in range(20):
+        vectors = unit(vectors - (vectors @ prototypes.T - (OWN_COSINE[0] - MARGIN)).clip(0) @ back)
+    return vectors
