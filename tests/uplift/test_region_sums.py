@@ -19,7 +19,6 @@ from scoup.raster import RASTER_PRESETS, ViewSums, reference
 from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage import entries
-from scoup.uplift.storage.record_file import RecordFile
 from support import KINDS, examples, random_gaussians, small_scene
 
 
@@ -410,24 +409,6 @@ def test_a_file_that_cannot_be_written_anew_stays_as_it_was(scene, kept, tmp_pat
     assert_same(sums, kept)
     sums.remove(next(iter(kept.views)))
     assert len(sums) == len(kept) - 1
-
-
-def test_files_of_the_first_version_are_read(scene, kept, tmp_path):
-    """They have a start for every bucket, and name none."""
-    gaussians, cameras, regions = scene
-    region_sums(gaussians, cameras, regions, path=tmp_path / "new.sums").close()
-    new, old = RecordFile.open(tmp_path / "new.sums"), RecordFile.create(tmp_path / "old.sums")
-    for record in new.records:
-        arrays = dict(record.arrays)
-        if record.kind == "view":
-            counts = np.zeros(kept.n_buckets, np.int64)
-            counts[arrays.pop("buckets.0")] = np.diff(arrays["starts.0"].astype(np.int64))
-            arrays["starts.0"] = np.append(0, np.cumsum(counts)).astype(np.uint32)
-        version = {"version": 1} if "version" in record.header else {}
-        old.append(record.kind, record.header | version, arrays)
-    old.close()
-    new.close()
-    assert_same(RegionSums.open(tmp_path / "old.sums"), kept)
 
 
 def test_a_view_takes_no_space_for_buckets_that_it_does_not_see(scene):

@@ -6,7 +6,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +25,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import MOST_THINGS, NO_THING, Things
 
 SCHEMA = "scoup.language_field"
-VERSION = 3  # READERS reads this one and those before it
+VERSION = 1
 METADATA_KEY = "scoup"
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
 _REBUILD = "build the field again, or copy the file again if it was cut short"
@@ -160,8 +160,8 @@ def write_field(
 def read_field(path: Path) -> FieldParts:
     """Read what a ``.scoup`` file holds; see ``LanguageField.load``. The parts are not yet checked for sense.
 
-    Everything in the file is read, once: header and tensors, embedded Gaussians included. From format version 2 on, all
-    of it is compared with its checksums before any of it is used.
+    Everything in the file is read, once: header and tensors, embedded Gaussians included. All of it is compared with
+    its checksums before any of it is used.
 
     Raises:
         MissingFileError, FileFormatError: it is not there, no language field, or damaged.
@@ -169,13 +169,21 @@ def read_field(path: Path) -> FieldParts:
     """
     text, header, tensors = _read(path)
     with field_damage_named(path):
-        version = header["version"]
-        check_format_version(path, version, VERSION)
-        return READERS[version](path, text, header, tensors)
+        check_format_version(path, header["version"], VERSION)
+        return _checked_parts(path, text, header, tensors)
 
 
-def _read_version_1(path: Path, text: str, header: dict[str, Any], tensors: dict[str, Tensor]) -> FieldParts:
-    """The parts of a file without checksums."""
+def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[str, Tensor]) -> FieldParts:
+    """The parts of a file whose checksums all agree."""
+    checksum = header["checksum"]
+    if text_checksum(_replaced(text, checksum, NO_CHECKSUM)) != checksum:
+        raise FileFormatError(path, "is damaged (checksum of the header)", _REBUILD)
+    checksums = header["checksums"]
+    if checksums.keys() != tensors.keys():
+        raise FileFormatError(path, "is damaged (its header names other tensors)", _REBUILD)
+    for name, tensor in tensors.items():
+        if tensor_checksum(tensor) != checksums[name]:
+            raise FileFormatError(path, f"is damaged (checksum of {name})", _REBUILD)
     geometry = header["geometry"]
     info = FieldInfo(
         levels=tuple(str(level) for level in header["levels"]),
@@ -206,28 +214,6 @@ def _read_version_1(path: Path, text: str, header: dict[str, Any], tensors: dict
         _cameras(tensors, header["cameras"]),
         _things(tensors),
     )
-
-
-def _read_version_2(path: Path, text: str, header: dict[str, Any], tensors: dict[str, Tensor]) -> FieldParts:
-    """The same with checksums, which must all agree."""
-    checksum = header["checksum"]
-    if text_checksum(_replaced(text, checksum, NO_CHECKSUM)) != checksum:
-        raise FileFormatError(path, "is damaged (checksum of the header)", _REBUILD)
-    checksums = header["checksums"]
-    if checksums.keys() != tensors.keys():
-        raise FileFormatError(path, "is damaged (its header names other tensors)", _REBUILD)
-    for name, tensor in tensors.items():
-        if tensor_checksum(tensor) != checksums[name]:
-            raise FileFormatError(path, f"is damaged (checksum of {name})", _REBUILD)
-    return _read_version_1(path, text, header, tensors)
-
-
-READERS: Mapping[int, Callable[[Path, str, dict[str, Any], dict[str, Tensor]], FieldParts]] = {
-    1: _read_version_1,
-    2: _read_version_2,
-    3: _read_version_2,  # there may be things, which the file says by itself
-}
-"""What reads a file of each format version: from its path, the text of the header, that parsed, and all tensors."""
 
 
 def tensor_checksum(tensor: Tensor) -> str:
@@ -272,7 +258,7 @@ def field_damage_named(path: Path) -> Iterator[None]:
 
 
 def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
-    """Text of the header, the header, and all tensors of a ``.scoup`` file of any version.
+    """Text of the header, the header, and all tensors of a ``.scoup`` file.
 
     Raises:
         FileFormatError: it is something else, or damaged.
@@ -286,11 +272,6 @@ def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
         raise MissingFileError(path, f"there is no such file ({what} was expected)", "check the path")
     with safetensors_damage_named(path, what, _REBUILD), safe_open(path, framework="pt") as stream:
         metadata = stream.metadata() or {}
-        # An entry of its own: only the first commit wrote it so.
-        if metadata.get("schema") == SCHEMA:
-            raise FileFormatError(
-                path, "is of a form from before version 1, which is not read", "build it again"
-            )
         text = metadata.get(METADATA_KEY, "{}")
         header = json.loads(text)
         if not isinstance(header, dict) or header.get("schema") != SCHEMA:

@@ -30,7 +30,7 @@ from scoup.uplift.storage.store import MOST_IN_MEMORY, Store, Stores
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-VERSION = 2  # since then, files may hold inputs, and views name the buckets that have entries
+VERSION = 1
 SUMS, VIEW, REMOVED, CODES, INPUTS = "region sums", "view", "removed", "codes", "inputs"
 
 Rows = Sequence[Mapping[str, slice]]

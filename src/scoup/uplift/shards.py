@@ -87,8 +87,6 @@ class Shard:
         path = sums.path or Path("region sums")
         if sums.inputs is None:
             raise FileFormatError(path, "is no shard: it holds region sums alone", _REMEDY)
-        if "scene" not in sums.inputs["header"]:  # those of the first code that wrote shards
-            raise FileFormatError(path, "is a shard of an older form, which does not name its scene", _REMEDY)
         try:
             shard = cls._of_record(sums.levels, sums.inputs["header"], sums.inputs["tensors"])
         except (KeyError, TypeError, ValueError, AttributeError, IndexError, InputError) as error:

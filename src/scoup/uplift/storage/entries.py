@@ -15,9 +15,6 @@ BUCKET = 256  # Gaussians whose entries lie together; a place among them is one 
 MOST_COMBINATIONS = 1 << 16  # of one part of a view; what has more is kept in several parts
 
 
-_OF_EVERY_VERSION = ("starts", "places", "combinations", "weights", "table")
-
-
 @dataclass(frozen=True, eq=False)
 class Entries:
     """Region sums of one view, or of some of its combinations, by buckets of ``BUCKET`` Gaussians.
@@ -130,9 +127,9 @@ class ViewRecord:
         parts: list[Entries] = []
         while f"places.{len(parts)}" in arrays:
             number = len(parts)
-            known = {name: arrays[f"{name}.{number}"] for name in _OF_EVERY_VERSION}
-            known["buckets"], known["starts"] = _sparse(arrays.get(f"buckets.{number}"), known["starts"])
-            parts.append(Entries(**known))
+            parts.append(
+                Entries(**{name: arrays[f"{name}.{number}"] for name in Entries.__dataclass_fields__})
+            )
         if not parts:
             raise ValueError(f"the view {header['name']!r} has no entries")
         return cls(str(header["camera"]), str(header["labels"]), tuple(parts))
@@ -171,15 +168,3 @@ def pack(
             )
         )
     return parts
-
-
-def _sparse(
-    buckets: NDArray[np.uint32] | None, starts: NDArray[np.uint32]
-) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """(buckets, starts); the first version of the file has no ``buckets``, but a start for every bucket there is."""
-    if buckets is not None:
-        return buckets, starts
-    if starts.ndim != 1 or not len(starts):
-        raise ValueError("arrays of other shapes")
-    kept = np.flatnonzero(starts[1:] != starts[:-1])
-    return kept.astype(np.uint32), np.append(starts[kept], starts[-1:]).astype(np.uint32)

@@ -1,0 +1,99 @@
+"""Small files of our own formats as they will be released, with the answers that the code which wrote them gave.
+
+    python tests/frozen_formats.py FOLDER    # writes them
+
+``tests/frozen/formats`` was written so. Write it again only with a new version of a format, and keep the files of a
+released version beside it. FOLDER must not say whose machine it is, since shards name their splat by its whole path.
+Nothing here is random, but processors may differ in the last bits.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from cli_support import run
+from scoup.field.language_field import LanguageField
+from scoup.io import load_gaussians, save_gaussians, save_png, save_regions, write_colmap
+from scoup.io.regions.convert import convert_regions
+from scoup.models.word_table import save_table
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.scene.gaussians import Gaussians
+from support import random_gaussians, small_scene, unit
+
+FORMATS = Path(__file__).parent / "frozen" / "formats"
+REMOVED = "view_02.png"
+CODES = ("--n-atoms", 8, "--effort", "fast")
+
+
+def write_scene(folder: Path) -> None:
+    """420 Gaussians, more than 256 of them behind the three cameras, so that a bucket of region sums has no entries."""
+    _, cameras, regions = small_scene(10, views=3, width=32, height=24, seed=7)
+    save_gaussians(random_gaussians(420, 7, ("plain", "behind", "behind")), folder / "point_cloud.ply")
+    write_colmap(cameras, folder / "sparse" / "0")
+    for camera in cameras:
+        black = torch.zeros(camera.height, camera.width, 3, dtype=torch.uint8)
+        save_png(black, folder / "images" / camera.name)
+    with tempfile.TemporaryDirectory() as plain:
+        save_regions(regions, plain)
+        convert_regions(plain, folder / "language_features")
+    names = ["kettle", "mug", "wooden table", *CANONICAL_PHRASES]
+    vectors = torch.randn(len(names), 16, generator=torch.Generator().manual_seed(7))
+    save_table(folder / "words.npz", names, unit(vectors).numpy())
+
+
+def gaussians_of_formats() -> Gaussians:
+    """Those that all kept files belong to."""
+    return load_gaussians(FORMATS / "scene" / "point_cloud.ply")
+
+
+def answers(field: LanguageField) -> dict[str, np.ndarray]:
+    """Relevancy of every fourth pixel of a view and of every Gaussian to two vectors that nobody trained."""
+    camera = small_scene(1, views=1, width=32, height=24, seed=7)[1][0]
+    vectors = unit(torch.randn(5, field.dim, generator=torch.Generator().manual_seed(5)))
+    seen = field.relevancy(camera, vectors[:2], vectors[2:])
+    own = field.gaussian_relevancy(vectors[:2], vectors[2:])
+    return {
+        "vectors": vectors.numpy(),
+        "relevancy": seen[..., ::4, ::4].numpy(),
+        "gaussian_relevancy": own.numpy(),
+    }
+
+
+def verb(*arguments: object) -> None:
+    """A verb that has to succeed."""
+    code, _, error = run(*arguments)
+    if code:
+        raise RuntimeError(error)
+
+
+def main(out: Path) -> None:
+    """Write a scene with its regions, a field with its Gaussians, one with weights of 8 bits, one with its region sums,
+    and two shards."""
+    scene = out / "scene"
+    write_scene(scene)
+    model = ("--model", scene / "words.npz")
+    build = ("build", scene, *model, "--out")
+    verb(*build, out / "field.scoup", *CODES, "--embed-geometry")
+    verb(*build, out / "field_8_bits.scoup", *CODES, "--weight-bits", 8)
+    verb(*build, out / "kept.scoup", *CODES, "--keep-sums")
+    for number in (1, 2):
+        verb(*build, out / "field.scoup", "--shard", f"{number}/2")
+    fields = {name: out / f"{name}.scoup" for name in ("field", "field_8_bits", "kept")}
+    with tempfile.TemporaryDirectory() as folder:
+        fields |= {name: Path(folder) / f"{name}.scoup" for name in ("updated", "merged")}
+        verb("update", out / "kept.scoup", "--remove", REMOVED, "--out", fields["updated"])
+        verb("merge", *sorted(out.glob("field.scoup.*-of-2.sums")), "--out", fields["merged"], *CODES)
+        for name, path in fields.items():
+            np.savez_compressed(out / f"{name}.npz", **answers(LanguageField.load(path)))  # pyright: ignore[reportArgumentType]
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1])
+    shutil.rmtree(target, ignore_errors=True)
+    main(target)

@@ -1,0 +1,136 @@
+"""Files of our own formats, as kept in tests/frozen/formats, are read and written as they were."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors import safe_open
+
+import frozen_formats
+from cli_support import run
+from frozen_formats import CODES, FORMATS, REMOVED, answers, gaussians_of_formats
+from scoup.base.errors import FieldVersionError, FileFormatError
+from scoup.field.artefact import METADATA_KEY
+from scoup.field.language_field import LanguageField
+from scoup.uplift.region_sums import VERSION, RegionSums
+from scoup.uplift.storage.record_file import RecordFile
+
+FIELDS = sorted(FORMATS.glob("*.scoup"))
+ALLOWED = 1e-2  # votes of other processors and backends differ in the last bit of some float16 weights
+
+
+@pytest.fixture(scope="module")
+def made_now(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the present code writes."""
+    folder = tmp_path_factory.mktemp("formats")
+    frozen_formats.main(folder)
+    return folder
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """A copy of the kept files, which may be changed."""
+    return Path(shutil.copytree(FORMATS, tmp_path / "formats"))
+
+
+def contents(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    with safe_open(path, framework="numpy") as stream:
+        tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
+        return json.loads(stream.metadata()[METADATA_KEY]), tensors
+
+
+def check_same(field: Path, name: str) -> None:
+    """A field answers as that of a name did."""
+    now, kept = answers(LanguageField.load(field)), np.load(FORMATS / f"{name}.npz")
+    for part in ("relevancy", "gaussian_relevancy"):
+        assert np.abs(now[part] - kept[part]).max() < ALLOWED, part
+
+
+@pytest.mark.parametrize("path", FIELDS, ids=lambda path: path.stem)
+def test_a_field_answers_as_it_did(path: Path) -> None:
+    field, kept = LanguageField.load(path), np.load(path.with_suffix(".npz"))
+    if path.stem == "field":
+        assert field.has_geometry
+    now = answers(field)
+    for part in ("relevancy", "gaussian_relevancy"):
+        assert np.abs(now[part] - kept[part]).max() < 1e-5, part
+    assert kept["relevancy"].std() > 0.1  # there is something to be compared
+    words = FORMATS / "scene" / "words.npz"
+    asked = LanguageField.load(path, gaussians_of_formats())
+    assert asked.things is not None
+    assert asked.query("kettle", "view_00.png", encoder=words).heat.shape == (24, 32)
+
+
+@pytest.mark.parametrize("path", FIELDS, ids=lambda path: path.stem)
+def test_a_field_of_another_form_needs_a_version_of_its_own(path: Path, made_now: Path) -> None:
+    (now, tensors), (then, kept) = contents(made_now / path.name), contents(path)
+    assert now.keys() == then.keys()
+    assert {name: (each.dtype, each.ndim) for name, each in tensors.items()} == {
+        name: (each.dtype, each.ndim) for name, each in kept.items()
+    }
+
+
+def test_an_update_of_kept_sums_gives_what_it_gave(copied: Path) -> None:
+    out = copied / "updated.scoup"
+    code, _, error = run("update", copied / "kept.scoup", "--remove", REMOVED, "--out", out)
+    assert code == 0, error
+    check_same(out, "updated")
+    before, after = np.load(FORMATS / "kept.npz"), np.load(FORMATS / "updated.npz")
+    assert np.abs(before["relevancy"] - after["relevancy"]).max() > 10 * ALLOWED  # the view has counted
+
+
+def test_shards_give_what_they_gave(copied: Path) -> None:
+    shards = sorted(copied.glob("*-of-2.sums"))
+    splat, out = copied / "scene" / "point_cloud.ply", copied / "merged.scoup"
+    code, _, error = run("merge", *shards, "--gaussians", splat, "--out", out, *CODES)
+    assert code == 0, error
+    check_same(out, "merged")
+
+
+def test_a_scene_is_written_as_it_was(made_now: Path) -> None:
+    """Splat, words and regions; labels are compared inflated, since zlib's many versions pack them differently."""
+    now, then = made_now / "scene", FORMATS / "scene"
+    assert (now / "point_cloud.ply").read_bytes() == (then / "point_cloud.ply").read_bytes()
+    with np.load(now / "words.npz") as mine, np.load(then / "words.npz") as kept:
+        assert mine["names"].tolist() == kept["names"].tolist()
+        assert np.array_equal(mine["vectors"], kept["vectors"])
+    regions = sorted(path.relative_to(then) for path in (then / "language_features").glob("*.regions"))
+    assert len(regions) == 3
+    for name in regions:
+        (mine, tensors), (kept, stored) = contents(now / name), contents(then / name)
+        assert mine == kept
+        assert tensors.keys() == stored.keys()
+        for part, array in tensors.items():
+            both = array.tobytes(), stored[part].tobytes()
+            assert (
+                len({zlib.decompress(each) for each in both} if part.startswith("labels.") else {*both}) == 1
+            )
+    manifest = Path("language_features") / "regions.json"
+    assert (now / manifest).read_text() == (then / manifest).read_text()
+
+
+@pytest.mark.parametrize("version", [VERSION + 1, 0, "2", None, True])
+def test_versions_of_sums_that_are_not_known_are_refused(tmp_path: Path, version: object) -> None:
+    with (FORMATS / "kept.scoup.sums").open("rb") as stream:
+        stream.seek(24)
+        header = json.loads(stream.read(int.from_bytes(stream.read(8), "little")))["header"]
+    path, file = tmp_path / "a.sums", RecordFile.create(tmp_path / "a.sums")
+    file.append("region sums", {**header, "version": version}, {"order": np.arange(3, dtype=np.int32)})
+    file.close()
+    with pytest.raises(FileFormatError) as caught:
+        RegionSums.open(path)
+    if version == VERSION + 1:
+        assert isinstance(caught.value, FieldVersionError)
+        assert str(caught.value) == (
+            f"{path}: was written by a newer SCOUP (format version {VERSION + 1}, this one reads up to {VERSION}); "
+            "update it: pip install -U scoup"
+        )
+    else:
+        sentence = f"{path}: makes no sense (its format version is {version!r}); make it again"
+        assert str(caught.value) == sentence
