@@ -174,11 +174,7 @@ def test_consistency(here: Path) -> None:
         assert row["points"] > 10
 
 
-def test_presence_to_query_and_select(here: Path) -> None:
-    record = run_json("eval", "presence", "lerf-ovs")
-    assert record["rules"]["the protocols' rule (paints always)"]["absent_refused"] == 0
-    assert record["auc"]["z-score"]["absent"] > 0.5
-    assert set(record["bounds"]) == {"query", "select"}
+def test_fields_of_an_evaluation_are_asked(here: Path) -> None:
     run_json("eval", "lerf-ovs", "lerf-ovs", *QUICK, "--scenes", "table", "--sheets", "none")
     field = here / "eval_lerf-ovs" / "fields" / "table.scoup"
     words = ("table", "elephant", "piano", "tent", "violin")
@@ -203,12 +199,6 @@ def test_presence_to_query_and_select(here: Path) -> None:
     code, out, _ = run("select", field, "elephant", "--presence", 100, "--always", "--out", "e.ply")
     assert code == 0
     assert "not in this scene" not in out
-    next(Path("lerf-ovs/table").rglob("*.ply")).unlink()  # refused before anything is opened
-    message = refused("eval", "presence", "lerf-ovs", "--scenes", "table", "--overwrite")
-    assert (
-        "1 labelled scene to work on (table), but each is judged by what was chosen on the others" in message
-    )
-    assert "give 2 scenes or more" in message
 
 
 def test_synthetic_data_sets(tmp_path: Path) -> None:
@@ -232,7 +222,6 @@ def test_help() -> None:
         "ablations",
         "curves",
         "consistency",
-        "presence",
         "synthetic",
     ):
         assert name in out

@@ -25,8 +25,6 @@ from scoup.evaluate.studies.ablations import ablation_report, run_ablations
 from scoup.evaluate.studies.comparison import compare, comparison_report
 from scoup.evaluate.studies.consistency import consistency_report, run_consistency
 from scoup.evaluate.studies.curves import curve_report, find_fault, run_curves
-from scoup.evaluate.studies.presence import query_scene
-from scoup.evaluate.studies.presence_scores import presence_report
 from scoup.evaluate.studies.study_report import StudyReport
 from scoup.evaluate.studies.study_scene import ScoringRule, StudyScene
 from scoup.io.labels import LabelledFrame
@@ -205,11 +203,3 @@ def test_consistency(scenes: list[StudyScene], tmp_path: Path) -> None:
     results, sources = run_consistency(scenes[:1], SETTINGS.build, quick)
     assert sources == {"scene 0": "Gaussians"}
     check_report(consistency_report(results, sources, {}), tmp_path)
-
-
-def test_presence(scenes: list[StudyScene], tmp_path: Path) -> None:
-    absent = vectors("elephant", "piano", seed=9)
-    questions = [question for scene in scenes for question in query_scene(scene, absent, SETTINGS.build)]
-    assert len(questions) == 2 * (2 * 4 + 4)
-    assert {len(question.signals) for question in questions if question.frame} == {7}
-    check_report(presence_report(questions, {"seed": 0}), tmp_path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scoup.cli.evaluate.comparisons import Baselines, Presence
+from scoup.cli.evaluate.comparisons import Baselines
 from scoup.cli.evaluate.data_sets import LerfOvs, MipNerf360, RefLerf, ThreeDOvs
 from scoup.cli.evaluate.point_labels import ScanNet, SceneSplat
 from scoup.cli.evaluate.studies import Ablations, Consistency, Curves
@@ -25,7 +25,6 @@ EVAL = Family(
         "ablations": Ablations,
         "curves": Curves,
         "consistency": Consistency,
-        "presence": Presence,
         "synthetic": Synthetic,
     },
 )

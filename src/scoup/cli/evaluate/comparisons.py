@@ -1,9 +1,8 @@
-"""scoup eval baselines, presence: methods and signals compared on the scenes of one data set."""
+"""scoup eval baselines: methods compared on the scenes of one data set."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from scoup.cli.console import Console
 from scoup.cli.evaluate.options import Names, StudyOptions
@@ -59,47 +58,3 @@ class Baselines(StudyOptions):
             "environment": describe_environment(),
         }
         self.write(console, comparison_report(results, methods, described))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Presence(StudyOptions):
-    """How well absent things are recognised: precision and recall of presence in views and scenes, by the z-score of a
-    query against everyday words, and by other signals.
-
-    Absent words are the lines of absent.txt in each scene's folder, or else the labels of the other scenes. Bounds are
-    judged on scenes that they were not chosen on. The bounds that separate best on all scenes are printed, for
-    `scoup query --presence` and `scoup select --presence`.
-    """
-
-    seed: int = 0
-    """Seed of the codebook's start."""
-
-    least_scenes: ClassVar[int] = 2
-
-    def run(self, console: Console) -> None:
-        """Query, judge, write."""
-        from scoup.bench.environment import describe_environment
-        from scoup.evaluate.label_vectors import encode_words
-        from scoup.evaluate.studies.presence import absent_words, query_scene
-        from scoup.evaluate.studies.presence_scores import presence_report
-        from scoup.uplift.build_settings import build_settings
-
-        scenes = self.open_study(console, "presence")
-        labelled = [scene.labelled for scene in scenes]
-        absent = []
-        for scene in labelled:
-            words = absent_words(scene, [other for other in labelled if other is not scene])
-            why = f"an absent word for {scene.name}"
-            absent.append(encode_words(words, self.text_source(scene), why))
-        settings = build_settings(seed=self.seed)
-        with console.progress() as progress:
-            questions = [
-                question
-                for scene, words in zip(scenes, absent, strict=True)
-                for question in query_scene(scene, words, settings, progress=progress)
-            ]
-        described = {"seed": self.seed, "environment": describe_environment()}
-        report = presence_report(questions, described)
-        self.write(console, report)
-        for verb, bound in report.record["bounds"].items():
-            console.say(f"separates best on these scenes: scoup {verb} --presence {bound:.2f}")

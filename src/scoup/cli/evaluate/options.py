@@ -51,23 +51,14 @@ class DataSetOptions(ManifestOptions):
     out: OptionalPath = None
     """Folder for everything that is made. Default: eval_<data set> here."""
 
-    least_scenes: ClassVar[int] = 1
-    """How many scenes a command needs."""
-
     def open_scenes(self, console: Console, name: str) -> list[LabelledScene]:
-        """The scenes of the data set of that name; too few of them are refused before any is opened."""
+        """The scenes of the data set of that name."""
         from scoup.base.counts import counted
-        from scoup.base.errors import InputError
         from scoup.evaluate.data_sets import Places, find_data_set, find_scenes, open_scene
 
         data_set = find_data_set(name)
         places = Places(self.gaussians, self.features, self.images)
         names = find_scenes(data_set, self.root, self.scenes)
-        if len(names) < self.least_scenes:
-            raise InputError(
-                f"{self.root}: {counted(len(names), 'labelled scene')} to work on ({', '.join(names)}), but each "
-                f"is judged by what was chosen on the others; give {self.least_scenes} scenes or more"
-            )
         opened = [open_scene(data_set, self.root, name, places, self.undistort) for name in names]
         for scene in opened:
             console.say(
