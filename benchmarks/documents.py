@@ -16,12 +16,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from statistics import mean
 from typing import Any
 
 import tyro
 
 from benchmarks import (
+    absence,
     answers,
     city,
     city_model,
@@ -128,31 +128,6 @@ def reference() -> str:
     return markdown(["stage", "relative"], [[name, f"{ratio:.2f}"] for name, ratio in ratios.items()])
 
 
-def absence() -> str:
-    """Shares of questions refused, by scene, and their means over kinds of scenes."""
-    found = record("absence")
-    kinds = ("present", "out of view", "absent")
-    bounds = (f"from {found['bound']:g}", "from 2")
-    rows = []
-    for name, of in found["scenes"].items():
-        asked = " / ".join(str(of["questions"][kind]) for kind in kinds)
-        shares = [", ".join(f"{of[bound][kind]:.3f}" for kind in kinds) for bound in bounds]
-        rows.append([name, asked, *shares])
-    for title, kitchen in (("mean, kitchen", True), ("mean, procedural", False)):
-        own = [of for name, of in found["scenes"].items() if name.startswith("kitchen") == kitchen]
-        shares = [
-            ", ".join(f"{mean(of[bound][kind] for of in own):.3f}" for kind in kinds) for bound in bounds
-        ]
-        rows.append([title, "", *shares])
-    headers = [
-        "scene",
-        "questions: present / out of view / absent",
-        f"refused, {bounds[0]}",
-        f"refused, {bounds[1]}",
-    ]
-    return markdown(headers, rows)
-
-
 def joint() -> str:
     """Codes learned through renderings beside the others: CPU seconds, scores, and ratios."""
     found = record("joint")
@@ -221,9 +196,6 @@ TABLES: dict[str, Callable[[], str]] = {
         for group in (*README_COLUMNS, "kitchen draws, noise x 2")
     },
     "answers under faults": faults,
-    "presence signals": lambda: study("eval-presence", 0),
-    "presence in a view": lambda: study("eval-presence", 1),
-    "presence in a scene": lambda: study("eval-presence", 2),
     "baselines": lambda: study("eval-baselines", 0),
     "baselines, differences": lambda: study("eval-baselines", 1),
     "baselines, 3D selection": lambda: study("eval-baselines", 2),
@@ -236,7 +208,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "thresholds": lambda: threshold.table(record("threshold")["rules"]),
     "selections": lambda: selection.table(record("selection")["scores"]),
     "labels": lambda: labels.table(record("labels")["scores"]),
-    "absence": absence,
+    "absence": lambda: absence.table(record("absence")["scenes"]),
     "scannet": lambda: points("eval-scannet", "mIoU"),
     "scenesplat": lambda: points("eval-scenesplat", "f-mIoU"),
     "joint": joint,

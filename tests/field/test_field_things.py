@@ -22,7 +22,7 @@ from scoup.field.language_field import LanguageField
 from scoup.scene.things import MOST_THINGS, NO_THING, Things
 from scoup.uplift.build import build
 
-PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", "mass")
+PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", "mass", "stability")
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from scoup.models.words import LEAST_WORDS
 from scoup.query.answer import Answer, SceneAnswer
 from scoup.query.answering import answer_scene, answer_view
 from scoup.query.localize import best_pixel
-from scoup.query.presence import scene_z_scores, view_z_scores
+from scoup.query.presence import scene_z_scores, view_z_scores, with_evidence
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import main_parts, mask_box, segment
 from scoup.query.select import select_each
@@ -89,9 +89,10 @@ def test_answers_of_a_scene(queried: Queried, threshold: float | None) -> None:
     field, texts = queried.field, queried.texts
     found = list(select_each(field, texts.queries, texts.canonical, threshold, 10))
     scores = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
+    scores = [with_evidence(score, each.mask) for score, each in zip(scores, found, strict=True)]
     answers = answer_scene(field, texts, threshold, 10)
-    judged = answer_scene(field, texts, threshold, 10, present_from=sorted(scores)[5])
-    assert sum(answer.presence for answer in judged) == 6
+    judged = answer_scene(field, texts, threshold, 10, present_from=(bound := max(-9.0, sorted(scores)[5])))
+    assert sum(answer.presence for answer in judged) == sum(score >= bound for score in scores) > 1
     for each, z_score, answer, other in zip(found, scores, answers, judged, strict=True):
         assert answer.mask.equal(each.mask)
         assert (answer.level, answer.score) == (field.levels[each.level], each.score)

@@ -22,6 +22,7 @@ from scoup.query.answer import Answer
 from scoup.query.answering import answer_scene, answer_view
 from scoup.query.label import label
 from scoup.query.locate import Location, location
+from scoup.query.presence import PRESENT_FROM
 from scoup.query.text_vectors import encode_texts
 
 WORDS = (*CANONICAL_PHRASES, *(f"word {number}" for number in range(20)))
@@ -42,7 +43,7 @@ def assert_same_answer(first: Answer, second: Answer) -> None:
 def test_a_query_is_what_the_command_line_answers(queried: Queried, table: dict[str, Tensor]) -> None:
     field, camera = queried.field, queried.camera
     texts = encode_texts(TextEncoder.open(table), field, ["word 3", "word 7"]).with_everyday()
-    expected = answer_view(field, camera, texts, present_from=2)
+    expected = answer_view(field, camera, texts, present_from=PRESENT_FROM)
     found = field.query(["word 3", "word 7"], camera.name, encoder=table)
     assert isinstance(found, list)
     for one, other in zip(found, expected, strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -9,8 +10,9 @@ import torch
 
 from query.conftest import Queried
 from scoup.base.errors import InputError, UnknownNameError
+from scoup.query.answering import judged_selections
 from scoup.query.label import NONE, label
-from scoup.query.presence import scene_z_scores
+from scoup.query.presence import scene_z_scores, with_evidence
 from scoup.query.select import select_each
 from scoup.query.things import ThingFits
 
@@ -52,7 +54,9 @@ def test_words_for_absent_things_label_nothing(queried: Queried, voted: Queried,
         assert field.things is not None
         fits = ThingFits.of(field.things, texts)
         scores = [score + fits.presence(number) for number, score in enumerate(scores)]
-    middle = sorted(scores)[5]
+    selected = [found.mask for found, _ in judged_selections(field, texts)]
+    scores = [with_evidence(*each) for each in zip(scores, selected, strict=True)]
+    middle = min(score for score in scores if score > -math.inf)
     judged = label(field, texts, present_from=middle)
     assert judged.z_scores is not None
     assert judged.z_scores == pytest.approx(scores)

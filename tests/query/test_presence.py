@@ -15,6 +15,7 @@ from scoup.models.words import LEAST_WORDS
 from scoup.query.presence import (
     PRESENT_FROM,
     mean_embedding,
+    other_words,
     scene_z_scores,
     view_z_scores,
     z_scores,
@@ -29,9 +30,9 @@ def test_z_scores_by_hand() -> None:
         random_vectors(3, 16, seed=1),
         random_vectors(20, 16, seed=2),
     )
-    cosines = (embeddings @ words.T).double().numpy()
+    cosines = np.sort((embeddings @ words.T).double().numpy(), 1)
     own = (embeddings * queries).sum(1).double().numpy()
-    expected = np.minimum(own - cosines.mean(1), 2.3 * cosines.std(1) + own - cosines.max(1)) / cosines.std(1)
+    expected = 1.645 + (own - cosines[:, 18]) / cosines.std(1)  # 19 of 20 are 95 %
     assert z_scores(embeddings, queries, words).numpy() == pytest.approx(expected, abs=1e-5)
     # The length of an embedding says nothing.
     assert z_scores(embeddings * 37, queries, words).numpy() == pytest.approx(expected, abs=1e-5)
@@ -41,20 +42,38 @@ def test_z_scores_by_hand() -> None:
     assert float(own_among_them[1]) != pytest.approx(expected[1], abs=1e-5)
 
 
-def test_a_word_that_fits_better_takes_what_was_found() -> None:
-    """Words at right angles: what was found is mostly a pot, and a little a toilet."""
+def test_words_that_fit_better_take_what_was_found() -> None:
+    """Words at right angles: what was found is mostly two kinds of pot, and a little a toilet."""
     words = torch.eye(24)
-    pot, toilet = words[0], words[1]
-    found = (0.9 * pot + 0.5 * toilet)[None]
-    lone = z_scores(found, toilet[None], words[2:])
-    beside = z_scores(found, toilet[None], words)
-    assert float(z_scores(found, pot[None], words)) > 2.3  # it leads
-    assert float(lone) > 2.3  # no word is a better one
-    # By the lag behind the pot, in deviations of the 23 cosines: the toilet is no word to compare itself with.
-    cosines = np.array([0.9, *[0.0] * 22]) / np.hypot(0.9, 0.5)
-    lag = (0.5 - 0.9) / np.hypot(0.9, 0.5) / cosines.std()
-    assert float(beside) == pytest.approx(2.3 + lag, abs=1e-4)
+    found = (0.9 * (words[0] + words[1]) + 0.5 * words[2])[None]
+    lone = z_scores(found, words[2:3], words[3:])
+    beside = z_scores(found, words[2:3], words)
+    assert float(z_scores(found, words[:1], words)) > PRESENT_FROM  # nothing fits better
+    # By the lag behind the second pot, in deviations of the 23 cosines: the toilet is no word to compare itself with.
+    length = np.sqrt(2 * 0.81 + 0.25)
+    lag = (0.5 - 0.9) / length / (np.array([0.9, 0.9, *[0.0] * 21]) / length).std()
+    assert float(beside) == pytest.approx(1.645 + lag, abs=1e-4)
     assert float(beside) < PRESENT_FROM < float(lone)
+
+
+def test_large_tables_judge_as_small_ones_do() -> None:
+    """The best of many words is better than the best of few; words in general are not."""
+    queries, found = random_vectors(40, 16, seed=1), random_vectors(40, 16)
+    found = torch.nn.functional.normalize(found + queries, dim=1)
+    words = random_vectors(3000, 16, seed=2)
+    many, few = z_scores(found, queries, words), z_scores(found, queries, words[::20])
+    assert float((many - few).mean().abs()) < 0.15
+
+
+def test_other_names_of_a_query_are_no_words_to_compare_it_with() -> None:
+    query, words = random_vectors(1, 64), random_vectors(200, 64, seed=2)
+    names = torch.nn.functional.normalize(query + 0.3 * random_vectors(15, 64, seed=3) / 2, dim=1)
+    table = torch.cat([words, names])
+    assert other_words(query, table)[0].tolist() == [True] * 200 + [False] * 15
+    found = torch.nn.functional.normalize(query + 0.1 * words[:1], dim=1)
+    assert float(z_scores(found, query, table)) == pytest.approx(
+        float(z_scores(found, query, words)), abs=1e-4
+    )
 
 
 def test_the_query_itself_scores_high_and_nothing_scores_minus_infinity() -> None:

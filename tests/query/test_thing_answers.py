@@ -17,16 +17,20 @@ from query.conftest import random_vectors, without_things
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer, SceneAnswer
 from scoup.query.answering import answer_scene, answer_view
+from scoup.query.presence import UPPER, other_words
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.text_vectors import TextVectors
 from scoup.query.things import (
     AT_A_TIME,
+    FEW_REGIONS,
     HUB_QUANTILE,
     HUB_SHARE,
     LEAST_PART,
     LEAST_SCORE,
+    LEAST_STABILITY,
     MOST_GAP,
     STANDS_OUT,
+    UNSTABLE,
     VOTES,
     ThingFits,
     choose_things,
@@ -67,6 +71,7 @@ def some_things(levels: Sequence[int], agreement: float = 1.0, n_gaussians: int 
         random_vectors(count, 8).half(),
         torch.full((count,), agreement),
         torch.full((count,), 5, dtype=torch.int32),
+        torch.ones(count),
         torch.ones(count),
     )
 
@@ -205,9 +210,9 @@ def test_the_choice_is_that_of_the_rule(
 # How well things fit.
 
 
-def at_quantile(cosines: Tensor) -> float:
+def at_quantile(cosines: Tensor, quantile: float = HUB_QUANTILE) -> float:
     """The smallest of them that is as large as 99 of 100, or more."""
-    return sorted(cosines.tolist())[math.ceil(HUB_QUANTILE * len(cosines)) - 1]
+    return sorted(cosines.tolist())[math.ceil(quantile * len(cosines)) - 1]
 
 
 def test_fits_are_cosines_less_half_of_what_words_reach(asked: Asked) -> None:
@@ -219,7 +224,9 @@ def test_fits_are_cosines_less_half_of_what_words_reach(asked: Asked) -> None:
         for query, vector in enumerate(texts.queries.double()):
             cosine = float(vector @ embeddings[number])
             assert float(fits.cosines[number, query]) == pytest.approx(cosine, abs=1e-5)
-            expected = (cosine - HUB_SHARE * best) / things.spread
+            doubt = FEW_REGIONS / math.sqrt(int(things.n_regions[number]))
+            doubt -= UNSTABLE * math.log(max(LEAST_STABILITY, float(things.stability[number])))
+            expected = (cosine - HUB_SHARE * best) / things.spread - doubt
             assert float(fits.fits[number, query]) == pytest.approx(expected, abs=1e-3)
     few = replace(texts, everyday=texts.everyday[:3])  # too few to tell
     assert ThingFits.of(things, few).to_words.shape == (len(things), len(texts.canonical))
@@ -231,10 +238,10 @@ def test_presence_is_the_lead_over_words_and_over_things(asked: Asked) -> None:
     for query in range(COUNT):
         own = fits.fits[:, query].double()
         best = int(own.argmax())
-        words = texts.everyday.double() @ things.embeddings[best].double()
-        lead = (float(fits.cosines[best, query]) - at_quantile(words)) / words.std()
-        stands_out = (own[best] - own.mean()) / own.std()
-        expected = float(lead + STANDS_OUT * stands_out)
+        counted = other_words(texts.queries[query : query + 1], texts.everyday)[0]
+        words = texts.everyday[counted].double() @ things.embeddings[best].double()
+        lead = (float(fits.cosines[best, query]) - at_quantile(words, UPPER)) / words.std(correction=0)
+        expected = float(lead + (own[best] - own.mean()) / own.std() - STANDS_OUT)
         assert fits.presence(query) == pytest.approx(expected, abs=1e-3)
         seen = torch.zeros(len(things), dtype=torch.bool)
         assert fits.presence(query, seen) == -math.inf
@@ -255,16 +262,16 @@ def test_what_is_present_comes_before_what_is_not(asked: Asked) -> None:
 
 def test_other_names_of_a_text_take_nothing_from_its_presence(asked: Asked) -> None:
     texts = asked.wall.texts
-    # As many words as an encoder knows, so that one more does not count by itself.
+    # As many words as an encoder knows, of which the synonyms are more than the twentieth that may fit better.
     words = torch.cat([texts.everyday, unit(texts.everyday.mean(0) + random_vectors(400, DIM, seed=3))])
     plain = replace(texts, everyday=words)
-    synonyms = unit(texts.queries[:1] + 0.02 * random_vectors(8, DIM, seed=4))
+    synonyms = unit(texts.queries[:1] + 0.02 * random_vectors(30, DIM, seed=4))
     more = replace(texts, everyday=torch.cat([words, synonyms]))
     one, other = (ThingFits.of(asked.things, each) for each in (plain, more))
-    assert bool(other.similar[0, -8:].all())
-    assert not other.similar[1:, -8:].any()
+    assert not other.others[0, -30:].any()
+    assert other.others[1:, -30:].all()
     assert other.presence(0) == pytest.approx(one.presence(0), abs=0.3)
-    kept = replace(other, similar=torch.zeros_like(other.similar))
+    kept = replace(other, others=torch.ones_like(other.others))
     assert kept.presence(0) < one.presence(0) - 2
 
 
@@ -278,6 +285,7 @@ def test_as_many_things_as_files_hold_fit_as_many_words_as_tables_hold() -> None
         random_vectors(count, 4).half(),
         torch.ones(count),
         torch.full((count,), 5, dtype=torch.int32),
+        torch.ones(count),
         torch.ones(count),
     )
     texts = TextVectors(

@@ -12,7 +12,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.scene.things import LEAST_SPREAD, MOST_THINGS, NO_THING, SURE_REGIONS, Things
 
-PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", "mass")
+PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", "mass", "stability")
 
 
 def parts(**changes: Any) -> dict[str, Tensor]:
@@ -26,6 +26,7 @@ def parts(**changes: Any) -> dict[str, Tensor]:
         "agreement": torch.tensor([0.9, 0.8, 0.2, 0.95, 0.1]),
         "n_regions": torch.tensor([3, 4, 2, 9, 2], dtype=torch.int32),
         "mass": torch.tensor([5.0, 3.0, 2.0, 9.0, 1.0]),
+        "stability": torch.tensor([0.9, 0.5, 0.1, 1.0, 0.0]),
     }
     return {**good, **changes}
 
@@ -45,6 +46,7 @@ def test_what_is_whole_is_taken(things: Things) -> None:
         torch.zeros(0, 8, dtype=torch.float16),
         torch.zeros(0),
         torch.zeros(0, dtype=torch.int32),
+        torch.zeros(0),
         torch.zeros(0),
     )
     assert len(nothing) == 0
@@ -84,6 +86,7 @@ def test_a_single_number_is_no_part(name: str) -> None:
         ("embeddings", (1, 3), math.inf, "embeddings of things holds values that are not finite"),
         ("agreement", 2, math.nan, "agreement of things holds"),
         ("mass", 0, -math.inf, "mass of things holds"),
+        ("stability", 1, math.nan, "stability of things holds"),
     ],
 )
 def test_values_that_make_no_sense_are_refused(name: str, place: Any, value: float, message: str) -> None:
@@ -102,6 +105,7 @@ def test_files_can_number_no_more() -> None:
             torch.zeros(count, 1, dtype=torch.float16),
             torch.zeros(count),
             torch.zeros(count, dtype=torch.int32),
+            torch.zeros(count),
             torch.zeros(count),
         )
 

@@ -74,7 +74,7 @@ def assert_same(one: Things | None, other: Things | None, names: Sequence[str] =
 
 def clusters(matrix: object, views: object, least_iou: float = LEAST_IOU) -> list[int]:
     array = csr_array(np.asarray(matrix, np.float32))
-    return merge_regions(array, np.asarray(views, np.int64), least_iou).tolist()
+    return merge_regions(array, np.asarray(views, np.int64), least_iou)[0].tolist()
 
 
 # Regions merged.
@@ -212,6 +212,47 @@ def test_regions_that_touch_stay_apart() -> None:
 def test_regions_of_nothing_stay_alone(count: int) -> None:
     assert clusters(np.zeros((4, count)), range(count)) == list(range(count))
     assert clusters(np.zeros((0, count)), range(count)) == list(range(count))
+
+
+def test_a_cluster_is_stable_where_views_that_see_it_segment_it_alike() -> None:
+    """Three views see a thing of four Gaussians; the last segments it as the others do, not at all, or into halves."""
+    whole, other = [4.0] * 4 + [0.0], [0.0, 0, 0, 0, 9.0]
+    halves = [4.0, 4.0, 0, 0, 0], [0, 0, 4.0, 4.0, 0]
+
+    def stability(columns: Sequence[Sequence[float]], views: Sequence[int], least_iou: float) -> list[float]:
+        matrix = csr_array(np.asarray(columns, np.float32).T)
+        return merge_regions(matrix, np.asarray(views), least_iou)[1].tolist()
+
+    assert stability([whole, whole, whole], [0, 1, 2], 0.3) == [1]
+    assert stability([whole, whole, other], [0, 1, 2], 0.3) == [1, 0]  # the last view does not see it
+    # Both of the first views share 4 Gaussians of 4 with each other and none of 4 with the last.
+    assert stability([whole, whole, *halves], [0, 1, 2, 2], 0.6) == [0.5, 0, 0]
+    # With one half: 2 of 4 as well, and that 2 of 4 with either of them.
+    assert stability([whole, whole, *halves], [0, 1, 2, 2], 0.45)[0] == pytest.approx(16 / 24)
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(st.integers(0, 2**31), st.integers(1, 12), st.integers(1, 4))
+def test_stability_is_the_ratio_over_regions_and_other_views(seed: int, count: int, n_views: int) -> None:
+    random = np.random.default_rng(seed)
+    matrix = random.random((9, count)) * (random.random((9, count)) < 0.5) * 50
+    views = random.integers(0, n_views, count)
+    labels, found = merge_regions(csr_array(matrix.astype(np.float32)), views)
+    root = np.rint(ROOT_STEPS * np.sqrt(matrix.astype(np.float32)))
+    assert found.shape == (labels.max() + 1,)
+    for cluster, stability in enumerate(found):
+        shared = union = 0.0
+        for region in np.flatnonzero(labels == cluster):
+            for view in set(views.tolist()) - {views[region]}:
+                seen = np.rint(ROOT_STEPS * np.sqrt(matrix[:, views == view].astype(np.float32).sum(1)))
+                back = np.rint(
+                    ROOT_STEPS * np.sqrt(matrix[:, views == views[region]].astype(np.float32).sum(1))
+                )
+                mine = np.flatnonzero((labels == cluster) & (views == view))
+                overlap = sum(root[:, region] @ root[:, other] for other in mine)
+                shared += overlap
+                union += root[:, region] @ seen + sum(root[:, other] @ back for other in mine) - overlap
+        assert stability == pytest.approx(shared / max(union, 1), rel=1e-6, abs=1e-9)
 
 
 # Embeddings of things.

@@ -130,6 +130,7 @@ def field_of_instances() -> LanguageField:
         torch.full((count,), 0.6),
         torch.full((count,), 9, dtype=torch.int32),
         torch.bincount(owners.flatten() + 1, minlength=count + 1)[1:].float(),
+        torch.ones(count),
     )
     return field
 

@@ -72,6 +72,7 @@ def field_with_things(count: int = 300, agreement: float = 0.85) -> LanguageFiel
         torch.full((len(levels),), agreement),
         torch.full((len(levels),), 5, dtype=torch.int32),
         torch.rand(len(levels), generator=generator) + 0.5,
+        torch.ones(len(levels)),
     )
     return field
 

@@ -15,7 +15,7 @@ from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.query.answer import Answer, SceneAnswer
 from scoup.query.localize import averaged_relevancy, best_pixel
-from scoup.query.presence import scene_z_scores, view_z_scores
+from scoup.query.presence import scene_z_scores, view_z_scores, with_evidence
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.queried_field import QueriedField
 from scoup.query.segment import Segmentation, main_parts, mask_box, segment
@@ -178,7 +178,7 @@ def judged_selections(
             thing = thing_of_scene(fits, number, found.mask, chosen)
             found = found if thing is None else _selected_thing(field, found, query, texts.canonical, *thing)
             z_score = None if z_score is None else z_score + fits.presence(number)
-        yield found, z_score
+        yield found, None if z_score is None else with_evidence(z_score, found.mask)
 
 
 def _segmented(relevancy: Tensor, preset: QueryPreset, level: int | None) -> Segmentation:

@@ -4,16 +4,17 @@ The protocols rescale relevancy over the view before they cut it, so that every 
 mask says little: some places are near to any word. The z-score compares the query with other words *there*: the
 embedding of what was found has a cosine with the query and one with each of many everyday words, and
 
-    z = (cosine with the query - mean cosine with everyday words) / their standard deviation.
+    z = 1.645 + (cosine with the query - 95 % quantile of those with everyday words) / their standard deviation,
 
-Where another word fits better, what was found is rather that: a query for "toilet" finds the pot. So the score is at
-most ``LEAD`` above the query's lead over the best of the other words, in the same unit. Words for one thing differ by
-a little, and a query may lose to a synonym by up to 0.8 and count as present still.
+which for normally distributed cosines is how many standard deviations the query lies above the mean word. The quantile
+asks more: where many words fit as well, what was found is rather one of those. It is the same for tables of a hundred
+words and of thousands, as the best word would not be, and other names of the query do not count (``other_words``).
+Fewer than ``LEAST_GAUSSIANS`` Gaussians in the scene are nothing found.
 
 Where a field has things, the score is the sum of this and of what the thing that fits the query best says
 (``scoup.query.things.ThingFits.presence``).
 
-The query counts as present from a score of 1.5 on. This is ours; the method's paper and the protocols have nothing of
+The query counts as present from a score of 1.4 on. This is ours; the method's paper and the protocols have nothing of
 the kind, and scores by their rules never use it. Measured in docs/answers.md.
 """
 
@@ -36,11 +37,15 @@ from scoup.query.select import Selection
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.codes import rows_of
 
-PRESENT_FROM = 1.5
+PRESENT_FROM = 1.4
 """The z-score from which a query counts as present, unless another is given."""
-LEAD = 2.3
-"""The z-score of a query that the best other word equals; one less for each standard deviation that it lags behind."""
-_SAME_WORD = 0.99  # cosine from which an everyday word is the query itself, and not compared with it
+UPPER, NORMAL = 0.95, 1.645
+"""The quantile of everyday words that a query is compared with, and the z-score of that among normal numbers."""
+SIMILAR, SAME = 3.0, 0.99
+"""A word is another name of a query if it is nearer to it than words are by so many standard deviations; and the query
+itself from this cosine on."""
+LEAST_GAUSSIANS = 10
+"""So few Gaussians are a stray, not a thing."""
 _AT_A_TIME = 8  # masks in one pass over a view
 
 
@@ -89,15 +94,46 @@ def compared(
     return texts.with_everyday() if everyday else texts, present_from
 
 
+def other_words(queries: Tensor, words: Tensor) -> Tensor:
+    """Return which words a query is compared with: [Q, B] boolean, all but the query itself and other names of it.
+
+    Args:
+        queries: [Q, D] unit vectors.
+        words: [B, D] unit vectors of everyday words.
+    """
+    near = queries @ words.T
+    alike = near > near.mean(1, keepdim=True) + SIMILAR * near.std(1, keepdim=True)
+    return ~alike & (near < SAME)
+
+
+def word_leads(own: Tensor, to_words: Tensor, others: Tensor) -> Tensor:
+    """How far queries fit better than the ``UPPER`` quantile of other words, in standard deviations of their cosines.
+
+    Args:
+        own: [Q] cosines of what was found with the queries.
+        to_words: [Q, B] cosines with everyday words.
+        others: [Q, B] boolean, those that count (``other_words``).
+
+    Returns:
+        [Q] float64; minus infinity where fewer than two words count.
+    """
+    own, to_words = own.double(), to_words.double()
+    count = others.sum(1)
+    ordered = torch.where(others, to_words, torch.inf).sort(1).values
+    rank = (UPPER * count).ceil().long().clamp(min=1) - 1
+    upper = ordered.gather(1, rank[:, None])[:, 0]
+    mean = (to_words * others).sum(1) / count
+    deviation = ((to_words - mean[:, None]).square() * others).sum(1).div(count).sqrt()
+    return torch.where(count > 1, (own - upper) / deviation.clamp(min=1e-6), -torch.inf)
+
+
 def z_scores(embeddings: Tensor, queries: Tensor, words: Tensor) -> Tensor:
     """How much better each query fits its embedding than everyday words do, in standard deviations of their cosines.
-
-    The lesser of the distance from their mean, and of ``LEAD`` and the distance from the best of them.
 
     Args:
         embeddings: [Q, D] of what was found for each query; of any length, zero if nothing was found.
         queries: [Q, D] unit vectors.
-        words: [B, D] unit vectors of everyday words. A word that is the query is left out.
+        words: [B, D] unit vectors of everyday words.
 
     Returns:
         [Q] float32 on the CPU; minus infinity where nothing was found.
@@ -112,19 +148,17 @@ def z_scores(embeddings: Tensor, queries: Tensor, words: Tensor) -> Tensor:
         )
     if len(words) < LEAST_WORDS:
         raise InputError(f"presence is judged against {LEAST_WORDS} everyday words or more, got {len(words)}")
-    found, wanted, others = (
+    found, wanted, everyday = (
         torch.nn.functional.normalize(each.double().cpu(), dim=1) for each in (embeddings, queries, words)
     )
-    cosines = found @ others.T  # [Q, B]
-    counted = (wanted @ others.T < _SAME_WORD).double()
-    count = counted.sum(1).clamp(min=1)
-    mean = (cosines * counted).sum(1) / count
-    deviation = ((cosines - mean[:, None]).square() * counted).sum(1).div(count).sqrt()
-    own = (found * wanted).sum(1)
-    best = torch.where(counted > 0, cosines, -torch.inf).amax(1)
-    unit = deviation.clamp(min=1e-6)
-    scores = torch.minimum((own - mean) / unit, LEAD + (own - best) / unit)
+    own, to_words = (found * wanted).sum(1), found @ everyday.T
+    scores = NORMAL + word_leads(own, to_words, other_words(wanted, everyday))
     return torch.where(embeddings.cpu().any(1), scores, -torch.inf).float()
+
+
+def with_evidence(z_score: float, selected: Tensor) -> float:
+    """A score in the scene, minus infinity where fewer than ``LEAST_GAUSSIANS`` are selected [N]."""
+    return z_score if int(selected.sum()) >= LEAST_GAUSSIANS else -math.inf
 
 
 def view_z_scores(

@@ -3,7 +3,8 @@
 The fit of a thing to a text is the cosine of the two, less half of what the thing reaches with the words that fit it
 best: some things are near to any word (local scaling of cosines, Conneau et al. 2018, one side of it). Fits are counted
 in units of the scene's spread, how far the cosines of one thing's regions with a text differ (``Things.spread``), so
-that a gap means the same for every embedding model.
+that a gap means the same for every embedding model. Things of few regions, and those that views segment differently,
+fit less: their means are less sure, and they are more often a part or a blend of what people name.
 
 Of each level the things with the largest fits may answer together, for a text may mean several, or one that is seen in
 pieces. A set is judged by the gap behind it, by how far its mean fit lies below the best of all levels, and by its
@@ -23,20 +24,22 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.query.presence import other_words, word_leads
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.things import NO_THING, Things
 
 HUB_QUANTILE, HUB_SHARE = 0.99, 0.5
 """The words that fit a thing best are those above this quantile; this share of their cosine is subtracted."""
-MOST_GAP = 2.0
+FEW_REGIONS, UNSTABLE, LEAST_STABILITY = 2.0, 0.25, 0.02
+"""The fit of a thing of R regions is lowered by the first divided by sqrt(R), as the error of a mean falls, and by the
+second times the logarithm of 1 / its stability."""
+MOST_GAP = 3.0
 """A gap behind a set counts up to so many spreads."""
 VOTES, LEAST_SCORE = 8.0, 0.5
 """What overlap with the votes counts, times the disagreement of the things' regions; and the score, without that, from
 which a set is convincing."""
-SIMILAR = 3.0
-"""Standard deviations by which a word is nearer to a text than words are, from which it may be another name of it."""
-STANDS_OUT = 0.5
-"""What it counts for presence how far the best thing stands out among things."""
+STANDS_OUT = 2.25
+"""Standard deviations by which the best of some hundred things stands out among them for any text."""
 AT_A_TIME = 7  # texts in one pass over a view
 LEAST_PART = 1e-4
 """Things with a smaller share of the whole mass are not seen in a view."""
@@ -51,14 +54,14 @@ class ThingFits:
         fits: [T, Q] float32 in units of the spread.
         cosines: [T, Q] float32, with the texts.
         to_words: [T, B] float32 cosines with everyday words.
-        similar: [Q, B] boolean, words so near to a text that they may mean the same.
+        others: [Q, B] boolean, the words that are not other names of a text (``scoup.query.presence.other_words``).
     """
 
     things: Things
     fits: Tensor  # [T, Q]
     cosines: Tensor  # [T, Q]
     to_words: Tensor  # [T, B]
-    similar: Tensor  # [Q, B]
+    others: Tensor  # [Q, B]
 
     @classmethod
     def of(cls, things: Things, texts: TextVectors) -> ThingFits:
@@ -68,9 +71,10 @@ class ThingFits:
         queries = texts.queries.float().cpu()
         to_words, cosines = embeddings @ words.T, embeddings @ queries.T
         best = _upper(to_words)[:, None]
-        near = queries @ words.T  # [Q, B]
-        similar = near > near.mean(1, keepdim=True) + SIMILAR * near.std(1, keepdim=True)
-        return cls(things, (cosines - HUB_SHARE * best) / things.spread, cosines, to_words, similar)
+        regions, stability = things.n_regions.cpu().clamp(min=1), things.stability.cpu()
+        doubt = FEW_REGIONS * regions.rsqrt() - UNSTABLE * stability.clamp(min=LEAST_STABILITY).log()
+        fits = (cosines - HUB_SHARE * best) / things.spread - doubt[:, None]
+        return cls(things, fits, cosines, to_words, other_words(queries, words))
 
     @cached_property
     def counts(self) -> Tensor:
@@ -80,9 +84,8 @@ class ThingFits:
     def presence(self, query: int, seen: Tensor | None = None) -> float:
         """How surely a text names one of the things seen [T] boolean, or of all; minus infinity if there is none.
 
-        Of the thing that fits it best: by how many standard deviations its cosine with the text exceeds those of the
-        words that fit it best, other names of the text left out; and half of by how many the text fits this thing
-        better than the mean thing.
+        Of the thing that fits it best: how much better the text fits this thing than other words do, and how much
+        better than the text fits other things, beyond what it does for any text; both in standard deviations.
         """
         fits = self.fits[:, query].double()
         if seen is None:
@@ -90,12 +93,12 @@ class ThingFits:
         if not bool(seen.any()):
             return -math.inf
         best = int(torch.where(seen, fits, -torch.inf).argmax())
-        words = self.to_words[best][~self.similar[query]].double()
-        if len(words) < 2:
-            return -math.inf
-        lead = float(self.cosines[best, query] - _upper(words[None])[0]) / max(float(words.std()), 1e-6)
-        stands_out = float(fits[best] - fits.mean()) / max(float(fits.std()) if len(fits) > 1 else 0.0, 1e-6)
-        return lead + STANDS_OUT * stands_out
+        mine = slice(query, query + 1)
+        lead = float(
+            word_leads(self.cosines[best, mine], self.to_words[best : best + 1], self.others[mine])[0]
+        )
+        deviation = float(fits.std()) if len(fits) > 1 else 0.0
+        return lead + float(fits[best] - fits.mean()) / max(deviation, 1e-6) - STANDS_OUT
 
 
 def _upper(values: Tensor) -> Tensor:

@@ -48,10 +48,11 @@ def moving_cameras(
     first = best_camera(field, place.answer.mask, list(cameras))
     size = float(place.box.extent.norm())
     arm = first.position - place.position
+    length = float(arm.norm())
     near = size / SHARE / (first.height / first.fy)
-    away = max(min(near, float(arm.norm())), 0.75 * size)
+    away = max(min(near, length), 0.75 * size) or length  # a single point has no size
     closer = Camera.look_at(
-        place.position + arm * (away / max(float(arm.norm()), 1e-12)),
+        place.position + arm * (away / max(length, 1e-12)),
         place.position,
         first.name,
         first.width,

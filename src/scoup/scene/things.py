@@ -33,6 +33,8 @@ class Things:
         agreement: [T] float32, norm of the mean of its regions' unit embeddings: 1 if they are all alike.
         n_regions: [T] int32, how many regions it was merged from.
         mass: [T] float32, what the Gaussians that decided what is merged contribute to its regions.
+        stability: [T] float32, how alike it is segmented in all views that see it: the mean IoU of its regions with
+            what it has in each other view, 0 in views where it has no region.
 
     Raises:
         InputError: shapes, dtypes or values do not fit together.
@@ -45,6 +47,7 @@ class Things:
     agreement: Tensor  # [T]
     n_regions: Tensor  # [T]
     mass: Tensor  # [T]
+    stability: Tensor  # [T]
 
     __repr__ = brief
 
@@ -58,6 +61,7 @@ class Things:
             "agreement": (torch.float32, 1),
             "n_regions": (torch.int32, 1),
             "mass": (torch.float32, 1),
+            "stability": (torch.float32, 1),
         }
         for name, (dtype, dims) in kinds.items():
             part = getattr(self, name)
@@ -73,7 +77,7 @@ class Things:
                 raise InputError(f"{name} of things name one beyond the {count}")
         if count and int(self.levels.max()) >= self.owners.shape[1]:
             raise InputError(f"a thing is of a level beyond the {self.owners.shape[1]}")
-        for name in ("embeddings", "agreement", "mass"):
+        for name in ("embeddings", "agreement", "mass", "stability"):
             if not bool(torch.isfinite(getattr(self, name)).all()):
                 raise InputError(f"{name} of things holds values that are not finite")
 

@@ -176,7 +176,7 @@ class _LevelThings:
     Attributes:
         member: [R] int64 thing of each region, -1 for none.
         embeddings: [T, D] float32.
-        agreement, mass: [T] float32.
+        agreement, mass, stability: [T] float32.
         n_regions: [T] int32.
     """
 
@@ -185,6 +185,7 @@ class _LevelThings:
     agreement: NDArray[np.float32]
     n_regions: NDArray[np.int32]
     mass: NDArray[np.float32]
+    stability: NDArray[np.float32]
 
 
 def _things_of_level(
@@ -195,7 +196,7 @@ def _things_of_level(
         mine = np.arange(rows[name].start, rows[name].stop)
         order, views = np.append(order, mine), np.append(views, np.full(len(mine), number))
     labels = np.full(matrix.shape[1], -1)
-    labels[order] = merge_regions(matrix[:, order], views)
+    labels[order], stability = merge_regions(matrix[:, order], views)
     region_mass = np.asarray(matrix.sum(0)).ravel()
     sizes = np.bincount(labels[order], minlength=1)
     mass = np.bincount(labels[order], region_mass[order], len(sizes))
@@ -205,14 +206,15 @@ def _things_of_level(
     place[things] = np.arange(len(things))
     member = np.where(labels >= 0, place[labels], -1)
     means, agreement = mean_embeddings(embeddings, member, region_mass, len(things))
-    counts, masses = sizes[things].astype(np.int32), mass[things].astype(np.float32)
-    return _LevelThings(member, means, agreement, counts, masses)
+    counts = sizes[things].astype(np.int32)
+    masses, stable = mass[things].astype(np.float32), stability[things].astype(np.float32)
+    return _LevelThings(member, means, agreement, counts, masses, stable)
 
 
 def merge_regions(
     matrix: Matrix, views: NDArray[np.int64], least_iou: float = LEAST_IOU
-) -> NDArray[np.int64]:
-    """The cluster of every region.
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Cluster the regions of one level.
 
     Args:
         matrix: [N, R] float32, what each Gaussian contributes to each region of one level.
@@ -220,13 +222,14 @@ def merge_regions(
         least_iou: clusters that overlap less stay apart.
 
     Returns:
-        [R] int64, from 0; clusters in the order of their first regions.
+        [R] int64 the cluster of each region, from 0, in the order of their first regions; and [C] float64 the
+        stability of each cluster (``scoup.scene.things.Things``), 0..1.
     """
     from scipy.sparse import csr_array
 
     count = len(views)
     if not count:
-        return np.zeros(0, np.int64)
+        return np.zeros(0, np.int64), np.zeros(0)
     n_views = int(views.max()) + 1
     one_hot = csr_array((np.ones(count), (np.arange(count), views)), (count, n_views))
     # Whole numbers below 2^53 in float64: exact sums.
@@ -241,7 +244,10 @@ def merge_regions(
     union = reach[first, views[second]] + reach[second, views[first]] - overlaps
     keep = overlaps > LEAST_OVERLAP * union
     pairs = np.stack([first[keep], second[keep]], 1)
-    return _agglomerate(pairs, overlaps[keep], union[keep], reach, views, least_iou)
+    labels = _agglomerate(pairs, overlaps[keep], union[keep], reach.copy(), views, least_iou)
+    same = labels[first] == labels[second]
+    shared = 2.0 * np.bincount(labels[first[same]], overlaps[same], labels.max() + 1)
+    return labels, _stability(labels, shared, reach, views)
 
 
 def _agglomerate(
@@ -292,6 +298,25 @@ def _agglomerate(
     for region in range(count):  # a parent comes before what was merged into it
         parent[region] = parent[parent[region]]
     return np.unique(parent, return_inverse=True)[1].astype(np.int64)
+
+
+def _stability(
+    labels: NDArray[np.int64],  # [R]
+    shared: NDArray[
+        np.floating
+    ],  # [C] overlap of a cluster's regions with those in other views, each pair twice
+    reach: NDArray[np.float64],  # [R, V]
+    views: NDArray[np.int64],  # [R]
+) -> NDArray[np.float64]:
+    """The ratio by which clusters are compared, of each cluster with itself in all other views."""
+    clusters = len(shared)
+    regions, of_cluster = np.zeros((clusters, reach.shape[1])), np.zeros((clusters, reach.shape[1]))
+    np.add.at(regions, (labels, views), 1)
+    np.add.at(of_cluster, labels, reach)
+    own = reach[np.arange(len(views)), views]
+    seen = of_cluster.sum(1) - np.bincount(labels, own, clusters)
+    back = (regions * of_cluster).sum(1) - np.bincount(labels, own * regions[labels, views], clusters)
+    return shared / np.maximum(seen + back - shared, 1)
 
 
 def mean_embeddings(
@@ -361,4 +386,5 @@ def _joined(found: Sequence[_LevelThings], owners: NDArray[np.int64]) -> Things:
         torch.from_numpy(np.concatenate([level.agreement for level in found])),
         torch.from_numpy(np.concatenate([level.n_regions for level in found])),
         torch.from_numpy(np.concatenate([level.mass for level in found])),
+        torch.from_numpy(np.concatenate([level.stability for level in found])),
     )

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.query.presence import scene_z_scores
+from scoup.query.presence import scene_z_scores, with_evidence
 from scoup.query.queried_field import QueriedField
 from scoup.query.relevancy import relevancy as relevancy_of
 from scoup.query.select import Selection, level_thresholds, select_by_relevancy
@@ -100,6 +100,7 @@ def scene_answers(
             of_levels = _things_of_levels(fits, number, relevancy, coded)
             found = found if own_things is None else _selected_things(fits, own_things, relevancy)
             z_score = None if z_score is None else z_score + fits.presence(number)
+        z_score = None if z_score is None else with_evidence(z_score, found.mask)
         yield PageAnswer(
             text=text,
             scores=own[:, :, 0],
