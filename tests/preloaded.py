@@ -43,8 +43,6 @@ MODULES = (
     "scoup.cli.update",
     "scoup.cli.extract",
     "scoup.cli.query",
-    "scoup.cli.manifest",
-    "scoup.cli.scene_runs",
     "scoup.io",
     "scoup.models.text",
     "scoup.uplift.build",

@@ -33,7 +33,6 @@ from scoup.io.labels import read_labels
 from scoup.io.langsplatv2 import read_langsplatv2
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 from scoup.io.regions.store import RegionStore
-from scoup.io.scene_list import Wanted, read_scene_list
 from scoup.io.splats.gltf import read_gltf, read_gltf_features
 from scoup.models.word_table import load_table
 from scoup.scene.cameras import Camera, Cameras
@@ -65,7 +64,6 @@ MASKS = Memory(64, 768)  # labels: masks of 2^28 pixels besides
 SPZ = Memory(1500, 64)  # a hundred times the file, and 4 MB besides, are unpacked
 TABLES = Memory(128, 128)  # of .npz twenty times the file, and 16 MB besides, are unpacked
 LABELS = Memory(6000, 64)  # label maps without a region are packed a thousandfold
-WANTED = Wanted("build", frozenset({"scene", "out", "n-atoms"}), frozenset(), frozenset({"build", "extract"}))
 MOST_REGIONS = 16  # of a view that votes
 OF_SHARDS = BuildSettings(n_atoms=4, k=1, rounds=1, effort="fast")
 
@@ -256,8 +254,6 @@ READERS: Mapping[str, Reader] = {
     "field with a splat beside it": _field("linked.scoup"),
     "region sums": Reader("a.sums", _sums, (), (of.RECORDS,)),
     "shards": Reader("a.1-of-2.sums", _shard, (), (of.RECORDS,)),
-    "list of scenes": Reader("scenes.yaml", lambda folder: read_scene_list(folder / "scenes.yaml", WANTED),
-                             ("scenes.json",)),
     "words.npz": _words("words.npz", "single.npz", "alike.npz", containers=(of.ZIP,), memory=TABLES),
     "words.json": _words("words.json"),
     "words.safetensors": _words("words.safetensors", "joined.safetensors", containers=(of.SAFETENSORS,)),

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import yaml
 from tests.foreign_samples import (
     LangSplatAutoencoder,
     save_langsplatv2,
@@ -69,23 +68,7 @@ def write_samples(folder: Path) -> None:
     _write_regions(folder)
     _write_fields(folder)
     _write_words_and_labels(folder)
-    _write_scene_lists(folder)
     _write_pictures(folder / "pictures")
-
-
-def _write_scene_lists(folder: Path) -> None:
-    scenes = [
-        {
-            "name": name,
-            "scene": f"data/{name}",
-            "extract": {"preset": "fast"},
-            "build": {"out": f"{name}.scoup"},
-        }
-        for name in ("hall", "kitchen")
-    ]
-    record = {"defaults": {"build": {"n-atoms": 64}}, "scenes": scenes}
-    (folder / "scenes.json").write_text(json.dumps(record))
-    (folder / "scenes.yaml").write_text(yaml.safe_dump(record))
 
 
 def _write_splats(folder: Path) -> None:

@@ -108,7 +108,7 @@ def test_a_warning_is_told_once(capsys):
             warnings.warn("twice is too often", ScoupWarning, stacklevel=1)
         console.result({"a": 1})
 
-    assert run_verb(None, MACHINES, verb) == 0
+    assert run_verb(MACHINES, verb) == 0
     out, err = capsys.readouterr()
     assert json.loads(out) == {"a": 1, "warnings": ["twice is too often"]}
     assert err == "warning: twice is too often\n"
@@ -132,7 +132,7 @@ def test_errors_are_one_line_and_one_object(capsys, error, code, said):
     def verb(console: Console) -> None:
         raise error
 
-    assert run_verb(None, MACHINES, verb) == code
+    assert run_verb(MACHINES, verb) == code
     out, err = capsys.readouterr()
     assert json.loads(out)["error"].startswith(said)
     assert err == f"error: {json.loads(out)['error']}\n"
@@ -143,7 +143,7 @@ def test_faults_of_the_program_are_not_hidden():
         raise RuntimeError("a fault")
 
     with pytest.raises(RuntimeError, match="a fault"):
-        run_verb(None, Common(), verb)
+        run_verb(Common(), verb)
 
 
 def test_texts_print_as_they_stand(capsys):

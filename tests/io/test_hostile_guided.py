@@ -20,7 +20,7 @@ def path_of_children(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_reader_stands_them_and_more_code_is_reached(tmp_path: Path) -> None:
-    record = main(Arguments(runs=400, readers=("list of scenes",), corpus=tmp_path / "corpus"))
+    record = main(Arguments(runs=400, readers=("words.json",), corpus=tmp_path / "corpus"))
     (found,) = record["readers"]
     assert record["failures"] == 0, found["said"]
     assert found["runs"] == 400

@@ -16,11 +16,9 @@ from scoup.cli.evaluate import EVAL
 from scoup.cli.extract import Extract
 from scoup.cli.info import Info
 from scoup.cli.label import Label
-from scoup.cli.manifest import run_one_or_many
-from scoup.cli.manifest_options import ManifestOptions
 from scoup.cli.merge import Merge
 from scoup.cli.options import Common
-from scoup.cli.parsing import Family, in_one_line, parse, verb_words
+from scoup.cli.parsing import Family, in_one_line, parse
 from scoup.cli.query import Query
 from scoup.cli.regions import ShowRegions
 from scoup.cli.render import Render
@@ -34,7 +32,6 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
 
   scoup extract SCENE
   scoup build SCENE --gaussians point_cloud.ply --out scene.scoup
-  scoup build --manifest scenes.yaml
   scoup update scene.scoup --scene SCENE --add all
   scoup query scene.scoup "kettle" "wooden table" --camera all
   scoup select scene.scoup "kettle" --out kettle.ply
@@ -87,12 +84,7 @@ def run(arguments: list[str]) -> int:
             said = in_one_line(refusal.getvalue()) + "; see scoup --help, or scoup VERB --help"
             Console(Common(as_json=True)).fail(said, code)
         return code
-    if not isinstance(verb, ManifestOptions):
-        return run_verb(verb, verb, verb.run)
-    words = verb_words(arguments, SCOUP)
-    return run_verb(
-        verb, verb, lambda console: run_one_or_many(console, verb, words, arguments[len(words) :])
-    )
+    return run_verb(verb, verb.run)
 
 
 def entry() -> None:

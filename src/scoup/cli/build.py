@@ -13,7 +13,6 @@ import tyro
 from scoup.base.counts import counted
 from scoup.cli.build_options import BuildOptions, report_field
 from scoup.cli.console import Console, kept
-from scoup.cli.manifest_options import ManifestOptions
 from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.scene_options import ViewOptions
 
@@ -41,7 +40,7 @@ class _Loaded:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Build(BuildOptions, ViewOptions, ManifestOptions):
+class Build(BuildOptions, ViewOptions):
     """Build a language field from a trained splat, its cameras, and region features.
 
     SCENE is a folder as COLMAP, nerfstudio or Inria's code leave it; every guess about it can be overridden.
@@ -79,10 +78,7 @@ class Build(BuildOptions, ViewOptions, ManifestOptions):
 
     shard: OptionalText = None
     """I/N, such as 1/4: only rasterise this share of the views, and write <out>.I-of-N.sums. scoup merge makes the
-    field of all shards, with the options of coding, vote and output. They can be made in any order, anywhere. With
-    --manifest: take this share of the scenes, and build them whole."""
-
-    takes_shards: ClassVar[bool] = True
+    field of all shards, with the options of coding, vote and output. They can be made in any order, anywhere."""
 
     def run(self, console: Console) -> None:
         """Build, save and report."""
@@ -167,21 +163,16 @@ class Build(BuildOptions, ViewOptions, ManifestOptions):
         )
         return _Loaded(gaussians, cameras, regions, source, raster_preset, model)
 
-    def output(self, folder: Path) -> Path:
-        """The field to write; relative paths count from ``folder``."""
-        from scoup.io.camera_sources import scene_folder
-
-        return folder / (self.out or Path(f"{scene_folder(folder / self.scene).resolve().name}.scoup"))
-
     def _output(self) -> Path:
         """The field to write, after checking that what is written now may be written."""
         from scoup.base.errors import InputError
         from scoup.base.locks import complete
         from scoup.base.processes import of_environment, shard
         from scoup.io import check_output
+        from scoup.io.camera_sources import scene_folder
         from scoup.uplift.region_sums import shard_path, sums_path
 
-        out = self.output(Path())
+        out = self.out or Path(f"{scene_folder(self.scene).resolve().name}.scoup")
         if out.suffix.lower() != ".scoup":
             raise InputError(f"{out}: give a name that ends in .scoup")
         if self.shard is not None:

@@ -111,7 +111,7 @@ class Console:
             yield report
 
 
-def run_verb(verb: Any, common: Common, run: Callable[[Console], int | None]) -> int:
+def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
     """Run a verb; print errors that the user can correct as one line.
 
     Returns:

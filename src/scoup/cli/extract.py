@@ -14,8 +14,7 @@ import tyro
 from scoup.base.counts import counted
 from scoup.cli.build import CLIP_MODEL
 from scoup.cli.console import Console, kept
-from scoup.cli.manifest_options import ManifestOptions
-from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, OptionGroups
+from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.base.processes import Processes
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Extract(ManifestOptions):
+class Extract(WritesCommon):
     """Cut the photographs of a scene into regions at three levels, and give each region an embedding.
 
     Interrupted, the same command continues where it stopped; photographs that changed are done again. Under torchrun
@@ -70,18 +69,13 @@ class Extract(ManifestOptions):
     max_height: int = 1080
     """Higher photographs are reduced to this height first; 0 for never."""
 
-    def output(self, folder: Path) -> Path:
-        """The folder for the regions; relative paths count from ``folder``."""
-        from scoup.io.scene_parts import usual_features
-
-        return folder / self.out if self.out else usual_features(folder / self.scene)
-
     def run(self, console: Console) -> None:
         """Extract and report."""
         from scoup.base.errors import InputError
         from scoup.base.processes import device_of_process, of_environment
         from scoup.extract import Output, extract, find_photographs, mask_settings
         from scoup.extract.registry import open_pair
+        from scoup.io.scene_parts import usual_features
 
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
@@ -90,7 +84,7 @@ class Extract(ManifestOptions):
         )
         photographs = find_photographs(self.scene, self.images)
         processes = of_environment()
-        out = self.output(Path())
+        out = self.out or usual_features(self.scene)
         started = time.perf_counter()
         segmenter, embedder = open_pair(
             self.segmenter,

@@ -6,19 +6,15 @@ import ast
 import inspect
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
-from functools import cache, partial
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from scoup.cli.options import Common
-
-NO_ARGUMENT = Path()
-"""What a verb of many scenes has in place of the argument that names one."""
 
 
 def option_groups(verb: type) -> dict[str, list[str]]:
@@ -46,20 +42,20 @@ class _Group:
         """Never called: tyro asks that it could be."""
 
 
-def _registry(many_scenes: bool) -> ConstructorRegistry:
+def _registry() -> ConstructorRegistry:
     registry = ConstructorRegistry()
-    registry.struct_rule(partial(_nest, many_scenes))
+    registry.struct_rule(_nest)
     return registry
 
 
-def _nest(many_scenes: bool, info: StructTypeInfo) -> StructConstructorSpec | None:
+def _nest(info: StructTypeInfo) -> StructConstructorSpec | None:
     """The fields of a verb, or those of a group."""
     kind: Any = info.type
     if isinstance(kind, _Group):
         return StructConstructorSpec(dict, kind.options)
     if not (isinstance(kind, type) and issubclass(kind, Common)):
         return None
-    options = {option.name: option for option in _options(kind, many_scenes)}
+    options = {option.name: option for option in _options(kind)}
     groups = {
         title: _Group(tuple(options.pop(name) for name in names))
         for title, names in option_groups(kind).items()
@@ -83,18 +79,12 @@ def _holder(title: str) -> str:
     return f"{title} group"
 
 
-def _options(verb: type, many_scenes: bool) -> Iterator[StructFieldSpec]:
+def _options(verb: type) -> Iterator[StructFieldSpec]:
     """The fields of a verb for tyro; what they mean comes from the texts under them."""
     hints, texts = get_type_hints(verb, include_extras=True), attribute_texts(verb)
     for field in fields(verb):
-        default = _default(field, many_scenes)
+        default = tyro.MISSING_NONPROP if field.default is MISSING else field.default
         yield StructFieldSpec(field.name, hints[field.name], default, helptext=texts[field.name])
-
-
-def _default(field: Field[Any], many_scenes: bool) -> Any:
-    if field.default is not MISSING:
-        return field.default
-    return NO_ARGUMENT if many_scenes else tyro.MISSING_NONPROP
 
 
 def attribute_texts(kind: type) -> dict[str, str]:
@@ -121,8 +111,5 @@ def _texts_under(body: Sequence[ast.stmt]) -> Iterator[tuple[str, str]]:
                 yield name, " ".join(said.split())
 
 
-REGISTRY = _registry(many_scenes=False)
+REGISTRY = _registry()
 """For ``tyro.cli``: shows the options of every verb in its groups."""
-
-REGISTRY_OF_MANY = _registry(many_scenes=True)
-"""The same where ``--manifest`` names the scenes: a verb's argument has ``NO_ARGUMENT`` if there is none."""

@@ -13,10 +13,8 @@ from operator import or_
 from typing import Annotated, Any
 
 import tyro
-from tyro.constructors import ConstructorRegistry
 
-from scoup.cli.manifest_options import ManifestOptions
-from scoup.cli.option_groups import REGISTRY, REGISTRY_OF_MANY
+from scoup.cli.option_groups import REGISTRY
 
 _WIDEST = 120  # columns: longer lines of text are hard to read
 _MARGIN = "  "  # as in the frames around options; also keeps tyro from joining the lines
@@ -46,36 +44,13 @@ def parse(arguments: Sequence[str], family: Family, program: str) -> Any:
     if isinstance(verb, Family):
         return parse(rest, verb, f"{program} {name}")
     if verb is not None:
-        return parse_verb(verb, f"{program} {name}", rest)
+        return _parse(verb, f"{program} {name}", _text(verb), rest)
     # Either the list of verbs is wanted, or there is no such verb: neither needs to know their options.
     listed = [
         Annotated[_Listed, tyro.conf.subcommand(name, description=_paragraphs(_text(verb))[0])]
         for name, verb in family.verbs.items()
     ]
-    return _parse(reduce(or_, listed), program, family.description, arguments or ["--help"], REGISTRY)
-
-
-def parse_verb(verb: type, program: str, arguments: Sequence[str]) -> Any:
-    """A verb with its options; its argument may be missing where a list of scenes is given.
-
-    Raises:
-        SystemExit: as ``parse``.
-    """
-    many = issubclass(verb, ManifestOptions) and any(option_name(text) == "manifest" for text in arguments)
-    return _parse(verb, program, _text(verb), arguments, REGISTRY_OF_MANY if many else REGISTRY)
-
-
-def verb_words(arguments: Sequence[str], family: Family) -> list[str]:
-    """The first of the arguments, which name a verb: "eval", "lerf-ovs"."""
-    verb = family.verbs.get(arguments[0]) if arguments else None
-    if isinstance(verb, Family):
-        return [arguments[0], *verb_words(arguments[1:], verb)]
-    return list(arguments[:1]) if verb is not None else []
-
-
-def option_name(text: str) -> str:
-    """Name of an option on the command line, "n-atoms" of "--n_atoms=8"; "" of what is no option."""
-    return text[2:].partition("=")[0].replace("_", "-") if text.startswith("--") else ""
+    return _parse(reduce(or_, listed), program, family.description, arguments or ["--help"])
 
 
 def in_one_line(box: str) -> str:
@@ -92,9 +67,7 @@ class _Listed:
     """A verb in a list of verbs."""
 
 
-def _parse(
-    kind: Any, program: str, description: str, arguments: Sequence[str], registry: ConstructorRegistry
-) -> Any:
+def _parse(kind: Any, program: str, description: str, arguments: Sequence[str]) -> Any:
     return tyro.cli(
         kind,
         prog=program,
@@ -102,7 +75,7 @@ def _parse(
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
         compact_help=False,
-        registry=registry,
+        registry=REGISTRY,
     )
 
 

@@ -41,10 +41,6 @@ class Scored(DataSetOptions):
 
     data_set_name: ClassVar[str]
 
-    def output(self, folder: Path) -> Path:
-        """The folder for everything that is made; relative paths count from ``folder``."""
-        return folder / (self.out or f"eval_{self.data_set_name}")
-
     def run(self, console: Console) -> None:
         """Build what is missing, predict, score, write."""
         from scoup.bench.environment import describe_environment
@@ -61,7 +57,7 @@ class Scored(DataSetOptions):
             self.sheets == "worst",
             self.device,
         )
-        out = self.output(Path())
+        out = self.out or Path(f"eval_{self.data_set_name}")
         settings.check_outputs(out, self.overwrite)
         scenes = self.open_scenes(console, self.data_set_name)
         console.kept = lambda: _kept(out)

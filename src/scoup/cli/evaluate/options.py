@@ -10,8 +10,7 @@ import tyro
 
 from scoup.cli.build import CLIP_MODEL
 from scoup.cli.console import Console
-from scoup.cli.manifest_options import ManifestOptions
-from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
+from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.evaluate.data_sets import LabelledScene
@@ -26,7 +25,7 @@ Rules = Literal["scoup", "langsplatv2", "langsplat"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class DataSetOptions(ManifestOptions):
+class DataSetOptions(WritesCommon):
     """Options of all commands that read a data set."""
 
     option_groups: ClassVar[OptionGroups] = {
@@ -85,13 +84,9 @@ class StudyOptions(DataSetOptions):
     rules: Rules = "scoup"
     """Whose constants turn relevancy into masks and points."""
 
-    def output(self, folder: Path) -> Path:
-        """The folder for everything that is made; relative paths count from ``folder``."""
-        return folder / (self.out or f"eval_{self.data_set}")
-
     def folder(self) -> Path:
         """For outputs."""
-        return self.output(Path())
+        return self.out or Path(f"eval_{self.data_set}")
 
     def preset(self) -> QueryPreset:
         """The rules of the protocol."""

@@ -51,10 +51,6 @@ class PointScored(DataSetOptions):
     data_set_name: ClassVar[str]
     default_classes: ClassVar[tuple[str, ...]]
 
-    def output(self, folder: Path) -> Path:
-        """The folder for everything that is made; relative paths count from ``folder``."""
-        return folder / (self.out or f"eval_{self.data_set_name}")
-
     def settings(self) -> PointSettings:
         """What the options say."""
         from scoup.baselines.methods import find_method
@@ -80,7 +76,7 @@ class PointScored(DataSetOptions):
         from scoup.io import check_output
 
         settings = self.settings()
-        out = self.output(Path())
+        out = self.out or Path(f"eval_{self.data_set_name}")
         for classes in settings.class_lists:
             for suffix in (".md", ".json", ".tex"):
                 check_output(out / f"{self.data_set_name}_{classes.name}{suffix}", self.overwrite)

@@ -1,0 +1,105 @@
+"""The recipes of docs/many_scenes.md, run with the tools that are installed."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cli_support import RUN, run, write_scene
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "many_scenes.md"
+RECIPES = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?^```\w+\n(.*?)^```$", PAGE.read_text(), re.M | re.S))
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two scenes, a folder for fields, and a program named scoup."""
+    for number, name in enumerate("ab"):
+        write_scene(tmp_path / "scenes" / name, seed=number)
+    (tmp_path / "fields").mkdir()
+    (tmp_path / "bin").mkdir()
+    program = tmp_path / "bin" / "scoup"
+    program.write_text(f"#!{sys.executable}\n{RUN}\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", os.pathsep.join([str(program.parent), os.environ["PATH"]]))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def check_fields() -> None:
+    for name in "ab":
+        assert run("info", f"fields/{name}.scoup")[0] == 0
+
+
+def finished(*command: object, **more: str) -> None:
+    done = subprocess.run(
+        [str(part) for part in command],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **more},
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def needs(tool: str) -> None:
+    if shutil.which(tool) is None:
+        pytest.skip(f"{tool} is not installed")
+
+
+def test_the_page_has_what_is_tested() -> None:
+    assert list(RECIPES) == ["Shell", "GNU parallel", "Make", "Slurm", "Snakemake", "Ray"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a script of Unix shells")
+def test_a_shell(here: Path) -> None:
+    shutil.copytree("scenes/a", "scenes/bad")
+    shutil.rmtree("scenes/bad/language_features")
+    finished("bash", "-c", RECIPES["Shell"])
+    check_fields()
+    assert Path("failed.txt").read_text() == "scenes/bad/\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a script of Unix shells")
+def test_slurm_deals_scenes_out(here: Path) -> None:
+    """Each task as Slurm would start it, without a GPU."""
+    script = RECIPES["Slurm"].replace(" --device cuda", "")
+    finished("bash", "-c", script, SLURM_ARRAY_TASK_ID="1", SLURM_ARRAY_TASK_COUNT="2")
+    assert [path.name for path in Path("fields").glob("*.scoup")] == ["b.scoup"]
+    finished("bash", "-c", script, SLURM_ARRAY_TASK_ID="0", SLURM_ARRAY_TASK_COUNT="2")
+    check_fields()
+
+
+def test_make(here: Path) -> None:
+    needs("make")
+    Path("Makefile").write_text(RECIPES["Make"])
+    finished("make", "--keep-going", "--jobs", "2")
+    check_fields()
+
+
+def test_gnu_parallel(here: Path) -> None:
+    needs("parallel")
+    finished("bash", "-c", RECIPES["GNU parallel"])
+    check_fields()
+
+
+def test_snakemake(here: Path) -> None:
+    needs("snakemake")
+    Path("Snakefile").write_text(RECIPES["Snakemake"])
+    finished("snakemake", "--cores", "2")
+    check_fields()
+
+
+def test_ray(here: Path) -> None:
+    if importlib.util.find_spec("ray") is None:
+        pytest.skip("ray is not installed")
+    finished(sys.executable, "-c", RECIPES["Ray"])
+    check_fields()
