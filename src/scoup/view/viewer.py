@@ -77,17 +77,21 @@ class Viewer:
             h11_max_incomplete_event_size=65_536,
         )
         self._server: uvicorn.Server = uvicorn.Server(config)
-        self._thread = threading.Thread(target=self._serve, name="scoup view", daemon=True)
-        self._thread.start()
+        # Waited for in place of the thread: until Python 3.12 an interrupted join takes a running thread for ended.
+        self._ended = threading.Event()
+        threading.Thread(target=self._serve, name="scoup view", daemon=True).start()
         self._wait_for_start()
 
     def _serve(self) -> None:
-        self._server.run(sockets=[self._socket])
+        try:
+            self._server.run(sockets=[self._socket])
+        finally:
+            self._ended.set()
 
     def _wait_for_start(self) -> None:
         end = time.monotonic() + _START_SECONDS
         while not self._server.started:
-            if not self._thread.is_alive() or time.monotonic() > end:
+            if self._ended.is_set() or time.monotonic() > end:
                 self.close()
                 raise ScoupError("the viewer's server did not start")
             time.sleep(0.01)
@@ -95,17 +99,17 @@ class Viewer:
     @property
     def is_open(self) -> bool:
         """Whether it still answers."""
-        return self._thread.is_alive()
+        return not self._ended.is_set()
 
     def wait(self) -> None:
         """Until it is closed, or interrupted."""
-        while self._thread.is_alive():
-            self._thread.join(0.5)
+        while not self._ended.wait(0.5):
+            pass
 
     def close(self) -> None:
         """Stop answering; open pages say so."""
         self._server.should_exit = True
-        self._thread.join(10)
+        self._ended.wait(10)
         self._socket.close()
 
     def __enter__(self) -> Viewer:
