@@ -24,15 +24,15 @@ import tyro
 from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.answers import groups_of
 from benchmarks.data import data_folder
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.methods import METHODS
-from scoup.baselines.sparse import SparseUplift
-from scoup.bench import describe_environment, markdown, write_json
-from scoup.evaluate.metrics import iou
 from scoup.models.words import with_everyday
 from scoup.query.answering import answer_view
 from scoup.query.presence import PRESENT_FROM
 from scoup.query.text_vectors import TextVectors
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.methods import METHODS
+from scoup_lab.baselines.sparse import SparseUplift
+from scoup_lab.bench import describe_environment, markdown, write_json
+from scoup_lab.evaluate.metrics import iou
 
 PRESENT, OUT_OF_VIEW, ABSENT = KINDS = ("present", "out of view", "absent")
 BOUNDS = (0.0, 0.5, 1.0, PRESENT_FROM, 2.0, 3.0, 4.0)

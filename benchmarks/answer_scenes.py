@@ -20,16 +20,16 @@ from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.scenes import find_layout
 from scoup import raster
 from scoup.base.errors import looked_up
-from scoup.baselines.rasterised_scene import UpliftInputs
-from scoup.io.labels import LabelledFrame, match_frames, read_labels
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.synthetic.faults import LevelSums, as_region_sums, gaussians_by_name, level_sums, perturbed
-from scoup.synthetic.scene import LABELLED_LEVELS, make_demo_scene
-from scoup.synthetic.words import CANONICAL, DISTRACTORS
 from scoup.uplift.rasterise import region_sums
+from scoup_lab.baselines.rasterised_scene import UpliftInputs
+from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
+from scoup_lab.synthetic.faults import LevelSums, as_region_sums, gaussians_by_name, level_sums, perturbed
+from scoup_lab.synthetic.scene import LABELLED_LEVELS, make_demo_scene
+from scoup_lab.synthetic.words import CANONICAL, DISTRACTORS
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class AnswerScene:
         return [(frame.name, label) for frame, _ in self.frames for label in frame.labels]
 
     def inputs(self, case: str = "clean", draw: int = 0) -> UpliftInputs:
-        """What methods are fitted to, with the faults of a case (``scoup.synthetic.faults``) drawn by a seed."""
+        """What methods are fitted to, with the faults of a case (``scoup_lab.synthetic.faults``) drawn by a seed."""
         levels = perturbed(self.levels, case, draw, self.shares)
         return UpliftInputs(as_region_sums(levels), [level.embeddings for level in levels])
 

@@ -7,8 +7,8 @@ nothing.
 
 Scenes are draws of the kitchen (``benchmarks.kitchen_draws``; "kitchen-11x2" has noise twice as strong,
 "kitchen-11-desk" and "kitchen-11-clip" the statistics of ``benchmarks.embedding_kinds``), procedural layouts, and the
-real "desk" and "desk-all" (``benchmarks.desk``); cases put faults into their regions (``scoup.synthetic.faults``). What
-chose the default, its threshold, level and constants: the kitchen as given, its draws 1 to 4 and 2x2 and 3x2, and
+real "desk" and "desk-all" (``benchmarks.desk``); cases put faults into their regions (``scoup_lab.synthetic.faults``).
+What chose the default, its threshold, level and constants: the kitchen as given, its draws 1 to 4 and 2x2 and 3x2, and
 table-0, shelves-0, hall-0 and yard-0, with codebook seeds 0 and 1. Those are not among the scenes by default; seeds are
 those of the codebook. Masks and embeddings are simulated everywhere but on desk: figures of the other scenes compare
 ways with each other and cannot be set against published ones.
@@ -49,12 +49,6 @@ from benchmarks.desk import DESKS
 from benchmarks.embedding_kinds import KINDS
 from scoup.base.errors import InputError, looked_up
 from scoup.base.records import record_text
-from scoup.baselines.fitted import FittedField, FittedMethod
-from scoup.baselines.method import Method, MethodSettings
-from scoup.baselines.methods import METHODS
-from scoup.baselines.sparse import SparseUplift
-from scoup.bench import describe_environment, markdown
-from scoup.evaluate.metrics import any_inside, bootstrap_interval, iou
 from scoup.io import write_text
 from scoup.models.words import with_everyday
 from scoup.query.answering import answer_view
@@ -64,6 +58,12 @@ from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import choose_level, level_masks
 from scoup.query.text_vectors import TextVectors
 from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.baselines.fitted import FittedField, FittedMethod
+from scoup_lab.baselines.method import Method, MethodSettings
+from scoup_lab.baselines.methods import METHODS
+from scoup_lab.baselines.sparse import SparseUplift
+from scoup_lab.bench import describe_environment, markdown
+from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
 
 DRAWS = tuple(f"kitchen-{seed}{noise}" for noise in ("", "x2") for seed in (11, 12, 13, 14, 15))
 LAYOUTS = ("table-1", "shelves-1", "hall-1", "yard-1")
@@ -93,7 +93,7 @@ class Arguments:
     scenes: tuple[str, ...] = (*DRAWS, *LAYOUTS)
     """Draws of the kitchen, layouts of benchmarks.scenes with a seed, desk and desk-all."""
     cases: tuple[str, ...] = ("clean",)
-    """Faults, see scoup.synthetic.faults."""
+    """Faults, see scoup_lab.synthetic.faults."""
     ways: tuple[str, ...] = ("dense", "votes", "one-round", "default")
     """Names of WAYS; paper takes minutes a scene and seed."""
     seeds: tuple[int, ...] = (2, 3, 4)

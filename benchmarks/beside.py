@@ -21,9 +21,9 @@ from typing import Any
 import tyro
 
 from scoup.base.errors import InputError
-from scoup.bench import describe_environment, markdown, write_json
-from scoup.bench.environment import in_one_line
 from scoup.io import check_output
+from scoup_lab.bench import describe_environment, markdown, write_json
+from scoup_lab.bench.environment import in_one_line
 
 ROOT = Path(__file__).resolve().parent.parent
 

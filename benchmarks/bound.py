@@ -16,11 +16,11 @@ import torch
 
 from scoup.base.errors import InputError
 from scoup.base.native import native_core
-from scoup.bench import Row, markdown
-from scoup.bench.report import milliseconds
 from scoup.raster import raster_preset, reference
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup_lab.bench import Row, markdown
+from scoup_lab.bench.report import milliseconds
 
 CYCLES, LANES = 11, 16
 FORMULA = (

@@ -29,12 +29,12 @@ import tyro
 import scoup
 from benchmarks.limits import run_limited
 from benchmarks.scenes.city import A_BLOCK, City, street_cameras, write_city
-from scoup.base.measuring import timed
-from scoup.bench import describe_environment, fit_slope, markdown, write_json
-from scoup.bench.environment import in_one_line
 from scoup.io import check_output, write_inria_cameras
 from scoup.scene.cameras import Cameras
 from scoup.uplift.region_sums import RegionSums
+from scoup_lab.bench import describe_environment, fit_slope, markdown, write_json
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench.measuring import timed
 
 STAGES = ("load", "coding", "region sums", "vote", "save", "total")
 """``total`` is the whole process, from its start to its end but for the start of Python."""

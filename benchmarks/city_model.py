@@ -27,8 +27,8 @@ from scipy.optimize import nnls
 
 from benchmarks.scenes.city import A_BLOCK, FAR, PITCH
 from scoup.base.errors import InputError
-from scoup.bench import describe_environment, markdown, write_json
 from scoup.io import check_output
+from scoup_lab.bench import describe_environment, markdown, write_json
 
 Values = Mapping[str, float]
 TERMS: dict[str, tuple[str, ...]] = {

@@ -7,9 +7,9 @@
 * entropy: mIoU without half of the Gaussians by the entropy of their votes, kept in blending or dropped from it.
 * glass: mIoU of a thing whose Gaussians get a tenth of their opacity, before and after.
 
-Dense features are lifted from the same region sums as codes (``scoup.baselines.dense``), which is exact and far cheaper
-than the scatter of D numbers at every pixel that other systems do. What that scatter costs is estimated by a render of
-D channels in one view, which does the same multiplications; one view and level is timed, and multiplied.
+Dense features are lifted from the same region sums as codes (``scoup_lab.baselines.dense``), which is exact and far
+cheaper than the scatter of D numbers at every pixel that other systems do. What that scatter costs is estimated by a
+render of D channels in one view, which does the same multiplications; one view and level is timed, and multiplied.
 """
 
 from __future__ import annotations
@@ -25,8 +25,12 @@ import tyro
 from benchmarks.claims_scenes import entropy_rows, glass_rows
 from benchmarks.scenes import find_layout
 from scoup import raster
-from scoup.baselines.sparse import learn_codes
-from scoup.bench import (
+from scoup.io import check_output
+from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.rasterise import region_sums
+from scoup.uplift.vote import vote
+from scoup_lab.baselines.sparse import learn_codes
+from scoup_lab.bench import (
     Task,
     Timing,
     describe_environment,
@@ -37,13 +41,9 @@ from scoup.bench import (
     time_tasks,
     write_json,
 )
-from scoup.bench.environment import in_one_line
-from scoup.io import check_output
-from scoup.synthetic.random_scene import clip_like, random_scene_codes
-from scoup.synthetic.scene import make_demo_scene
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.rasterise import region_sums
-from scoup.uplift.vote import vote
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.synthetic.random_scene import clip_like, random_scene_codes
+from scoup_lab.synthetic.scene import make_demo_scene
 
 Part = Literal["uplift", "views", "entropy", "glass"]
 

@@ -10,16 +10,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.baselines.rasterised_scene import RasterisedScene
-from scoup.evaluate.data_sets import DATA_SETS, LabelledScene
-from scoup.evaluate.scores import PairScore
-from scoup.evaluate.studies.ablation_rows import BASE, find_ablations
-from scoup.evaluate.studies.ablations import ablation_record, run_ablations
-from scoup.evaluate.studies.study_scene import StudyScene
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.gaussians import Gaussians
-from scoup.synthetic.scene import DemoScene
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from scoup_lab.evaluate.data_sets import DATA_SETS, LabelledScene
+from scoup_lab.evaluate.scores import PairScore
+from scoup_lab.evaluate.studies.ablation_rows import BASE, find_ablations
+from scoup_lab.evaluate.studies.ablations import ablation_record, run_ablations
+from scoup_lab.evaluate.studies.study_scene import StudyScene
+from scoup_lab.synthetic.scene import DemoScene
 
 OBJECTS = ("m",)  # the level whose names are queried
 PRESET = QUERY_PRESETS["scoup"]

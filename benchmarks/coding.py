@@ -49,12 +49,12 @@ from benchmarks.coding_forms import (
 from benchmarks.coding_tables import print_tables
 from benchmarks.raster import report
 from scoup.base.backends import default_backend
-from scoup.baselines.autoencoder import LANGSPLAT
-from scoup.bench import describe_environment, write_json
-from scoup.bench.measure import torch_threads
 from scoup.coding.exact import solve_exact
 from scoup.io import check_output
-from scoup.synthetic.random_scene import clip_like_objects
+from scoup_lab.baselines.autoencoder import LANGSPLAT
+from scoup_lab.bench import describe_environment, write_json
+from scoup_lab.bench.measure import torch_threads
+from scoup_lab.synthetic.random_scene import clip_like_objects
 
 AUTOENCODER = "autoencoder"
 _WARM_ROWS = 500

@@ -20,14 +20,14 @@ from tests.coding.plain_adam import plain_adam
 from torch import Tensor
 
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.autoencoder import LANGSPLAT, fit_autoencoder
-from scoup.bench.measure import torch_threads
 from scoup.coding.adam import LEARNING_RATE, LOGIT_SCALE, AdamSettings, solve_adam
 from scoup.coding.encode import encode
 from scoup.coding.exact import EFFORTS, ExactSettings, solve_exact
 from scoup.coding.kmeans import spherical_kmeans
 from scoup.coding.report import decoded_cosines, report_on
 from scoup.scene.codes import SparseCodes
+from scoup_lab.baselines.autoencoder import LANGSPLAT, fit_autoencoder
+from scoup_lab.bench.measure import torch_threads
 
 Record = dict[str, Any]
 

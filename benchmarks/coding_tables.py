@@ -5,10 +5,10 @@ from __future__ import annotations
 from statistics import mean
 
 from benchmarks.coding_forms import GRAM, PAPER_EPOCHS, PARTS, QUALITY, Record, is_whole
-from scoup.bench import markdown
-from scoup.bench.environment import in_one_line
-from scoup.bench.report import milliseconds
 from scoup.coding.exact import EFFORTS
+from scoup_lab.bench import markdown
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench.report import milliseconds
 
 
 def print_tables(record: Record) -> None:

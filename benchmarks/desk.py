@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 import scoup
-from scoup.io.labels import LabelledFrame, match_frames, read_labels
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
+from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
 
 DESKS = {"desk": "language_features", "desk-all": "language_features_all"}
 """Name of the scene -> folder of its regions: the same masks, with embeddings pooled in two ways."""

@@ -37,7 +37,7 @@ from benchmarks import (
 from benchmarks.coding_tables import compared_table
 from benchmarks.documents_claims import claims_table
 from benchmarks.hostile import __main__ as hostile
-from scoup.bench import markdown
+from scoup_lab.bench import markdown
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = ROOT / "docs" / "benchmarks"

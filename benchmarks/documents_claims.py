@@ -6,7 +6,7 @@ from collections.abc import Callable
 from statistics import mean
 from typing import Any
 
-from scoup.bench import markdown
+from scoup_lab.bench import markdown
 
 CLEAN, NOISE, LAYOUTS = "kitchen draws, clean", "kitchen draws, noise x 2, clean", "procedural, clean"
 REPRODUCED, PARTLY, NOT, OPEN = "reproduced", "partly", "**not reproduced**", "cannot be shown here"

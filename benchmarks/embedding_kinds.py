@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.models.words import CANONICAL_PHRASES
-from scoup.synthetic.art.meshes import Floats
-from scoup.synthetic.observe import SWAPPED
-from scoup.synthetic.words import unit
+from scoup_lab.synthetic.art.meshes import Floats
+from scoup_lab.synthetic.observe import SWAPPED
+from scoup_lab.synthetic.words import unit
 
 PHRASE_SPREAD = 0.01  # standard deviation of a prototype's cosine with a canonical phrase
 

@@ -28,9 +28,9 @@ import tyro
 from benchmarks.endurance_runs import Run, run, snapshot
 from benchmarks.endurance_verbs import VERBS, Scene, Verb, make_scene
 from scoup.base.errors import looked_up
-from scoup.bench import describe_environment, markdown, write_json
-from scoup.bench.environment import in_one_line
 from scoup.io import check_output
+from scoup_lab.bench import describe_environment, markdown, write_json
+from scoup_lab.bench.environment import in_one_line
 
 AGAIN = 0.4
 """Share of the kills after which the run that continues is killed, too."""

@@ -17,9 +17,9 @@ from benchmarks.endurance_runs import Run, environment
 from scoup.base.errors import ScoupError
 from scoup.io import save_gaussians, save_png
 from scoup.io.regions.store import RegionStore
-from scoup.synthetic.folder import write_demo_scene
-from scoup.synthetic.scene import make_demo_scene
 from scoup.uplift.region_sums import RegionSums
+from scoup_lab.synthetic.folder import write_demo_scene
+from scoup_lab.synthetic.scene import make_demo_scene
 
 QUICK = ("--n-atoms", "16", "--effort", "fast")
 FIELD, SHARD = "a.scoup", "a.scoup.1-of-2.sums"

@@ -32,12 +32,12 @@ from tests.literal_rules import box_of, mask_rule, painted
 
 from benchmarks.data import data_folder
 from benchmarks.extract_masks import candidates, photograph_of, regions_of
-from scoup.bench import describe_environment, write_json
 from scoup.extract.crops import mask_crops
 from scoup.extract.masks import Masks, paint
 from scoup.extract.overlaps import intersections, keep_by_masks
 from scoup.extract.small_parts import cleaned_up
 from scoup.io import check_output
+from scoup_lab.bench import describe_environment, write_json
 
 SIDE = 224
 LEAST = 100

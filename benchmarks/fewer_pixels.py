@@ -19,12 +19,12 @@ from torch import Tensor
 
 import scoup
 from benchmarks.data import data_folder, make_features
-from scoup.bench import Stopwatch, describe_environment, markdown, write_json
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.vote import GaussianCodes, vote
+from scoup_lab.bench import Stopwatch, describe_environment, markdown, write_json
 
 
 @dataclass(frozen=True)

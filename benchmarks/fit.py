@@ -26,7 +26,11 @@ import scoup
 from benchmarks.data import data_folder
 from benchmarks.fit_cases import RIGHT, WRONG, FitScene, photographed
 from benchmarks.scenes import LAYOUTS, find_layout
-from scoup.bench import (
+from scoup.io import check_output
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.uplift.fit import Fit, Verdict, measure_fit, views_tried
+from scoup_lab.bench import (
     describe_environment,
     markdown,
     random_scene_cameras,
@@ -34,12 +38,8 @@ from scoup.bench import (
     random_scene_regions,
     write_json,
 )
-from scoup.bench.environment import in_one_line
-from scoup.io import check_output
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.synthetic import make_demo_scene
-from scoup.uplift.fit import Fit, Verdict, measure_fit, views_tried
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.synthetic import make_demo_scene
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ A small synthetic scene, as `scoup eval synthetic` writes it; labelled views are
 from Gaussians, cameras and regions to the fitted method: rasterising and everything after; peak memory is that of
 everything after. LangSplatV2 takes 10000 steps a level; seconds for these are extrapolated from the longest run here.
 Steps here multiply with kept blending weights of small views in place of rasterising
-(``scoup.baselines.joint_codes``), so that ratios are lower than with steps as LangSplatV2 makes them. Scores are those
-of simulated regions: they compare methods with each other, and cannot be set against published figures.
+(``scoup_lab.baselines.joint_codes``), so that ratios are lower than with steps as LangSplatV2 makes them. Scores are
+those of simulated regions: they compare methods with each other, and cannot be set against published figures.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ import tyro
 
 from benchmarks.scenes import find_layout
 from scoup.base.errors import InputError
-from scoup.base.measuring import Cost, Meter
-from scoup.baselines.fitted import FittedMethod
-from scoup.baselines.joint_codes import LANGSPLATV2, JointCodes
-from scoup.baselines.method import Method, MethodSettings, Uplift
-from scoup.baselines.methods import find_method
-from scoup.baselines.rasterised_scene import UpliftInputs
-from scoup.baselines.trained import joint_field, learn_joint_codes
-from scoup.bench import describe_environment, markdown, write_json
-from scoup.bench.environment import in_one_line
-from scoup.bench.measure import torch_threads
-from scoup.evaluate.data_sets import data_set_preset, find_data_set, open_scene
-from scoup.evaluate.label_vectors import encode_labels
-from scoup.evaluate.scores import accuracy_interval, miou_interval
-from scoup.evaluate.studies.comparison import MethodResult, compare
-from scoup.evaluate.studies.study_scene import StudyScene, open_study_scene
 from scoup.io import check_output
-from scoup.synthetic.data_sets import DataSetSize, write_data_set
+from scoup_lab.baselines.fitted import FittedMethod
+from scoup_lab.baselines.joint_codes import LANGSPLATV2, JointCodes
+from scoup_lab.baselines.method import Method, MethodSettings, Uplift
+from scoup_lab.baselines.methods import find_method
+from scoup_lab.baselines.rasterised_scene import UpliftInputs
+from scoup_lab.baselines.trained import joint_field, learn_joint_codes
+from scoup_lab.bench import describe_environment, markdown, write_json
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench.measure import torch_threads
+from scoup_lab.bench.measuring import Cost, Meter
+from scoup_lab.evaluate.data_sets import data_set_preset, find_data_set, open_scene
+from scoup_lab.evaluate.label_vectors import encode_labels
+from scoup_lab.evaluate.scores import accuracy_interval, miou_interval
+from scoup_lab.evaluate.studies.comparison import MethodResult, compare
+from scoup_lab.evaluate.studies.study_scene import StudyScene, open_study_scene
+from scoup_lab.synthetic.data_sets import DataSetSize, write_data_set
 
 DATA_SET = "lerf-ovs"
 CURVE_POINTS = 20

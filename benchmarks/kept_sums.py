@@ -25,7 +25,14 @@ import tyro
 import scoup
 from benchmarks.data import data_folder, make_features
 from benchmarks.raster import report
-from scoup.bench import (
+from scoup.io import check_output
+from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.region_sums import RegionSums
+from scoup_lab.bench import (
     describe_environment,
     markdown,
     random_scene_cameras,
@@ -33,16 +40,9 @@ from scoup.bench import (
     random_scene_regions,
     write_json,
 )
-from scoup.bench.environment import in_one_line
-from scoup.bench.measure import Stopwatch, torch_threads
-from scoup.io import check_output
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import Regions
-from scoup.synthetic.random_scene import HEIGHT, REGIONS, WIDTH
-from scoup.uplift.build import build
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.region_sums import RegionSums
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench.measure import Stopwatch, torch_threads
+from scoup_lab.synthetic.random_scene import HEIGHT, REGIONS, WIDTH
 
 CHANGES: dict[str, dict[str, Any]] = {
     "same settings": {},

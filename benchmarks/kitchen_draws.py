@@ -42,16 +42,16 @@ from benchmarks.data import data_folder, make_features
 from benchmarks.desk import DESKS, Desk
 from benchmarks.embedding_kinds import KINDS, EmbeddingKind, RegionErrors, draw_hosts, draw_prototypes
 from scoup import raster
-from scoup.bench import markdown
-from scoup.io.labels import LabelledFrame, match_frames, read_labels
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.segment import mask_box
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions
-from scoup.synthetic.art.meshes import Floats
-from scoup.synthetic.observe import IntMap, Shown, embed_regions, make_regions, moved_borders, noise
-from scoup.synthetic.words import unit
+from scoup_lab.bench import markdown
+from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
+from scoup_lab.synthetic.art.meshes import Floats
+from scoup_lab.synthetic.observe import IntMap, Shown, embed_regions, make_regions, moved_borders, noise
+from scoup_lab.synthetic.words import unit
 
 PERSON, CLOTHES, HAND = 4, 5, 6
 GROUPS = {"person": (4, 5, 6), "shelves": (14, 15, 16), "plate": (22, 23, 24)}

@@ -30,13 +30,13 @@ from torch import Tensor
 from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.answers import WAYS
 from benchmarks.data import data_folder
-from scoup.baselines.fitted import FittedChannels, FittedField, FittedMethod
-from scoup.baselines.method import MethodSettings
-from scoup.bench import describe_environment, markdown, write_json
 from scoup.models.words import with_everyday
 from scoup.query.label import NONE, label_by_selections
 from scoup.query.presence import PRESENT_FROM, mean_embedding, z_scores
 from scoup.query.select import Selection, select_by_relevancy
+from scoup_lab.baselines.fitted import FittedChannels, FittedField, FittedMethod
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.bench import describe_environment, markdown, write_json
 
 RULES = ("as labelled", "most relevant", "argmax")
 WORDS = ("all words", "half the words")

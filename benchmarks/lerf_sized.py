@@ -20,7 +20,9 @@ import tyro
 
 import scoup
 from benchmarks.raster import report
-from scoup.bench import (
+from scoup.io import check_output
+from scoup.uplift.build_settings import build_settings
+from scoup_lab.bench import (
     StageClock,
     describe_environment,
     markdown,
@@ -30,11 +32,9 @@ from scoup.bench import (
     usable_backends,
     write_json,
 )
-from scoup.bench.environment import in_one_line
-from scoup.bench.measure import torch_threads
-from scoup.io import check_output
-from scoup.synthetic.random_scene import HEIGHT, REGIONS, WIDTH, Order
-from scoup.uplift.build_settings import build_settings
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench.measure import torch_threads
+from scoup_lab.synthetic.random_scene import HEIGHT, REGIONS, WIDTH, Order
 
 PAPER_SECONDS = 42.0
 

@@ -21,12 +21,12 @@ from torch import Tensor
 
 import scoup
 from benchmarks.scenes import find_layout
-from scoup.bench import describe_environment, write_json
 from scoup.io import check_output
 from scoup.query.locate import Location, oriented_box
 from scoup.query.methods import Encoder
 from scoup.query.segment import main_parts, mask_box
-from scoup.synthetic.scene import DemoScene, make_demo_scene
+from scoup_lab.bench import describe_environment, write_json
+from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
 
 
 @dataclass(frozen=True, eq=False)

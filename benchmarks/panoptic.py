@@ -33,10 +33,10 @@ from benchmarks.data import data_folder
 from benchmarks.panoptic_maps import panoptic_truth
 from benchmarks.panoptic_ways import WAYS, Case, Voted
 from scoup import raster
-from scoup.bench import describe_environment, markdown, write_json
-from scoup.evaluate.metrics import bootstrap_interval
 from scoup.io import check_output
 from scoup.scene.codes import SparseCodes, cosines_from_codes
+from scoup_lab.bench import describe_environment, markdown, write_json
+from scoup_lab.evaluate.metrics import bootstrap_interval
 
 SCENES = tuple(
     scene + classes

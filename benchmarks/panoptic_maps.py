@@ -35,11 +35,11 @@ from scoup import raster
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions
-from scoup.synthetic.art.meshes import Floats
-from scoup.synthetic.masks import components, grown, shrunk
-from scoup.synthetic.observe import LEAST_KEPT, REFERENCE_WIDTH, SMALL_AREA, IntMap, moved_borders
-from scoup.synthetic.scene import make_demo_scene
-from scoup.synthetic.words import unit
+from scoup_lab.synthetic.art.meshes import Floats
+from scoup_lab.synthetic.masks import components, grown, shrunk
+from scoup_lab.synthetic.observe import LEAST_KEPT, REFERENCE_WIDTH, SMALL_AREA, IntMap, moved_borders
+from scoup_lab.synthetic.scene import make_demo_scene
+from scoup_lab.synthetic.words import unit
 
 LEVEL = "m"
 DIMENSIONS = 512

@@ -23,16 +23,6 @@ from typing import Any
 import tyro
 
 import scoup
-from scoup.bench import (
-    describe_environment,
-    markdown,
-    random_scene_cameras,
-    random_scene_gaussians,
-    usable_backends,
-    write_json,
-)
-from scoup.bench.environment import in_one_line
-from scoup.bench.measure import Stopwatch, torch_threads
 from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output
@@ -40,7 +30,17 @@ from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.segment import localize_and_segment
 from scoup.scene.cameras import Camera
-from scoup.synthetic.random_scene import HEIGHT, WIDTH, clip_like, random_scene_codes
+from scoup_lab.bench import (
+    describe_environment,
+    markdown,
+    random_scene_cameras,
+    random_scene_gaussians,
+    usable_backends,
+    write_json,
+)
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench.measure import Stopwatch, torch_threads
+from scoup_lab.synthetic.random_scene import HEIGHT, WIDTH, clip_like, random_scene_codes
 
 STAGES = {
     "project": "project, bin and sort",

@@ -26,7 +26,8 @@ from PIL import Image
 import scoup
 from benchmarks.bound import FORMULA, bound_rows, count_evaluations, print_bounds
 from benchmarks.data import data_folder
-from scoup.bench import (
+from scoup.io import check_output
+from scoup_lab.bench import (
     STAGES,
     Row,
     Workload,
@@ -40,10 +41,9 @@ from scoup.bench import (
     usable_backends,
     write_json,
 )
-from scoup.bench.environment import in_one_line
-from scoup.bench.report import SPECIFICATION
-from scoup.io import check_output
-from scoup.synthetic.random_scene import Order
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench.report import SPECIFICATION
+from scoup_lab.synthetic.random_scene import Order
 
 
 @dataclass(frozen=True)

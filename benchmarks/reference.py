@@ -18,13 +18,13 @@ import tyro
 from torch import Tensor
 
 from scoup import raster
-from scoup.bench import Task, describe_environment, time_tasks, write_json
 from scoup.raster import reference
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
-from scoup.synthetic import make_demo_scene
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import vote
+from scoup_lab.bench import Task, describe_environment, time_tasks, write_json
+from scoup_lab.synthetic import make_demo_scene
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,12 @@ import torch
 import tyro
 
 from benchmarks.raster import report
-from scoup.bench import (
+from scoup.io import check_output
+from scoup.scene.cameras import Cameras
+from scoup.scene.codes import SparseCodes
+from scoup.uplift.rasterise import region_sums
+from scoup.uplift.vote import vote
+from scoup_lab.bench import (
     Task,
     Workload,
     describe_environment,
@@ -36,14 +41,9 @@ from scoup.bench import (
     usable_backends,
     write_json,
 )
-from scoup.bench.environment import in_one_line
-from scoup.bench.report import SPECIFICATION, milliseconds
-from scoup.io import check_output
-from scoup.scene.cameras import Cameras
-from scoup.scene.codes import SparseCodes
-from scoup.synthetic.random_scene import REGIONS
-from scoup.uplift.rasterise import region_sums
-from scoup.uplift.vote import vote
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench.report import SPECIFICATION, milliseconds
+from scoup_lab.synthetic.random_scene import REGIONS
 
 Key = tuple[float, str]  # size, stage
 Runs = dict[Key, Callable[[], object]]

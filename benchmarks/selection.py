@@ -22,15 +22,15 @@ import tyro
 from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.answers import WAYS
 from benchmarks.data import data_folder
-from scoup.baselines.fitted import FittedField, FittedMethod
-from scoup.baselines.method import MethodSettings
-from scoup.bench import describe_environment, markdown, write_json
-from scoup.evaluate.metrics import bootstrap_interval, iou
 from scoup.models.words import with_everyday
 from scoup.query.answering import answer_scene
 from scoup.query.neighbours import Neighbourhood
 from scoup.query.select import select_by_relevancy
 from scoup.query.text_vectors import TextVectors
+from scoup_lab.baselines.fitted import FittedField, FittedMethod
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.bench import describe_environment, markdown, write_json
+from scoup_lab.evaluate.metrics import bootstrap_interval, iou
 
 NEIGHBOURS = 10
 RULES = ("0.6", "votes", "10 neighbours", "best level", "asked")

@@ -33,11 +33,11 @@ import tyro
 
 import scoup
 from benchmarks.viewer import PROGRAM, served, write_field
-from scoup.bench import describe_environment, markdown, write_json
-from scoup.bench.environment import in_one_line
 from scoup.io import check_output
 from scoup.models.words import EVERYDAY_WORDS
 from scoup.scene.cameras import Camera, Cameras
+from scoup_lab.bench import describe_environment, markdown, write_json
+from scoup_lab.bench.environment import in_one_line
 
 PASSED_ON = {503: "busy", 409: "superseded"}
 WORDS = EVERYDAY_WORDS[:60]

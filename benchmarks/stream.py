@@ -26,8 +26,14 @@ import torch
 import tyro
 
 import scoup
-from scoup.base.measuring import resident_bytes
-from scoup.bench import (
+from scoup.io import check_output
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import RegionMap, Regions
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.region_sums import RegionSums
+from scoup_lab.bench import (
     describe_environment,
     markdown,
     random_scene_cameras,
@@ -36,15 +42,9 @@ from scoup.bench import (
     torch_threads,
     write_json,
 )
-from scoup.bench.environment import in_one_line
-from scoup.io import check_output
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import RegionMap, Regions
-from scoup.synthetic.random_scene import REGIONS
-from scoup.uplift.build import build
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.region_sums import RegionSums
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench.measuring import resident_bytes
+from scoup_lab.synthetic.random_scene import REGIONS
 
 PLACES = 60  # different cameras, which come round again and again
 TEXTS = ("thing", "object", "things", "stuff", "texture")

@@ -22,16 +22,16 @@ from torch import Tensor
 
 from benchmarks.answer_scenes import SceneSize, make_scene
 from benchmarks.data import data_folder
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.methods import METHODS
-from scoup.bench import describe_environment, markdown, write_json
-from scoup.evaluate.metrics import iou
 from scoup.models.words import with_everyday
 from scoup.query.localize import averaged_relevancy
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import LevelMasks, choose_level
 from scoup.query.smoothing import rescale, smoothed_masks
 from scoup.query.stable_threshold import Stability, stable_thresholds
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.methods import METHODS
+from scoup_lab.bench import describe_environment, markdown, write_json
+from scoup_lab.evaluate.metrics import iou
 
 Rule = Callable[[Tensor], Tensor]
 """Thresholds [S] of smoothed relevancy [S, M]."""

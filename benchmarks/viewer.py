@@ -27,24 +27,24 @@ import tyro
 from tools.chromium import chromium
 
 import scoup
-from scoup.base.measuring import timed
-from scoup.bench import (
+from scoup.field.artefact import FieldInfo
+from scoup.field.language_field import LanguageField
+from scoup.io import check_output
+from scoup.models.word_table import save_table
+from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.view.export import export_page
+from scoup.view.viewed_field import ViewedField
+from scoup.view.viewer import Viewer
+from scoup_lab.bench import (
     describe_environment,
     markdown,
     random_scene_cameras,
     random_scene_gaussians,
     write_json,
 )
-from scoup.bench.environment import in_one_line
-from scoup.field.artefact import FieldInfo
-from scoup.field.language_field import LanguageField
-from scoup.io import check_output
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.synthetic.random_scene import clip_like, random_scene_codes
-from scoup.view.export import export_page
-from scoup.view.viewed_field import ViewedField
-from scoup.view.viewer import Viewer
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench.measuring import timed
+from scoup_lab.synthetic.random_scene import clip_like, random_scene_codes
 
 ATOMS, KEEP, VIEWS = 128, 4, 24
 RECOLOURING_BYTES = 32

@@ -10,9 +10,9 @@ import sys
 import torch
 
 import scoup
-from scoup.baselines.dense import dense_uplift
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.rasterised_scene import UpliftInputs
+from scoup_lab.baselines.dense import dense_uplift
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.rasterised_scene import UpliftInputs
 
 scene, words, thing = sys.argv[1:4]
 gaussians = scoup.load_gaussians(scene)

@@ -13,7 +13,7 @@ from statistics import median
 from time import perf_counter
 
 import scoup
-from scoup.base.measuring import resident_bytes
+from scoup_lab.bench.measuring import resident_bytes
 
 scene, words, thing = sys.argv[1:4]
 window, n_frames = map(int, sys.argv[4:6])

@@ -82,14 +82,14 @@ def synthetic_data_sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a small synthetic version of each data set, named after it; read-only."""
     from benchmarks.scenes import LAYOUTS
 
-    from scoup.synthetic import make_demo_scene
-    from scoup.synthetic.data_sets import DataSetSize, write_data_set
+    from scoup_lab.synthetic import make_demo_scene
+    from scoup_lab.synthetic.data_sets import DataSetSize, write_data_set
 
     layouts = [LAYOUTS["table"], LAYOUTS["shelves"]]
     size = DataSetSize(n_gaussians=4000, width=96, height=72, n_views=6, n_labelled=2)
     folder = tmp_path_factory.mktemp("data_sets")
     with pytest.MonkeyPatch.context() as patch:  # the same scenes are written for each of them
-        patch.setattr("scoup.synthetic.data_sets.make_demo_scene", functools.cache(make_demo_scene))
+        patch.setattr("scoup_lab.synthetic.data_sets.make_demo_scene", functools.cache(make_demo_scene))
         for name in ("lerf-ovs", "3d-ovs", "ref-lerf", "scannet", "scenesplat"):
             write_data_set(name, folder / name, layouts, size)
         half = dataclasses.replace(size, label_scale=0.5)

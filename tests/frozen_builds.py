@@ -18,8 +18,8 @@ import numpy as np
 import torch
 
 import scoup
-from scoup.bench import random_scene_cameras, random_scene_gaussians, random_scene_regions
 from scoup.uplift.build_settings import build_settings
+from scoup_lab.bench import random_scene_cameras, random_scene_gaussians, random_scene_regions
 
 EPOCHS = 0
 """Of the paper preset's solver, which is not what is frozen: steps of Adam amplify the last bits in which processors

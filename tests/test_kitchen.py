@@ -12,10 +12,10 @@ import torch
 
 import scoup
 from cli_support import run
-from scoup.evaluate.protocols.lerf_ovs import score_scene
 from scoup.io import load_image
-from scoup.io.labels import match_frames, read_labels
 from scoup.raster import render_colors
+from scoup_lab.data.labels import match_frames, read_labels
+from scoup_lab.evaluate.protocols.lerf_ovs import score_scene
 
 
 @pytest.mark.data

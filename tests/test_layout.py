@@ -8,58 +8,163 @@ from pathlib import Path
 
 import pytest
 
+import scoup
+
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE = ROOT / "src" / "scoup"
+PRODUCT, LABORATORY = ROOT / "src" / "scoup", ROOT / "src" / "scoup_lab"
 DOCUMENTS = (ROOT / "docs" / "layout.md").read_text()
+EXPORTING = {"scoup", "scoup.base.errors", "scoup.coding", "scoup.io", "scoup.pictures", "scoup.raster"}
+"""Modules that hand on what their rooms, or all of them, export."""
+INNER = {
+    *(
+        "base.atomic",
+        "base.backends",
+        "base.counts",
+        "base.locks",
+        "base.native",
+        "base.progress",
+        "base.records",
+    ),
+    *(
+        "base.staging",
+        "base.version",
+        "cli.build",
+        "cli.console",
+        "cli.options",
+        "cli.parsing",
+        "coding.adam",
+    ),
+    *(
+        "coding.kmeans",
+        "field.artefact",
+        "field.part_sizes",
+        "io.images",
+        "io.npy",
+        "io.reading",
+        "io.regions.views",
+    ),
+    *("io.splats.ply", "io.splats.scenesplat", "models.word_table", "models.words", "pictures.colors"),
+    *(
+        "query.neighbours",
+        "query.presets",
+        "query.relevancy",
+        "query.segment",
+        "query.select",
+        "query.text_vectors",
+    ),
+    *(
+        "raster.view_sums",
+        "scene.codes",
+        "scene.directions",
+        "scene.gaussians",
+        "scene.regions",
+        "scene.things",
+    ),
+    *(
+        "uplift.build_settings",
+        "uplift.checkpoint",
+        "uplift.rasterise",
+        "uplift.region_codes",
+        "uplift.region_sums",
+    ),
+    *("uplift.things", "uplift.vote", "view.export", "view.page", "view.viewed_field"),
+}
+"""Modules of the product of which the laboratory needs more than the public names of ``scoup``."""
 
 
-def floors() -> dict[str, int]:
-    """Floor of each room, from the table of the document."""
-    return {
-        room: int(floor) for floor, room in re.findall(r"^\| (\d) \| `(\w+)/` \|", DOCUMENTS, re.MULTILINE)
-    }
+def floors(package: str = "scoup") -> dict[str, int]:
+    """Floor of each room of a package, from its table of the document."""
+    table = DOCUMENTS.split(f"| floor | room of `{package}` |")[1].split("\n\n")[0]
+    return {room: int(floor) for floor, room in re.findall(r"^\| (\d) \| `(\w+)/` \|", table, re.MULTILINE)}
 
 
-def rooms_of(node: ast.AST) -> list[str]:
-    """Rooms that a node of a syntax tree imports from; "" is the package itself."""
+def modules_of(node: ast.AST) -> list[str]:
+    """Modules that a node of a syntax tree imports, or names as a string."""
     if isinstance(node, ast.ImportFrom):
         assert node.level == 0, f"line {node.lineno}: a relative import"
-        if node.module == "scoup":
-            return [alias.name for alias in node.names]
         module = node.module or ""
-        return [module.split(".")[1]] if module.startswith("scoup.") else []
+        return [f"{module}.{alias.name}" for alias in node.names] if "." not in module else [module]
     if isinstance(node, ast.Import):
-        names = [alias.name.split(".") for alias in node.names]
-        return [".".join(name[1:2]) for name in names if name[0] == "scoup"]
+        return [alias.name for alias in node.names]
     # Modules that are loaded by name.
-    named = re.fullmatch(r"scoup\.(\w+)(?:\.\w+)+", str(getattr(node, "value", "")))
-    return [named[1]] if named and (SOURCE / named[1]).is_dir() else []
+    named = re.fullmatch(r"((scoup(?:_lab)?\.\w+)(?:\.\w+)+)(?::\w+)?", str(getattr(node, "value", "")))
+    return [named[1]] if named and (ROOT / "src" / named[2].replace(".", "/")).is_dir() else []
 
 
-def climbs(room: str, source: str, table: dict[str, int]) -> list[str]:
-    """Imports of a file that do not go to a lower floor or to its own room."""
+def rooms_of(node: ast.AST, package: str) -> list[str]:
+    """Rooms of a package that a node imports from; "" is the package itself."""
+    split = [module.split(".") for module in modules_of(node)]
+    return [".".join(parts[1:2]) for parts in split if parts[0] == package]
+
+
+def climbs(room: str, source: str, table: dict[str, int], package: str = "scoup") -> list[str]:
+    """Imports of a file that do not go to a lower floor of its package or to its own room."""
     return [
-        f"line {getattr(node, 'lineno', 0)}: {room} (floor {table[room]}) imports {other or 'scoup'}"
+        f"line {getattr(node, 'lineno', 0)}: {room} (floor {table[room]}) imports {other or package}"
         for node in ast.walk(ast.parse(source))
-        for other in rooms_of(node)
+        for other in rooms_of(node, package)
         if other != room and table.get(other, 99) >= table[room]
     ]
 
 
-def test_the_document_lists_the_rooms() -> None:
-    rooms = {folder.name for folder in SOURCE.iterdir() if folder.is_dir() and list(folder.rglob("*.py"))}
-    assert set(floors()) == rooms
-    loose = {path.name for path in SOURCE.glob("*.py")}
-    assert loose == {"__init__.py"}
+def sources(folder: Path) -> dict[str, str]:
+    return {str(path.relative_to(folder)): path.read_text() for path in sorted(folder.rglob("*.py"))}
 
 
-@pytest.mark.parametrize("room", sorted(floors()))
-def test_imports_go_down(room: str) -> None:
+@pytest.mark.parametrize("package", [PRODUCT, LABORATORY], ids=lambda package: package.name)
+def test_the_document_lists_the_rooms(package: Path) -> None:
+    rooms = {folder.name for folder in package.iterdir() if folder.is_dir() and list(folder.rglob("*.py"))}
+    assert set(floors(package.name)) == rooms
+    assert {path.name for path in package.glob("*.py")} == {"__init__.py"}
+
+
+@pytest.mark.parametrize(
+    ("package", "room"),
+    [(package, room) for package in (PRODUCT, LABORATORY) for room in sorted(floors(package.name))],
+    ids=lambda part: part.name if isinstance(part, Path) else part,
+)
+def test_imports_go_down(package: Path, room: str) -> None:
+    table = floors(package.name)
     found = {
-        str(path.relative_to(SOURCE)): climbs(room, path.read_text(), floors())
-        for path in sorted((SOURCE / room).rglob("*.py"))
+        path: climbs(room, source, table, package.name) for path, source in sources(package / room).items()
     }
     assert not {path: lines for path, lines in found.items() if lines}
+
+
+def test_the_product_never_imports_the_laboratory() -> None:
+    """But for the table of verbs, which names modules by string."""
+    found = {
+        path
+        for path, source in sources(PRODUCT).items()
+        for node in ast.walk(ast.parse(source))
+        for module in modules_of(node)
+        if module.startswith("scoup_lab")
+    }
+    assert found == {"cli/app.py"}
+    imported = {
+        path
+        for path, source in sources(PRODUCT).items()
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for module in modules_of(node)
+        if module.startswith("scoup_lab")
+    }
+    assert not imported
+
+
+def test_what_the_laboratory_needs_of_the_product() -> None:
+    """Public names and what rooms export, and of inner modules those that are listed above."""
+    public = set(scoup.__all__)
+    inner = set()
+    for source in sources(LABORATORY).values():
+        for node in ast.walk(ast.parse(source)):
+            if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("scoup."):
+                continue
+            names = {alias.name for alias in node.names}
+            assert not any(name.startswith("_") for name in names)
+            if node.module not in EXPORTING and not names <= public:
+                inner.add(str(node.module).removeprefix("scoup."))
+    assert inner == INNER
 
 
 @pytest.mark.parametrize(
@@ -83,13 +188,13 @@ def test_a_climbing_import_is_found(source: str) -> None:
 
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:\w+/)+\w+\.py|(?:\w+/)+)`", DOCUMENTS))))
 def test_files_of_the_document_exist(path: str) -> None:
-    assert (SOURCE / path).exists() or (ROOT / path).exists()
+    assert any((folder / path).exists() for folder in (PRODUCT, LABORATORY, ROOT))
 
 
 def test_verbs_only_call_the_library() -> None:
     """The body of a verb has at most 40 lines."""
     lines = {}
-    for path in (SOURCE / "cli").rglob("*.py"):
+    for path in (*(PRODUCT / "cli").rglob("*.py"), *(LABORATORY / "cli").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.FunctionDef) and node.name == "run" and "self" in ast.dump(node.args):
                 lines[path.name, node.lineno] = (node.end_lineno or 0) - node.body[0].lineno + 1

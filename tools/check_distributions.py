@@ -79,7 +79,7 @@ def faults(path: Path) -> Iterator[str]:
     if ("-abi3-" in path.name) != any(".abi3." in name or name.endswith("_native.pyd") for name in cores):
         yield "the name of its core and its tag do not agree about the stable interface"
     roots = {name.split("/")[0] for name in files}
-    if is_wheel and {root for root in roots if not root.endswith(".dist-info")} != {"scoup"}:
+    if is_wheel and {root for root in roots if not root.endswith(".dist-info")} != {"scoup", "scoup_lab"}:
         yield f"it installs {', '.join(sorted(roots))}"
 
 

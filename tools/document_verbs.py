@@ -31,7 +31,8 @@ def page() -> str:
 
 def verbs(family: Family, program: str) -> Iterator[tuple[str, type]]:
     """Every verb with the words that call it, such as "scoup eval lerf-ovs"."""
-    for name, verb in family.verbs.items():
+    for name in family.verbs:
+        verb = family.load(name)
         if isinstance(verb, Family):
             yield from verbs(verb, f"{program} {name}")
         else:

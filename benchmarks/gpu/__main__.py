@@ -29,8 +29,8 @@ from benchmarks.gpu.report import report
 from benchmarks.gpu.runner import STAGES, Launch, Runner, launch
 from benchmarks.gpu.stage import FULL, QUICK, TINY
 from scoup.base.errors import InputError, ScoupError, UnknownNameError
-from scoup.bench import describe_environment, write_json
 from scoup.io import check_output, write_text
+from scoup_lab.bench import describe_environment, write_json
 
 SHARE_OF_PARITY = 0.5  # of the time, where other stages follow
 

@@ -13,12 +13,12 @@ import torch
 
 import scoup
 from benchmarks.gpu.stage import PRESET, Row, Stage, Unavailable, add_ratios, project
-from scoup.bench import StageClock, random_scene_cameras, random_scene_gaussians, random_scene_regions
 from scoup.coding.adam import LEARNING_RATE
 from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes
-from scoup.synthetic.random_scene import clip_like
 from scoup.uplift.build_settings import build_settings
+from scoup_lab.bench import StageClock, random_scene_cameras, random_scene_gaussians, random_scene_regions
+from scoup_lab.synthetic.random_scene import clip_like
 
 NAMES = {
     "paper": "ours: build, the paper's settings with exact codes (L = 64, one round)",

@@ -14,9 +14,9 @@ from torch import Tensor
 
 from benchmarks.gpu.stage import PRESET, Stage, Unavailable
 from scoup import raster
-from scoup.bench import Workload, random_scene_cameras, random_scene_gaussians
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup_lab.bench import Workload, random_scene_cameras, random_scene_gaussians
 
 COMPILING_S = 1200.0  # at most
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from benchmarks.gpu.stage import PRESET, Row, Runs, Stage
 from scoup import raster
-from scoup.bench import Workload
+from scoup_lab.bench import Workload
 
 EXACT = "ieee"
 OTHERS = ("fp16x3", "tf32x3", "tf32")

@@ -8,9 +8,9 @@ from typing import Any
 from benchmarks.gpu import build, precision, timing
 from benchmarks.gpu.runner import STAGES
 from benchmarks.gpu.stage import Row
-from scoup.bench import markdown
-from scoup.bench.environment import in_one_line
-from scoup.bench.report import milliseconds
+from scoup_lab.bench import markdown
+from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench.report import milliseconds
 
 NONE, MOST = "-", float("inf")
 

@@ -12,7 +12,9 @@ from typing import Any
 import torch
 
 from scoup import raster
-from scoup.bench import (
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+from scoup_lab.bench import (
     Task,
     Timing,
     Watch,
@@ -21,11 +23,9 @@ from scoup.bench import (
     random_scene_gaussians,
     time_tasks,
 )
-from scoup.bench.measure import DeviceClock
-from scoup.bench.stages import make_workload
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
-from scoup.synthetic.random_scene import HEIGHT, REGIONS, WIDTH, voronoi_labels
+from scoup_lab.bench.measure import DeviceClock
+from scoup_lab.bench.stages import make_workload
+from scoup_lab.synthetic.random_scene import HEIGHT, REGIONS, WIDTH, voronoi_labels
 
 PRESET = "gsplat"  # of both rasterisers, so that they draw the same picture
 LEAST_SECONDS = 0.02  # of a repetition: what is shorter runs several times in a row

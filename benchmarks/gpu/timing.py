@@ -10,10 +10,10 @@ from torch import Tensor
 from benchmarks.gpu.gsplat import compile_gsplat, dense_uplift, found_gsplat, render
 from benchmarks.gpu.stage import Row, Runs, Stage, project
 from scoup import raster
-from scoup.bench import Workload
-from scoup.bench.stages import region_sums_of_a_view, vote_of_a_view
 from scoup.query.relevancy import relevancy
-from scoup.synthetic.random_scene import clip_like
+from scoup_lab.bench import Workload
+from scoup_lab.bench.stages import region_sums_of_a_view, vote_of_a_view
+from scoup_lab.synthetic.random_scene import clip_like
 
 RGB = "gsplat: RGB"
 DECODED = "coefficient maps, decoded to D channels, then cosines (LangSplatV2's way)"

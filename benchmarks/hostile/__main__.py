@@ -23,9 +23,9 @@ from benchmarks.hostile.readers import READERS
 from benchmarks.hostile.run import FAILURES, Limits, Trial, try_reader
 from benchmarks.hostile.samples import write_samples
 from scoup.base.errors import InputError
-from scoup.bench import describe_environment, markdown, write_json
-from scoup.bench.environment import in_one_line
 from scoup.io import check_output
+from scoup_lab.bench import describe_environment, markdown, write_json
+from scoup_lab.bench.environment import in_one_line
 
 
 @dataclass(frozen=True)

@@ -55,9 +55,9 @@ class Arguments:
 
 def main(arguments: Arguments) -> dict[str, Any]:
     """Run all readers, print the table, give the record."""
-    from scoup.bench import describe_environment, write_json
-    from scoup.bench.environment import in_one_line
     from scoup.io import check_output
+    from scoup_lab.bench import describe_environment, write_json
+    from scoup_lab.bench.environment import in_one_line
 
     if arguments.out is not None:
         check_output(arguments.out, arguments.overwrite)
@@ -106,7 +106,7 @@ def figures(log: str) -> dict[str, int]:
 
 def table(readers: Sequence[Mapping[str, Any]]) -> str:
     """One line a reader."""
-    from scoup.bench import markdown
+    from scoup_lab.bench import markdown
 
     numbers = ("runs", "reached_at_first", "reached")
     rows = [[of["reader"], *(f"{of[name]:,}" for name in numbers), str(int(of["failed"]))] for of in readers]

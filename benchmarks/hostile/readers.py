@@ -28,8 +28,6 @@ from scoup.io import (
     read_tracks,
 )
 from scoup.io.images import image_fault, read_mask
-from scoup.io.labelled_points import read_labelled_npy, read_labelled_ply
-from scoup.io.labels import read_labels
 from scoup.io.langsplatv2 import read_langsplatv2
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 from scoup.io.regions.store import RegionStore
@@ -41,6 +39,8 @@ from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.shards import Shard, merge
 from scoup.uplift.vote import vote
+from scoup_lab.data.labelled_points import read_labelled_npy, read_labelled_ply
+from scoup_lab.data.labels import read_labels
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,6 @@ from scoup.io import (
     write_spz,
     write_transforms,
 )
-from scoup.io.labelled_points import LabelledPoints, write_labelled_ply
 from scoup.io.regions import compact
 from scoup.io.regions.manifest import RegionManifest, write_manifest
 from scoup.io.regions.views import ViewRegions
@@ -53,6 +52,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.shards import add_shard
+from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
 
 SIZE = (8, 6)  # of label maps and photographs
 MANY = 2000  # Gaussians of the larger files

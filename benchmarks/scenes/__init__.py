@@ -6,7 +6,7 @@ from benchmarks.scenes.hall import HALL
 from benchmarks.scenes.shelves import SHELVES
 from benchmarks.scenes.yard import YARD
 from scoup.base.errors import UnknownNameError
-from scoup.synthetic import TABLE, Layout
+from scoup_lab.synthetic import TABLE, Layout
 
 LAYOUTS: dict[str, Layout] = {layout.name: layout for layout in (TABLE, SHELVES, HALL, YARD)}
 

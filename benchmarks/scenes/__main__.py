@@ -17,7 +17,7 @@ import tyro
 
 from benchmarks.scenes import LAYOUTS, find_layout
 from scoup.base.errors import ScoupError
-from scoup.synthetic.data_sets import DataSetSize, write_data_set
+from scoup_lab.synthetic.data_sets import DataSetSize, write_data_set
 
 
 @dataclass(frozen=True)

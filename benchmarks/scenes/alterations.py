@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from scoup.synthetic.art.paints import Paint
-from scoup.synthetic.art.things import Piece, Thing
+from scoup_lab.synthetic.art.paints import Paint
+from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def called(thing: Thing, name: str) -> Thing:

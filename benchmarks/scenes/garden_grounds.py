@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.scenes.alterations import plain
-from scoup.synthetic.art.meshes import (
+from scoup_lab.synthetic.art.meshes import (
     Floats,
     Mesh,
     box,
@@ -18,8 +18,8 @@ from scoup.synthetic.art.meshes import (
     smooth_curve,
     tube,
 )
-from scoup.synthetic.art.paints import color, gradient, mix, smooth_noise, solid, spotted, wood
-from scoup.synthetic.art.things import Piece, Thing
+from scoup_lab.synthetic.art.paints import color, gradient, mix, smooth_noise, solid, spotted, wood
+from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def tree(seed: int, height: float) -> Thing:

@@ -9,13 +9,13 @@ from benchmarks.scenes import hall_things
 from benchmarks.scenes import large_furniture as large
 from benchmarks.scenes.alterations import broader, called, finer, painted, several
 from scoup.scene.cameras import Camera, Cameras
-from scoup.synthetic.art import desk_things as desk
-from scoup.synthetic.art import furniture, tableware
-from scoup.synthetic.art.layout import Layout, aimed_camera
-from scoup.synthetic.art.lighting import Light
-from scoup.synthetic.art.meshes import Floats, box, merged, plane
-from scoup.synthetic.art.paints import checked, color, smooth_noise, solid, wood
-from scoup.synthetic.art.things import Piece, Thing
+from scoup_lab.synthetic.art import desk_things as desk
+from scoup_lab.synthetic.art import furniture, tableware
+from scoup_lab.synthetic.art.layout import Layout, aimed_camera
+from scoup_lab.synthetic.art.lighting import Light
+from scoup_lab.synthetic.art.meshes import Floats, box, merged, plane
+from scoup_lab.synthetic.art.paints import checked, color, smooth_noise, solid, wood
+from scoup_lab.synthetic.art.things import Piece, Thing
 
 EAST, NORTH, HEIGHT = 4.4, 3.6, 2.9  # metres: walls at x = +-EAST and y = +-NORTH
 LOOP = (1.15, 0.8)  # metres: half the axes of the loop of cameras

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.art.desk_things import landscape
-from scoup.synthetic.art.meshes import (
+from scoup_lab.synthetic.art.desk_things import landscape
+from scoup_lab.synthetic.art.meshes import (
     Floats,
     Mesh,
     box,
@@ -18,8 +18,8 @@ from scoup.synthetic.art.meshes import (
     smooth_curve,
     tube,
 )
-from scoup.synthetic.art.paints import bands, color, gradient, mix, smooth_noise, solid, wood
-from scoup.synthetic.art.things import Piece, Thing
+from scoup_lab.synthetic.art.paints import bands, color, gradient, mix, smooth_noise, solid, wood
+from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def floor_lamp() -> Thing:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.art.meshes import (
+from scoup_lab.synthetic.art.meshes import (
     Floats,
     box,
     cylinder,
     ellipsoid,
     merged,
 )
-from scoup.synthetic.art.paints import solid, wood
-from scoup.synthetic.art.things import Piece, Thing
+from scoup_lab.synthetic.art.paints import solid, wood
+from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def sofa(name: str, width: float, seats: int, code: str) -> Thing:

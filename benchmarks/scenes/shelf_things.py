@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.scenes.alterations import plain
-from scoup.synthetic.art.meshes import (
+from scoup_lab.synthetic.art.meshes import (
     Floats,
     box,
     cylinder,
@@ -17,7 +17,7 @@ from scoup.synthetic.art.meshes import (
     torus,
     tube,
 )
-from scoup.synthetic.art.paints import (
+from scoup_lab.synthetic.art.paints import (
     bands,
     checked,
     color,
@@ -28,7 +28,7 @@ from scoup.synthetic.art.paints import (
     spotted,
     wood,
 )
-from scoup.synthetic.art.things import Piece, Thing
+from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def jar(name: str, fill: str, lid: str) -> Thing:

@@ -12,13 +12,13 @@ from benchmarks.scenes import large_furniture as large
 from benchmarks.scenes import shelf_things as small
 from benchmarks.scenes.alterations import broader, called, painted, several
 from scoup.scene.cameras import Camera, Cameras
-from scoup.synthetic.art import desk_things as desk
-from scoup.synthetic.art import furniture, tableware
-from scoup.synthetic.art.layout import Layout, aimed_camera
-from scoup.synthetic.art.lighting import Light
-from scoup.synthetic.art.meshes import Floats, box, merged, plane
-from scoup.synthetic.art.paints import bands, checked, color, fur, gradient, smooth_noise, solid, wood
-from scoup.synthetic.art.things import Piece, Thing
+from scoup_lab.synthetic.art import desk_things as desk
+from scoup_lab.synthetic.art import furniture, tableware
+from scoup_lab.synthetic.art.layout import Layout, aimed_camera
+from scoup_lab.synthetic.art.lighting import Light
+from scoup_lab.synthetic.art.meshes import Floats, box, merged, plane
+from scoup_lab.synthetic.art.paints import bands, checked, color, fur, gradient, smooth_noise, solid, wood
+from scoup_lab.synthetic.art.things import Piece, Thing
 
 WIDTH, TALL, DEPTH, COLUMNS, ROWS = 320.0, 215.0, 34.0, 5, 5  # centimetres
 FRONT = -0.17  # metres: where things stand in the depth of a shelf, whose back is at y = 0

@@ -9,11 +9,11 @@ from benchmarks.scenes import garden_grounds as grounds
 from benchmarks.scenes import garden_things as garden
 from benchmarks.scenes.alterations import broader, called, finer, several
 from scoup.scene.cameras import Camera, Cameras
-from scoup.synthetic.art import desk_things as desk
-from scoup.synthetic.art import furniture
-from scoup.synthetic.art.layout import Layout, aimed_camera
-from scoup.synthetic.art.lighting import Light
-from scoup.synthetic.art.things import Thing
+from scoup_lab.synthetic.art import desk_things as desk
+from scoup_lab.synthetic.art import furniture
+from scoup_lab.synthetic.art.layout import Layout, aimed_camera
+from scoup_lab.synthetic.art.lighting import Light
+from scoup_lab.synthetic.art.things import Thing
 
 HALF = 7.0  # metres: half the width of the garden inside its hedge
 RADIUS = 3.5  # metres: of the ring of cameras

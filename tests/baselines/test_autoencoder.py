@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from scoup.base.errors import InputError
-from scoup.baselines.autoencoder import (
+from scoup_lab.baselines.autoencoder import (
     LANGSPLAT,
     AutoencoderSettings,
     fit_autoencoder,

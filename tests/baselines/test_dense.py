@@ -5,15 +5,15 @@ from __future__ import annotations
 import torch
 
 from scoup import raster
-from scoup.baselines.dense import dense_features, mean_features
-from scoup.baselines.fitted import FittedChannels, FittedField
-from scoup.baselines.methods import METHODS
-from scoup.baselines.rasterised_scene import RasterisedScene
 from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.query.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.rasterise import region_sums
+from scoup_lab.baselines.dense import dense_features, mean_features
+from scoup_lab.baselines.fitted import FittedChannels, FittedField
+from scoup_lab.baselines.methods import METHODS
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from support import small_scene, unit
 
 

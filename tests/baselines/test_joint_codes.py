@@ -11,8 +11,10 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.baselines.fitted import FittedField
-from scoup.baselines.joint_codes import (
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import RegionMap, Regions
+from scoup_lab.baselines.fitted import FittedField
+from scoup_lab.baselines.joint_codes import (
     LANGSPLATV2,
     JointCodes,
     JointSettings,
@@ -21,13 +23,11 @@ from scoup.baselines.joint_codes import (
     kept_codes,
     rendering_loss,
 )
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.methods import METHODS
-from scoup.baselines.rasterised_scene import RasterisedScene, UpliftInputs
-from scoup.baselines.trained import learn_joint_codes
-from scoup.baselines.view_weights import weights_of_views
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import RegionMap, Regions
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.methods import METHODS
+from scoup_lab.baselines.rasterised_scene import RasterisedScene, UpliftInputs
+from scoup_lab.baselines.trained import learn_joint_codes
+from scoup_lab.baselines.view_weights import weights_of_views
 from support import small_scene, unit
 
 SMALL = JointSettings(iterations=60, n_atoms=8, k=3, learning_rate=0.05, width=20)

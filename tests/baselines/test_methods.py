@@ -11,18 +11,18 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import UnknownNameError
-from scoup.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
-from scoup.baselines.fitted import FittedChannels, FittedField, code_cosines
-from scoup.baselines.joint_codes import JointSettings
-from scoup.baselines.method import Method, MethodSettings
-from scoup.baselines.methods import COMPARED, METHODS, SLOW, find_method
-from scoup.baselines.rasterised_scene import RasterisedScene
-from scoup.baselines.trained import AutoencodedUplift, QuantisedUplift
 from scoup.query.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
+from scoup_lab.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
+from scoup_lab.baselines.fitted import FittedChannels, FittedField, code_cosines
+from scoup_lab.baselines.joint_codes import JointSettings
+from scoup_lab.baselines.method import Method, MethodSettings
+from scoup_lab.baselines.methods import COMPARED, METHODS, SLOW, find_method
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from scoup_lab.baselines.trained import AutoencodedUplift, QuantisedUplift
 from support import small_scene, unit
 
 SETTINGS = MethodSettings(

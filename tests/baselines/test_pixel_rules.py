@@ -8,7 +8,10 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.baselines.pixel_rules import (
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+from scoup.uplift.rasterise import region_sums
+from scoup_lab.baselines.pixel_rules import (
     AllPixels,
     CentrePixel,
     EveryNthPixel,
@@ -21,9 +24,6 @@ from scoup.baselines.pixel_rules import (
     gathered_sums,
     pixel_weights,
 )
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
-from scoup.uplift.rasterise import region_sums
 from support import make_camera, random_gaussians, small_scene
 
 

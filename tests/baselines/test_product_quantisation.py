@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from scoup.base.errors import InputError
-from scoup.baselines.product_quantisation import fit_product_quantiser
+from scoup_lab.baselines.product_quantisation import fit_product_quantiser
 
 
 def rows(count: int, dim: int, seed: int = 0) -> torch.Tensor:

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 from torch import Tensor
 
-from scoup.baselines.method import Method
-from scoup.baselines.pixel_rules import EveryNthPixel
-from scoup.baselines.rasterised_scene import Codes, RasterisedScene, spread_views
-from scoup.baselines.sparse import SparseUplift, learn_codes
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
+from scoup_lab.baselines.method import Method
+from scoup_lab.baselines.pixel_rules import EveryNthPixel
+from scoup_lab.baselines.rasterised_scene import Codes, RasterisedScene, spread_views
+from scoup_lab.baselines.sparse import SparseUplift, learn_codes
 from support import small_scene
 
 SETTINGS = BuildSettings(n_atoms=4, k=2, effort="fast")

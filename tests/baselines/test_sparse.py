@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from scoup.baselines.sparse import AdamCoder, vote_entropy, without_half
 from scoup.uplift.vote import GaussianCodes
+from scoup_lab.baselines.sparse import AdamCoder, vote_entropy, without_half
 from support import unit
 
 

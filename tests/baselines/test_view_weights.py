@@ -7,8 +7,8 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.baselines.rasterised_scene import RasterisedScene
-from scoup.baselines.view_weights import rendered, weights_of_views
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from scoup_lab.baselines.view_weights import rendered, weights_of_views
 from support import small_scene
 
 

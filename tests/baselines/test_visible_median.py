@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from scoup.base.errors import InputError
-from scoup.baselines.fitted import FittedChannels
-from scoup.baselines.methods import METHODS
-from scoup.baselines.pixel_rules import VisibleInView
-from scoup.baselines.rasterised_scene import RasterisedScene
-from scoup.baselines.visible_median import streaming_median
 from scoup.uplift.region_sums import RegionSums
+from scoup_lab.baselines.fitted import FittedChannels
+from scoup_lab.baselines.methods import METHODS
+from scoup_lab.baselines.pixel_rules import VisibleInView
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from scoup_lab.baselines.visible_median import streaming_median
 from support import small_scene
 
 

@@ -14,12 +14,12 @@ from benchmarks import answers
 from benchmarks.answer_scenes import SceneSize, make_scene
 
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.baselines.method import DEFAULTS
-from scoup.baselines.sparse import SparseUplift
-from scoup.evaluate.metrics import bootstrap_interval
-from scoup.evaluate.protocols.lerf_ovs import score_frame
 from scoup.query.presets import QUERY_PRESETS
 from scoup.uplift.build_settings import BUILD_PRESETS
+from scoup_lab.baselines.method import DEFAULTS
+from scoup_lab.baselines.sparse import SparseUplift
+from scoup_lab.evaluate.metrics import bootstrap_interval
+from scoup_lab.evaluate.protocols.lerf_ovs import score_frame
 
 
 @pytest.fixture(scope="module", autouse=True)

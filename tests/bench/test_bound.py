@@ -11,7 +11,7 @@ from benchmarks import bound
 
 from raster.brute_force import blending_weights
 from scoup.base.errors import InputError
-from scoup.synthetic.random_scene import random_scene_cameras, random_scene_gaussians
+from scoup_lab.synthetic.random_scene import random_scene_cameras, random_scene_gaussians
 
 
 @pytest.mark.parametrize(("width", "height"), [(40, 30), (32, 32), (17, 5)])

@@ -44,7 +44,7 @@ def test_every_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_glass_changes_the_opacity_of_the_thing_alone() -> None:
     from benchmarks.claims_scenes import as_glass, members
 
-    from scoup.synthetic.scene import make_demo_scene
+    from scoup_lab.synthetic.scene import make_demo_scene
 
     demo = make_demo_scene(0, 2500, 48, 36, 2, 1)
     name = demo.parts.names("m")[0]

@@ -20,7 +20,7 @@ from benchmarks.gpu.runner import STAGES
 from benchmarks.gpu.stage import FULL, QUICK, TINY, Stage, Unavailable
 
 from scoup import raster
-from scoup.bench import random_scene_cameras, random_scene_gaussians, random_workload
+from scoup_lab.bench import random_scene_cameras, random_scene_gaussians, random_workload
 
 
 def stage_on_a_cpu(**changes: Any) -> Stage:

@@ -13,11 +13,11 @@ from benchmarks.embedding_kinds import KINDS, draw_hosts, draw_prototypes
 from benchmarks.kitchen_draws import Truth, likeness, make_draw
 
 from scoup.base.errors import UnknownNameError
-from scoup.io.labels import LabelledFrame
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera
 from scoup.scene.regions import RegionMap, Regions
-from scoup.synthetic.words import unit
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.synthetic.words import unit
 from support import make_camera
 
 NAMES = [f"thing {number}" for number in range(20)]

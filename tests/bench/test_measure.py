@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scoup.base.errors import InputError
-from scoup.bench import measure
-from scoup.bench.measure import (
+from scoup_lab.bench import measure
+from scoup_lab.bench.measure import (
     DeviceClock,
     StageClock,
     Task,

@@ -8,7 +8,7 @@ import torch
 from benchmarks.panoptic import accuracy_and_miou, classes_of
 from benchmarks.panoptic_maps import PanopticTruth, class_vectors, make_panoptic_maps, segments
 
-from scoup.bench import random_scene_cameras, random_scene_gaussians
+from scoup_lab.bench import random_scene_cameras, random_scene_gaussians
 
 COUNT = 12
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from scoup.base.errors import OutputExistsError
-from scoup.bench.environment import describe_environment, in_one_line
-from scoup.bench.measure import Timing
-from scoup.bench.report import Row, comparison, markdown, milliseconds, ratios, stage_table, write_json
+from scoup_lab.bench.environment import describe_environment, in_one_line
+from scoup_lab.bench.measure import Timing
+from scoup_lab.bench.report import Row, comparison, markdown, milliseconds, ratios, stage_table, write_json
 
 
 def row(stage: str, backend: str, threads: int, *milliseconds: float, count: int = 1000) -> Row:

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from scoup.base.errors import InputError, OutputExistsError
-from scoup.bench import usable_backends
 from scoup.coding.exact import EFFORTS
+from scoup_lab.bench import usable_backends
 
 ROOT = Path(__file__).resolve().parents[2]
 BACKENDS = usable_backends()[0]

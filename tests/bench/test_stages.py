@@ -7,8 +7,8 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.bench.stages import STAGES, make_workload, random_workload, stage_runs, usable_backends
-from scoup.synthetic.random_scene import random_scene_cameras, random_scene_gaussians
+from scoup_lab.bench.stages import STAGES, make_workload, random_workload, stage_runs, usable_backends
+from scoup_lab.synthetic.random_scene import random_scene_cameras, random_scene_gaussians
 
 BACKENDS = usable_backends()[0]
 

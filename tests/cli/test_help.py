@@ -15,7 +15,8 @@ from scoup.cli.parsing import Family
 
 
 def verbs(family: Family = SCOUP, before: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], type]]:
-    for name, verb in family.verbs.items():
+    for name in family.verbs:
+        verb = family.load(name)
         if isinstance(verb, Family):
             yield from verbs(verb, (*before, name))
         else:

@@ -177,7 +177,7 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
         (("select", "f.scoup", "kettle", "--out", "new/a.ply"), "scoup.query.answering.answer_scene"),
         (("render", "f.scoup", "--out", "new/a.gif"), "scoup.pictures.animation.save_animation"),
         (("convert", "scene", "new/compact"), "scoup.io.regions.compact.write_view"),
-        (("demo", "--out", "new/demo"), "scoup.evaluate.demonstration.make_demo_scene"),
+        (("demo", "--out", "new/demo"), "scoup_lab.evaluate.demonstration.make_demo_scene"),
         (("update", "kept.scoup", "--remove", "view_00.png", "--out", "new/b.scoup"), "scoup.uplift.update.update"),
         ((*BUILD[:-1], "new/a.scoup"), "scoup.uplift.region_codes.fit_codes"),
     ],

@@ -11,8 +11,8 @@ import torch
 
 from cli_support import refused, run, run_json
 from scoup import raster
-from scoup.bench import STAGES
-from scoup.cli.bench import Bench
+from scoup_lab.bench import STAGES
+from scoup_lab.cli.bench import Bench
 
 TINY = ("bench", "--n-gaussians", "120", "--width", "24", "--height", "16", "--repeats", "1")
 

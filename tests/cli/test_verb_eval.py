@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from cli_support import refused, run, run_json
-from scoup.evaluate.data_sets import find_data_set, find_scenes
-from scoup.io.labels import read_labels
+from scoup_lab.data.labels import read_labels
+from scoup_lab.evaluate.data_sets import find_data_set, find_scenes
 
 pytestmark = pytest.mark.slow
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from scoup.base.errors import UnknownNameError
-from scoup.baselines.sparse import SparseUplift
-from scoup.evaluate.published import ABLATIONS as PUBLISHED
-from scoup.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
 from scoup.query.presets import QUERY_PRESETS
+from scoup_lab.baselines.sparse import SparseUplift
+from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
+from scoup_lab.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
 
 
 def test_rules_of_rows() -> None:

@@ -10,26 +10,26 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.baselines.autoencoder import AutoencoderSettings
-from scoup.baselines.fitted import FittedField, FittedMethod
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.methods import find_method
-from scoup.baselines.rasterised_scene import RasterisedScene
-from scoup.evaluate import scoring
-from scoup.evaluate.data_sets import LabelledScene, find_data_set
-from scoup.evaluate.label_vectors import encode_labels
-from scoup.evaluate.predictions import PredictionCache
-from scoup.evaluate.scoring import predict, score_selection
-from scoup.evaluate.studies.ablation_rows import BASE, Ablation, find_ablations
-from scoup.evaluate.studies.ablations import run_ablations
-from scoup.evaluate.studies.comparison import compare
-from scoup.evaluate.studies.study_scene import StudyScene
-from scoup.io.labels import LabelledFrame
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.presets import QUERY_PRESETS
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.baselines.autoencoder import AutoencoderSettings
+from scoup_lab.baselines.fitted import FittedField, FittedMethod
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.methods import find_method
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate import scoring
+from scoup_lab.evaluate.data_sets import LabelledScene, find_data_set
+from scoup_lab.evaluate.label_vectors import encode_labels
+from scoup_lab.evaluate.predictions import PredictionCache
+from scoup_lab.evaluate.scoring import predict, score_selection
+from scoup_lab.evaluate.studies.ablation_rows import BASE, Ablation, find_ablations
+from scoup_lab.evaluate.studies.ablations import run_ablations
+from scoup_lab.evaluate.studies.comparison import compare
+from scoup_lab.evaluate.studies.study_scene import StudyScene
 from support import small_scene, unit
 
 BUILD = BuildSettings(n_atoms=8, k=2, effort="fast")

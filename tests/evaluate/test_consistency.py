@@ -10,20 +10,20 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
 from scoup.coding import fit_codes
-from scoup.evaluate.studies.consistency import (
+from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import RegionMap, Regions
+from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
+from scoup_lab.evaluate.studies.consistency import (
     ConsistencyResult,
     consistency,
     consistency_plot,
     consistency_table,
     gap_differences,
 )
-from scoup.evaluate.studies.matches import Matches, dominant_gaussians, tracked_points
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import RegionMap, Regions
-from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.evaluate.studies.matches import Matches, dominant_gaussians, tracked_points
 from support import make_camera, small_scene, unit
 
 QUICK = AutoencoderSettings(epochs=1, encoder=(8, 3), decoder=(8,))

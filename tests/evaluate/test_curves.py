@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from scoup.base.errors import UnknownNameError
-from scoup.evaluate.studies.curves import FAULT_SCALES, displaced_masks, find_fault
+from scoup_lab.evaluate.studies.curves import FAULT_SCALES, displaced_masks, find_fault
 from support import small_scene
 
 

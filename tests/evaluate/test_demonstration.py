@@ -10,10 +10,10 @@ import pytest
 from benchmarks.scenes.yard import YARD
 
 from cli_support import refused, run, run_json
-from scoup.evaluate.demonstration import DemoSettings, rows_by_name, run_demo
-from scoup.evaluate.demonstration_sheet import query_sheet
 from scoup.view import export, page
 from scoup.view.page import page_files
+from scoup_lab.evaluate.demonstration import DemoSettings, rows_by_name, run_demo
+from scoup_lab.evaluate.demonstration_sheet import query_sheet
 from synthetic.small_scenes import one_light
 from view.view_samples import PAGE
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from scoup.base.errors import OutputExistsError
-from scoup.evaluate.data_sets import DATA_SETS
-from scoup.evaluate.published import PUBLISHED
-from scoup.evaluate.report import (
+from scoup_lab.evaluate.data_sets import DATA_SETS
+from scoup_lab.evaluate.published import PUBLISHED
+from scoup_lab.evaluate.report import (
     Report,
     overall_table,
     published_table,
@@ -19,8 +19,8 @@ from scoup.evaluate.report import (
     report_record,
     write_report,
 )
-from scoup.evaluate.scores import PairScore, SceneScore, accuracy_interval, miou_interval
-from scoup.evaluate.tables import Table
+from scoup_lab.evaluate.scores import PairScore, SceneScore, accuracy_interval, miou_interval
+from scoup_lab.evaluate.tables import Table
 
 DATA_SET_OF = {each.protocol: name for name, each in DATA_SETS.items()} | {"3D selection": "lerf-ovs"}
 PAIRS = {"figurines": 56, "teatime": 59, "ramen": 71, "waldo_kitchen": 22}  # of LERF-OVS

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
-from scoup.evaluate.protocols.lerf_ovs import score_frame, score_scene
-from scoup.evaluate.scores import overall
-from scoup.io.labels import match_frames, read_frame, read_labels
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import segment
 from scoup.scene.cameras import Camera, Cameras
+from scoup_lab.data.labels import match_frames, read_frame, read_labels
+from scoup_lab.evaluate.protocols.lerf_ovs import score_frame, score_scene
+from scoup_lab.evaluate.scores import overall
 from support import examples
 
 

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evaluate import literal
-from scoup.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
-from scoup.io.labels import LabelledFrame
 from scoup.query.presets import QUERY_PRESETS, query_preset
 from scoup.query.smoothing import box_mean
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
 from support import examples
 
 HEIGHT, WIDTH = 13, 17

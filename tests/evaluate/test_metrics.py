@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from scoup.base.errors import InputError
-from scoup.evaluate.metrics import any_inside, bootstrap_interval, iou
+from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
 
 
 def test_iou() -> None:

@@ -7,13 +7,13 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.baselines.fitted import FittedChannels, FittedField, embedding_cosines, resized_image
-from scoup.evaluate.protocols import mipnerf360
-from scoup.io.labels import LabelledFrame
 from scoup.query.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.baselines.fitted import FittedChannels, FittedField, embedding_cosines, resized_image
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.protocols import mipnerf360
 from support import small_scene, unit
 
 

@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 
 from scoup.base.errors import InputError
-from scoup.evaluate.metrics import Interval
-from scoup.evaluate.plots import HOW_TO_GET_THEM, Curve, CurvePlot, IntervalPlot, Plot, png
-from scoup.evaluate.studies.study_report import StudyReport
-from scoup.evaluate.tables import Table
+from scoup_lab.evaluate.metrics import Interval
+from scoup_lab.evaluate.plots import HOW_TO_GET_THEM, Curve, CurvePlot, IntervalPlot, Plot, png
+from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.tables import Table
 
 needs_matplotlib = pytest.mark.skipif(
     importlib.util.find_spec("matplotlib") is None, reason="matplotlib is not installed"

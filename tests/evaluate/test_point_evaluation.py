@@ -13,32 +13,32 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError, MissingFileError, UnknownNameError
-from scoup.baselines.fitted import FittedField
-from scoup.baselines.methods import find_method
-from scoup.evaluate.data_sets import Places
-from scoup.evaluate.label_vectors import encode_words, text_source
-from scoup.evaluate.point_evaluation import (
+from scoup.field.language_field import LanguageField
+from scoup.io import load_gaussians
+from scoup.query.text_vectors import TextVectors
+from scoup.raster import Projection
+from scoup.uplift.build_settings import build_settings
+from scoup_lab.baselines.fitted import FittedField
+from scoup_lab.baselines.methods import find_method
+from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
+from scoup_lab.evaluate.data_sets import Places
+from scoup_lab.evaluate.label_vectors import encode_words, text_source
+from scoup_lab.evaluate.point_evaluation import (
     PointSettings,
     count_points,
     evaluate_point_scene,
     read_truths,
 )
-from scoup.evaluate.point_report import PointReport, write_point_report
-from scoup.evaluate.point_scenes import (
+from scoup_lab.evaluate.point_report import PointReport, write_point_report
+from scoup_lab.evaluate.point_scenes import (
     PointScene,
     find_class_list,
     find_point_data_set,
     find_point_scenes,
     open_point_scene,
 )
-from scoup.evaluate.protocols.point_labels import NO_CLASS, class_ious, class_mean, class_totals
-from scoup.evaluate.report import OURS
-from scoup.field.language_field import LanguageField
-from scoup.io import load_gaussians
-from scoup.io.labelled_points import LabelledPoints, write_labelled_ply
-from scoup.query.text_vectors import TextVectors
-from scoup.raster import Projection
-from scoup.uplift.build_settings import build_settings
+from scoup_lab.evaluate.protocols.point_labels import NO_CLASS, class_ious, class_mean, class_totals
+from scoup_lab.evaluate.report import OURS
 
 LISTS = {"scannet": ("19", "10"), "scenesplat": ("scannet20", "scannet200")}
 

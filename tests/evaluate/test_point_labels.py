@@ -9,7 +9,9 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.evaluate.protocols.point_labels import (
+from scoup.query.text_vectors import TextVectors
+from scoup.raster import Projection
+from scoup_lab.evaluate.protocols.point_labels import (
     NO_CLASS,
     ClassList,
     class_accuracies,
@@ -23,8 +25,6 @@ from scoup.evaluate.protocols.point_labels import (
     label_gaussians,
     overall_accuracy,
 )
-from scoup.query.text_vectors import TextVectors
-from scoup.raster import Projection
 
 #                    three of class 0      two of 1  one of 3   two that do not count
 TRUTH = torch.tensor([0, 0, 0, 1, 1, 3, NO_CLASS, NO_CLASS])

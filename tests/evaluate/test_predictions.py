@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from scoup.evaluate.predictions import PredictionCache, file_digest, prediction_key, tensor_digest
+from scoup_lab.evaluate.predictions import PredictionCache, file_digest, prediction_key, tensor_digest
 from support import make_camera
 
 

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
-from scoup.evaluate.protocols import ref_lerf
 from scoup.io import save_png
+from scoup_lab.evaluate.protocols import ref_lerf
 
 SIZE = (20, 30)
 

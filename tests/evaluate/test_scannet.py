@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from scoup.base.errors import InputError
-from scoup.evaluate.protocols import scannet
-from scoup.evaluate.protocols.point_labels import NO_CLASS
-from scoup.io.class_names import NYU40
-from scoup.io.labelled_points import LabelledPoints
 from scoup.scene.gaussians import Gaussians
+from scoup_lab.data.class_names import NYU40
+from scoup_lab.data.labelled_points import LabelledPoints
+from scoup_lab.evaluate.protocols import scannet
+from scoup_lab.evaluate.protocols.point_labels import NO_CLASS
 
 CLASSES = scannet.CLASS_LISTS
 

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
-from scoup.evaluate.protocols import scenesplat
-from scoup.evaluate.protocols.point_labels import NO_CLASS
+from scoup_lab.evaluate.protocols import scenesplat
+from scoup_lab.evaluate.protocols.point_labels import NO_CLASS
 
 CLASSES = scenesplat.CLASS_LISTS
 

@@ -7,10 +7,10 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.evaluate.protocols.selection import VALA_3D, score_scene, silhouette
-from scoup.evaluate.scores import overall
-from scoup.io.labels import LabelledFrame
 from scoup.scene.gaussians import Gaussians
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.protocols.selection import VALA_3D, score_scene, silhouette
+from scoup_lab.evaluate.scores import overall
 from support import make_camera, random_gaussians
 
 
@@ -70,7 +70,7 @@ def test_protocols_are_never_averaged_together() -> None:
         "a", 40, 30, {"cup": torch.ones(30, 40, dtype=torch.bool)}, {"cup": torch.zeros(1, 4)}
     )
     three = score_scene("s", scene, [(frame, camera)], chosen)
-    from scoup.evaluate.protocols.lerf_ovs import score_scene as in_2d
+    from scoup_lab.evaluate.protocols.lerf_ovs import score_scene as in_2d
 
     with pytest.raises(InputError, match="different protocols"):
         overall([three, in_2d("s", [(frame, torch.rand(3, 1, 30, 40))])])

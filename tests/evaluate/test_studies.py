@@ -13,25 +13,25 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.baselines.autoencoder import AutoencoderSettings
-from scoup.baselines.fitted import FittedField
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.methods import find_method
-from scoup.baselines.rasterised_scene import RasterisedScene
-from scoup.evaluate.data_sets import LabelledScene, find_data_set
-from scoup.evaluate.plots import can_draw
-from scoup.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
-from scoup.evaluate.studies.ablations import ablation_report, run_ablations
-from scoup.evaluate.studies.comparison import compare, comparison_report
-from scoup.evaluate.studies.consistency import consistency_report, run_consistency
-from scoup.evaluate.studies.curves import curve_report, find_fault, run_curves
-from scoup.evaluate.studies.study_report import StudyReport
-from scoup.evaluate.studies.study_scene import ScoringRule, StudyScene
-from scoup.io.labels import LabelledFrame
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.baselines.autoencoder import AutoencoderSettings
+from scoup_lab.baselines.fitted import FittedField
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.methods import find_method
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.data_sets import LabelledScene, find_data_set
+from scoup_lab.evaluate.plots import can_draw
+from scoup_lab.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
+from scoup_lab.evaluate.studies.ablations import ablation_report, run_ablations
+from scoup_lab.evaluate.studies.comparison import compare, comparison_report
+from scoup_lab.evaluate.studies.consistency import consistency_report, run_consistency
+from scoup_lab.evaluate.studies.curves import curve_report, find_fault, run_curves
+from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
 from support import small_scene, unit
 
 PRESET = QUERY_PRESETS["scoup"]

@@ -10,10 +10,10 @@ import torch
 from PIL import Image
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning, UnknownNameError
-from scoup.evaluate.protocols import threed_ovs
-from scoup.evaluate.scores import overall
 from scoup.io import save_png
-from scoup.io.labels import LabelledFrame
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.protocols import threed_ovs
+from scoup_lab.evaluate.scores import overall
 
 
 def paint(path: Path, *rows: int, size: tuple[int, int] = (20, 30)) -> None:

@@ -76,7 +76,7 @@ def test_damage(tmp_path: Path) -> None:
 @pytest.mark.data
 def test_real_tracks(data_folder: Path) -> None:
     """Photographs of a desk: every point was seen in two images or more, and projects into them."""
-    from scoup.evaluate.studies.matches import tracked_points
+    from scoup_lab.evaluate.studies.matches import tracked_points
 
     folder = data_folder / "desk" / "sparse" / "0"
     if not folder.is_dir():

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
-from scoup.io.labelled_points import (
+from scoup_lab.data.labelled_points import (
     LabelledPoints,
     read_labelled_npy,
     read_labelled_ply,

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from scoup.base.native import missing_reason, native_core
-from scoup.bench.measure import torch_threads
 from scoup.query.localize import averaged_relevancy, localize
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import localize_and_segment, segment
@@ -21,6 +20,7 @@ from scoup.query.smoothing import (
     plain_smoothed_masks,
     smoothed_masks,
 )
+from scoup_lab.bench.measure import torch_threads
 from support import examples
 
 needs_core = pytest.mark.skipif(native_core() is None, reason=str(missing_reason()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from scoup.synthetic import DemoScene, make_demo_scene
+from scoup_lab.synthetic import DemoScene, make_demo_scene
 from synthetic.small_scenes import SMALL
 
 

@@ -12,13 +12,13 @@ from benchmarks.scenes import __main__ as scenes_script
 from PIL import Image
 
 from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
-from scoup.evaluate.data_sets import Places, find_data_set, find_scenes, open_scene
-from scoup.evaluate.protocols import threed_ovs
 from scoup.io import load_cameras, load_gaussians, load_regions, read_points
-from scoup.io.labels import read_labels
 from scoup.models.word_table import load_table
-from scoup.synthetic import TABLE, make_demo_scene
-from scoup.synthetic.data_sets import DataSetSize, write_data_set
+from scoup_lab.data.labels import read_labels
+from scoup_lab.evaluate.data_sets import Places, find_data_set, find_scenes, open_scene
+from scoup_lab.evaluate.protocols import threed_ovs
+from scoup_lab.synthetic import TABLE, make_demo_scene
+from scoup_lab.synthetic.data_sets import DataSetSize, write_data_set
 from synthetic.small_scenes import one_light
 
 

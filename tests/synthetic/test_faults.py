@@ -8,8 +8,9 @@ import torch
 from scipy.sparse import csr_array
 
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.io.labels import LabelledFrame
-from scoup.synthetic.faults import (
+from scoup.uplift.rasterise import region_sums
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.synthetic.faults import (
     LevelSums,
     as_region_sums,
     diffuse_noise,
@@ -21,7 +22,6 @@ from scoup.synthetic.faults import (
     regions_by_name,
     wrong_embeddings,
 )
-from scoup.uplift.rasterise import region_sums
 from support import small_scene, unit
 
 

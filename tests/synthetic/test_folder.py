@@ -11,11 +11,11 @@ from PIL import Image, ImageDraw
 
 from scoup.base.errors import OutputExistsError
 from scoup.io import load_cameras, load_gaussians, load_regions
-from scoup.io.labels import match_frames, read_labels
 from scoup.models.word_table import load_table
 from scoup.scene.regions import LEVELS
-from scoup.synthetic import DemoScene, write_demo_scene
-from scoup.synthetic.masks import mask_polygons
+from scoup_lab.data.labels import match_frames, read_labels
+from scoup_lab.synthetic import DemoScene, write_demo_scene
+from scoup_lab.synthetic.masks import mask_polygons
 
 
 @pytest.fixture(scope="module")

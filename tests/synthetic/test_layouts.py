@@ -14,10 +14,10 @@ from benchmarks.scenes.alterations import called, painted, several
 
 from scoup.base.errors import InputError
 from scoup.scene.regions import LEVELS
-from scoup.synthetic import TABLE, DemoScene, make_demo_scene
-from scoup.synthetic.art.things import Parts, Surface, Thing
-from scoup.synthetic.masks import piece_boxes
-from scoup.synthetic.words import CANONICAL
+from scoup_lab.synthetic import TABLE, DemoScene, make_demo_scene
+from scoup_lab.synthetic.art.things import Parts, Surface, Thing
+from scoup_lab.synthetic.masks import piece_boxes
+from scoup_lab.synthetic.words import CANONICAL
 from synthetic.small_scenes import one_light
 
 SIZES: dict[str, Any] = {"n_gaussians": 5000, "width": 160, "height": 120, "n_building": 10, "n_held_out": 3}

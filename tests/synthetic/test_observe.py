@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from scoup.scene.regions import LEVELS
-from scoup.synthetic import DemoScene
-from scoup.synthetic.observe import make_regions
+from scoup_lab.synthetic import DemoScene
+from scoup_lab.synthetic.observe import make_regions
 
 
 def cosines(rows: torch.Tensor) -> torch.Tensor:

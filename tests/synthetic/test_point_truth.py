@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from scoup.evaluate.protocols import ref_lerf
 from scoup.io import load_gaussians
-from scoup.io.class_names import NYU40, SCANNET20, SCANNET200
-from scoup.io.labelled_points import read_labelled_ply
 from scoup.models.word_table import load_table
-from scoup.synthetic import DemoScene, make_demo_scene
-from scoup.synthetic.point_truth import NYU40_OF, SCAN_NOISE, SCANNET200_OF, classes_of_gaussians
-from scoup.synthetic.referring import nearest_objects
+from scoup_lab.data.class_names import NYU40, SCANNET20, SCANNET200
+from scoup_lab.data.labelled_points import read_labelled_ply
+from scoup_lab.evaluate.protocols import ref_lerf
+from scoup_lab.synthetic import DemoScene, make_demo_scene
+from scoup_lab.synthetic.point_truth import NYU40_OF, SCAN_NOISE, SCANNET200_OF, classes_of_gaussians
+from scoup_lab.synthetic.referring import nearest_objects
 
 
 def demo() -> DemoScene:

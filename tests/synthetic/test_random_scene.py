@@ -11,7 +11,7 @@ import torch
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup.scene.regions import LEVELS
-from scoup.synthetic.random_scene import (
+from scoup_lab.synthetic.random_scene import (
     SIZE,
     clip_like,
     clip_like_objects,

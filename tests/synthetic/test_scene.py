@@ -11,9 +11,9 @@ import torch
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.raster import project, render_channels, render_colors
 from scoup.scene.regions import LEVELS
-from scoup.synthetic import DemoScene, make_demo_scene
-from scoup.synthetic.art.table import table_things
-from scoup.synthetic.art.things import Parts
+from scoup_lab.synthetic import DemoScene, make_demo_scene
+from scoup_lab.synthetic.art.table import table_things
+from scoup_lab.synthetic.art.things import Parts
 from synthetic.small_scenes import SMALL, one_light
 
 

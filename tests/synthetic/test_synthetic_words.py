@@ -7,8 +7,8 @@ import pytest
 from benchmarks.scenes import LAYOUTS
 
 from scoup.scene.regions import LEVELS
-from scoup.synthetic.art.things import Parts
-from scoup.synthetic.words import CANONICAL, DISTRACTORS, Words, make_words
+from scoup_lab.synthetic.art.things import Parts
+from scoup_lab.synthetic.words import CANONICAL, DISTRACTORS, Words, make_words
 
 PARTS = {name: Parts.of(layout.things()) for name, layout in LAYOUTS.items()}
 

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("starlette", reason="needs scoup[view]")
 from benchmarks.server_load import Arguments, main
 
-from scoup.base.measuring import resident_bytes
+from scoup_lab.bench.measuring import resident_bytes
 
 pytestmark = pytest.mark.skipif(
     resident_bytes() is None, reason="reads the state of a process as Linux shows it"

@@ -7,24 +7,9 @@ import io
 import signal
 import sys
 
-from scoup.cli.bench import Bench
-from scoup.cli.build import Build
 from scoup.cli.console import Console, Terminated, close_output, run_verb
-from scoup.cli.convert import Convert
-from scoup.cli.demo import Demo
-from scoup.cli.evaluate import EVAL
-from scoup.cli.extract import Extract
-from scoup.cli.info import Info
-from scoup.cli.label import Label
-from scoup.cli.merge import Merge
 from scoup.cli.options import Common
 from scoup.cli.parsing import Family, in_one_line, parse
-from scoup.cli.query import Query
-from scoup.cli.regions import ShowRegions
-from scoup.cli.render import Render
-from scoup.cli.select import Select
-from scoup.cli.update import Update
-from scoup.cli.view import View
 
 DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, and query it.
 
@@ -47,21 +32,21 @@ processes was lost, 2 bad input, 130 interrupted, 143 terminated."""
 SCOUP = Family(
     DESCRIPTION,
     {
-        "demo": Demo,
-        "extract": Extract,
-        "regions": ShowRegions,
-        "convert": Convert,
-        "build": Build,
-        "merge": Merge,
-        "update": Update,
-        "query": Query,
-        "select": Select,
-        "label": Label,
-        "render": Render,
-        "view": View,
-        "info": Info,
-        "eval": EVAL,
-        "bench": Bench,
+        "demo": "scoup_lab.cli.demo:Demo",
+        "extract": "scoup.cli.extract:Extract",
+        "regions": "scoup.cli.regions:ShowRegions",
+        "convert": "scoup.cli.convert:Convert",
+        "build": "scoup.cli.build:Build",
+        "merge": "scoup.cli.merge:Merge",
+        "update": "scoup.cli.update:Update",
+        "query": "scoup.cli.query:Query",
+        "select": "scoup.cli.select:Select",
+        "label": "scoup.cli.label:Label",
+        "render": "scoup.cli.render:Render",
+        "view": "scoup.cli.view:View",
+        "info": "scoup.cli.info:Info",
+        "eval": "scoup_lab.cli.evaluate:EVAL",
+        "bench": "scoup_lab.cli.bench:Bench",
     },
 )
 

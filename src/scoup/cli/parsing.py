@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import re
 import shutil
@@ -26,11 +27,16 @@ class Family:
 
     Attributes:
         description: for the help; its first paragraph for lists.
-        verbs: dataclasses, or further families.
+        verbs: where each is, "module:name" of a dataclass or of a further family; imported when it is used.
     """
 
     description: str
-    verbs: Mapping[str, type | Family]
+    verbs: Mapping[str, str]
+
+    def load(self, name: str) -> type | Family:
+        """Import a verb, or a family of verbs."""
+        module, _, attribute = self.verbs[name].partition(":")
+        return getattr(importlib.import_module(module), attribute)
 
 
 def parse(arguments: Sequence[str], family: Family, program: str) -> Any:
@@ -40,15 +46,15 @@ def parse(arguments: Sequence[str], family: Family, program: str) -> Any:
         SystemExit: after printing help, or why the arguments cannot be parsed.
     """
     name, rest = (arguments[0], arguments[1:]) if arguments else ("", ())
-    verb = family.verbs.get(name)
-    if isinstance(verb, Family):
-        return parse(rest, verb, f"{program} {name}")
-    if verb is not None:
+    if name in family.verbs:
+        verb = family.load(name)
+        if isinstance(verb, Family):
+            return parse(rest, verb, f"{program} {name}")
         return _parse(verb, f"{program} {name}", _text(verb), rest)
     # Either the list of verbs is wanted, or there is no such verb: neither needs to know their options.
     listed = [
-        Annotated[_Listed, tyro.conf.subcommand(name, description=_paragraphs(_text(verb))[0])]
-        for name, verb in family.verbs.items()
+        Annotated[_Listed, tyro.conf.subcommand(name, description=_paragraphs(_text(family.load(name)))[0])]
+        for name in family.verbs
     ]
     return _parse(reduce(or_, listed), program, family.description, arguments or ["--help"])
 

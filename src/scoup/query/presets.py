@@ -75,7 +75,7 @@ DATASET_THRESHOLDS: dict[str, dict[str, float | None]] = {
     "3d-ovs": {"default": None, "scoup": 0.3, "langsplatv2": 0.25},
     "mipnerf360": {"default": None, "scoup": 0.45, "langsplatv2": 0.4},
 }
-"""Thresholds as the papers tuned them per data set; ours needs none. Only the thresholds: ``scoup.evaluate``
+"""Thresholds as the papers tuned them per data set; ours needs none. Only the thresholds: ``scoup_lab.evaluate``
 has one file a data set with the rest of its rules."""
 
 

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from scoup.baselines.fitted import FittedChannels, embedding_cosines
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.rasterised_scene import UpliftInputs
 from scoup.uplift.region_sums import RegionSums
+from scoup_lab.baselines.fitted import FittedChannels, embedding_cosines
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.rasterised_scene import UpliftInputs
 
 
 def dense_features(sums: RegionSums, rows: Tensor, level: int) -> Tensor:

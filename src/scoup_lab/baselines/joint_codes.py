@@ -33,11 +33,11 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.view_weights import ViewWeights, rendered
 from scoup.coding.kmeans import spherical_kmeans
 from scoup.scene.codes import index_dtype
 from scoup.scene.directions import normalise_embeddings
 from scoup.uplift.region_sums import Rows
+from scoup_lab.baselines.view_weights import ViewWeights, rendered
 
 _EPSILON = 1e-15  # of Adam, as in their code
 _TINY = 1e-16  # squared norm of a rendered feature, below which it has no direction

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.autoencoder import LANGSPLAT, AutoencoderSettings
-from scoup.baselines.fitted import FittedMethod
-from scoup.baselines.joint_codes import LANGSPLATV2, JointSettings
-from scoup.baselines.pixel_rules import ALL_PIXELS, PixelRule
-from scoup.baselines.rasterised_scene import RasterisedScene, UpliftInputs
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
+from scoup_lab.baselines.autoencoder import LANGSPLAT, AutoencoderSettings
+from scoup_lab.baselines.fitted import FittedMethod
+from scoup_lab.baselines.joint_codes import LANGSPLATV2, JointSettings
+from scoup_lab.baselines.pixel_rules import ALL_PIXELS, PixelRule
+from scoup_lab.baselines.rasterised_scene import RasterisedScene, UpliftInputs
 
 
 @dataclass(frozen=True)

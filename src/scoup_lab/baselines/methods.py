@@ -7,12 +7,12 @@ of their scores here is a figure of a system's own code.
 from __future__ import annotations
 
 from scoup.base.errors import looked_up
-from scoup.baselines.dense import dense_mean_uplift, dense_uplift
-from scoup.baselines.method import Method
-from scoup.baselines.pixel_rules import CentrePixel, TopContributors, VisibleCentrePixel, VisibleInView
-from scoup.baselines.sparse import SparseUplift
-from scoup.baselines.trained import LERF_AUTOENCODER, AutoencodedUplift, QuantisedUplift, joint_uplift
-from scoup.baselines.visible_median import median_uplift
+from scoup_lab.baselines.dense import dense_mean_uplift, dense_uplift
+from scoup_lab.baselines.method import Method
+from scoup_lab.baselines.pixel_rules import CentrePixel, TopContributors, VisibleCentrePixel, VisibleInView
+from scoup_lab.baselines.sparse import SparseUplift
+from scoup_lab.baselines.trained import LERF_AUTOENCODER, AutoencodedUplift, QuantisedUplift, joint_uplift
+from scoup_lab.baselines.visible_median import median_uplift
 
 PRESETS = (
     Method(

@@ -10,7 +10,6 @@ from typing import Protocol
 import numpy as np
 from torch import Tensor
 
-from scoup.baselines.pixel_rules import ALL_PIXELS, PixelRule
 from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
@@ -19,6 +18,7 @@ from scoup.scene.things import Things
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.things import find_things
+from scoup_lab.baselines.pixel_rules import ALL_PIXELS, PixelRule
 
 Codes = tuple[list[SparseCodes], Tensor]
 """Codes of the regions of each level, and the codebook [S, L, D]."""

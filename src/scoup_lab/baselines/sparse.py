@@ -9,14 +9,14 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from scoup.baselines.fitted import FittedField, fitted_field
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.rasterised_scene import Coder, Codes, UpliftInputs
 from scoup.coding import fit_codes
 from scoup.coding.adam import AdamSettings, solve_adam
 from scoup.scene.directions import normalise_embeddings
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.vote import GaussianCodes, vote
+from scoup_lab.baselines.fitted import FittedField, fitted_field
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.rasterised_scene import Coder, Codes, UpliftInputs
 
 Half = Literal["highest", "lowest"]
 """The half of the Gaussians whose votes have the highest or the lowest entropy."""

@@ -8,14 +8,14 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.baselines.autoencoder import LERF_ROWS, epochs_of_scene, fit_autoencoder
-from scoup.baselines.dense import weighted_means
-from scoup.baselines.fitted import FittedChannels, FittedField, embedding_cosines, fitted_field
-from scoup.baselines.joint_codes import JointCodes, fit_joint_codes
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.product_quantisation import fit_product_quantiser
-from scoup.baselines.rasterised_scene import UpliftInputs
-from scoup.baselines.view_weights import weights_of_views
+from scoup_lab.baselines.autoencoder import LERF_ROWS, epochs_of_scene, fit_autoencoder
+from scoup_lab.baselines.dense import weighted_means
+from scoup_lab.baselines.fitted import FittedChannels, FittedField, embedding_cosines, fitted_field
+from scoup_lab.baselines.joint_codes import JointCodes, fit_joint_codes
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.product_quantisation import fit_product_quantiser
+from scoup_lab.baselines.rasterised_scene import UpliftInputs
+from scoup_lab.baselines.view_weights import weights_of_views
 
 
 @dataclass(frozen=True)

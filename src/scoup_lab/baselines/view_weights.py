@@ -18,11 +18,11 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.baselines.pixel_rules import PixelWeights, pixel_weights
 from scoup.uplift.rasterise import cameras_with_regions
+from scoup_lab.baselines.pixel_rules import PixelWeights, pixel_weights
 
 if TYPE_CHECKING:
-    from scoup.baselines.rasterised_scene import RasterisedScene
+    from scoup_lab.baselines.rasterised_scene import RasterisedScene
 
 
 @dataclass(frozen=True, eq=False)

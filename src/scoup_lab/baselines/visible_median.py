@@ -16,12 +16,12 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.baselines.dense import fitted_embeddings
-from scoup.baselines.fitted import FittedChannels
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.rasterised_scene import UpliftInputs
 from scoup.scene.directions import normalise_embeddings
 from scoup.uplift.region_sums import RegionSums
+from scoup_lab.baselines.dense import fitted_embeddings
+from scoup_lab.baselines.fitted import FittedChannels
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.rasterised_scene import UpliftInputs
 
 
 def streaming_median(sums: RegionSums, embeddings: Tensor, level: int) -> Tensor:

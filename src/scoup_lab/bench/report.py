@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from scoup.base.records import record_text
-from scoup.bench.measure import Timing
 from scoup.io import write_text
+from scoup_lab.bench.measure import Timing
 
 SPECIFICATION = "reference"  # the backend others are compared with
 _NONE = "-"

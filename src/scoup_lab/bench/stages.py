@@ -14,13 +14,15 @@ from scoup import raster
 from scoup.base.backends import serves
 from scoup.base.errors import InputError, ScoupError
 from scoup.base.progress import Progress, no_progress
-from scoup.bench.measure import Task, time_tasks
-from scoup.bench.report import Row
 from scoup.raster import morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
-from scoup.synthetic.random_scene import (
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.vote import GaussianCodes, vote
+from scoup_lab.bench.measure import Task, time_tasks
+from scoup_lab.bench.report import Row
+from scoup_lab.synthetic.random_scene import (
     HEIGHT,
     REGIONS,
     WIDTH,
@@ -31,8 +33,6 @@ from scoup.synthetic.random_scene import (
     random_scene_gaussians,
     voronoi_labels,
 )
-from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.vote import GaussianCodes, vote
 
 STAGES = {
     "project": "project, bin and sort",
@@ -124,7 +124,7 @@ def random_workload(
     order: Order = "random",
     gaussians: Gaussians | None = None,
 ) -> Workload:
-    """The first view of the random scene of ``scoup.synthetic.random_scene``.
+    """The first view of the random scene of ``scoup_lab.synthetic.random_scene``.
 
     Args:
         n_gaussians: N.

@@ -11,7 +11,7 @@ from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
-    from scoup.bench import Row
+    from scoup_lab.bench import Row
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
 Counts = Annotated[tuple[int, ...], tyro.conf.arg(metavar="INT [INT ...]", help_behavior_hint="")]
@@ -51,14 +51,14 @@ class Bench(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Measure and print."""
-        from scoup.bench import (
+        from scoup.io import check_output
+        from scoup_lab.bench import (
             comparison,
             describe_environment,
             usable_backends,
             write_json,
         )
-        from scoup.bench.environment import in_one_line
-        from scoup.io import check_output
+        from scoup_lab.bench.environment import in_one_line
 
         self._check()
         if self.out is not None:
@@ -89,7 +89,7 @@ class Bench(WritesCommon):
 
     def _check(self) -> None:
         from scoup.base.errors import InputError, UnknownNameError
-        from scoup.bench import STAGES
+        from scoup_lab.bench import STAGES
 
         counts: dict[str, tuple[int, ...]] = {
             "n-gaussians": self.n_gaussians,
@@ -115,7 +115,7 @@ class Bench(WritesCommon):
     def _measure(self, console: Console, backends: list[str]) -> list[Row]:
         import torch
 
-        from scoup.bench import STAGES, random_workload, stage_runs, time_stages
+        from scoup_lab.bench import STAGES, random_workload, stage_runs, time_stages
 
         threads = self.threads or (torch.get_num_threads(),)
         stages = dict.fromkeys(self.stages or STAGES)
@@ -131,8 +131,8 @@ class Bench(WritesCommon):
 
 def _say_table(console: Console, rows: list[Row], backends: list[str], reasons: dict[str, str]) -> None:
     """The table, what its stages are, and which backends do not work here."""
-    from scoup.bench import STAGES, stage_table
-    from scoup.bench.report import SPECIFICATION
+    from scoup_lab.bench import STAGES, stage_table
+    from scoup_lab.bench.report import SPECIFICATION
 
     console.say("\n" + stage_table(rows) + "\n")
     for name in dict.fromkeys(row.stage for row in rows):

@@ -12,7 +12,7 @@ from scoup.cli.console import Console
 from scoup.cli.options import OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
-    from scoup.evaluate.demonstration import DemoResult
+    from scoup_lab.evaluate.demonstration import DemoResult
 
 
 FIELD, SHEET, SCORES, PAGE = "demo.scoup", "queries.png", "scores.json", "demo.html"
@@ -47,10 +47,10 @@ class Demo(WritesCommon):
         """Run, draw, print."""
         import json
 
-        from scoup.evaluate.demonstration import DemoSettings, run_demo
-        from scoup.evaluate.demonstration_sheet import query_sheet
         from scoup.io import save_png, write_text
-        from scoup.synthetic.folder import FILES
+        from scoup_lab.evaluate.demonstration import DemoSettings, run_demo
+        from scoup_lab.evaluate.demonstration_sheet import query_sheet
+        from scoup_lab.synthetic.folder import FILES
 
         no_page = _page_problem()
         files = [FIELD, SHEET, SCORES, *([] if no_page else [PAGE]), *(f"scene/{name}" for name in FILES)]
@@ -103,7 +103,7 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
 
     import torch
 
-    from scoup.evaluate.demonstration import rows_by_name, summary
+    from scoup_lab.evaluate.demonstration import rows_by_name, summary
 
     return {
         "layout": result.scene.layout.name,
@@ -124,7 +124,7 @@ def _say_names(console: Console, result: DemoResult) -> None:
     """Print the scores of each name."""
     from rich.table import Table
 
-    from scoup.evaluate.demonstration import ALL_ATOMS, DENSE, METHOD, rows_by_name
+    from scoup_lab.evaluate.demonstration import ALL_ATOMS, DENSE, METHOD, rows_by_name
 
     table = Table(title="Every name that the held-out views show", title_justify="left")
     table.add_column("query")
@@ -148,8 +148,8 @@ def _say_totals(console: Console, result: DemoResult) -> None:
     """Print the means by variant, the size of the field and the seconds of each stage."""
     from rich.table import Table
 
-    from scoup.evaluate.demonstration import summary
     from scoup.field.part_sizes import part_sizes
+    from scoup_lab.evaluate.demonstration import summary
 
     totals = Table(title="Means over all (view, name) pairs", title_justify="left")
     for heading in ("method", "mIoU", "95 % interval over names", "localisation", "bytes a Gaussian"):

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Protocol
 
 from scoup.base.errors import InputError, MissingFileError, UnknownNameError, looked_up
-from scoup.evaluate.protocols import lerf_ovs, mipnerf360, ref_lerf, threed_ovs
 from scoup.io import find_gaussians, load_cameras
-from scoup.io.labels import LabelledFrame, match_frames, read_labels
 from scoup.io.regions.views import FOLDER_NAME
 from scoup.query.presets import QueryPreset, query_preset
 from scoup.scene.cameras import Camera, Cameras
+from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
+from scoup_lab.evaluate.protocols import lerf_ovs, mipnerf360, ref_lerf, threed_ovs
 
 
 @dataclass(frozen=True)

@@ -10,31 +10,31 @@ from statistics import mean
 
 import torch
 
-from scoup.base.measuring import timed
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.fitted import FittedField, FittedMethod
-from scoup.baselines.method import MethodSettings
-from scoup.baselines.methods import METHODS
-from scoup.baselines.rasterised_scene import RasterisedScene
-from scoup.baselines.sparse import learn_codes
-from scoup.evaluate.data_sets import DATA_SETS, LabelledScene
-from scoup.evaluate.metrics import any_inside, bootstrap_interval, iou
-from scoup.evaluate.scores import PairScore, SceneScore
-from scoup.evaluate.studies.study_scene import StudyScene
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output, load_cameras, load_gaussians, load_regions
 from scoup.query.answering import answer_view
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.text_vectors import TextVectors
-from scoup.synthetic.art.layout import Layout
-from scoup.synthetic.art.table import TABLE
-from scoup.synthetic.folder import write_demo_scene
-from scoup.synthetic.scene import EMBEDDING_MODEL, LABELLED_LEVELS, DemoScene, make_demo_scene
-from scoup.synthetic.words import CANONICAL
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_codes import RegionCodes
+from scoup_lab.baselines.fitted import FittedField, FittedMethod
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.methods import METHODS
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from scoup_lab.baselines.sparse import learn_codes
+from scoup_lab.bench.measuring import timed
+from scoup_lab.evaluate.data_sets import DATA_SETS, LabelledScene
+from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
+from scoup_lab.evaluate.scores import PairScore, SceneScore
+from scoup_lab.evaluate.studies.study_scene import StudyScene
+from scoup_lab.synthetic.art.layout import Layout
+from scoup_lab.synthetic.art.table import TABLE
+from scoup_lab.synthetic.folder import write_demo_scene
+from scoup_lab.synthetic.scene import EMBEDDING_MODEL, LABELLED_LEVELS, DemoScene, make_demo_scene
+from scoup_lab.synthetic.words import CANONICAL
 
 METHOD, VOTES = "things and votes", "sparse, top-K vote"
 ALL_ATOMS, DENSE = "sparse, no top-K", "dense 512-d"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from scoup.evaluate.demonstration import METHOD, DemoResult, rows_by_name, texts_of
-from scoup.evaluate.scores import PairScore
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.answering import answer_view
 from scoup.raster import render_colors
+from scoup_lab.evaluate.demonstration import METHOD, DemoResult, rows_by_name, texts_of
+from scoup_lab.evaluate.scores import PairScore
 
 TRUTH_COLOR = (70, 200, 110)
 

@@ -10,16 +10,16 @@ from typing import Any
 from torch import Tensor
 
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.fitted import FittedField
-from scoup.evaluate.data_sets import DataSet, LabelledScene, data_set_preset
-from scoup.evaluate.failures import failure_sheet
-from scoup.evaluate.label_vectors import encode_labels
-from scoup.evaluate.predictions import PredictionCache, file_digest
-from scoup.evaluate.report import Report, write_report
-from scoup.evaluate.scores import PairScore, SceneScore
-from scoup.evaluate.scoring import build_field, predict, score_maps, score_selection
 from scoup.io import check_output, save_png
 from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.baselines.fitted import FittedField
+from scoup_lab.evaluate.data_sets import DataSet, LabelledScene, data_set_preset
+from scoup_lab.evaluate.failures import failure_sheet
+from scoup_lab.evaluate.label_vectors import encode_labels
+from scoup_lab.evaluate.predictions import PredictionCache, file_digest
+from scoup_lab.evaluate.report import Report, write_report
+from scoup_lab.evaluate.scores import PairScore, SceneScore
+from scoup_lab.evaluate.scoring import build_field, predict, score_maps, score_selection
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,6 @@ from collections.abc import Callable
 
 from torch import Tensor
 
-from scoup.evaluate.data_sets import LabelledScene
-from scoup.evaluate.protocols.threed_ovs import LEVELS_QUERIED
-from scoup.evaluate.scores import PairScore, SceneScore
 from scoup.field.language_field import LanguageField
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
@@ -16,6 +13,9 @@ from scoup.query.localize import localize
 from scoup.query.presets import QueryPreset
 from scoup.query.segment import segment
 from scoup.raster import render_colors
+from scoup_lab.evaluate.data_sets import LabelledScene
+from scoup_lab.evaluate.protocols.threed_ovs import LEVELS_QUERIED
+from scoup_lab.evaluate.scores import PairScore, SceneScore
 
 TRUTH_COLOR = (70, 200, 110)
 MOST = 6  # queries on a sheet

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.evaluate.data_sets import LabelledScene, SceneFiles
 from scoup.models.text import TextEncoder
 from scoup.query.text_vectors import TextVectors
+from scoup_lab.evaluate.data_sets import LabelledScene, SceneFiles
 
 
 def text_source(root: Path, scene: SceneFiles, wanted: str | None, default: str) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from scoup.base.errors import InputError
-from scoup.evaluate.metrics import Interval
+from scoup_lab.evaluate.metrics import Interval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

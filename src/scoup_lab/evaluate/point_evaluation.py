@@ -11,17 +11,17 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.fitted import FittedField, FittedMethod
-from scoup.baselines.method import Method, MethodSettings
-from scoup.baselines.rasterised_scene import RasterisedScene
-from scoup.evaluate.point_scenes import PointDataSet, PointScene, PointTruth
-from scoup.evaluate.protocols.point_labels import ClassList, confusion_matrix, label_gaussians
-from scoup.evaluate.report import OURS
-from scoup.evaluate.scoring import build_field
 from scoup.io import load_gaussians, load_regions
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.baselines.fitted import FittedField, FittedMethod
+from scoup_lab.baselines.method import Method, MethodSettings
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from scoup_lab.evaluate.point_scenes import PointDataSet, PointScene, PointTruth
+from scoup_lab.evaluate.protocols.point_labels import ClassList, confusion_matrix, label_gaussians
+from scoup_lab.evaluate.report import OURS
+from scoup_lab.evaluate.scoring import build_field
 
 
 @dataclass(frozen=True)

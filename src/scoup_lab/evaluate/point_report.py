@@ -12,9 +12,9 @@ from torch import Tensor
 
 from scoup.base.counts import counted, listed
 from scoup.base.errors import InputError
-from scoup.evaluate.metrics import Interval
-from scoup.evaluate.point_scenes import PointDataSet
-from scoup.evaluate.protocols.point_labels import (
+from scoup_lab.evaluate.metrics import Interval
+from scoup_lab.evaluate.point_scenes import PointDataSet
+from scoup_lab.evaluate.protocols.point_labels import (
     ClassList,
     class_accuracies,
     class_ious,
@@ -25,7 +25,7 @@ from scoup.evaluate.protocols.point_labels import (
     interval_of,
     overall_accuracy,
 )
-from scoup.evaluate.tables import Table, write_tables
+from scoup_lab.evaluate.tables import Table, write_tables
 
 Score = Callable[[Tensor], Tensor]
 """From totals [..., 3, C] to a score [...]."""

@@ -9,12 +9,12 @@ from pathlib import Path
 from torch import Tensor
 
 from scoup.base.errors import looked_up
-from scoup.evaluate.data_sets import Places, check_root, chosen_scenes, find_parts
-from scoup.evaluate.protocols import scannet, scenesplat
-from scoup.evaluate.protocols.point_labels import NO_CLASS, ClassList
-from scoup.io.labelled_points import LabelledPoints, read_labelled_ply
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
+from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_ply
+from scoup_lab.evaluate.data_sets import Places, check_root, chosen_scenes, find_parts
+from scoup_lab.evaluate.protocols import scannet, scenesplat
+from scoup_lab.evaluate.protocols.point_labels import NO_CLASS, ClassList
 
 SPLAT = "point_cloud.ply"
 """The splat of a scene if it lies in its folder, where other PLY files may lie too."""
@@ -47,7 +47,7 @@ POINT_DATA_SETS = {
 
 @dataclass(frozen=True, eq=False)
 class PointScene:
-    """A scene of a point-level data set, as ``scoup.evaluate.data_sets.SceneFiles``; the truth is not read yet."""
+    """A scene of a point-level data set, as ``scoup_lab.evaluate.data_sets.SceneFiles``; the truth is not read yet."""
 
     data_set: PointDataSet
     name: str

@@ -10,9 +10,9 @@ from statistics import mean
 from typing import Any
 
 from scoup.base.counts import counted
-from scoup.evaluate.published import PUBLISHED, Published
-from scoup.evaluate.scores import SceneScore, accuracy_interval, miou_interval, overall
-from scoup.evaluate.tables import CAVEATS, Table, write_tables
+from scoup_lab.evaluate.published import PUBLISHED, Published
+from scoup_lab.evaluate.scores import SceneScore, accuracy_interval, miou_interval, overall
+from scoup_lab.evaluate.tables import CAVEATS, Table, write_tables
 
 OURS = "this run"
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from scoup.base.errors import InputError
-from scoup.evaluate.metrics import Interval, bootstrap_interval
+from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 
 
 @dataclass(frozen=True)

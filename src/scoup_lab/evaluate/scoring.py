@@ -12,14 +12,8 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.base.locks import complete, locked_file
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.fitted import FittedField, FittedMethod
-from scoup.evaluate.data_sets import DataSet, LabelledScene, SceneFiles
-from scoup.evaluate.predictions import PredictionCache, prediction_key
-from scoup.evaluate.protocols import lerf_ovs, mipnerf360, ref_lerf, selection, threed_ovs
-from scoup.evaluate.scores import SceneScore
 from scoup.field.language_field import LanguageField
 from scoup.io import default_preset, load_gaussians, load_regions
-from scoup.io.labels import LabelledFrame
 from scoup.query.neighbours import Neighbourhood
 from scoup.query.presets import QueryPreset
 from scoup.query.select import select_by_relevancy
@@ -29,6 +23,12 @@ from scoup.scene.regions import LEVELS
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.checkpoint import checkpoint, continued, moved_with_sums
+from scoup_lab.baselines.fitted import FittedField, FittedMethod
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.data_sets import DataSet, LabelledScene, SceneFiles
+from scoup_lab.evaluate.predictions import PredictionCache, prediction_key
+from scoup_lab.evaluate.protocols import lerf_ovs, mipnerf360, ref_lerf, selection, threed_ovs
+from scoup_lab.evaluate.scores import SceneScore
 
 
 def build_field(

@@ -3,9 +3,9 @@
 ``make_demo_scene`` makes a scene whose truth is known; nothing is downloaded. ``art/`` holds what is drawn in it.
 """
 
-from scoup.synthetic.art.layout import Layout
-from scoup.synthetic.art.table import TABLE
-from scoup.synthetic.folder import write_demo_scene
-from scoup.synthetic.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
+from scoup_lab.synthetic.art.layout import Layout
+from scoup_lab.synthetic.art.table import TABLE
+from scoup_lab.synthetic.folder import write_demo_scene
+from scoup_lab.synthetic.scene import EMBEDDING_MODEL, DemoScene, make_demo_scene
 
 __all__ = ["EMBEDDING_MODEL", "TABLE", "DemoScene", "Layout", "make_demo_scene", "write_demo_scene"]

@@ -1,8 +1,8 @@
 """Synthetic data sets, complete, in the layouts of LERF-OVS, 3D-OVS, Mip-NeRF 360, Ref-LERF, ScanNet and
 SceneSplat-Bench.
 
-Every scene is made by ``scoup.synthetic.make_demo_scene``. Nothing was photographed, trained or labelled by hand, and
-scores say nothing about the data set whose layout is used. Scenes are named after their layouts, so that nobody
+Every scene is made by ``scoup_lab.synthetic.make_demo_scene``. Nothing was photographed, trained or labelled by hand,
+and scores say nothing about the data set whose layout is used. Scenes are named after their layouts, so that nobody
 mistakes them for scenes of that data set. As in the real ones, labelled views are among those a field is built from.
 """
 
@@ -22,12 +22,12 @@ from scoup.io import save_png, write_text
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
-from scoup.synthetic.art.layout import Layout
-from scoup.synthetic.art.table import TABLE
-from scoup.synthetic.folder import label_file, write_scene, write_views
-from scoup.synthetic.point_truth import POINT_TRUTHS, with_class_words
-from scoup.synthetic.referring import write_referring_truth
-from scoup.synthetic.scene import LABELLED_LEVELS, DemoScene, make_demo_scene
+from scoup_lab.synthetic.art.layout import Layout
+from scoup_lab.synthetic.art.table import TABLE
+from scoup_lab.synthetic.folder import label_file, write_scene, write_views
+from scoup_lab.synthetic.point_truth import POINT_TRUTHS, with_class_words
+from scoup_lab.synthetic.referring import write_referring_truth
+from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene, make_demo_scene
 
 NOTE = """A data set made by a program, in the layout of {name}. Nothing in it was photographed,
 trained or labelled by hand: scores on it say nothing about {name}.

@@ -17,12 +17,12 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.io.labels import LabelledFrame
 from scoup.raster import ViewSums
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.region_sums import RegionSums
+from scoup_lab.data.labels import LabelledFrame
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -19,13 +19,13 @@ from scoup.io import (
     write_text,
     write_transforms,
 )
-from scoup.io.labels import LabelledFrame
 from scoup.models.word_table import save_table
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import SH_C0
-from scoup.synthetic.masks import mask_polygons
-from scoup.synthetic.scene import EMBEDDING_MODEL, LABELLED_LEVELS, DemoScene
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.synthetic.masks import mask_polygons
+from scoup_lab.synthetic.scene import EMBEDDING_MODEL, LABELLED_LEVELS, DemoScene
 
 SPARSE_POINTS = 4000
 FILES = ("README.txt", "point_cloud.ply", "text.npz", "sparse/0/cameras.bin", "held_out/transforms.json")

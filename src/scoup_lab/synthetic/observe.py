@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from scoup.scene.regions import LEVELS, RegionMap, Regions
-from scoup.synthetic.art.meshes import Floats
-from scoup.synthetic.art.things import Parts
-from scoup.synthetic.masks import Mask, components, grown, shrunk
-from scoup.synthetic.words import Words, unit
+from scoup_lab.synthetic.art.meshes import Floats
+from scoup_lab.synthetic.art.things import Parts
+from scoup_lab.synthetic.masks import Mask, components, grown, shrunk
+from scoup_lab.synthetic.words import Words, unit
 
 REFERENCE_WIDTH = 480  # pixels in the constants below refer to an image this wide
 SMALLEST = 45  # pixels

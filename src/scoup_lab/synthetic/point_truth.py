@@ -2,7 +2,7 @@
 
 Things of a scene that a benchmark has a class for are of that class; all others are of none (of "otherprop" among
 NYU's 40). The text of a class has the vector of the first thing of it in the scene. The text of a class that the scene
-lacks has a vector of its own, simulated as those of all words (``scoup.synthetic.words``) about the mean of the
+lacks has a vector of its own, simulated as those of all words (``scoup_lab.synthetic.words``) about the mean of the
 scene's words.
 """
 
@@ -15,12 +15,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.io.class_names import NYU40, SCANNET20, SCANNET200
-from scoup.io.labelled_points import LabelledPoints, write_labelled_ply
 from scoup.io.splats.ply import as_stored
 from scoup.io.splats.scenesplat import write_scenesplat
-from scoup.synthetic.scene import DemoScene, with_texts
-from scoup.synthetic.words import TEXT_MEAN, unit
+from scoup_lab.data.class_names import NYU40, SCANNET20, SCANNET200
+from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
+from scoup_lab.synthetic.scene import DemoScene, with_texts
+from scoup_lab.synthetic.words import TEXT_MEAN, unit
 
 NYU40_OF = {
     "wall": "wall", "floor": "floor", "chair": "chair", "table": "table", "picture": "picture",

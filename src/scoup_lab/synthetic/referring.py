@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from scoup.io import save_png, write_text
-from scoup.synthetic.scene import DemoScene, with_texts
-from scoup.synthetic.words import unit
+from scoup_lab.synthetic.scene import DemoScene, with_texts
+from scoup_lab.synthetic.words import unit
 
 
 def write_referring_truth(scene: DemoScene, tested: Collection[str], folder: Path) -> DemoScene:

@@ -15,19 +15,19 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.io.labels import LabelledFrame
 from scoup.query.segment import mask_box
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, Regions
-from scoup.synthetic.art.layout import Layout
-from scoup.synthetic.art.table import TABLE
-from scoup.synthetic.art.things import Parts, Surface
-from scoup.synthetic.art.zbuffer import visible_faces
-from scoup.synthetic.masks import piece_boxes
-from scoup.synthetic.observe import IntMap, observe
-from scoup.synthetic.splat import make_splat
-from scoup.synthetic.words import CANONICAL, Words, make_words
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.synthetic.art.layout import Layout
+from scoup_lab.synthetic.art.table import TABLE
+from scoup_lab.synthetic.art.things import Parts, Surface
+from scoup_lab.synthetic.art.zbuffer import visible_faces
+from scoup_lab.synthetic.masks import piece_boxes
+from scoup_lab.synthetic.observe import IntMap, observe
+from scoup_lab.synthetic.splat import make_splat
+from scoup_lab.synthetic.words import CANONICAL, Words, make_words
 
 LABELLED_LEVELS = ("m", "l")  # names of objects and groups are the labels of synthetic frames
 SMALLEST_LABEL = 75  # pixels, in an image 480 wide: a thing is labelled where it shows at least that many
@@ -100,7 +100,7 @@ class DemoScene:
         return torch.from_numpy(self.parts.at_level(self.part_maps[view_name], level) == number)
 
     def labelled_frame(self, view_name: str, levels: tuple[str, ...] = ("m",)) -> LabelledFrame:
-        """The truth of a view in the form that ``scoup.evaluate`` scores.
+        """The truth of a view in the form that ``scoup_lab.evaluate`` scores.
 
         A name is labelled where at least ``SMALLEST_LABEL`` pixels (scaled with the image) show it, with one box around
         all of them. A name of several things has a box around each connected piece of that size.

@@ -10,9 +10,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.synthetic.art.lighting import Light, lit
-from scoup.synthetic.art.meshes import Floats, Ints, Mesh, merged
-from scoup.synthetic.art.things import Parts, Piece, Thing
+from scoup_lab.synthetic.art.lighting import Light, lit
+from scoup_lab.synthetic.art.meshes import Floats, Ints, Mesh, merged
+from scoup_lab.synthetic.art.things import Parts, Piece, Thing
 
 DISTANCES = (0.8, 0.65, 0.5)  # least distance of discs, as a share of the mean: tried in this order
 OVERSAMPLING = 6  # candidates for each Gaussian kept

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from scoup.scene.regions import LEVELS
-from scoup.synthetic.art.meshes import Floats
-from scoup.synthetic.art.things import Parts
+from scoup_lab.synthetic.art.meshes import Floats
+from scoup_lab.synthetic.art.things import Parts
 
 CANONICAL = ("object", "things", "stuff", "texture")
 DISTRACTORS = (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.scenes import LAYOUTS
 
-from scoup.synthetic.art.meshes import (
+from scoup_lab.synthetic.art.meshes import (
     Mesh,
     box,
     cylinder,
@@ -17,8 +17,8 @@ from scoup.synthetic.art.meshes import (
     torus,
     tube,
 )
-from scoup.synthetic.art.paints import smooth_noise
-from scoup.synthetic.splat import evenly
+from scoup_lab.synthetic.art.paints import smooth_noise
+from scoup_lab.synthetic.splat import evenly
 
 SHAPES = {
     "ball": (ellipsoid(2.0, segments=96), 16 * np.pi, 32 / 3 * np.pi),

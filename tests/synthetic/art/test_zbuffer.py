@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from scoup.scene.cameras import Camera
-from scoup.synthetic.art.meshes import box, ellipsoid, merged, plane, rotation
-from scoup.synthetic.art.zbuffer import draw, visible_faces
+from scoup_lab.synthetic.art.meshes import box, ellipsoid, merged, plane, rotation
+from scoup_lab.synthetic.art.zbuffer import draw, visible_faces
 
 
 def camera(width: int = 97, height: int = 71, focal: float = 80.0) -> Camera:

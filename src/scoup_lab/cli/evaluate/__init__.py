@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from scoup.cli.evaluate.comparisons import Baselines
-from scoup.cli.evaluate.data_sets import LerfOvs, MipNerf360, RefLerf, ThreeDOvs
-from scoup.cli.evaluate.point_labels import ScanNet, SceneSplat
-from scoup.cli.evaluate.studies import Ablations, Consistency, Curves
-from scoup.cli.evaluate.synthetic import Synthetic
 from scoup.cli.parsing import Family
 
 EVAL = Family(
@@ -15,16 +10,16 @@ EVAL = Family(
     `scoup eval synthetic lerf-ovs ROOT` writes a synthetic data set, to try the others on and to see the layout.
     """,
     {
-        "lerf-ovs": LerfOvs,
-        "3d-ovs": ThreeDOvs,
-        "mipnerf360": MipNerf360,
-        "ref-lerf": RefLerf,
-        "scannet": ScanNet,
-        "scenesplat": SceneSplat,
-        "baselines": Baselines,
-        "ablations": Ablations,
-        "curves": Curves,
-        "consistency": Consistency,
-        "synthetic": Synthetic,
+        "lerf-ovs": "scoup_lab.cli.evaluate.data_sets:LerfOvs",
+        "3d-ovs": "scoup_lab.cli.evaluate.data_sets:ThreeDOvs",
+        "mipnerf360": "scoup_lab.cli.evaluate.data_sets:MipNerf360",
+        "ref-lerf": "scoup_lab.cli.evaluate.data_sets:RefLerf",
+        "scannet": "scoup_lab.cli.evaluate.point_labels:ScanNet",
+        "scenesplat": "scoup_lab.cli.evaluate.point_labels:SceneSplat",
+        "baselines": "scoup_lab.cli.evaluate.comparisons:Baselines",
+        "ablations": "scoup_lab.cli.evaluate.studies:Ablations",
+        "curves": "scoup_lab.cli.evaluate.studies:Curves",
+        "consistency": "scoup_lab.cli.evaluate.studies:Consistency",
+        "synthetic": "scoup_lab.cli.evaluate.synthetic:Synthetic",
     },
 )

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from scoup.cli.console import Console
-from scoup.cli.evaluate.options import Names, StudyOptions
 from scoup.cli.options import Flag
+from scoup_lab.cli.evaluate.options import Names, StudyOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +34,12 @@ class Baselines(StudyOptions):
         """Run all and write the tables."""
         from dataclasses import replace
 
-        from scoup.baselines.autoencoder import LANGSPLAT
-        from scoup.baselines.joint_codes import LANGSPLATV2
-        from scoup.baselines.method import MethodSettings
-        from scoup.baselines.methods import COMPARED, find_method
-        from scoup.bench.environment import describe_environment
-        from scoup.evaluate.studies.comparison import compare, comparison_report
+        from scoup_lab.baselines.autoencoder import LANGSPLAT
+        from scoup_lab.baselines.joint_codes import LANGSPLATV2
+        from scoup_lab.baselines.method import MethodSettings
+        from scoup_lab.baselines.methods import COMPARED, find_method
+        from scoup_lab.bench.environment import describe_environment
+        from scoup_lab.evaluate.studies.comparison import compare, comparison_report
 
         methods = [find_method(name) for name in self.methods or COMPARED]
         settings = MethodSettings(

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from scoup.cli.console import Console
-from scoup.cli.evaluate.options import DataSetOptions, Rules
 from scoup.cli.options import Flag, OptionalInteger, OptionGroups
+from scoup_lab.cli.evaluate.options import DataSetOptions, Rules
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,10 +43,10 @@ class Scored(DataSetOptions):
 
     def run(self, console: Console) -> None:
         """Build what is missing, predict, score, write."""
-        from scoup.bench.environment import describe_environment
-        from scoup.evaluate.data_sets import find_data_set
-        from scoup.evaluate.evaluation import EvaluationSettings, evaluate_scene, write_reports
         from scoup.uplift.build_settings import build_settings
+        from scoup_lab.bench.environment import describe_environment
+        from scoup_lab.evaluate.data_sets import find_data_set
+        from scoup_lab.evaluate.evaluation import EvaluationSettings, evaluate_scene, write_reports
 
         settings = EvaluationSettings(
             find_data_set(self.data_set_name),

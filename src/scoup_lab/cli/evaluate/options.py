@@ -13,10 +13,10 @@ from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
-    from scoup.evaluate.data_sets import LabelledScene
-    from scoup.evaluate.studies.study_report import StudyReport
-    from scoup.evaluate.studies.study_scene import StudyScene
     from scoup.query.presets import QueryPreset
+    from scoup_lab.evaluate.data_sets import LabelledScene
+    from scoup_lab.evaluate.studies.study_report import StudyReport
+    from scoup_lab.evaluate.studies.study_scene import StudyScene
 
 Names = Annotated[
     tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
@@ -53,7 +53,7 @@ class DataSetOptions(WritesCommon):
     def open_scenes(self, console: Console, name: str) -> list[LabelledScene]:
         """The scenes of the data set of that name."""
         from scoup.base.counts import counted
-        from scoup.evaluate.data_sets import Places, find_data_set, find_scenes, open_scene
+        from scoup_lab.evaluate.data_sets import Places, find_data_set, find_scenes, open_scene
 
         data_set = find_data_set(name)
         places = Places(self.gaussians, self.features, self.images)
@@ -68,7 +68,7 @@ class DataSetOptions(WritesCommon):
 
     def text_source(self, scene: LabelledScene) -> str:
         """The table or model that turns the labels of a scene into vectors."""
-        from scoup.evaluate.label_vectors import text_source
+        from scoup_lab.evaluate.label_vectors import text_source
 
         return text_source(self.root, scene, self.text, CLIP_MODEL)
 
@@ -90,15 +90,15 @@ class StudyOptions(DataSetOptions):
 
     def preset(self) -> QueryPreset:
         """The rules of the protocol."""
-        from scoup.evaluate.data_sets import data_set_preset, find_data_set
+        from scoup_lab.evaluate.data_sets import data_set_preset, find_data_set
 
         return data_set_preset(find_data_set(self.data_set), self.rules)
 
     def open_study(self, console: Console, stem: str) -> list[StudyScene]:
         """The scenes with splats, regions and text vectors; refuses outputs that are there, before any work."""
-        from scoup.evaluate.label_vectors import encode_labels
-        from scoup.evaluate.studies.study_scene import open_study_scene
         from scoup.io import check_output
+        from scoup_lab.evaluate.label_vectors import encode_labels
+        from scoup_lab.evaluate.studies.study_scene import open_study_scene
 
         for suffix in (".md", ".json", ".tex"):
             check_output(self.folder() / f"{stem}{suffix}", self.overwrite)
@@ -107,7 +107,7 @@ class StudyOptions(DataSetOptions):
 
     def write(self, console: Console, report: StudyReport) -> None:
         """Write and show a report."""
-        from scoup.evaluate.plots import HOW_TO_GET_THEM, can_draw
+        from scoup_lab.evaluate.plots import HOW_TO_GET_THEM, can_draw
 
         written = report.write(self.folder(), self.overwrite)
         for table in report.tables:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scoup.cli.build import CLIP_MODEL
 from scoup.cli.console import Console
-from scoup.cli.evaluate.options import DataSetOptions, Names
 from scoup.cli.options import Flag, OptionalInteger, OptionalText, OptionGroups
+from scoup_lab.cli.evaluate.options import DataSetOptions, Names
 
 if TYPE_CHECKING:
-    from scoup.evaluate.point_evaluation import Counts, PointSettings
-    from scoup.evaluate.point_scenes import PointDataSet, PointScene
     from scoup.query.text_vectors import TextVectors
+    from scoup_lab.evaluate.point_evaluation import Counts, PointSettings
+    from scoup_lab.evaluate.point_scenes import PointDataSet, PointScene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,10 +53,10 @@ class PointScored(DataSetOptions):
 
     def settings(self) -> PointSettings:
         """What the options say."""
-        from scoup.baselines.methods import find_method
-        from scoup.evaluate.point_evaluation import PointSettings
-        from scoup.evaluate.point_scenes import find_class_list, find_point_data_set
         from scoup.uplift.build_settings import build_settings
+        from scoup_lab.baselines.methods import find_method
+        from scoup_lab.evaluate.point_evaluation import PointSettings
+        from scoup_lab.evaluate.point_scenes import find_class_list, find_point_data_set
 
         data_set = find_point_data_set(self.data_set_name)
         return PointSettings(
@@ -72,8 +72,8 @@ class PointScored(DataSetOptions):
 
     def run(self, console: Console) -> None:
         """Build what is missing, give classes, count, write."""
-        from scoup.evaluate.point_evaluation import evaluate_point_scene
         from scoup.io import check_output
+        from scoup_lab.evaluate.point_evaluation import evaluate_point_scene
 
         settings = self.settings()
         out = self.out or Path(f"eval_{self.data_set_name}")
@@ -93,22 +93,22 @@ class PointScored(DataSetOptions):
 
     def scene_names(self, data_set: PointDataSet) -> list[str]:
         """Names of the scenes to score."""
-        from scoup.evaluate.point_scenes import find_point_scenes
+        from scoup_lab.evaluate.point_scenes import find_point_scenes
 
         return find_point_scenes(data_set, self.root, self.scenes)
 
     def open_scene(self, data_set: PointDataSet, name: str) -> PointScene:
         """One of them."""
-        from scoup.evaluate.data_sets import Places
-        from scoup.evaluate.point_scenes import open_point_scene
+        from scoup_lab.evaluate.data_sets import Places
+        from scoup_lab.evaluate.point_scenes import open_point_scene
 
         places = Places(self.gaussians, self.features, self.images, self.cameras)
         return open_point_scene(data_set, self.root, name, places, self.undistort)
 
     def write(self, console: Console, settings: PointSettings, counts: dict[str, Counts], out: Path) -> None:
         """Write and show the reports."""
-        from scoup.bench.environment import describe_environment
-        from scoup.evaluate.point_report import PointReport, overall_table, write_point_report
+        from scoup_lab.bench.environment import describe_environment
+        from scoup_lab.evaluate.point_report import PointReport, overall_table, write_point_report
 
         described = {
             "environment": describe_environment(),
@@ -138,7 +138,7 @@ class _Vectors:
 
     def of(self, scene: PointScene) -> TextVectors:
         """Those for a scene."""
-        from scoup.evaluate.label_vectors import encode_words, text_source
+        from scoup_lab.evaluate.label_vectors import encode_words, text_source
 
         source = text_source(self._options.root, scene, self._options.text, CLIP_MODEL)
         if source not in self._kept:

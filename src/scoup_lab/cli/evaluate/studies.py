@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.evaluate.options import Names, StudyOptions
+from scoup_lab.cli.evaluate.options import Names, StudyOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,9 +28,9 @@ class Ablations(StudyOptions):
 
     def run(self, console: Console) -> None:
         """Run all, write table and plot."""
-        from scoup.bench.environment import describe_environment
-        from scoup.evaluate.studies.ablation_rows import find_ablations
-        from scoup.evaluate.studies.ablations import ablation_report, run_ablations
+        from scoup_lab.bench.environment import describe_environment
+        from scoup_lab.evaluate.studies.ablation_rows import find_ablations
+        from scoup_lab.evaluate.studies.ablations import ablation_report, run_ablations
 
         chosen = find_ablations(self.groups)
         scenes = self.open_study(console, "ablations")
@@ -66,11 +66,11 @@ class Curves(StudyOptions):
         """Run all, write tables and plots."""
         from dataclasses import replace
 
-        from scoup.baselines.autoencoder import LANGSPLAT
-        from scoup.baselines.method import MethodSettings
-        from scoup.baselines.methods import COMPARED, SLOW, find_method
-        from scoup.bench.environment import describe_environment
-        from scoup.evaluate.studies.curves import FAULT_SCALES, curve_report, find_fault, run_curves
+        from scoup_lab.baselines.autoencoder import LANGSPLAT
+        from scoup_lab.baselines.method import MethodSettings
+        from scoup_lab.baselines.methods import COMPARED, SLOW, find_method
+        from scoup_lab.bench.environment import describe_environment
+        from scoup_lab.evaluate.studies.curves import FAULT_SCALES, curve_report, find_fault, run_curves
 
         faults = [find_fault(name) for name in self.faults or FAULT_SCALES]
         names = self.methods or tuple(name for name in COMPARED if name not in SLOW)
@@ -104,10 +104,10 @@ class Consistency(StudyOptions):
         """Match, compare, write."""
         from dataclasses import replace
 
-        from scoup.baselines.autoencoder import LANGSPLAT
-        from scoup.bench.environment import describe_environment
-        from scoup.evaluate.studies.consistency import consistency_report, run_consistency
         from scoup.uplift.build_settings import build_settings
+        from scoup_lab.baselines.autoencoder import LANGSPLAT
+        from scoup_lab.bench.environment import describe_environment
+        from scoup_lab.evaluate.studies.consistency import consistency_report, run_consistency
 
         settings = build_settings(self.preset_name, seed=self.seed)
         autoencoder = replace(LANGSPLAT, epochs=self.epochs)

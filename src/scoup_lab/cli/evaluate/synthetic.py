@@ -49,7 +49,7 @@ class Synthetic(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Make and write."""
-        from scoup.synthetic.data_sets import DataSetSize, write_data_set
+        from scoup_lab.synthetic.data_sets import DataSetSize, write_data_set
 
         size = DataSetSize(self.n_gaussians, self.width, self.height, self.views, self.labelled)
         seeds = range(self.seed, self.seed + self.scenes)

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
-from scoup.evaluate.metrics import any_inside, iou
-from scoup.evaluate.scores import PairScore, SceneScore, scene_score
-from scoup.io.labels import LabelledFrame
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.segment import localize_and_segment
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.metrics import any_inside, iou
+from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 
 PROTOCOL = "lerf-ovs 2D"
 

@@ -1,6 +1,6 @@
 """The protocol of Mip-NeRF 360 with the GAGS annotations: masks from relevancy maps (docs/protocols.md).
 
-Labels are files as in LERF-OVS. Maps are made at the size of the labels (``scoup.baselines.fitted.resized_image``);
+Labels are files as in LERF-OVS. Maps are made at the size of the labels (``scoup_lab.baselines.fitted.resized_image``);
 the level whose mask has the highest mean relevancy answers. There is no localisation.
 """
 
@@ -12,12 +12,12 @@ from dataclasses import replace
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.evaluate.metrics import iou
-from scoup.evaluate.protocols.lerf_ovs import maps_by_label
-from scoup.evaluate.scores import PairScore, SceneScore, scene_score
-from scoup.io.labels import LabelledFrame
 from scoup.query.presets import QueryPreset, query_preset
 from scoup.query.segment import segment
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.metrics import iou
+from scoup_lab.evaluate.protocols.lerf_ovs import maps_by_label
+from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 
 PROTOCOL = "mipnerf360 2D"
 

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.baselines.fitted import FittedMethod
-from scoup.evaluate.metrics import Interval
 from scoup.query.text_vectors import TextVectors
+from scoup_lab.baselines.fitted import FittedMethod
+from scoup_lab.evaluate.metrics import Interval
 
 NO_CLASS = -1
 """In truths: a point that does not count. In answers: a point that was given no class."""

@@ -21,14 +21,14 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.evaluate.metrics import iou
-from scoup.evaluate.protocols.lerf_ovs import maps_by_label
-from scoup.evaluate.scores import PairScore, SceneScore, scene_score
 from scoup.io.images import read_mask
-from scoup.io.labels import LabelledFrame
 from scoup.io.reading import read_json
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.segment import segment
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.metrics import iou
+from scoup_lab.evaluate.protocols.lerf_ovs import maps_by_label
+from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 
 PROTOCOL = "ref-lerf 2D"
 TEST_FRAMES: dict[str, tuple[int, ...]] = {

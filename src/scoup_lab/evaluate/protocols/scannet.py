@@ -19,10 +19,10 @@ from torch import Tensor
 
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
-from scoup.evaluate.protocols.point_labels import NO_CLASS, ClassList
-from scoup.io.class_names import NYU40
-from scoup.io.labelled_points import LabelledPoints
 from scoup.scene.gaussians import Gaussians
+from scoup_lab.data.class_names import NYU40
+from scoup_lab.data.labelled_points import LabelledPoints
+from scoup_lab.evaluate.protocols.point_labels import NO_CLASS, ClassList
 
 PROTOCOL = "ScanNet points"
 SCENES = (

@@ -22,9 +22,9 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
-from scoup.evaluate.protocols.point_labels import NO_CLASS, ClassList
-from scoup.io.class_names import MATTERPORT21, SCANNET20, SCANNET200, SCANNETPP100
-from scoup.io.labelled_points import LabelledPoints, read_labelled_npy
+from scoup_lab.data.class_names import MATTERPORT21, SCANNET20, SCANNET200, SCANNETPP100
+from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_npy
+from scoup_lab.evaluate.protocols.point_labels import NO_CLASS, ClassList
 
 PROTOCOL = "SceneSplat-Bench"
 SPLITS = ("val", "test", "")

@@ -15,11 +15,11 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.evaluate.metrics import iou
-from scoup.evaluate.scores import PairScore, SceneScore, scene_score
-from scoup.io.labels import LabelledFrame
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.metrics import iou
+from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 
 PROTOCOL = "3D selection"
 

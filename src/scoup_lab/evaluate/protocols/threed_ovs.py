@@ -14,14 +14,14 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
-from scoup.evaluate.metrics import iou
-from scoup.evaluate.protocols.lerf_ovs import maps_by_label
-from scoup.evaluate.scores import PairScore, SceneScore, scene_score
 from scoup.io.images import read_mask
-from scoup.io.labels import LabelledFrame
 from scoup.query.presets import QueryPreset, query_preset
 from scoup.query.segment import segment
 from scoup.scene.regions import LEVELS
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.metrics import iou
+from scoup_lab.evaluate.protocols.lerf_ovs import maps_by_label
+from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 
 PROTOCOL = "3d-ovs 2D"
 LEVELS_QUERIED = ("m", "l")

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from scoup.base.errors import UnknownNameError
-from scoup.baselines.method import Method
-from scoup.baselines.methods import METHODS
-from scoup.baselines.pixel_rules import EveryNthPixel
-from scoup.baselines.rasterised_scene import Coder
-from scoup.baselines.sparse import AdamCoder, Half, SparseUplift, learn_codes
-from scoup.evaluate.studies.study_scene import ScoringRule
 from scoup.query.presets import QueryPreset
+from scoup_lab.baselines.method import Method
+from scoup_lab.baselines.methods import METHODS
+from scoup_lab.baselines.pixel_rules import EveryNthPixel
+from scoup_lab.baselines.rasterised_scene import Coder
+from scoup_lab.baselines.sparse import AdamCoder, Half, SparseUplift, learn_codes
+from scoup_lab.evaluate.studies.study_scene import ScoringRule
 
 
 @dataclass(frozen=True)

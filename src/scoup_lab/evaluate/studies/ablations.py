@@ -8,17 +8,17 @@ from statistics import mean
 from typing import Any
 
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.method import MethodSettings
-from scoup.evaluate.metrics import Interval, bootstrap_interval
-from scoup.evaluate.plots import IntervalPlot
-from scoup.evaluate.published import ABLATIONS as PUBLISHED
-from scoup.evaluate.scores import SceneScore, kept_ious, kept_pairs
-from scoup.evaluate.studies.ablation_rows import Ablation
-from scoup.evaluate.studies.study_report import StudyReport
-from scoup.evaluate.studies.study_scene import StudyScene
-from scoup.evaluate.tables import CAVEATS, Table
 from scoup.query.presets import QueryPreset
 from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
+from scoup_lab.evaluate.plots import IntervalPlot
+from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
+from scoup_lab.evaluate.scores import SceneScore, kept_ious, kept_pairs
+from scoup_lab.evaluate.studies.ablation_rows import Ablation
+from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.studies.study_scene import StudyScene
+from scoup_lab.evaluate.tables import CAVEATS, Table
 
 
 @dataclass(frozen=True)

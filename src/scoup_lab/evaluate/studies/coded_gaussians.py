@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.baselines.fitted import FittedField
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import rows_of
 from scoup.scene.gaussians import Gaussians
+from scoup_lab.baselines.fitted import FittedField
 
 
 def relevancy_of_coded(

@@ -9,12 +9,13 @@ from statistics import mean
 from typing import Any
 
 from scoup import raster
-from scoup.base.measuring import Cost, Meter
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.fitted import FittedMethod
-from scoup.baselines.method import DEFAULTS, Method, MethodSettings
-from scoup.evaluate.metrics import Interval, bootstrap_interval
-from scoup.evaluate.scores import (
+from scoup.query.presets import QueryPreset
+from scoup_lab.baselines.fitted import FittedMethod
+from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
+from scoup_lab.bench.measuring import Cost, Meter
+from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
+from scoup_lab.evaluate.scores import (
     SceneScore,
     accuracy_interval,
     kept_ious,
@@ -22,10 +23,9 @@ from scoup.evaluate.scores import (
     miou_interval,
     overall,
 )
-from scoup.evaluate.studies.study_report import StudyReport
-from scoup.evaluate.studies.study_scene import StudyScene
-from scoup.evaluate.tables import CAVEATS, Table
-from scoup.query.presets import QueryPreset
+from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.studies.study_scene import StudyScene
+from scoup_lab.evaluate.tables import CAVEATS, Table
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def compare(
 
     Args:
         scenes: rasterised once for each way of counting pixels.
-        methods: see ``scoup.baselines.methods``.
+        methods: see ``scoup_lab.baselines.methods``.
         preset: how maps become masks and points, for all of them.
         settings: for all of them.
         selection: score by the 3D-selection protocol too.

@@ -17,17 +17,17 @@ import torch
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.autoencoder import LANGSPLAT, AutoencoderSettings, fit_autoencoder
 from scoup.coding import fit_codes
-from scoup.evaluate.metrics import Interval, bootstrap_interval
-from scoup.evaluate.plots import IntervalPlot
-from scoup.evaluate.studies.matches import Matches, Observation, matched_points
-from scoup.evaluate.studies.study_report import StudyReport
-from scoup.evaluate.studies.study_scene import StudyScene
-from scoup.evaluate.tables import Table
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.baselines.autoencoder import LANGSPLAT, AutoencoderSettings, fit_autoencoder
+from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
+from scoup_lab.evaluate.plots import IntervalPlot
+from scoup_lab.evaluate.studies.matches import Matches, Observation, matched_points
+from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.studies.study_scene import StudyScene
+from scoup_lab.evaluate.tables import Table
 
 RAW = "raw"  # the features that others are compared with
 MOST_PAIRS = 40_000  # of matched observations, drawn at random beyond

@@ -13,17 +13,17 @@ from scipy import ndimage
 
 from scoup.base.errors import looked_up
 from scoup.base.progress import Progress, no_progress
-from scoup.baselines.method import DEFAULTS, Method, MethodSettings
-from scoup.baselines.rasterised_scene import UpliftInputs
-from scoup.evaluate.plots import Curve, CurvePlot
-from scoup.evaluate.scores import SceneScore, kept_ious, kept_pairs, miou_interval
-from scoup.evaluate.studies.comparison import paired_difference
-from scoup.evaluate.studies.study_report import StudyReport
-from scoup.evaluate.studies.study_scene import StudyScene
-from scoup.evaluate.tables import CAVEATS, Table
 from scoup.query.presets import QueryPreset
 from scoup.scene.regions import RegionMap, Regions
-from scoup.synthetic.faults import as_region_sums, level_sums, perturbed
+from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
+from scoup_lab.baselines.rasterised_scene import UpliftInputs
+from scoup_lab.evaluate.plots import Curve, CurvePlot
+from scoup_lab.evaluate.scores import SceneScore, kept_ious, kept_pairs, miou_interval
+from scoup_lab.evaluate.studies.comparison import paired_difference
+from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.studies.study_scene import StudyScene
+from scoup_lab.evaluate.tables import CAVEATS, Table
+from scoup_lab.synthetic.faults import as_region_sums, level_sums, perturbed
 
 SMOOTHNESS = 6.0  # pixels of an image 480 wide: how far displacements of neighbouring pixels go together
 
@@ -97,7 +97,7 @@ def run_curves(
 
     Args:
         scenes: rasterised once for each way of counting pixels, and again for displaced masks.
-        methods: see ``scoup.baselines.methods``.
+        methods: see ``scoup_lab.baselines.methods``.
         faults: see ``FAULT_SCALES``.
         preset: the protocol's rules.
         settings: of the methods.

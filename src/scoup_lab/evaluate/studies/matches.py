@@ -13,11 +13,11 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import MissingFileError
-from scoup.baselines.pixel_rules import centre_pixels, pixel_weights
-from scoup.evaluate.studies.study_scene import StudyScene
 from scoup.io import read_tracks
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
+from scoup_lab.baselines.pixel_rules import centre_pixels, pixel_weights
+from scoup_lab.evaluate.studies.study_scene import StudyScene
 
 DOMINANT = 0.5  # of a pixel's weight: a Gaussian that paints this much is what one sees there
 

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scoup.evaluate.plots import Plot, can_draw, png
-from scoup.evaluate.tables import Table, write_tables
+from scoup_lab.evaluate.plots import Plot, can_draw, png
+from scoup_lab.evaluate.tables import Table, write_tables
 
 
 @dataclass(frozen=True)

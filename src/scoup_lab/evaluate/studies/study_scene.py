@@ -9,17 +9,17 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.baselines.fitted import FittedField, FittedMethod
-from scoup.baselines.rasterised_scene import RasterisedScene
-from scoup.evaluate.data_sets import LabelledScene
-from scoup.evaluate.scores import SceneScore
-from scoup.evaluate.scoring import score_maps, score_selection
-from scoup.evaluate.studies.coded_gaussians import relevancy_of_coded
 from scoup.io import default_preset, load_gaussians, load_regions
-from scoup.io.labels import LabelledFrame
 from scoup.models.words import with_everyday
 from scoup.query.presets import QueryPreset
 from scoup.query.text_vectors import TextVectors
+from scoup_lab.baselines.fitted import FittedField, FittedMethod
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.data_sets import LabelledScene
+from scoup_lab.evaluate.scores import SceneScore
+from scoup_lab.evaluate.scoring import score_maps, score_selection
+from scoup_lab.evaluate.studies.coded_gaussians import relevancy_of_coded
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.art.meshes import (
+from scoup_lab.synthetic.art.meshes import (
     Floats,
     box,
     cylinder,
@@ -16,8 +16,8 @@ from scoup.synthetic.art.meshes import (
     torus,
     tube,
 )
-from scoup.synthetic.art.paints import Paint, bands, color, fur, gradient, mix, smooth_noise, solid
-from scoup.synthetic.art.things import Piece, Thing
+from scoup_lab.synthetic.art.paints import Paint, bands, color, fur, gradient, mix, smooth_noise, solid
+from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def book(name: str, code: str, length: float = 24.0, width: float = 17.0, height: float = 3.4) -> Thing:

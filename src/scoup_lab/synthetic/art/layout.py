@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from scoup.scene.cameras import Camera, Cameras
-from scoup.synthetic.art.lighting import Light
-from scoup.synthetic.art.meshes import Floats
-from scoup.synthetic.art.things import Thing
+from scoup_lab.synthetic.art.lighting import Light
+from scoup_lab.synthetic.art.meshes import Floats
+from scoup_lab.synthetic.art.things import Thing
 
 FIELD_OF_VIEW = 58.0  # degrees, horizontal
 

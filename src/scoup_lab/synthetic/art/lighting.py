@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from scoup.synthetic.art.meshes import Floats, Mesh
-from scoup.synthetic.art.zbuffer import draw
+from scoup_lab.synthetic.art.meshes import Floats, Mesh
+from scoup_lab.synthetic.art.zbuffer import draw
 
 SUN = np.array([-0.52, -0.42, 0.74])  # towards the sun
 SUN_COLOR = np.array([1.0, 0.94, 0.83]) * 1.75

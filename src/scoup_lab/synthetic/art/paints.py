@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scoup.synthetic.art.meshes import Floats
+from scoup_lab.synthetic.art.meshes import Floats
 
 Paint = Callable[[Floats, Floats], Floats]
 """``paint(points [n, 3], normals [n, 3]) -> [n, 3]`` sRGB colours 0..1; points in the object's own frame."""

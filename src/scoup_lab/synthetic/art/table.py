@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from scoup.scene.cameras import Camera, Cameras
-from scoup.synthetic.art import desk_things as desk
-from scoup.synthetic.art import furniture, tableware
-from scoup.synthetic.art.layout import Layout, aimed_camera
-from scoup.synthetic.art.lighting import Light
-from scoup.synthetic.art.things import Thing
+from scoup_lab.synthetic.art import desk_things as desk
+from scoup_lab.synthetic.art import furniture, tableware
+from scoup_lab.synthetic.art.layout import Layout, aimed_camera
+from scoup_lab.synthetic.art.lighting import Light
+from scoup_lab.synthetic.art.things import Thing
 
 LEFT, BACK, REACH, HEIGHT = -1.55, 1.3, 5.4, 2.3  # metres: the walls x = LEFT and y = BACK
 TOP = furniture.TABLE_HEIGHT / 100

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.synthetic.art.meshes import (
+from scoup_lab.synthetic.art.meshes import (
     Floats,
     cylinder,
     ellipsoid,
@@ -15,8 +15,8 @@ from scoup.synthetic.art.meshes import (
     torus,
     tube,
 )
-from scoup.synthetic.art.paints import Paint, bands, color, gradient, mix, smooth_noise, solid, spotted
-from scoup.synthetic.art.things import Piece, Thing
+from scoup_lab.synthetic.art.paints import Paint, bands, color, gradient, mix, smooth_noise, solid, spotted
+from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def flowered(base: str, flowers: str, centre: str, size: float) -> Paint:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scoup.base.errors import InputError
-from scoup.synthetic.art.meshes import Floats, Mesh, merged, rotation
-from scoup.synthetic.art.paints import Paint
+from scoup_lab.synthetic.art.meshes import Floats, Mesh, merged, rotation
+from scoup_lab.synthetic.art.paints import Paint
 
 
 @dataclass(frozen=True, eq=False)

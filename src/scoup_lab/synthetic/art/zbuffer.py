@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.scene.cameras import Camera
-from scoup.synthetic.art.meshes import Floats, Ints
+from scoup_lab.synthetic.art.meshes import Floats, Ints
 
 NEAR = 0.05
 CHUNK = 2_000_000  # candidate pixels held at once

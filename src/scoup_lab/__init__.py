@@ -1,0 +1,1 @@
+"""The laboratory of SCOUP: protocols, baselines, simulated scenes, studies, measuring. ``scoup`` never imports it."""

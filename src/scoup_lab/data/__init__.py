@@ -1,0 +1,1 @@
+"""Labels of published data sets, as their files have them."""
