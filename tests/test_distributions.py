@@ -28,7 +28,7 @@ def files_of_a_wheel() -> dict[str, str]:
     page["scoup/view/page/licences.txt"] = "The page.\n\nthree 1 (MIT)\n\n@sparkjsdev/spark 2 (MIT)\n"
     described = "Name: scoup\n\n[a](https://a.example/docs/a.md) [b](#b)\n"
     about = {"scoup-0.1.0.dist-info/licenses/LICENSE": "x", "scoup-0.1.0.dist-info/METADATA": described}
-    return {"scoup/__init__.py": "", CORE: "x", **about, **page}
+    return {"scoup/__init__.py": "", "scoup_lab/__init__.py": "", CORE: "x", **about, **page}
 
 
 def write_wheel(folder: Path, files: dict[str, str], name: str = WHEEL) -> Path:
