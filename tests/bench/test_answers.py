@@ -21,7 +21,7 @@ from scoup.uplift.build_settings import BUILD_PRESETS
 from scoup_lab.baselines.method import DEFAULTS
 from scoup_lab.baselines.sparse import SparseUplift
 from scoup_lab.evaluate.metrics import bootstrap_interval
-from scoup_lab.evaluate.protocols.lerf_ovs import score_frame
+from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -53,7 +53,7 @@ def test_scores_are_those_of_the_protocol() -> None:
         expected = []
         for frame, view in scene.frames:
             queries = torch.stack([scene.queries[label] for label in frame.labels])
-            expected += score_frame(frame, fitted.relevancy(view, queries, scene.canonical), preset)
+            expected += PROTOCOL.score_frame(frame, fitted.relevancy(view, queries, scene.canonical), preset)
         assert found[rule] == [pair.iou for pair in expected]
         assert found["localisation"] == [float(bool(pair.hit)) for pair in expected]
         assert scene.pairs == [(pair.frame, pair.label) for pair in expected]

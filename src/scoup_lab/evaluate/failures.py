@@ -13,8 +13,7 @@ from scoup.query.localize import localize
 from scoup.query.presets import QueryPreset
 from scoup.query.segment import segment
 from scoup.raster import render_colors
-from scoup_lab.evaluate.data_sets import LabelledScene
-from scoup_lab.evaluate.protocols.threed_ovs import LEVELS_QUERIED
+from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.scores import PairScore, SceneScore
 
 TRUTH_COLOR = (70, 200, 110)
@@ -48,11 +47,7 @@ def failure_sheet(
         maps: gives the relevancy [S, H, W] of a pair.
         preset: by which masks were made.
     """
-    rows = [
-        position
-        for position, level in enumerate(field.levels)
-        if scene.data_set.name != "3d-ovs" or level in LEVELS_QUERIED
-    ]
+    rows = scene.protocol.rows(field.levels)
     frames = {frame.name: (frame, camera) for frame, camera in scene.frames}
     tiles: list[Picture] = []
     worst = worst_pairs(score)
