@@ -109,7 +109,7 @@ def study(name: str, number: int) -> str:
 
 
 def faults() -> str:
-    """Every way under each fault by the protocol and answered always, then the differences."""
+    """Every way under each fault by the protocol and as answered always, then the differences."""
     found = record("answers_faults")
     keys = [key for key in next(iter(found["ways"].values())) if key != "all"]
     rows = [
