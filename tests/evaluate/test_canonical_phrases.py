@@ -28,7 +28,7 @@ from scoup_lab.evaluate.predictions import PredictionCache
 from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
-from scoup_lab.evaluate.studies.ablation_rows import BASE, Ablation, find_ablations
+from scoup_lab.evaluate.studies.ablation_rows import BASE, BESIDE_EVERYDAY, Ablation, find_ablations
 from scoup_lab.evaluate.studies.ablations import Ablations
 from scoup_lab.evaluate.studies.comparison import Comparison
 from scoup_lab.evaluate.studies.study_scene import StudyScene
@@ -154,6 +154,6 @@ def test_ablations(scene: StudyScene, table: tuple[Path, Tensor]) -> None:
     settings = (PRESET, (0,), 2)
     Ablations(rows, *settings).results([scene])
     check(recorders[0].given, table[1])
-    everyday = Ablation("beside everyday words", "phrases", method, "everyday")
+    everyday = Ablation("beside everyday words", "phrases", method, BESIDE_EVERYDAY)
     Ablations([everyday], *settings).results([scene])
     assert {len(each) for each in recorders[1].given} == {5}

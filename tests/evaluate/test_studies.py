@@ -161,7 +161,7 @@ def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -
     scene = scenes[0]
     row = next(each for each in ABLATIONS if each.name.endswith("highest entropy, dropped from blending"))
     fitted = row.method.fit(scene.rasterised, SETTINGS)
-    rules = {"kept": ScoringRule(PRESET), "dropped": row.scoring_rule(PRESET)}
+    rules = {"kept": ScoringRule(PRESET), "dropped": row.rule(PRESET)}
     assert isinstance(fitted, FittedField)
     gaussians, codebook = scene.rasterised.gaussians, fitted.field.codebook
     for (frame, maps), (_, camera) in zip(

@@ -20,7 +20,7 @@ TRUTH_COLOR = (70, 200, 110)
 MOST = 6  # queries on a sheet
 
 
-def worst_pairs(score: SceneScore, count: int = MOST) -> list[PairScore]:
+def worst_pairs(score: SceneScore) -> list[PairScore]:
     """The worst answered pair of each of the worst queries (by mean IoU), worst query first; ties by name."""
     by_label: dict[str, list[PairScore]] = {}
     for pair in score.pairs:
@@ -28,7 +28,7 @@ def worst_pairs(score: SceneScore, count: int = MOST) -> list[PairScore]:
     ranked = sorted(
         by_label, key=lambda label: (sum(p.iou for p in by_label[label]) / len(by_label[label]), label)
     )
-    return [min(by_label[label], key=lambda pair: (pair.iou, pair.frame)) for label in ranked[:count]]
+    return [min(by_label[label], key=lambda pair: (pair.iou, pair.frame)) for label in ranked[:MOST]]
 
 
 def failure_sheet(

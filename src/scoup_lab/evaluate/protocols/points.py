@@ -24,6 +24,7 @@ from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, cho
 
 NO_CLASS = -1
 """In truths: a point that does not count. In answers: a point that was given no class."""
+CONFIDENCE = 0.95  # of intervals
 QUERIES_AT_A_TIME = 16  # relevancy of all Gaussians to so many classes is in memory together
 SPLAT = "point_cloud.ply"  # the splat of a scene if it lies in its folder, where other PLY files may lie too
 
@@ -274,9 +275,9 @@ def overall_accuracy(totals: Tensor) -> Tensor:
     return totals[..., 0, :].sum(-1) / totals[..., 1, :].sum(-1)
 
 
-def drawn_totals(totals: Tensor, samples: int = 2000, seed: int = 0) -> Tensor:
+def drawn_totals(totals: Tensor, samples: int = 2000) -> Tensor:
     """[samples, 3, C] totals over T scenes drawn with replacement from totals [T, 3, C]."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     draws = torch.randint(len(totals), (samples, len(totals)), generator=generator)
     counts = torch.zeros(samples, len(totals), dtype=totals.dtype).scatter_add_(
         1, draws, torch.ones(draws.shape, dtype=totals.dtype)
@@ -284,11 +285,11 @@ def drawn_totals(totals: Tensor, samples: int = 2000, seed: int = 0) -> Tensor:
     return torch.einsum("bt,tkc->bkc", counts, totals)
 
 
-def interval_of(value: Tensor, drawn: Tensor, confidence: float = 0.95) -> Interval:
-    """A score with the percentiles of what draws gave it; draws without a value (NaN) do not count."""
+def interval_of(value: Tensor, drawn: Tensor) -> Interval:
+    """Return a score with the interval of what draws gave it; draws without a value (NaN) do not count."""
     drawn = drawn[~drawn.isnan()]
     if not len(drawn):
         return Interval(float(value), torch.nan, torch.nan)
-    ends = torch.tensor([(1 - confidence) / 2, (1 + confidence) / 2], dtype=drawn.dtype)
+    ends = torch.tensor([(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], dtype=drawn.dtype)
     low, high = drawn.quantile(ends).tolist()
     return Interval(float(value), low, high)

@@ -101,10 +101,9 @@ def score_method(
     fitted: FittedMethod,
     gaussians: Gaussians,
     raster_preset: str,
-    rule: SelectionPreset = VALA_3D,
 ) -> SceneScore:
     """Select Gaussians for every label by what a method made of a scene, and score the scene."""
-    coded = fitted.coded()
+    rule, coded = VALA_3D, fitted.coded()
     around = Neighbourhood.of(gaussians.means, coded.any(0), rule.neighbours) if rule.neighbours else None
     chosen = {}
     for label, query in zip(vectors.texts, vectors.queries, strict=True):

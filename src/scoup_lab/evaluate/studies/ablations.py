@@ -81,9 +81,7 @@ class Ablations(Study[AblationResult]):
                     if method.random or seed == self.seeds[0]:
                         fitted = method.fit(scene.rasterised, settings)
                         rules = {
-                            each.name: each.scoring_rule(self.preset)
-                            for each in self.rows
-                            if each.method is method
+                            each.name: each.rule(self.preset) for each in self.rows if each.method is method
                         }
                         for name, score in scene.scores(fitted, rules).items():
                             found[name].setdefault(seed, []).append(score)
