@@ -26,6 +26,7 @@ STUDIES = Family(
         "coding": "benchmarks.coding:Coding",
         "claims": "benchmarks.claims:Claims",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
+        "extract": "benchmarks.extract:Extraction",
         "query": "benchmarks.query:Query",
         "viewer": "benchmarks.viewer:ViewerCost",
         "city": "benchmarks.city:Cities",

@@ -1,0 +1,234 @@
+"""From real photographs to masks on a CPU: which things get a region, and what it takes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+
+from benchmarks.data import data_folder
+from benchmarks.study import Record, Study
+from scoup.base.counts import spread
+from scoup.base.errors import InputError
+from scoup.extract import Masks, mask_settings
+from scoup.extract.automatic_masks import automatic_masks
+from scoup.models.onnx_sam import open_onnx_sam
+from scoup.models.sam import EncodedImage, PointModel, Sam, SamImage, open_sam
+from scoup.scene.regions import LEVELS
+from scoup_lab.bench import markdown
+from scoup_lab.data.labels import LabelledFrame, read_labels
+
+_FAST = mask_settings("fast")
+ALL_POINTS = "32 x 32 points, all"
+WAYS = {
+    ALL_POINTS: replace(_FAST, skip_covered=False),
+    "20 x 20 points, all": replace(_FAST, skip_covered=False, points_per_side=20),
+    "fast": _FAST,
+    "fast, 20 x 20 points": replace(_FAST, points_per_side=20),
+    "fast, with crops": replace(_FAST, crop_layers=1),
+}
+"""How MobileSAM is asked; the preset fast is the default without a GPU."""
+SECOND = "fast, SAM 2 tiny"
+FOUND = 0.5  # IoU from which a thing has a region, and a region its like
+DECODED = 48  # points whose decoding is timed in both decoders
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extraction(Study):
+    """Cut the photographs of the real scene desk into masks, with real weights.
+
+    Things are those marked by hand in the labelled photographs. In photographs without labels, regions are compared
+    with those of all 32 x 32 points. The preset fast was chosen on the labelled photographs; the others are evidence
+    for it. Seconds are of the processor, all threads together, which other programs disturb least.
+    """
+
+    weights: Path
+    """MobileSAM's checkpoint."""
+    onnx: Path | None = None
+    """Folder of SAM 2 tiny as ONNX; left out if not given."""
+    unlabelled: int = 5
+    """Photographs without labels."""
+
+    def check(self) -> None:
+        if not (data_folder() / "desk").is_dir():
+            raise InputError(f"{data_folder() / 'desk'}: there is no such scene; set SCOUP_TEST_DATA")
+
+    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        folder = data_folder() / "desk"
+        frames = {frame.name: frame for frame in read_labels(folder / "label")}
+        paths = sorted((folder / "images_2").glob("*.jpg"))
+        unlabelled = spread([path for path in paths if path.stem not in frames], self.unlabelled)
+        sam = open_sam(str(self.weights))
+        if "decoder" not in known:
+            yield "decoder", _decoders(sam, _pixels(paths[0]))
+        ways: dict[str, tuple[Any, Any]] = {name: (sam, settings) for name, settings in WAYS.items()}
+        if self.onnx is not None:
+            ways[SECOND] = (open_onnx_sam(f"onnx:{self.onnx}"), _FAST)
+        for path in [*(path for path in paths if path.stem in frames), *unlabelled]:
+            rows = [name for name in ways if f"{path.stem}: {name}" not in known]
+            if not rows:
+                continue
+            image, like = _pixels(path), None
+            if path in unlabelled:
+                like = automatic_masks(image, sam, WAYS[ALL_POINTS])
+            for name in rows:
+                model, settings = ways[name]
+                timed = _Timed(model)
+                start = time.process_time()
+                found = automatic_masks(image, timed, settings)
+                seconds = time.process_time() - start
+                figures = {
+                    **timed.figures(),
+                    "rules": seconds - sum(timed.seconds.values()),
+                    "regions": {level: len(found[level]) for level in LEVELS},
+                    "things": _best(found, frames[path.stem]) if like is None else None,
+                    "kept": None if like is None else _kept(found, like),
+                }
+                yield f"{path.stem}: {name}", figures
+
+    def record(self, rows: dict[str, Any]) -> Record:
+        decoder = rows["decoder"]
+        views = {key: figures for key, figures in rows.items() if key != "decoder"}
+        names = list(dict.fromkeys(key.split(": ", 1)[1] for key in views))
+        return {
+            "decoder": decoder,
+            "rows": [
+                _summary(name, [row for key, row in views.items() if key.endswith(f": {name}")])
+                for name in names
+            ],
+        }
+
+    @staticmethod
+    def table(record: Record) -> str:
+        """Return one row per way."""
+        body = [
+            [
+                row["way"], f"{row['points']:.0f}", f"{row['regions']:.0f}", f"{row['things']:.3f}",
+                f"{row['iou']:.3f}", *(f"{row[level]:.2f}" for level in LEVELS), f"{row['kept']:.3f}",
+                f"{row['seconds']:.1f}",
+            ]
+            for row in record["rows"]
+        ]  # fmt: skip
+        head = ["", "points", "regions", "things with a region", "IoU of the best"]
+        head += [*(f"at level {level}" for level in LEVELS), "regions as with all points", "CPU seconds"]
+        ratio = record["decoder"]["transformers"] / record["decoder"]["shared"]
+        return (
+            markdown(head, body) + f"\nDecoder: {ratio:.1f} times as fast as transformers', side by side.\n"
+        )
+
+
+@dataclass
+class _Timed:
+    """A model that counts points, and the seconds in encoder and decoder."""
+
+    model: PointModel
+    points: int = 0
+    seconds: dict[str, float] = field(default_factory=lambda: {"encoder": 0.0, "decoder": 0.0})
+
+    def record(self) -> dict[str, Any]:
+        return self.model.record()
+
+    def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
+        start = time.process_time()
+        encoded = self.model.encode(image)
+        self.seconds["encoder"] += time.process_time() - start
+        return _TimedImage(encoded, self)
+
+    def figures(self) -> Record:
+        return {"points": self.points, **self.seconds}
+
+
+@dataclass(frozen=True)
+class _TimedImage:
+    encoded: EncodedImage
+    timed: _Timed
+
+    def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        start = time.process_time()
+        answer = self.encoded.predict(points)
+        self.timed.seconds["decoder"] += time.process_time() - start
+        self.timed.points += len(points)
+        return answer
+
+    def without_padding(self, logits: Tensor) -> Tensor:
+        return self.encoded.without_padding(logits)
+
+    def upscale(self, logits: Tensor) -> Tensor:
+        return self.encoded.upscale(logits)
+
+
+def _pixels(path: Path) -> NDArray[np.uint8]:
+    return np.asarray(Image.open(path).convert("RGB"))
+
+
+def _decoders(sam: Sam, image: NDArray[np.uint8]) -> Record:
+    """Seconds a point of the decoder here and of transformers', in turns, the best of three."""
+    encoded = sam.encode(image)
+    assert isinstance(encoded, SamImage)
+    shared = encoded.decode
+    embedding = getattr(shared, "__self__").embedding  # noqa: B009 - functions have no such attribute
+    points = torch.rand(DECODED, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 500
+    best = {"shared": float("inf"), "transformers": float("inf")}
+    for _ in range(3):
+        for name in best:
+            start = time.process_time()
+            if name == "shared":
+                shared(points)
+            else:
+                sam.predict(embedding, points)
+            best[name] = min(best[name], (time.process_time() - start) / DECODED)
+    return best
+
+
+def _best(found: dict[str, Masks], frame: LabelledFrame) -> dict[str, list[float]]:
+    """Level -> IoU of each thing's best region."""
+    truth = np.stack([mask.numpy() for mask in frame.masks.values()])
+    return {level: _overlaps(truth, found[level].dense()).max(1, initial=0).tolist() for level in LEVELS}
+
+
+def _kept(found: dict[str, Masks], like: dict[str, Masks]) -> float:
+    """The share of other regions that have their like, of the same level."""
+    best = [
+        _overlaps(like[level].dense(), found[level].dense()).max(1, initial=0)
+        for level in LEVELS
+        if len(like[level])
+    ]
+    return float((np.concatenate(best) >= FOUND).mean())
+
+
+def _overlaps(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """[A, B] IoU of masks [A, H, W] and [B, H, W]."""
+    one, other = (masks.reshape(len(masks), -1).astype(np.float32) for masks in (first, second))
+    shared = one @ other.T
+    return shared / np.maximum(one.sum(1)[:, None] + other.sum(1)[None] - shared, 1)
+
+
+def _summary(name: str, rows: list[Record]) -> Record:
+    things = {
+        level: np.concatenate([row["things"][level] for row in rows if row["things"] is not None])
+        for level in LEVELS
+    }
+    best = np.max(list(things.values()), axis=0)
+    stages = {
+        stage: float(np.mean([row[stage] for row in rows])) for stage in ("encoder", "decoder", "rules")
+    }
+    return {
+        "way": name,
+        "photographs": len(rows),
+        "points": float(np.mean([row["points"] for row in rows])),
+        "regions": float(np.mean([sum(row["regions"].values()) for row in rows])),
+        "things": float((best >= FOUND).mean()),
+        "iou": float(best.mean()),
+        **{level: float((things[level] >= FOUND).mean()) for level in LEVELS},
+        "kept": float(np.mean([row["kept"] for row in rows if row["kept"] is not None])),
+        **stages,
+        "seconds": sum(stages.values()),
+    }
