@@ -23,13 +23,13 @@ from typing import Any
 import tyro
 
 import scoup
-from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.segment import localize_and_segment
 from scoup.scene.cameras import Camera
+from scoup.scene.field_info import FieldInfo
 from scoup_lab.bench import (
     describe_environment,
     markdown,

@@ -27,11 +27,11 @@ import tyro
 from tools.chromium import chromium
 
 import scoup
-from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.scene.field_info import FieldInfo
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 from scoup.view.viewer import Viewer

@@ -36,7 +36,6 @@ INNER = {
     ),
     *(
         "coding.kmeans",
-        "field.artefact",
         "field.part_sizes",
         "io.images",
         "io.npy",
@@ -56,6 +55,7 @@ INNER = {
         "raster.view_sums",
         "scene.codes",
         "scene.directions",
+        "scene.field_info",
         "scene.gaussians",
         "scene.regions",
         "scene.things",

@@ -21,7 +21,7 @@ _MADE_BY = {
     "TextVectors": "scoup.encode_texts(encoder, field, texts)",
 }
 """Type -> what gives one."""
-_SHOWN = {"QueriedField": "LanguageField"}
+_SHOWN = {"CodedScene": "LanguageField"}
 """Type -> the one that users know."""
 
 

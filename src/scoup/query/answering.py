@@ -14,10 +14,10 @@ from torch import Tensor
 from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.query.answer import Answer, SceneAnswer
+from scoup.query.coded_scene import CodedScene
 from scoup.query.localize import averaged_relevancy, best_pixel
 from scoup.query.presence import scene_z_scores, view_z_scores, with_evidence
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
-from scoup.query.queried_field import QueriedField
 from scoup.query.segment import Segmentation, main_parts, mask_box, segment
 from scoup.query.select import Selection, select_each
 from scoup.query.text_vectors import TextVectors
@@ -27,7 +27,7 @@ from scoup.scene.cameras import Camera
 
 
 def answer_view(
-    field: QueriedField,
+    field: CodedScene,
     camera: Camera | str | int,
     texts: TextVectors,
     preset: QueryPreset = QUERY_PRESETS["default"],
@@ -56,7 +56,7 @@ def answer_view(
             judge presence.
     """
     place = (camera, (Camera, str, Integral))
-    check_arguments("answer_view", field=(field, QueriedField), camera=place, texts=(texts, TextVectors))
+    check_arguments("answer_view", field=(field, CodedScene), camera=place, texts=(texts, TextVectors))
     camera = field.camera(camera)
     projection = field.project(camera) if projection is None else projection
     maps = field.relevancy(camera, texts.queries, texts.canonical, projection).unbind(1)
@@ -93,7 +93,7 @@ AnsweredViews: TypeAlias = "Iterator[tuple[Camera, raster.Projection, list[Answe
 
 
 def answer_views(
-    field: QueriedField,
+    field: CodedScene,
     cameras: Iterable[Camera],
     texts: TextVectors,
     preset: QueryPreset = QUERY_PRESETS["default"],
@@ -107,7 +107,7 @@ def answer_views(
 
 
 def answer_scene(
-    field: QueriedField,
+    field: CodedScene,
     texts: TextVectors,
     threshold: float | None = None,
     neighbours: int | None = None,
@@ -130,7 +130,7 @@ def answer_scene(
     Raises:
         InputError: as ``answer_view``, or ``neighbours`` is below 1.
     """
-    check_arguments("answer_scene", field=(field, QueriedField), texts=(texts, TextVectors))
+    check_arguments("answer_scene", field=(field, CodedScene), texts=(texts, TextVectors))
     found = judged_selections(field, texts, threshold, neighbours, rescaled, present_from, level)
     answers = []
     for text, (each, z_score) in zip(texts.texts, found, strict=True):
@@ -151,7 +151,7 @@ def answer_scene(
 
 
 def judged_selections(
-    field: QueriedField,
+    field: CodedScene,
     texts: TextVectors,
     threshold: float | None = None,
     neighbours: int | None = None,
@@ -199,7 +199,7 @@ def _of_thing(voted: Segmentation, relevancy: Tensor, mask: Tensor, level: int) 
 
 
 def _selected_thing(
-    field: QueriedField, voted: Selection, query: Tensor, canonical: Tensor, mask: Tensor, level: int
+    field: CodedScene, voted: Selection, query: Tensor, canonical: Tensor, mask: Tensor, level: int
 ) -> Selection:
     """The Gaussians of a thing in the place of those that the votes select."""
     relevancy = voted.relevancy
@@ -237,7 +237,7 @@ def _answer(
     )
 
 
-def _colors(field: QueriedField, camera: Camera) -> Tensor:
+def _colors(field: CodedScene, camera: Camera) -> Tensor:
     return raster.render_colors(field.gaussians, camera, field.project(camera))
 
 

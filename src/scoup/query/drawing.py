@@ -22,7 +22,7 @@ from scoup.pictures import (
 )
 from scoup.pictures.colors import Picture
 from scoup.query.answering import answer_view
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
@@ -38,7 +38,7 @@ Draw: TypeAlias = Callable[[Camera, raster.Projection], Picture]
 """Draws one view, given its camera and the field's projection to it."""
 
 
-def color_drawing(field: QueriedField, plain: bool = False) -> Draw:
+def color_drawing(field: CodedScene, plain: bool = False) -> Draw:
     """Draws the splat of a field.
 
     Args:
@@ -53,7 +53,7 @@ def color_drawing(field: QueriedField, plain: bool = False) -> Draw:
     return draw
 
 
-def relevancy_drawing(field: QueriedField, texts: TextVectors, text: str, plain: bool = False) -> Draw:
+def relevancy_drawing(field: CodedScene, texts: TextVectors, text: str, plain: bool = False) -> Draw:
     """Draws a heat map of the relevancy to the first query of ``texts``, at the level of its mask.
 
     Args:
@@ -78,7 +78,7 @@ def placed_atoms(atoms: Tensor) -> Tensor:
     return atoms @ torch.linalg.svd(atoms, full_matrices=False).Vh[:AXES].T
 
 
-def code_drawing(field: QueriedField, level: str | int, plain: bool = False) -> Draw:
+def code_drawing(field: CodedScene, level: str | int, plain: bool = False) -> Draw:
     """Draws the codes of one level as colours: the same code has the same colour in every view.
 
     Args:

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.query.answer import SceneAnswer
+from scoup.query.coded_scene import CodedScene
 from scoup.query.expression import Expression
-from scoup.query.queried_field import QueriedField
 from scoup.query.reshape import UNCHANGED, Reshaping, reshaped
 from scoup.scene.gaussians import SH_C0, Gaussians
 
@@ -20,7 +20,7 @@ Edit = Literal["keep", "remove", "recolor", "fade"]
 
 
 def combined_answer(
-    field: QueriedField,
+    field: CodedScene,
     expression: Expression,
     answers: Sequence[SceneAnswer],
     wanted: Reshaping = UNCHANGED,

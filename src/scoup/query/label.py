@@ -11,7 +11,7 @@ from torch import Tensor
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card
 from scoup.query.answering import judged_selections
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
 from scoup.query.select import Selection
 from scoup.query.text_vectors import TextVectors
 
@@ -66,7 +66,7 @@ class GaussianLabels:
 
 
 def label(
-    field: QueriedField,
+    field: CodedScene,
     texts: TextVectors,
     threshold: float | None = None,
     present_from: float | None = None,

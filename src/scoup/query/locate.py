@@ -14,7 +14,7 @@ from scoup.base.brief import brief
 from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.query.answer import SceneAnswer
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
 
 NEIGHBOURS = 8
 """Each Gaussian of an answer is linked to so many of its nearest others in the answer."""
@@ -127,7 +127,7 @@ class Location:
         }
 
 
-def location(field: QueriedField, answer: SceneAnswer) -> Location:
+def location(field: CodedScene, answer: SceneAnswer) -> Location:
     """Position and extent of what answers a query in a scene.
 
     The Gaussians of the answer fall into parts that are connected in space: each is linked to its nearest others, and

@@ -17,6 +17,7 @@ from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError, MissingFileError
 from scoup.query.answer import Answer, SceneAnswer
 from scoup.query.answering import answer_scene, answer_view
+from scoup.query.coded_scene import CodedScene
 from scoup.query.edits import combined_answer
 from scoup.query.expression import parse_expression
 from scoup.query.finding import Finding
@@ -24,7 +25,6 @@ from scoup.query.label import GaussianLabels, label
 from scoup.query.locate import Location, location
 from scoup.query.presence import compared, presence_threshold
 from scoup.query.presets import QueryPreset, query_preset
-from scoup.query.queried_field import QueriedField
 from scoup.query.reshape import UNCHANGED, Reshaping
 from scoup.query.text_vectors import TextVectors, encode_texts
 from scoup.scene.cameras import Camera
@@ -39,7 +39,7 @@ Encoder: TypeAlias = "TextEncoder | Mapping[str, Tensor | ArrayLike] | str | Pat
 """What turns texts into vectors: an encoder, a dict of name -> vector, a word table's file, or a model by its id."""
 
 
-class FieldQueries(QueriedField):
+class FieldQueries(CodedScene):
     """Methods of a field that answer texts, by the rules of `scoup query` and `scoup select`.
 
     Attributes:

@@ -30,8 +30,8 @@ from scoup import raster
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.models.words import LEAST_WORDS
+from scoup.query.coded_scene import CodedScene
 from scoup.query.presets import QueryPreset
-from scoup.query.queried_field import QueriedField
 from scoup.query.segment import Segmentation
 from scoup.query.select import Selection
 from scoup.query.text_vectors import TextVectors
@@ -162,7 +162,7 @@ def with_evidence(z_score: float, selected: Tensor) -> float:
 
 
 def view_z_scores(
-    field: QueriedField,
+    field: CodedScene,
     projection: raster.Projection,
     segmentations: Sequence[Segmentation],
     queries: Tensor,
@@ -192,7 +192,7 @@ def view_z_scores(
 
 
 def scene_z_scores(
-    field: QueriedField, selections: Iterable[Selection], queries: Tensor, words: Tensor
+    field: CodedScene, selections: Iterable[Selection], queries: Tensor, words: Tensor
 ) -> Tensor:
     """[Q] z-scores of the more relevant half of the Gaussians selected, without rendering.
 
@@ -214,7 +214,7 @@ def scene_z_scores(
     return z_scores(embeddings, queries, words)
 
 
-def mean_embedding(field: QueriedField, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
+def mean_embedding(field: CodedScene, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
     """[D] on the CPU: sum of the decoded codes of some Gaussians [M] by weights [M], at one level."""
     # On the CPU: sums by index on a GPU are not the same twice.
     atoms = rows_of(field.code_indices[:, level], gaussians).cpu().long()

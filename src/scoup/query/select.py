@@ -12,8 +12,8 @@ from torch import Tensor
 
 from scoup.base.brief import brief
 from scoup.base.errors import InputError
+from scoup.query.coded_scene import CodedScene
 from scoup.query.neighbours import Neighbourhood
-from scoup.query.queried_field import QueriedField
 from scoup.query.smoothing import rescale
 from scoup.query.stable_threshold import stable_thresholds
 
@@ -45,7 +45,7 @@ class Selection:
 
 
 def select(
-    field: QueriedField,
+    field: CodedScene,
     queries: Tensor | ArrayLike,  # [D] or [Q, D]
     canonical: Tensor | ArrayLike,  # [P, D]
     threshold: float | None = None,
@@ -86,7 +86,7 @@ def select(
 
 
 def select_each(
-    field: QueriedField,
+    field: CodedScene,
     queries: Tensor,  # [Q, D]
     canonical: Tensor,  # [P, D]
     threshold: float | None = None,

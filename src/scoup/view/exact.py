@@ -15,11 +15,11 @@ from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.pictures.overlays import heat_overlay, mask_overlay
 from scoup.query.answering import answer_view
+from scoup.query.coded_scene import CodedScene
 from scoup.query.drawing import Draw, code_drawing
 from scoup.query.locate import weighted_quantiles
 from scoup.query.presence import mean_embedding
 from scoup.query.presets import query_preset
-from scoup.query.queried_field import QueriedField
 from scoup.query.relevancy import relevancy
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
@@ -70,7 +70,7 @@ class ExactPictures:
         field: to be rendered, with its geometry.
     """
 
-    def __init__(self, field: QueriedField) -> None:
+    def __init__(self, field: CodedScene) -> None:
         self.field = field
         self._projection: tuple[str, raster.Projection] | None = None
         self._code_drawings: dict[int, Draw] = {}
@@ -106,7 +106,7 @@ class ExactPictures:
 
 
 def what_is_at(
-    field: QueriedField,
+    field: CodedScene,
     confidence: Tensor,
     camera: Camera,
     pixel: tuple[int, int],
@@ -159,7 +159,7 @@ def what_is_at(
 
 
 def _position(
-    field: QueriedField, camera: Camera, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor
+    field: CodedScene, camera: Camera, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor
 ) -> Tensor:
     """[3] float64: the point of the pixel's ray at the median depth of the weight."""
     means = field.gaussians.means[gaussians.to(field.gaussians.device)].double().cpu()

@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from scoup.query.coded_scene import CodedScene
 from scoup.query.presence import scene_z_scores, with_evidence
-from scoup.query.queried_field import QueriedField
 from scoup.query.relevancy import relevancy as relevancy_of
 from scoup.query.select import Selection, level_thresholds, select_by_relevancy
 from scoup.query.text_vectors import TextVectors
@@ -72,7 +72,7 @@ class PageAnswer:
 
 
 def scene_answers(
-    field: QueriedField, codes: UnitCodes, texts: TextVectors, present_from: float | None
+    field: CodedScene, codes: UnitCodes, texts: TextVectors, present_from: float | None
 ) -> Iterator[PageAnswer]:
     """The answer to each text, in their order.
 

@@ -13,7 +13,7 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.models.text import TextEncoder
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
 from scoup.query.text_vectors import TextVectors
 from scoup.view.packing import packed
 from scoup.view.scene_answers import PageAnswer, scene_answers
@@ -50,7 +50,7 @@ def read_words(path: str, text: str) -> tuple[str, ...]:
     return words
 
 
-def words_data(field: QueriedField, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
+def words_data(field: CodedScene, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
     """The file of words that an exported page holds (docs/formats.md, "Words of a page").
 
     Args:
@@ -86,7 +86,7 @@ def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
 
 
 def vocabulary_answers(
-    field: QueriedField,
+    field: CodedScene,
     codes: UnitCodes,
     texts: TextVectors,
     present_from: float | None,
