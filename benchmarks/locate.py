@@ -92,8 +92,7 @@ def measure(scene_name: str, n_gaussians: int) -> list[dict[str, Any]]:
         zip(scene.words.texts, torch.from_numpy(scene.words.vectors).float(), strict=True)
     )
     things = true_things(scene)
-    located = field.locate([thing.name for thing in things], encoder=encoder, always=True)
-    assert isinstance(located, list)
+    located = field.location(field.question([thing.name for thing in things], encoder=encoder, always=True))
     found = list(zip(things, located, strict=True))
     parts = {
         "strays left off": [of_part(each) for _, each in found],
@@ -185,9 +184,8 @@ def box_rows(
     for camera in scene.held_out:
         frame = scene.labelled_frame(camera.name, ("m", "l"))
         names = [label for label in frame.labels if len(frame.boxes[label]) == 1]
-        for label, answer in zip(
-            names, field.query(names, camera, encoder=encoder, always=True), strict=True
-        ):
+        question = field.question(names, encoder=encoder, always=True)
+        for label, answer in zip(names, field.answer(question, camera), strict=True):
             x0, y0, x1, y1 = frame.boxes[label][0].tolist()
             truth = (int(x0), int(y0), int(x1) + 1, int(y1) + 1)
             one = main_parts(answer.mask, answer.point or (0, 0), answer.heat, torch.inf)

@@ -178,7 +178,7 @@ def _streamed(
             check_fit=False, progress=clock,
         )  # fmt: skip
         updated = time.perf_counter()
-        field.locate(TEXTS[0], always=True)
+        field.location(field.question(TEXTS[0], always=True))
         answered = time.perf_counter()
         yield {
             "update_s": updated - started,

@@ -61,8 +61,8 @@ class LanguageField(FieldQueries):
         moved._gaussians = None if self._gaussians is None else self._gaussians.to(device)
         return moved
 
-    def select(self, chosen: Tensor | ArrayLike | slice) -> LanguageField:
-        """The field of some of the Gaussians, to be queried and saved as any other; ``field[mask]`` is the same.
+    def __getitem__(self, chosen: Tensor | ArrayLike | slice) -> LanguageField:
+        """The field of some of the Gaussians, to be queried and saved as any other.
 
         Args:
             chosen: a boolean mask [N], indices [M] in the order wanted, or a slice.
@@ -86,7 +86,7 @@ class LanguageField(FieldQueries):
             gaussians: as many as before, in the same order.
 
         Returns:
-            A field with a geometry of its own, as ``select`` gives.
+            A field with a geometry of its own, as ``field[mask]`` has.
 
         Raises:
             InputError: there are more or fewer.
@@ -108,9 +108,6 @@ class LanguageField(FieldQueries):
         made.attach(gaussians, known=True)
         made.keep_encoder_of(self)
         return made
-
-    def __getitem__(self, chosen: Tensor | ArrayLike | slice) -> LanguageField:
-        return self.select(chosen)
 
     def view(
         self,

@@ -31,7 +31,6 @@ from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.models.words import LEAST_WORDS
 from scoup.query.coded_scene import CodedScene
-from scoup.query.presets import QueryPreset
 from scoup.query.segment import Segmentation
 from scoup.query.select import Selection
 from scoup.query.text_vectors import TextVectors
@@ -69,29 +68,6 @@ def presence_threshold(texts: TextVectors, wanted: float | None = None) -> float
             "more, so add any words to the table"
         )
     return None
-
-
-def compared(
-    texts: TextVectors, preset: QueryPreset, wanted: float | None = None, always: bool = False
-) -> tuple[TextVectors, float | None]:
-    """Texts with what a preset compares them with, and the z-score from which one counts as present.
-
-    The preset "default" compares with everyday words too, and judges presence by them; the systems' presets do without
-    and find something always, unless a z-score is wanted.
-
-    Args:
-        texts: as they were encoded.
-        preset: of the query.
-        wanted: as for ``presence_threshold``.
-        always: find something for any text; the z-score is None then.
-
-    Raises:
-        InputError: as ``presence_threshold``.
-    """
-    everyday = preset.name == "default"
-    judged = not always and (wanted is not None or everyday)
-    present_from = presence_threshold(texts, wanted) if judged else None
-    return texts.with_everyday() if everyday else texts, present_from
 
 
 def other_words(queries: Tensor, words: Tensor) -> Tensor:

@@ -44,15 +44,16 @@ class Selection:
     __repr__ = brief
 
 
-def select(
+def select_each(
     field: CodedScene,
-    queries: Tensor | ArrayLike,  # [D] or [Q, D]
+    queries: Tensor | ArrayLike,  # [Q, D]
     canonical: Tensor | ArrayLike,  # [P, D]
     threshold: float | None = None,
     neighbours: int | None = None,
     rescaled: bool = True,
-) -> Tensor:
-    """The Gaussians that answer one or several queries.
+    level: str | int | None = None,
+) -> Iterator[Selection]:
+    """Yield the Gaussians that answer each of several queries, by the votes alone.
 
     Per query one level answers, after blending with neighbours if that is wanted. With a threshold given, it is the
     level with the largest relevancy, as in VALA-3D; otherwise that whose selected Gaussians have the largest mean
@@ -60,45 +61,13 @@ def select(
 
     Args:
         field: the language field; its geometry is needed only for ``neighbours``.
-        queries: [D] or [Q, D] unit-norm text embeddings.
+        queries: [Q, D] unit-norm text embeddings.
         canonical: [P, D] unit-norm embeddings of the canonical phrases.
-        threshold: a Gaussian is selected above this, 0 to 1; None: of each level the threshold at which the number of
-            Gaussians above it changes least (``scoup.query.stable_threshold``), or, if ``rescaled`` is false,
-            ``ABSOLUTE_THRESHOLD`` and the level with the largest relevancy.
-        neighbours: blend each Gaussian's relevancy half and half with the mean of so many nearest coded
-            neighbours (10 in VALA-3D); None: do not.
-        rescaled: stretch the relevancy of the level as ``rescale`` does before it meets the threshold, as in
-            VALA-3D; otherwise the threshold is on the relevancy itself, and nothing may pass it.
-
-    Returns:
-        Boolean [N], or [Q, N] for [Q, D].
+        threshold, neighbours, rescaled, level: see ``scoup.query.question.Question``; 10 neighbours in VALA-3D. Without
+            a threshold, and not rescaled, it is ``ABSOLUTE_THRESHOLD`` and the level with the largest relevancy.
 
     Raises:
         InputError: shapes do not fit, ``neighbours`` is below 1, or the threshold is not 0 to 1.
-    """
-    queries = torch.as_tensor(queries)
-    rows = queries if queries.dim() == 2 else queries[None]
-    canonical = torch.as_tensor(canonical)
-    masks = [found.mask for found in select_each(field, rows, canonical, threshold, neighbours, rescaled)]
-    if queries.dim() == 1:
-        return masks[0]
-    return torch.stack(masks) if masks else field.code_weights.new_zeros(0, len(field.code_weights)).bool()
-
-
-def select_each(
-    field: CodedScene,
-    queries: Tensor,  # [Q, D]
-    canonical: Tensor,  # [P, D]
-    threshold: float | None = None,
-    neighbours: int | None = None,
-    rescaled: bool = True,
-    level: str | int | None = None,
-) -> Iterator[Selection]:
-    """``select`` query by query, with level and relevancy; arguments and errors as there.
-
-    Args:
-        field, queries, canonical, threshold, neighbours, rescaled: see ``select``.
-        level: the one that answers, its name or position; None: as ``select`` chooses.
     """
     if neighbours is not None and neighbours < 1:
         raise InputError(f"neighbours must be at least 1, got {neighbours}")
@@ -108,7 +77,7 @@ def select_each(
     rows = slice(None) if level is None else slice(first, first + 1)
     coded = (field.code_weights > 0).any(-1).T[rows]  # [S or 1, N]
     around = Neighbourhood.of(field.gaussians.means, coded.any(0), neighbours) if neighbours else None
-    for query in queries:
+    for query in torch.as_tensor(queries):
         relevancy = field.gaussian_relevancy(query[None], canonical)[rows, 0]
         found = select_by_relevancy(relevancy, coded, around, threshold, rescaled)
         yield replace(found, level=found.level + first)
@@ -121,13 +90,13 @@ def select_by_relevancy(
     threshold: float | None = None,
     rescaled: bool = True,
 ) -> Selection:
-    """``select`` for one query from its relevancy, whatever that comes from.
+    """``select_each`` for one query from its relevancy, whatever that comes from.
 
     Args:
         relevancy: [S, N] of every Gaussian at every level.
         coded: [S, N] boolean, those that may be selected.
         around: neighbours to blend with.
-        threshold, rescaled: see ``select``.
+        threshold, rescaled: see ``select_each``.
     """
     values = relevancy if around is None else around.blend(relevancy, coded)
     masked = torch.where(coded, values, -torch.inf)
