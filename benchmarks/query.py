@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import tyro
+from torch import Tensor
 
 import scoup
 from scoup.field.language_field import LanguageField
@@ -49,6 +50,11 @@ STAGES = {
     "place and mask": "localize and segment",
     "query, new camera": "project, first relevancy, place and mask",
     "query, same camera": "further relevancy, place and mask",
+    "quarter size": "project, first relevancy, place and mask at a quarter of the width and height",
+    "location, first text": "where the first text is in the world; the field is loaded, nothing is kept yet",
+    "location, further text": "another text",
+    "location, same text": "the same text again",
+    "location, text of many": "one text of a question of 20",
     "scoup query": "the command: read the splat and the field, one text, one camera, no pictures",
 }
 WORD = "kettle"
@@ -90,7 +96,7 @@ def main(arguments: Arguments) -> dict[str, Any]:
     cameras = random_scene_cameras(4, arguments.width, arguments.height)
     field = room_field(arguments)
     with torch_threads(arguments.threads):
-        seconds = stage_seconds(field, cameras[2], arguments)
+        seconds = stage_seconds(field, cameras[2], arguments) | location_seconds(field, arguments)
     with tempfile.TemporaryDirectory() as folder:
         commands = command_seconds(field, Path(folder), arguments) if arguments.command_repeats else []
     if commands:
@@ -153,6 +159,7 @@ def stage_seconds(field: LanguageField, camera: Camera, arguments: Arguments) ->
         timed("first relevancy", field.relevancy, camera, other, canonical, projection)
         maps = timed("further relevancy", field.relevancy, camera, query, canonical, projection)
         timed("place and mask", localize_and_segment, maps[:, 0])
+        timed("quarter size", quick_look, field, camera, other, canonical, arguments.backend)
     kept = {stage: times[1:] for stage, times in timed.seconds.items()}
 
     def sums(*stages: str) -> list[float]:
@@ -163,6 +170,34 @@ def stage_seconds(field: LanguageField, camera: Camera, arguments: Arguments) ->
         "query, new camera": new,
         "query, same camera": sums("further relevancy", "place and mask"),
     }
+
+
+def quick_look(
+    field: LanguageField, camera: Camera, query: Tensor, canonical: Tensor, backend: str | None
+) -> None:
+    """Point and mask in a view of a quarter of the size."""
+    small = camera.resized(camera.width // 4, camera.height // 4)
+    maps = field.relevancy(small, query, canonical, field.project(small, backend))
+    localize_and_segment(maps[:, 0])
+
+
+def location_seconds(field: LanguageField, arguments: Arguments) -> dict[str, list[float]]:
+    """Processor seconds of questions to the scene as a whole; the first repetition is left out."""
+    words = list(dict.fromkeys([*CANONICAL_PHRASES, *EVERYDAY_WORDS]))
+    table = dict(zip(words, clip_like(len(words), seed=3), strict=True))
+    asked = words[len(CANONICAL_PHRASES) :]
+    timed = Stopwatch(time.process_time)
+    for number in range(arguments.repeats + 1):
+        fresh = field.with_gaussians(field.gaussians)
+        fresh.text_encoder(table)
+        fresh.text_encoder().everyday()
+        first, other = asked[2 * number], asked[2 * number + 1]
+        timed("location, first text", fresh.location, first)
+        timed("location, further text", fresh.location, other)
+        timed("location, same text", fresh.location, other)
+    many = fresh.question(asked[-20:])
+    timed("location, text of many", fresh.location, many)
+    return {stage: times[1:] or [times[0] / 20] for stage, times in timed.seconds.items()}
 
 
 def command_seconds(field: LanguageField, folder: Path, arguments: Arguments) -> list[float]:

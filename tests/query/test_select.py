@@ -25,9 +25,10 @@ def fake_field(relevancy: Tensor, coded: Tensor, means: Tensor) -> SimpleNamespa
         assert canonical.shape == (4, 2)
         return torch.stack([relevancy * query[0] for query in queries], 1)
 
-    weights = coded.T[:, :, None].float()  # [N, S, 1]
     return SimpleNamespace(
-        code_weights=weights, gaussian_relevancy=gaussian_relevancy, gaussians=SimpleNamespace(means=means)
+        coded_levels=lambda: coded,
+        gaussian_relevancy=gaussian_relevancy,
+        gaussians=SimpleNamespace(means=means),
     )
 
 

@@ -186,9 +186,7 @@ class _Model:
 def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
     texts = viewed.question(WORDS)
     seen: list[int] = []
-    answers = vocabulary_answers(
-        viewed.field, viewed.codes, texts, lambda stage, done, total: seen.append(done)
-    )
+    answers = vocabulary_answers(viewed.field, texts, lambda stage, done, total: seen.append(done))
     assert seen[0] == 0
     assert seen[-1] == len(WORDS)
     tensors, metadata = unpacked(words_data(viewed.field, answers))

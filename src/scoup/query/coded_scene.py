@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from numbers import Integral
 from pathlib import Path
+from typing import Any
 
 import torch
 from numpy.typing import ArrayLike
@@ -15,15 +15,18 @@ from scoup.base.arguments import check_arguments
 from scoup.base.counts import counted
 from scoup.base.errors import GeometryMismatchError, InputError
 from scoup.query.cosine_cache import CosineCache, FieldCodes
+from scoup.query.gaussian_cosines import GaussianCosines
+from scoup.query.recent import Recent
 from scoup.query.relevancy import relevancy
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import cosines_from_codes
 from scoup.scene.directions import query_vectors
 from scoup.scene.field_info import FieldInfo, check_codes, check_things
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import Things
 
 GAUSSIANS_AT_A_TIME = 65536
+MOST_QUESTIONS, MOST_BYTES = 256, 64 << 20
+"""What a field keeps at most of the questions it was asked lately, and of its answers to them."""
 
 
 class CodedScene:
@@ -75,6 +78,9 @@ class CodedScene:
         self.path: Path | None = None
         self._gaussians = None
         self._cosine_cache = CosineCache()
+        self._gaussian_cosines = GaussianCosines()
+        self._questions = Recent(MOST_QUESTIONS, MOST_BYTES)
+        self._answers = Recent(MOST_QUESTIONS, MOST_BYTES)
         if gaussians is not None:
             self.attach(gaussians)
 
@@ -114,6 +120,19 @@ class CodedScene:
     def coded(self) -> Tensor:
         """Boolean [N]: Gaussians with a code at any level."""
         return (self.code_weights > 0).flatten(1).any(1)
+
+    def coded_levels(self) -> Tensor:
+        """Boolean [S, N]: Gaussians with a code at each level; not to be changed."""
+        return self._gaussian_cosines.coded(self._codes())
+
+    def _parts(self) -> list[Any]:
+        """What answers depend on."""
+        known = self._gaussians
+        geometry = () if known is None else (known.means, known.scales, known.opacities)
+        return [self.code_indices, self.code_weights, self.codebook, self.things, *geometry]
+
+    def _codes(self) -> FieldCodes:
+        return FieldCodes(self.code_indices, self.code_weights, self.codebook)
 
     def level_index(self, level: str | int) -> int:
         """Position of a level given by name or position."""
@@ -246,7 +265,7 @@ class CodedScene:
                 field's embeddings.
         """
         both, count = self._checked_vectors(queries, canonical)
-        codes = FieldCodes(self.code_indices, self.code_weights, self.codebook)
+        codes = self._codes()
         if projection is None:
             cosines = raster.render_cosines(
                 self.project(camera), codes.indices, codes.weights, codes.codebook, both
@@ -257,6 +276,8 @@ class CodedScene:
     def gaussian_relevancy(self, queries: Tensor | ArrayLike, canonical: Tensor | ArrayLike) -> Tensor:
         """Relevancy of every Gaussian's own code, without rendering: [S, Q, N] float32; 0.5 without a code.
 
+        What depends on the codes and the phrases alone is kept for the next call.
+
         Args:
             queries, canonical: as for ``relevancy``.
 
@@ -264,12 +285,7 @@ class CodedScene:
             InputError: as ``relevancy``.
         """
         both, count = self._checked_vectors(queries, canonical)
-        out = torch.empty(len(self.levels), count, len(self), device=both.device)
-        for level, atoms in enumerate(self.codebook):
-            for rows, dense in self._dense_codes(level):
-                cosines = cosines_from_codes(dense, atoms, both).T[None]
-                out[level, :, rows] = relevancy(cosines[:, :count], cosines[:, count:])[0]
-        return out
+        return self._gaussian_cosines.relevancy(self._codes(), both[:count], both[count:])
 
     def gaussian_features(self, level: str | int) -> Tensor:
         """The decoded codes of all Gaussians at one level: [N, D] float32, unit norm; zero without a code.
@@ -279,17 +295,13 @@ class CodedScene:
         """
         index = self.level_index(level)
         out = torch.empty(len(self), self.dim, device=self.codebook.device)
-        for rows, dense in self._dense_codes(index):
-            out[rows] = torch.nn.functional.normalize(dense @ self.codebook[index], dim=1)
-        return out
-
-    def _dense_codes(self, level: int) -> Iterator[tuple[slice, Tensor]]:
-        """The codes of one level as [M, L] float32, some Gaussians at a time, with their rows."""
         for start in range(0, len(self), GAUSSIANS_AT_A_TIME):
             rows = slice(start, start + GAUSSIANS_AT_A_TIME)
-            indices, weights = self.code_indices[rows, level].long(), self.code_weights[rows, level]
+            indices, weights = self.code_indices[rows, index].long(), self.code_weights[rows, index]
             dense = torch.zeros(len(indices), self.n_atoms, device=self.codebook.device)
-            yield rows, dense.scatter_add_(1, indices, weights.float())
+            dense.scatter_add_(1, indices, weights.float())
+            out[rows] = torch.nn.functional.normalize(dense @ self.codebook[index], dim=1)
+        return out
 
     def _checked_vectors(
         self, queries: Tensor | ArrayLike, canonical: Tensor | ArrayLike

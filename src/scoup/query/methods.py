@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import copy
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, overload
@@ -18,6 +19,7 @@ from scoup.base.errors import InputError, MissingFileError
 from scoup.query.answer import Answer, SceneAnswer
 from scoup.query.answering import answer_scene, answer_view
 from scoup.query.coded_scene import CodedScene
+from scoup.query.cosine_cache import versions
 from scoup.query.edits import combined_answer
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.finding import Finding
@@ -28,7 +30,7 @@ from scoup.query.presets import QueryPreset, query_preset
 from scoup.query.question import Question
 from scoup.query.reshape import UNCHANGED, Reshaping
 from scoup.query.text_vectors import TextVectors, encode_texts
-from scoup.scene.cameras import Camera
+from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.directions import query_vectors
 
 if TYPE_CHECKING:
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 
 Texts: TypeAlias = "str | Sequence[str] | Tensor | np.ndarray"
 """One text or several, or vectors [D] or [Q, D] in their place."""
+MOST_TEXTS = 16  # of a question that is kept
 View: TypeAlias = "Camera | str | int"
 """A camera, or its name or position among a field's."""
 Encoder: TypeAlias = "TextEncoder | Mapping[str, Tensor | ArrayLike] | str | Path"
@@ -103,6 +106,7 @@ class FieldQueries(CodedScene):
         if isinstance(encoder, TextEncoder):
             self._encoder = encoder
         elif self._encoder is None or not name or name != self._encoder_name:
+            self._questions.clear()
             self._encoder = TextEncoder.open(encoder, device=self.codebook.device)
         self._encoder_name = name
         return self._encoder
@@ -149,15 +153,20 @@ class FieldQueries(CodedScene):
             1
         """
         check_arguments("question", preset=(preset, (str, QueryPreset)))
+        source = self.text_encoder(encoder)
+        key = _key(texts, source, preset, always, present_from, threshold, rescaled, neighbours, level)
+        known = None if key is None else self._questions.get(key)
+        if known is not None:
+            return known
         preset = query_preset(preset) if isinstance(preset, str) else preset
         if threshold is not None:
             preset = replace(preset, threshold=threshold)
         expression = texts if isinstance(texts, Expression) else None
         words = list(texts.texts) if isinstance(texts, Expression) else texts
-        vectors = self._vectors(words, encoder)
+        vectors = self._vectors(words)
         everyday = preset.name == "default"
         judged = not always and (everyday or present_from is not None)
-        return Question.from_vectors(
+        question = Question.from_vectors(
             vectors.with_everyday() if everyday else vectors,
             preset=preset,
             threshold=threshold,
@@ -168,17 +177,22 @@ class FieldQueries(CodedScene):
             neighbours=neighbours,
             level=None if level is None else self.level_index(level),
         )
+        if key is not None:
+            self._questions.keep(
+                key, question, sum(each.nbytes for each in (question.queries, question.canonical))
+            )
+        return question
 
-    def _vectors(self, texts: Texts, encoder: Encoder | None) -> TextVectors:
+    def _vectors(self, texts: Texts) -> TextVectors:
         """The vectors of texts, or vectors as they are, with what they are compared with."""
         words = [texts] if isinstance(texts, str) else texts
         if isinstance(words, (list, tuple)) and all(isinstance(word, str) for word in words):
             if not words:
                 raise InputError('give at least one text to look for, for example "kettle"')
-            return encode_texts(self.text_encoder(encoder), self, words, self._encoder_name)
+            return encode_texts(self.text_encoder(), self, words, self._encoder_name)
         queries = query_vectors(_as_vectors(texts), self.dim)
         names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
-        compared = encode_texts(self.text_encoder(encoder), self, [], self._encoder_name)
+        compared = encode_texts(self.text_encoder(), self, [], self._encoder_name)
         return replace(compared, texts=names, queries=queries)
 
     def _asked(self, question: Question | Texts) -> Question:
@@ -188,11 +202,21 @@ class FieldQueries(CodedScene):
 
     @overload
     def answer(
-        self, question: str, camera: View = 0, *, projection: raster.Projection | None = None
+        self,
+        question: str,
+        camera: View = 0,
+        *,
+        projection: raster.Projection | None = None,
+        scale: float = 1.0,
     ) -> Answer: ...
     @overload
     def answer(
-        self, question: Question | Texts, camera: View = 0, *, projection: raster.Projection | None = None
+        self,
+        question: Question | Texts,
+        camera: View = 0,
+        *,
+        projection: raster.Projection | None = None,
+        scale: float = 1.0,
     ) -> Any: ...
     def answer(
         self,
@@ -200,6 +224,7 @@ class FieldQueries(CodedScene):
         camera: View = 0,
         *,
         projection: raster.Projection | None = None,
+        scale: float = 1.0,
     ) -> Answer | list[Answer]:
         """Return where something is in one view: mask, heat map, box, point, presence.
 
@@ -208,6 +233,7 @@ class FieldQueries(CodedScene):
             camera: of the view, or its name or position among ``cameras``.
             projection: what ``field.project(camera)`` returned, if it is known: further questions with it take less
                 time.
+            scale: of the picture, for a quicker look: with 0.25 all is in pixels of a view of a quarter of the width.
 
         Returns:
             An answer, or one for each of several texts or vectors.
@@ -221,6 +247,8 @@ class FieldQueries(CodedScene):
             (True, torch.Size([30, 40]))
         """
         question = self._asked(question)
+        if scale != 1.0:
+            camera = Cameras([self.camera(camera)]).scaled(scale)[0]
         answers = answer_view(self, camera, question, projection)
         return answers[0] if question.is_single else answers
 
@@ -246,9 +274,11 @@ class FieldQueries(CodedScene):
         """
         if isinstance(question, SceneAnswer):
             return location(self, question)
-        question = self._asked(question)
-        found = [location(self, answer) for answer in answer_scene(self, question)]
-        return found[0] if question.is_single else found
+        asked = self._asked(question)
+        found = self._recent(
+            (asked, Location), lambda: [location(self, answer) for answer in answer_scene(self, asked)]
+        )
+        return found[0] if asked.is_single else found
 
     @overload
     def finding(self, question: str, cameras: Iterable[View] | None = None) -> Finding: ...
@@ -312,8 +342,11 @@ class FieldQueries(CodedScene):
                     f"select: expected an expression, got {type(question).__name__}; a part of a field is field[mask]"
                 )
             question = self.question(parse_expression(words))
-        expression = question.expression or Expression.of(question.texts)
-        return combined_answer(self, expression, answer_scene(self, question), reshaping)
+        expression, asked = question.expression or Expression.of(question.texts), question
+        return self._recent(
+            (asked, reshaping),
+            lambda: [combined_answer(self, expression, answer_scene(self, asked), reshaping)],
+        )[0]
 
     def label(self, question: Question | Texts) -> GaussianLabels:
         """Return the word that fits each Gaussian best, of several, or none of them.
@@ -329,6 +362,41 @@ class FieldQueries(CodedScene):
             ['none', 'word 1', 'word 2']
         """
         return label(self, self._asked(question))
+
+    def _recent(self, key: tuple[Any, ...], make: Callable[[], list[Any]]) -> list[Any]:
+        """A copy of what was answered to the same question a short while ago; else what ``make`` returns."""
+        parts = self._parts()  # kept with the answer, so that no other part can get the id of one
+        key = (*key, *versions(*parts))
+        known = self._answers.get(key)
+        if known is None:
+            found = make()
+            known = found, parts
+            self._answers.keep(key, known, sum(map(_bytes, found)))
+        return copy.deepcopy(known[0])
+
+
+def _key(texts: Any, *options: Any) -> tuple[Any, ...] | None:
+    """What tells questions apart; None for vectors, and for many texts, whose questions are not kept."""
+    words = tuple(texts) if isinstance(texts, (list, tuple)) else texts
+    key = type(texts), words, *options
+    try:
+        hash(key)
+    except TypeError:
+        return None
+    is_text = isinstance(words, (str, Expression))
+    is_text = is_text or (
+        isinstance(words, tuple) and len(words) <= MOST_TEXTS and all(isinstance(word, str) for word in words)
+    )
+    return key if is_text else None
+
+
+def _bytes(answer: Any) -> int:
+    """Of the tensors of an answer and of those within."""
+    if isinstance(answer, Tensor):
+        return answer.nbytes
+    if isinstance(answer, tuple):
+        return sum(map(_bytes, answer))
+    return sum(map(_bytes, vars(answer).values())) if isinstance(answer, (Location, SceneAnswer)) else 0
 
 
 def _is_single(texts: Texts) -> bool:

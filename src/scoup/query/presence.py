@@ -32,9 +32,9 @@ from scoup.base.errors import InputError
 from scoup.models.words import LEAST_WORDS
 from scoup.query.coded_scene import CodedScene
 from scoup.query.segment import Segmentation
-from scoup.query.select import Selection
+from scoup.query.select import Selection, true_rows
 from scoup.query.text_vectors import TextVectors
-from scoup.scene.codes import rows_of
+from scoup.scene.codes import signed
 
 PRESENT_FROM = 1.4
 """The z-score from which a query counts as present, unless another is given."""
@@ -183,9 +183,10 @@ def scene_z_scores(
     """
     embeddings = torch.zeros(len(queries), field.dim)
     for row, found in enumerate(selections):
-        if found.mask.any():
-            middle = found.relevancy[found.mask].median()
-            core = (found.mask & (found.relevancy >= middle)).nonzero()[:, 0]
+        selected = true_rows(found.mask)
+        if len(selected):
+            relevancy = found.relevancy[selected]
+            core = selected[relevancy >= relevancy.median()]
             embeddings[row] = mean_embedding(field, found.level, core, field.gaussians.opacities[core])
     return z_scores(embeddings, queries, words)
 
@@ -193,7 +194,7 @@ def scene_z_scores(
 def mean_embedding(field: CodedScene, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
     """[D] on the CPU: sum of the decoded codes of some Gaussians [M] by weights [M], at one level."""
     # On the CPU: sums by index on a GPU are not the same twice.
-    atoms = rows_of(field.code_indices[:, level], gaussians).cpu().long()
+    atoms = signed(field.code_indices)[gaussians, level].view(field.code_indices.dtype).cpu().long()
     shares = (field.code_weights[gaussians, level].float() * weights[:, None]).cpu()
     code = torch.bincount(atoms.flatten(), shares.flatten().double(), field.n_atoms)
     return code.float() @ field.codebook[level].cpu()

@@ -154,7 +154,7 @@ class ViewedField:
 
     def answers(self, texts: Sequence[str], always: bool = False) -> list[PageAnswer]:
         """The answers of the scene to texts."""
-        return list(scene_answers(self.field, self.codes, self.question(texts, always)))
+        return list(scene_answers(self.field, self.question(texts, always)))
 
     def picture(
         self,

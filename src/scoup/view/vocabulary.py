@@ -17,7 +17,6 @@ from scoup.query.coded_scene import CodedScene
 from scoup.query.question import Question
 from scoup.view.packing import packed
 from scoup.view.scene_answers import PageAnswer, scene_answers
-from scoup.view.unit_codes import UnitCodes
 
 AT_A_TIME = 16  # words between two reports of progress
 
@@ -86,12 +85,12 @@ def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
 
 
 def vocabulary_answers(
-    field: CodedScene, codes: UnitCodes, question: Question, progress: Progress = no_progress
+    field: CodedScene, question: Question, progress: Progress = no_progress
 ) -> list[PageAnswer]:
     """The answers to all words; arguments as for ``scene_answers``."""
     answers = []
     progress("words", 0, len(question.texts))
-    for answer in scene_answers(field, codes, question):
+    for answer in scene_answers(field, question):
         answers.append(answer)
         if len(answers) % AT_A_TIME == 0 or len(answers) == len(question.texts):
             progress("words", len(answers), len(question.texts))
