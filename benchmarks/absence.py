@@ -17,7 +17,7 @@ from benchmarks.ways import LAYOUTS, StudyOfScenes, groups_of, nested
 from scoup.models.words import with_everyday
 from scoup.query.answering import answer_view
 from scoup.query.presence import PRESENT_FROM
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import Question
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import iou
@@ -90,10 +90,10 @@ def ask(scene: AnswerScene, fitted: FittedField) -> list[Asked]:
     words = (*scene.queries, *scene.absent[:MOST])
     queries = torch.stack([scene.everyday[scene.words.index(word)] for word in words])
     canonical = with_everyday(scene.canonical, scene.everyday)
-    texts = TextVectors(words, queries, canonical, scene.everyday, scene.name)
+    question = Question(words, queries, canonical, scene.everyday, scene.name, present_from=-math.inf)
     found = []
     for (frame, view), camera in zip(scene.frames, scene.cameras, strict=True):
-        for answer in answer_view(field, camera, texts, present_from=-math.inf, projection=view):
+        for answer in answer_view(field, camera, question, view):
             assert answer.z_score is not None
             kind = OUT_OF_VIEW if answer.text in scene.queries else ABSENT
             truth = frame.masks.get(answer.text)

@@ -19,8 +19,8 @@ from scoup.query.answering import answer_view
 from scoup.query.localize import localize
 from scoup.query.presence import PRESENT_FROM
 from scoup.query.presets import QUERY_PRESETS
+from scoup.query.question import Question
 from scoup.query.segment import choose_level, level_masks
-from scoup.query.text_vectors import TextVectors
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import MethodSettings
@@ -170,8 +170,10 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
         plain = fitted.relevancy(view, queries, scene.canonical)  # [S, Q, H, W]
         beside = fitted.relevancy(view, queries, everyday)
         if field is not None:
-            texts = TextVectors(tuple(frame.labels), queries, everyday, scene.everyday, scene.name)
-            answers = answer_view(field, camera, texts, present_from=-math.inf, projection=view)
+            question = Question(
+                tuple(frame.labels), queries, everyday, scene.everyday, scene.name, present_from=-math.inf
+            )
+            answers = answer_view(field, camera, question, view)
             found = [iou(answer.mask, frame.masks[answer.text]) for answer in answers]
             scores["always"] += found
             there = [(answer.z_score or 0) >= PRESENT_FROM for answer in answers]

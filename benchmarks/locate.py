@@ -25,7 +25,7 @@ Box: TypeAlias = tuple[int, int, int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Locate(Study):
-    """Locate every object and group of a single thing by `field.locate` and the boxes of `field.query`.
+    """Locate every object and group of a single thing by `field.location` and the boxes of `field.answer`.
 
     Each scene is built by the default settings. The position is compared with the middle of the thing's true Gaussians,
     in diagonals of the box around them; extents by the ratio of the boxes' diagonals, Gaussians by intersection over
@@ -76,8 +76,7 @@ class Locate(Study):
 def in_space(scene: DemoScene, field: scoup.LanguageField, encoder: Encoder) -> Record:
     """Return errors of positions, extents and Gaussians; None where most things were not found."""
     things = true_things(scene)
-    located = field.locate(list(things), encoder=encoder, always=True)
-    assert isinstance(located, list)
+    located = field.location(field.question(list(things), encoder=encoder, always=True))
     errors, extents, overlaps = [], [], []
     for truth, place in zip(things.values(), located, strict=True):
         middle, diagonal = middle_and_diagonal(scene, truth)
@@ -105,7 +104,7 @@ def in_views(scene: DemoScene, field: scoup.LanguageField, encoder: Encoder) -> 
     for camera in scene.held_out:
         frame = scene.labelled_frame(camera.name, ("m", "l"))
         names = [label for label in frame.labels if len(frame.boxes[label]) == 1]
-        answers = field.query(names, camera, encoder=encoder, always=True)
+        answers = field.answer(field.question(names, encoder=encoder, always=True), camera)
         for label, answer in zip(names, answers, strict=True):
             x0, y0, x1, y1 = map(int, frame.boxes[label][0].tolist())
             truth = (x0, y0, x1 + 1, y1 + 1)

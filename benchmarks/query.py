@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.study import Record, Study
-from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.segment import localize_and_segment
+from scoup.scene.field_info import FieldInfo
 from scoup_lab.bench import (
     Stopwatch,
     markdown,
@@ -28,6 +28,9 @@ STAGES = {
     "place and mask": "place and mask",
     "query, new camera": "whole answer, new camera",
     "query, same camera": "whole answer, same camera",
+    "first location": "location in the scene, first text",
+    "further location": "location in the scene, further text",
+    "same location": "location in the scene, same text again",
 }
 
 
@@ -61,6 +64,9 @@ class Query(Study):
         field, camera = self._field(), random_scene_cameras(4, self.width, self.height)[2]
         count = self.repeats + 1  # the first does not count
         queries, canonical = clip_like(count, seed=1), clip_like(len(CANONICAL_PHRASES) + 1, seed=2)
+        asked = EVERYDAY_WORDS[: 2 * count]
+        names = list(dict.fromkeys([*CANONICAL_PHRASES, *EVERYDAY_WORDS]))
+        words = dict(zip(names, clip_like(len(names), seed=3), strict=True))
         clock = Stopwatch(time.process_time)
         with torch_threads(self.threads):
             for number in range(count):
@@ -69,6 +75,11 @@ class Query(Study):
                 clock("first relevancy", field.relevancy, camera, other, canonical, view)
                 maps = clock("further relevancy", field.relevancy, camera, query, canonical, view)
                 clock("place and mask", localize_and_segment, maps[:, 0])
+                fresh = field.with_gaussians(field.gaussians)
+                fresh.text_encoder(words)
+                clock("first location", fresh.location, asked[2 * number])
+                for stage in ("further location", "same location"):
+                    clock(stage, fresh.location, asked[2 * number + 1])
         least = {stage: min(times[1:]) for stage, times in clock.seconds.items()}
         least["query, new camera"] = least["project"] + least["first relevancy"] + least["place and mask"]
         least["query, same camera"] = least["further relevancy"] + least["place and mask"]
@@ -80,7 +91,10 @@ class Query(Study):
     @staticmethod
     def table(record: Record) -> str:
         least = record["least"]
-        return markdown(["", "ms"], [[said, f"{1e3 * least[name]:,.0f}"] for name, said in STAGES.items()])
+        return markdown(
+            ["", "ms"],
+            [[said, f"{1e3 * least[name]:,.0f}"] for name, said in STAGES.items() if name in least],
+        )
 
     def _field(self) -> LanguageField:
         """Return a field over the room whose codes are made up."""

@@ -14,8 +14,8 @@ from benchmarks.ways import StudyOfScenes, nested
 from scoup.models.words import with_everyday
 from scoup.query.answering import answer_scene
 from scoup.query.neighbours import Neighbourhood
+from scoup.query.question import Question
 from scoup.query.select import select_by_relevancy
-from scoup.query.text_vectors import TextVectors
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import bootstrap_interval, iou
@@ -82,8 +82,8 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
         found["best level"].append(max(iou(mask, truth) for mask in levels))
         if isinstance(fitted, FittedField):
             fitted.field.attach(scene.gaussians, known=True)
-            texts = TextVectors((label,), query[None], canonical, scene.everyday, scene.name)
-            found["asked"].append(iou(answer_scene(fitted.field, texts)[0].mask & coded.any(0), truth))
+            question = Question((label,), query[None], canonical, scene.everyday, scene.name)
+            found["asked"].append(iou(answer_scene(fitted.field, question)[0].mask & coded.any(0), truth))
         else:
             found["asked"].append(found["votes"][-1])
     return found

@@ -17,10 +17,10 @@ from typing import IO, Any
 
 import scoup
 from benchmarks.study import Record, Study
-from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.scene.field_info import FieldInfo
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 from scoup.view.viewer import Viewer

@@ -18,7 +18,7 @@ regions = scoup.load_regions(scene, cameras)
 field = scoup.build(gaussians, cameras, regions, embedding_model=words)
 
 for camera in cameras[:3]:
-    answer = field.query(thing, camera)
+    answer = field.answer(thing, camera)
     print(f"{camera.name}: pixel {answer.point}, box {answer.box}, level {answer.level}")
-place = field.locate(thing)
+place = field.location(thing)
 print(f"in the world: {place}")

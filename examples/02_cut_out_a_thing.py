@@ -10,7 +10,7 @@ import scoup
 path, words, thing, out, rest = sys.argv[1:6]
 
 field = scoup.LanguageField.load(path)
-place = field.locate(thing, encoder=words, neighbours=10)
+place = field.location(field.question(thing, encoder=words, neighbours=10))
 scoup.save_gaussians(field.gaussians.select(place.gaussians), out)
 
 others = ~place.answer.mask

@@ -45,7 +45,7 @@ for camera in cameras:
 
 field = scoup.build(gaussians, cameras, scoup.Regions.from_maps(maps), check_fit=False)
 words = {name: describe(np.array(color, float)) for name, color in COLORS.items()}
-answer = field.query(word, cameras[0], encoder=words)
+answer = field.answer(field.question(word, encoder=words), cameras[0])
 print(
     f"{word} in {answer.view}: pixel {answer.point}, {answer.coverage:.0%} of the view, level {answer.level}"
 )

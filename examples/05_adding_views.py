@@ -18,7 +18,7 @@ half = max(1, len(cameras) // 2)
 
 sums = scoup.region_sums(gaussians, cameras[:half], regions)
 field = scoup.build(gaussians, cameras[:half], regions, embedding_model=words, sums=sums)
-print(f"{half} views: {field.locate(thing)}")
+print(f"{half} views: {field.location(thing)}")
 for camera in cameras[half:]:
     field = scoup.update(field, sums, add=[camera], regions=regions, new_atoms=4)
-    print(f"{len(sums)} views: {field.locate(thing)}")
+    print(f"{len(sums)} views: {field.location(thing)}")

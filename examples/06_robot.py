@@ -13,7 +13,7 @@ import scoup
 path, words, thing, metres_per_unit = sys.argv[1:5]
 field = scoup.LanguageField.load(path)
 field.text_encoder(words)
-found = field.ask(thing)
+found = field.finding(thing)
 
 if not found.presence or found.position is None:
     print(f"{thing}: not in this scene (z-score {found.location.answer.z_score})")

@@ -11,7 +11,7 @@ from scoup.query.label_files import save_label_views, save_labels
 
 path, words, out, *names = sys.argv[1:]
 field = scoup.LanguageField.load(path)
-labels = field.label(names, encoder=words)
+labels = field.label(field.question(names, encoder=words))
 print(labels)
 outputs = ("sidecar", "ids", "glb", "clouds", "maps", "sheet")
 save_labels(field, labels, Path(out), outputs)

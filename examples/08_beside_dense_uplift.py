@@ -23,9 +23,9 @@ field = scoup.build(gaussians, cameras, regions, embedding_model=words, sums=sum
 inputs = UpliftInputs(sums, [regions.embeddings(level)[0] for level in regions.levels])
 dense = dense_uplift(inputs, MethodSettings(seed=0))
 
-texts = field.text_vectors(thing)
-sparse_relevancy = field.gaussian_relevancy(texts.queries, texts.canonical)[:, 0]
-dense_relevancy = dense.gaussian_relevancy(texts.queries, texts.canonical)[:, 0]
+question = field.question(thing)
+sparse_relevancy = field.gaussian_relevancy(question.queries, question.canonical)[:, 0]
+dense_relevancy = dense.gaussian_relevancy(question.queries, question.canonical)[:, 0]
 indices, weights = field.code_indices, field.code_weights
 size = (indices.element_size() + weights.element_size()) * indices.shape[1] * indices.shape[2]
 print(f"bytes a Gaussian: {size} sparse, {dense.bytes_per_gaussian:.0f} dense")

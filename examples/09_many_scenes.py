@@ -12,7 +12,7 @@ encoder = scoup.TextEncoder.open(words)  # once for all
 found = []
 for path in paths:
     field = scoup.LanguageField.load(path)
-    found.append((field.locate(thing, encoder=encoder), path))
+    found.append((field.location(field.question(thing, encoder=encoder)), path))
 found.sort(key=lambda pair: (pair[0].presence, pair[0].answer.z_score or pair[0].answer.score), reverse=True)
 for place, path in found:
     print(f"{path}: {place}")

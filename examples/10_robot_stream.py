@@ -50,7 +50,7 @@ for number in range(window, n_frames):
         check_fit=False,  # the build has looked whether splat and cameras belong together
     )
     updated = perf_counter()
-    place = field.locate(thing)
+    place = field.location(thing)
     answers.append(perf_counter() - updated)
     updates.append(updated - started)
     memory.append(resident_bytes() or 0)

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import torch
 
-from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 
 COUNT, LEVELS, K, ATOMS, DIM = 6, 3, 2, 4, 8

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import Question
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions
@@ -41,7 +41,7 @@ class Wall:
     thing: Tensor
     is_upper: Tensor
     vectors: Tensor
-    texts: TextVectors
+    texts: Question
 
     def shows(self, camera: Camera) -> Tensor:
         """[H, W] int64: the thing of each pixel, -1 beside the wall."""
@@ -68,7 +68,7 @@ def planted_wall(views: int = 5, noise: float = 0.05, seed: int = 0) -> Wall:
     common = unit(torch.randn(DIM, generator=generator))
     vectors = unit(common + unit(torch.randn(COUNT, DIM, generator=generator)))
     words = unit(common + unit(torch.randn(40, DIM, generator=generator)))
-    texts = TextVectors(tuple("abcd"), vectors, words[:4], words[4:])
+    texts = Question(tuple("abcd"), vectors, words[:4], words[4:])
     cameras = Cameras(_camera(f"view_{i:02d}.png", 0.6 * (i / max(1, views - 1) - 0.5)) for i in range(views))
     thing = torch.bucketize(means[:, 0].contiguous(), torch.tensor(EDGES)) - 1
     wall = Wall(gaussians, cameras, Regions.from_maps({}), thing, means[:, 1] < 0, vectors, texts)

@@ -80,7 +80,8 @@ def test_adding_views(scene):
 
 def test_robot(scene, field):
     printed = example("06_robot.py", field, scene / "words.npz", "kettle", 0.5)
-    place = scoup.LanguageField.load(field).locate("kettle", encoder=scene / "words.npz")
+    loaded = scoup.LanguageField.load(field)
+    place = loaded.location(loaded.question("kettle", encoder=scene / "words.npz"))
     assert printed.startswith(f"kettle: {place.said(0.5)}")
     assert "m ahead" in printed
 

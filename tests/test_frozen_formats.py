@@ -64,7 +64,7 @@ def test_a_field_answers_as_it_did(path: Path) -> None:
     words = FORMATS / "scene" / "words.npz"
     asked = LanguageField.load(path, gaussians_of_formats())
     assert asked.things is not None
-    assert asked.query("kettle", "view_00.png", encoder=words).heat.shape == (24, 32)
+    assert asked.answer(asked.question("kettle", encoder=words), "view_00.png").heat.shape == (24, 32)
 
 
 @pytest.mark.parametrize("path", FIELDS, ids=lambda path: path.stem)

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import scoup
+from scoup.models.words import CANONICAL_PHRASES
 from support import small_scene, unit
 
 
@@ -40,9 +41,10 @@ def test_a_field_from_arrays_is_the_same_field(made):
     assert copy.gaussian_relevancy(queries.numpy(), canonical.numpy()).equal(expected)
     found = copy.relevancy(cameras[0], queries.numpy(), canonical.numpy())
     assert found.equal(field.relevancy(cameras[0], queries, canonical))
-    mask = scoup.select(field, queries.numpy(), canonical.numpy())
-    assert mask.equal(scoup.select(field, queries, canonical))
-    assert len(field[mask[0].numpy()]) == int(mask[0].sum())
+    phrases = {str(name): row for name, row in zip(CANONICAL_PHRASES, canonical.numpy(), strict=True)}
+    mask = field.select(field.question(queries.numpy(), encoder=phrases)).mask
+    assert mask.equal(field.select(field.question(queries, encoder=phrases)).mask)
+    assert len(field[mask.numpy()]) == int(mask.sum())
     maps = field.relevancy(cameras[0], queries[:1], canonical)[:, 0]
     assert scoup.localize(maps.numpy()).pixel == scoup.localize(maps).pixel
     assert scoup.segment(maps.numpy()).mask.equal(scoup.segment(maps).mask)

@@ -12,6 +12,8 @@ import scoup
 from scoup.io import save_regions
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
+from scoup.query.answering import answer_scene, answer_view
+from scoup.query.text_vectors import encode_texts
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -43,7 +45,7 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> Things:
     names = ["kettle", *CANONICAL_PHRASES]
     save_table(folder / "words.npz", names, unit(torch.eye(len(names), 16)).numpy())
     encoder = scoup.TextEncoder.open(folder / "words.npz")
-    texts = scoup.encode_texts(encoder, field, ["kettle"])
+    texts = field.question("kettle", encoder=encoder)
     return Things(gaussians, cameras, regions, field, encoder, texts, str(folder))
 
 
@@ -69,13 +71,16 @@ SWAPPED: list[tuple[Callable[[Any], Any], str]] = [
     (lambda t: api.load_regions(t.path, t.gaussians), "load_regions: the argument cameras is of type Gaussians"),
     (lambda t: api.load_regions(t.path, ["view_00.png"]), "load_regions: the argument cameras is of type list"),
     (lambda t: api.save_gaussians("a.ply", t.gaussians), "save_gaussians: the argument gaussians is of type str"),
-    (lambda t: t.field.query("kettle", t.cameras, encoder=t.encoder), "the argument camera is of type Cameras"),
+    (lambda t: t.field.answer("kettle", t.cameras), "the argument camera is of type Cameras"),
     (lambda t: t.field.project(t.gaussians), "LanguageField.camera: the argument camera is of type Gaussians"),
-    (lambda t: api.answer_view(t.field, t.cameras, t.texts), "answer_view: the argument camera is of type Cameras"),
-    (lambda t: api.answer_view(t.field, t.cameras[0], ["kettle"]), "texts is of type list, expected TextVectors "
-     "(the order is field, camera, texts); get one from scoup.encode_texts(encoder, field, texts)"),
-    (lambda t: api.answer_scene(t.field, "kettle"), "answer_scene: the argument texts is of type str"),
-    (lambda t: api.encode_texts(t.field, t.encoder, ["kettle"]), "encode_texts: the argument encoder is of type"),
+    (lambda t: t.field.answer(t.cameras[0], "kettle"), "expected a text, a list of texts, or vectors"),
+    (lambda t: t.field.select(t.path, t.texts), "select: the argument reshaping is of type Question"),
+    (lambda t: t.field.select(t.gaussians.opacities > 0.5), "got Tensor; a part of a field is field[mask]"),
+    (lambda t: answer_view(t.field, t.cameras, t.texts), "answer_view: the argument camera is of type Cameras"),
+    (lambda t: answer_view(t.field, t.cameras[0], ["kettle"]), "question is of type list, expected Question "  # type: ignore
+     "(the order is field, camera, question); get one from field.question(texts)"),
+    (lambda t: answer_scene(t.field, "kettle"), "answer_scene: the argument question is of type str"),  # type: ignore
+    (lambda t: encode_texts(t.field, t.encoder, ["kettle"]), "encode_texts: the argument encoder is of type"),
     (lambda t: api.project(t.cameras[0], t.gaussians), "project: the argument gaussians is of type Camera"),
     (lambda t: api.project(t.gaussians, t.cameras), "project: the argument camera is of type Cameras"),
 ]  # fmt: skip

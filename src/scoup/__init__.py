@@ -36,17 +36,15 @@ _HOMES = {
     "follow": "scoup.uplift.edited_splat",
     "TextEncoder": "scoup.models.text",
     "Answer": "scoup.query.answer",
-    "answer_view": "scoup.query.answering",
-    "answer_scene": "scoup.query.answering",
+    "Question": "scoup.query.question",
     "Location": "scoup.query.locate",
     "Finding": "scoup.query.finding",
     "SceneAnswer": "scoup.query.answer",
     "Reshaping": "scoup.query.reshape",
     "GaussianLabels": "scoup.query.label",
-    "encode_texts": "scoup.query.text_vectors",
+    "parse_expression": "scoup.query.expression",
     "localize": "scoup.query.localize",
     "segment": "scoup.query.segment",
-    "select": "scoup.query.select",
 }
 
 __all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
@@ -65,16 +63,14 @@ if TYPE_CHECKING:
     from scoup.models.text import TextEncoder as TextEncoder
     from scoup.query.answer import Answer as Answer
     from scoup.query.answer import SceneAnswer as SceneAnswer
-    from scoup.query.answering import answer_scene as answer_scene
-    from scoup.query.answering import answer_view as answer_view
+    from scoup.query.expression import parse_expression as parse_expression
     from scoup.query.finding import Finding as Finding
     from scoup.query.label import GaussianLabels as GaussianLabels
     from scoup.query.localize import localize as localize
     from scoup.query.locate import Location as Location
+    from scoup.query.question import Question as Question
     from scoup.query.reshape import Reshaping as Reshaping
     from scoup.query.segment import segment as segment
-    from scoup.query.select import select as select
-    from scoup.query.text_vectors import encode_texts as encode_texts
     from scoup.raster import project as project
     from scoup.scene.cameras import Camera as Camera
     from scoup.scene.cameras import Cameras as Cameras

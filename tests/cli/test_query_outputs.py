@@ -28,7 +28,7 @@ def test_arrays_and_coco_hold_the_answers():
     )
     areas = {(one["image_id"], one["category_id"]): one["area"] for one in coco["annotations"]}
     for number, camera in enumerate(field.cameras or ()):
-        answers = field.query(list(TEXTS), camera)
+        answers = field.answer(list(TEXTS), camera)
         with np.load(f"a/{camera.stem}/relevancy.npz", allow_pickle=False) as arrays:
             assert arrays["texts"].tolist() == list(TEXTS)
             assert arrays["levels"].tolist() == [answer.level for answer in answers]
@@ -47,7 +47,7 @@ def test_arrays_and_coco_hold_the_answers():
 def test_python_says_what_the_command_line_says():
     record = run_json("query", "f.scoup", *TEXTS, "--camera", "all", "--out", "a")
     field = LanguageField.load("f.scoup")
-    findings = field.ask(list(TEXTS))
+    findings = field.finding(list(TEXTS))
     for number, finding in enumerate(findings):
         assert finding.text == TEXTS[number]
         assert {"text": finding.text, **finding.location.record()} == record["places"][number]
@@ -58,7 +58,7 @@ def test_python_says_what_the_command_line_says():
             assert (answer.position is None) == (position is None)
             if answer.position is not None:
                 assert answer.position.tolist() == pytest.approx(position, rel=1e-4, abs=1e-5)
-    alone = field.ask("kettle")
+    alone = field.finding("kettle")
     assert alone.location.record() == findings[0].location.record()
     assert alone.best is not None
     assert alone.best.score == max(answer.score for answer in alone.answers)

@@ -240,7 +240,7 @@ def test_python_opens_what_the_command_wrote():
     run_json("build", "scene", *QUICK, "--out", "a.scoup")
     field = LanguageField.load("a.scoup")
     text = scoup.TextEncoder.open("scene/words.npz")
-    assert scoup.select(field, text.encode(["kettle"])[0], text.encode(["object"])).shape == (150,)
+    assert field.select(field.question(text.encode(["kettle"]), encoder=text)).mask.shape == (150,)
 
 
 def test_same_permissions_as_any_other_file():

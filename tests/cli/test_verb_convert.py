@@ -32,7 +32,7 @@ def test_features_become_a_field_that_can_be_queried():
     assert (code, err) == (0, "")
     assert "new.scoup: 150 Gaussians, 8 atoms, levels m, m: mean cosine" in out
     assert run_json("info", "new.scoup")["geometry"].endswith("point_cloud.ply")
-    texts = field.text_vectors("kettle", "scene/words.npz")
+    texts = field.question("kettle", encoder="scene/words.npz")
     pair = [LanguageField.load(path).gaussian_relevancy(texts.queries, texts.canonical)[level, 0]
             for path, level in (("f.scoup", 1), ("new.scoup", 0))]  # fmt: skip
     assert torch.corrcoef(torch.stack(pair))[0, 1] > 0.9

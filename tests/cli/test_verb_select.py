@@ -123,7 +123,7 @@ def test_the_threshold_is_said_and_without_one_is_the_most_stable():
     assert thresholds("--threshold", "0.55") == {"kettle": 0.55, "mug": 0.55}
     assert thresholds("--absolute", "--always") == {"kettle": 0.6, "mug": 0.6}
     field = LanguageField.load("f.scoup")
-    assert field.locate("mug").record()["threshold"] == stable["mug"]
+    assert field.location("mug").record()["threshold"] == stable["mug"]
 
 
 def test_nothing_to_write():
@@ -155,7 +155,7 @@ def test_a_level_of_ones_own():
     }
     field = LanguageField.load("f.scoup")
     for level, count in counts.items():
-        assert count == int(field.locate("kettle", level=level).answer.mask.sum())
+        assert count == int(field.location(field.question("kettle", level=level)).answer.mask.sum())
     assert len(set(counts.values())) > 1
     assert "there is no level 'x'" in refused("select", "f.scoup", "kettle", "--out", "x.ply", "--level", "x")
 
@@ -201,8 +201,8 @@ def test_selections_are_reshaped(text, options, wanted):
         assert found < chosen or (wanted.largest and found == chosen)
     assert record["chosen"] == plain["chosen"]
     field = LanguageField.load("f.scoup")
-    assert record["selected"] == len(found) == int(field.find(text, reshaping=wanted).mask.sum())
-    assert field.find(text).mask.sum() == len(chosen)
+    assert record["selected"] == len(found) == int(field.select(text, wanted).mask.sum())
+    assert field.select(text).mask.sum() == len(chosen)
     out = run("select", "f.scoup", text, *options, "--out", "b.ply")[1].splitlines()
     assert any(line.endswith(f": {len(found)}") for line in out)
 

@@ -19,9 +19,9 @@ from scoup.base.errors import (
     OutputExistsError,
     ScoupError,
 )
-from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.scene.codes import SparseCodes
+from scoup.scene.field_info import FieldInfo
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from support import examples, random_gaussians, small_scene, unit

@@ -136,7 +136,7 @@ def test_some_gaussians_keep_their_owners(field: LanguageField, tmp_path: Path) 
     assert_same(LanguageField.load(tmp_path / "part.scoup").things, some.things)
     backwards = list(range(len(field)))[::-1]
     assert things_of(field[backwards]).owners.equal(things.owners.flip(0))
-    assert things_of(field.select([])).owners.shape == (0, 2)
+    assert things_of(field[[]]).owners.shape == (0, 2)
     assert with_things(field, None)[mask].things is None
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup.field.language_field import LanguageField
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import Question
 from scoup.scene.cameras import Camera
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
@@ -26,7 +26,7 @@ class Queried:
 
     field: LanguageField
     camera: Camera
-    texts: TextVectors
+    texts: Question
 
 
 @pytest.fixture(scope="session")
@@ -35,7 +35,7 @@ def queried() -> Queried:
     field = build(gaussians, cameras, regions, BuildSettings(n_atoms=8))
     vectors = random_vectors(11, 16), random_vectors(3, 16, seed=1), random_vectors(30, 16, seed=2)
     return Queried(
-        field, cameras[0], TextVectors(tuple(f"word {i}" for i in range(11)), *vectors, source="words.npz")
+        field, cameras[0], Question(tuple(f"word {i}" for i in range(11)), *vectors, source="words.npz")
     )
 
 

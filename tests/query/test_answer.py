@@ -29,7 +29,7 @@ def test_an_answer_is_point_and_mask(voted: Queried, name: str) -> None:
     """Of one level, and the point lies in the mask, where that has a pixel."""
     preset, field, texts = QUERY_PRESETS[name], voted.field, voted.texts
     maps = field.relevancy(voted.camera, texts.queries, texts.canonical, field.project(voted.camera))
-    answers = answer_view(field, voted.camera, texts, preset)
+    answers = answer_view(field, voted.camera, replace(texts, preset=preset))
     assert len(answers) == len(texts.queries)
     for relevancy, answer in zip(maps.unbind(1), answers, strict=True):
         shape = segment(relevancy, preset)
@@ -66,7 +66,7 @@ def test_what_is_absent_gets_neither_mask_nor_point(
         things = seen.masks
         scores = [one + other for one, other in zip(scores, seen.presence, strict=True)]
     middle = sorted(scores)[5]
-    answers = answer_view(field, camera, texts, present_from=middle, projection=projection)
+    answers = answer_view(field, camera, replace(texts, present_from=middle), projection)
     assert sum(answer.presence for answer in answers) == 6
     for answer, shape, z_score, thing in zip(answers, shapes, scores, things, strict=True):
         assert answer.z_score == pytest.approx(z_score, abs=1e-4)
@@ -90,8 +90,9 @@ def test_answers_of_a_scene(queried: Queried, threshold: float | None) -> None:
     found = list(select_each(field, texts.queries, texts.canonical, threshold, 10))
     scores = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
     scores = [with_evidence(score, each.mask) for score, each in zip(scores, found, strict=True)]
-    answers = answer_scene(field, texts, threshold, 10)
-    judged = answer_scene(field, texts, threshold, 10, present_from=(bound := max(-9.0, sorted(scores)[5])))
+    question = replace(texts, threshold=threshold, neighbours=10)
+    answers = answer_scene(field, question)
+    judged = answer_scene(field, replace(question, present_from=(bound := max(-9.0, sorted(scores)[5]))))
     assert sum(answer.presence for answer in judged) == sum(score >= bound for score in scores) > 1
     for each, z_score, answer, other in zip(found, scores, answers, judged, strict=True):
         assert answer.mask.equal(each.mask)
@@ -128,9 +129,9 @@ def test_presence_needs_enough_words(queried: Queried) -> None:
     few = replace(texts, everyday=texts.everyday[: LEAST_WORDS - 1])
     assert len(answer_view(queried.field, queried.camera, few)) == len(texts.queries)
     with pytest.raises(InputError, match="everyday words or more"):
-        answer_view(queried.field, queried.camera, few, present_from=2)
+        answer_view(queried.field, queried.camera, replace(few, present_from=2))
     with pytest.raises(InputError, match="everyday words or more"):
-        answer_scene(queried.field, few, present_from=2)
+        answer_scene(queried.field, replace(few, present_from=2))
 
 
 def test_the_box_and_the_crop_follow_the_main_parts() -> None:

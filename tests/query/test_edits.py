@@ -63,6 +63,7 @@ def test_an_expression_is_answered_by_its_texts(queried: Queried) -> None:
     assert found.mask.equal(masks["word 1"] & ~masks["word 2"])
     assert found.relevancy.equal(two[0].relevancy)
     assert (found.level, found.score, found.text) == (two[0].level, two[0].score, "word 1 and not word 2")
+    assert found.parts == tuple(two)
     alone = combined_answer(field, parse_expression(["word 1"]), two[:1])
     assert alone.record() == two[0].record()
     assert alone.text == "word 1"

@@ -23,6 +23,7 @@ from scoup.query.answering import answer_scene, answer_view
 from scoup.query.label import label
 from scoup.query.locate import Location, location
 from scoup.query.presence import PRESENT_FROM
+from scoup.query.question import Question
 from scoup.query.text_vectors import encode_texts
 
 WORDS = (*CANONICAL_PHRASES, *(f"word {number}" for number in range(20)))
@@ -43,16 +44,16 @@ def assert_same_answer(first: Answer, second: Answer) -> None:
 def test_a_query_is_what_the_command_line_answers(queried: Queried, table: dict[str, Tensor]) -> None:
     field, camera = queried.field, queried.camera
     texts = encode_texts(TextEncoder.open(table), field, ["word 3", "word 7"]).with_everyday()
-    expected = answer_view(field, camera, texts, present_from=PRESENT_FROM)
-    found = field.query(["word 3", "word 7"], camera.name, encoder=table)
+    expected = answer_view(field, camera, Question.from_vectors(texts, present_from=PRESENT_FROM))
+    found = field.answer(field.question(["word 3", "word 7"], encoder=table), camera.name)
     assert isinstance(found, list)
     for one, other in zip(found, expected, strict=True):
         assert_same_answer(one, other)
         assert one.z_score is not None
-    alone = field.query("word 3", 0)  # the encoder is kept
+    alone = field.answer("word 3", 0)  # the encoder is kept
     assert isinstance(alone, Answer)
     torch.testing.assert_close(alone.heat, expected[0].heat, atol=1e-5, rtol=0)
-    again = field.query("word 3", camera, projection=field.project(camera))
+    again = field.answer("word 3", camera, projection=field.project(camera))
     assert isinstance(again, Answer)
     torch.testing.assert_close(again.heat, alone.heat, atol=1e-5, rtol=0)
     assert (alone.text, alone.view) == ("word 3", camera.name)
@@ -62,69 +63,70 @@ def test_a_query_is_what_the_command_line_answers(queried: Queried, table: dict[
 
 def test_vectors_and_arrays_are_queries_too(queried: Queried, table: dict[str, Tensor]) -> None:
     field, camera = queried.field, queried.camera
-    expected = field.query("word 3", camera, encoder=table)
+    expected = field.answer(field.question("word 3", encoder=table), camera)
     assert isinstance(expected, Answer)
     vector = table["word 3"]
     for same in (vector, vector.numpy(), 10 * vector, (vector * 0.01).double(), vector[None]):
-        found = field.query(same, camera)
+        found = field.answer(same, camera)
         found = found[0] if isinstance(found, list) else found
         assert found.mask.equal(expected.mask)
         torch.testing.assert_close(found.heat, expected.heat, atol=1e-5, rtol=0)
-    several = field.query(torch.stack([vector, table["word 4"]]), camera)
+    several = field.answer(torch.stack([vector, table["word 4"]]), camera)
     assert isinstance(several, list)
     assert [answer.text for answer in several] == ["query 1", "query 2"]
     phrases = {name: table[name].numpy() for name in CANONICAL_PHRASES}
-    only = field.query(vector, camera, encoder=phrases)
+    only = field.answer(field.question(vector, encoder=phrases), camera)
     assert isinstance(only, Answer)
     assert (only.z_score, only.presence) == (None, True)  # four phrases are no words to judge presence by
 
 
 def test_rules_and_presence(queried: Queried, table: dict[str, Tensor]) -> None:
     field, camera = queried.field, queried.camera
-    plain = field.query("word 3", camera, encoder=table, preset="langsplat")
+    plain = field.answer(field.question("word 3", encoder=table, preset="langsplat"), camera)
     assert isinstance(plain, Answer)
     assert plain.z_score is None
-    absent = field.query("word 3", camera, present_from=100.0)
+    absent = field.answer(field.question("word 3", present_from=100.0), camera)
     assert isinstance(absent, Answer)
     assert not absent.presence
     assert not absent.mask.any()
-    forced = field.query("word 3", camera, always=True)
+    forced = field.answer(field.question("word 3", always=True), camera)
     assert isinstance(forced, Answer)
     assert forced.presence
     with pytest.raises(UnknownNameError, match="langsplatv2"):
-        field.query("word 3", camera, preset="langsplatv3")
+        field.answer(field.question("word 3", preset="langsplatv3"), camera)
 
 
 def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> None:
     field = queried.field
     with pytest.raises(UnknownNameError, match="word 1"):
-        field.query("wird 1", encoder=table)
+        field.answer(field.question("wird 1", encoder=table))
     with pytest.raises(UnknownNameError, match=r"view_00\.png"):
-        field.query("word 1", "view_09.png")
+        field.answer("word 1", "view_09.png")
     with pytest.raises(InputError, match="has 3"):
-        field.query("word 1", 7)
+        field.answer("word 1", 7)
     assert field.camera(np.int64(1)) is field.camera(1)  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="must be vectors"):
         field.gaussian_relevancy("word 1", ["object"])  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="at least one text"):
-        field.query([])
+        field.answer([])
     for bad in (torch.full((16,), torch.nan), torch.zeros(16), torch.ones(15), torch.ones(2, 2, 16)):
         with pytest.raises(InputError, match="queries"):
-            field.query(bad)
+            field.answer(bad)
     other = replace(field.info, embedding_model="")
     nameless = LanguageField(field.code_indices, field.code_weights, field.codebook, other, field.gaussians)
     with pytest.raises(InputError, match="names no embedding model"):
-        nameless.query("word 1", queried.camera)
+        nameless.answer("word 1", queried.camera)
     with pytest.raises(InputError, match="holds no cameras"):
-        nameless.query("word 1", encoder=table)
+        nameless.answer(nameless.question("word 1", encoder=table))
 
 
 @pytest.mark.parametrize(
     ("texts", "options", "message"),
     [
-        (["word 1", 3], {}, "give a text, a list of texts, or vectors"),
-        (None, {}, "not NoneType"),
-        ({"word 1"}, {}, "not set"),
+        (["word 1", 3], {}, "expected a text, a list of texts, or vectors"),
+        (5, {}, "or vectors .* got int 5"),
+        (None, {}, "got NoneType"),
+        ({"word 1"}, {}, "got set"),
         ("word 1", {"encoder": 3}, "encoder is of type int"),
         ("word 1", {"encoder": {"object": "abc"}}, "must hold vectors"),
         ("word 1", {"preset": None}, "preset is of type NoneType"),
@@ -136,18 +138,18 @@ def test_what_is_no_query(
 ) -> None:
     queried.field.text_encoder(table)
     with pytest.raises(InputError, match=message):
-        queried.field.query(texts, **options)  # pyright: ignore
+        queried.field.question(texts, **options)  # pyright: ignore
 
 
 def test_a_list_of_numbers_is_one_vector(queried: Queried, table: dict[str, Tensor]) -> None:
-    answer = queried.field.query(table["word 3"].tolist(), encoder=table)  # pyright: ignore
+    answer = queried.field.answer(queried.field.question(table["word 3"].tolist(), encoder=table))  # pyright: ignore
     assert isinstance(answer, Answer)
 
 
 def test_thresholds_are_shares(queried: Queried, table: dict[str, Tensor]) -> None:
     for threshold in (-0.1, 5, float("nan")):
         with pytest.raises(InputError, match="0 to 1"):
-            queried.field.locate("word 1", encoder=table, threshold=threshold)
+            queried.field.location(queried.field.question("word 1", encoder=table, threshold=threshold))
 
 
 def test_answers_are_drawn_by_the_field_s_rasteriser_and_pickled_without_it(
@@ -158,7 +160,7 @@ def test_answers_are_drawn_by_the_field_s_rasteriser_and_pickled_without_it(
         field.code_indices, field.code_weights, field.codebook,
         replace(field.info, raster_preset="gsplat"), field.gaussians, cameras=field.cameras,
     )  # fmt: skip
-    answer = other.query("word 3", encoder=table)
+    answer = other.answer(other.question("word 3", encoder=table))
     assert answer.render is not None
     expected = raster.render_colors(other.gaussians, queried.camera, other.project(queried.camera))
     assert answer.render().equal(expected)
@@ -179,38 +181,43 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     )  # fmt: skip
     named.save(tmp_path / "scene" / "f.scoup")
     loaded = LanguageField.load(tmp_path / "scene" / "f.scoup")  # the Gaussians are in the file
-    one, other = loaded.query("word 5"), field.query("word 5", encoder=table)
+    one, other = loaded.answer("word 5"), field.answer(field.question("word 5", encoder=table))
     assert isinstance(one, Answer)
     assert isinstance(other, Answer)
     assert_same_answer(one, other)
     assert loaded.text_encoder() is loaded.text_encoder()
     part = LanguageField.load(tmp_path / "scene" / "f.scoup")[:40]
-    assert part.query("word 5").view == queried.camera.name
+    assert part.answer("word 5").view == queried.camera.name
     moved = (tmp_path / "scene" / "f.scoup").rename(tmp_path / "moved.scoup")
     with pytest.raises(MissingFileError, match=r"words\.npz: is not there.*encoder="):
-        LanguageField.load(moved).query("word 5")
+        LanguageField.load(moved).answer("word 5")
     assert loaded.to("cpu") is loaded
 
 
 def test_locate_and_label_are_their_functions(queried: Queried, table: dict[str, Tensor]) -> None:
     field = queried.field
     words = ["word 1", "word 2", "word 8"]
-    texts = encode_texts(TextEncoder.open(table), field, words).with_everyday()
-    expected = [location(field, answer) for answer in answer_scene(field, texts, 0.5)]
-    located = field.locate(words, encoder=table, threshold=0.5, always=True)
+    texts = Question.from_vectors(encode_texts(TextEncoder.open(table), field, words).with_everyday())
+    expected = [location(field, answer) for answer in answer_scene(field, replace(texts, threshold=0.5))]
+    located = field.location(field.question(words, encoder=table, threshold=0.5, always=True))
     assert isinstance(located, list)
     assert [each.record() for each in located] == [each.record() for each in expected]
-    one = field.locate("word 1", threshold=0.5, present_from=100)
+    one = field.location(field.question("word 1", threshold=0.5, present_from=100))
     assert isinstance(one, Location)
     assert (one.position, one.box, one.presence, len(one.gaussians)) == (None, None, False, 0)
-    labels, same = field.label(words, always=True), label(field, texts)
+    labels, same = field.label(field.question(words, always=True)), label(field, texts)
     assert labels.ids.equal(same.ids)
     assert labels.names == tuple(words)
     # Without a threshold, each text has its most stable one.
-    (located,), (answer,) = field.locate(words[:1], always=True), answer_scene(field, texts)[:1]
+    (located,), (answer,) = (
+        field.location(field.question(words[:1], always=True)),
+        answer_scene(field, texts)[:1],
+    )
     assert located.record() == location(field, answer).record()
     assert located.answer.threshold == answer.threshold != 0.5
-    assert field.label(words, threshold=0.5, always=True).ids.equal(label(field, texts, 0.5).ids)
+    assert field.label(field.question(words, threshold=0.5, always=True)).ids.equal(
+        label(field, replace(texts, threshold=0.5)).ids
+    )
 
 
 def test_a_part_of_a_field_is_queried_alone(queried: Queried, table: dict[str, Tensor]) -> None:
@@ -223,23 +230,23 @@ def test_a_part_of_a_field_is_queried_alone(queried: Queried, table: dict[str, T
     assert part.fingerprint == field.gaussians.select(mask).fingerprint()
     places = mask.nonzero()[:, 0]
     for same in (mask.numpy(), places, places.int().numpy(), places.tolist()):
-        assert field.select(same).code_weights.equal(part.code_weights)
+        assert field[same].code_weights.equal(part.code_weights)
     vectors = table["word 3"][None], field.text_encoder().canonical()
     whole = field.gaussian_relevancy(*vectors)
     # Some processors round the last numbers of a vector differently, and where they end depends on the count.
     torch.testing.assert_close(part.gaussian_relevancy(*vectors), whole[..., mask], rtol=1e-6, atol=1e-6)
-    answer = part.query("word 3")
+    answer = part.answer("word 3")
     assert isinstance(answer, Answer)
     for bad in (mask[1:], torch.tensor([len(field)]), torch.tensor([-1]), torch.ones(3), mask[None]):
         with pytest.raises(InputError, match="Gaussians"):
-            field.select(bad)
-    nothing = field.select([])
+            field[bad]
+    nothing = field[[]]
     assert len(nothing) == 0
     assert "0 Gaussians" in nothing._repr_html_()
     assert field[10:20].fingerprint == field[list(range(10, 20))].fingerprint
     for bad in (None, "a", {1: 2}):
         with pytest.raises(InputError, match="chosen by a boolean mask"):
-            field.select(bad)  # pyright: ignore[reportArgumentType]
+            field[bad]  # pyright: ignore[reportArgumentType]
 
 
 def test_a_part_of_a_field_is_saved_with_its_gaussians(
@@ -249,7 +256,10 @@ def test_a_part_of_a_field_is_saved_with_its_gaussians(
     part.save(tmp_path / "part.scoup")
     loaded = LanguageField.load(tmp_path / "part.scoup")
     assert loaded.gaussians.fingerprint() == part.fingerprint
-    one, other = loaded.query("word 3", encoder=table), part.query("word 3", encoder=table)
+    one, other = (
+        loaded.answer(loaded.question("word 3", encoder=table)),
+        part.answer(part.question("word 3", encoder=table)),
+    )
     assert isinstance(one, Answer)
     assert isinstance(other, Answer)
     assert_same_answer(one, other)
@@ -302,18 +312,20 @@ def test_the_mean_of_everyday_words_stays_short(queried: Queried) -> None:
     assert not torch.allclose(found, other, atol=1e-4)
 
 
-def test_a_level_of_ones_own_answers(queried: Queried) -> None:
+def test_a_level_of_ones_own_answers(queried: Queried, table: dict[str, Tensor]) -> None:
     field, texts = queried.field, queried.texts
     for number, level in enumerate(field.levels):
-        answer = answer_view(field, queried.camera, texts, level=level)[0]
+        answer = answer_view(field, queried.camera, replace(texts, level=number))[0]
         assert answer.level == level
         relevancy = field.relevancy(queried.camera, texts.queries, texts.canonical)[number, 0]
         torch.testing.assert_close(answer.heat, relevancy, atol=1e-5, rtol=0)
-        place = answer_scene(field, texts, level=number)[0]
+        place = answer_scene(field, replace(texts, level=number))[0]
         assert place.level == level
         own = field.gaussian_relevancy(texts.queries[:1], texts.canonical)[number, 0]
         assert torch.equal(place.relevancy, own)
     best = answer_scene(field, texts)[0]
-    assert torch.equal(best.mask, answer_scene(field, texts, level=best.level)[0].mask)
+    assert torch.equal(
+        best.mask, answer_scene(field, replace(texts, level=field.level_index(best.level)))[0].mask
+    )
     with pytest.raises(InputError, match="no level"):
-        answer_view(field, queried.camera, texts, level="x")
+        field.question(texts.queries, level="x", encoder=TextEncoder.open(table))

@@ -20,7 +20,7 @@ from scoup.query.things import ThingFits
 @pytest.mark.parametrize("threshold", [0.3, None])
 def test_labels_are_the_best_words_of_those_that_select(voted: Queried, threshold: float | None) -> None:
     field, texts = voted.field, voted.texts
-    found = label(field, texts, threshold)
+    found = label(field, replace(texts, threshold=threshold))
     selections = list(select_each(field, texts.queries, texts.canonical, threshold))
     for row in range(len(field)):
         fitting = [number for number, each in enumerate(selections) if each.mask[row]]
@@ -57,7 +57,7 @@ def test_words_for_absent_things_label_nothing(queried: Queried, voted: Queried,
     selected = [found.mask for found, _ in judged_selections(field, texts)]
     scores = [with_evidence(*each) for each in zip(scores, selected, strict=True)]
     middle = min(score for score in scores if score > -math.inf)
-    judged = label(field, texts, present_from=middle)
+    judged = label(field, replace(texts, present_from=middle))
     assert judged.z_scores is not None
     assert judged.z_scores == pytest.approx(scores)
     assert judged.presence == tuple(score >= middle for score in scores)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.query.neighbours import Neighbourhood
-from scoup.query.select import ABSOLUTE_THRESHOLD, select, select_by_relevancy, select_each
+from scoup.query.select import ABSOLUTE_THRESHOLD, select_by_relevancy, select_each
 from scoup.query.stable_threshold import stable_thresholds
 from support import examples
 
@@ -25,9 +25,10 @@ def fake_field(relevancy: Tensor, coded: Tensor, means: Tensor) -> SimpleNamespa
         assert canonical.shape == (4, 2)
         return torch.stack([relevancy * query[0] for query in queries], 1)
 
-    weights = coded.T[:, :, None].float()  # [N, S, 1]
     return SimpleNamespace(
-        code_weights=weights, gaussian_relevancy=gaussian_relevancy, gaussians=SimpleNamespace(means=means)
+        coded_levels=lambda: coded,
+        gaussian_relevancy=gaussian_relevancy,
+        gaussians=SimpleNamespace(means=means),
     )
 
 
@@ -87,11 +88,11 @@ def test_select_equals_loops(count: int, neighbours: int | None, rescaled: bool,
     coded = torch.rand(3, count, generator=generator) < 0.6
     means = torch.randn(count, 3, generator=generator)
     field = fake_field(relevancy, coded, means)
-    chosen = select(field, torch.ones(2), torch.zeros(4, 2), 0.55, neighbours, rescaled)  # pyright: ignore
+    (chosen,) = select_each(field, torch.ones(1, 2), torch.zeros(4, 2), 0.55, neighbours, rescaled)  # pyright: ignore
     expected = literal_select(
         relevancy.double().numpy(), coded.numpy(), means.double().numpy(), 0.55, neighbours, rescaled
     )
-    assert chosen.tolist() == expected
+    assert chosen.mask.tolist() == expected
 
 
 @settings(max_examples=examples(40))
@@ -105,12 +106,10 @@ def test_without_a_threshold_it_is_the_most_stable_one(
     coded = torch.rand(3, count, generator=generator) < share
     means = torch.randn(count, 3, generator=generator)
     field = fake_field(relevancy, coded, means)
-    arguments = torch.ones(2), torch.zeros(4, 2)
-    (found,) = select_each(field, arguments[0][None], arguments[1], neighbours=neighbours)  # pyright: ignore
+    (found,) = select_each(field, torch.ones(1, 2), torch.zeros(4, 2), neighbours=neighbours)  # pyright: ignore
     expected = literal_stable_select(relevancy.numpy(), coded.numpy(), means.double().numpy(), neighbours)
     assert (found.mask.tolist(), found.level) == expected[:2]
     assert found.threshold == pytest.approx(expected[2])
-    assert select(field, *arguments, neighbours=neighbours).equal(found.mask)  # pyright: ignore
     own = found.relevancy[coded[found.level]]
     assert found.score == (float(own.max()) if len(own) else -torch.inf)
 
@@ -168,13 +167,13 @@ def test_select_many_queries_and_refusals() -> None:
         torch.tensor([[0.2, 0.9, 0.7]]), torch.tensor([[True, True, False]]), torch.zeros(3, 3)
     )
     queries = torch.tensor([[1.0, 0.0], [0.1, 0.0]])
-    chosen = select(field, queries, torch.zeros(4, 2), rescaled=False)  # pyright: ignore
-    assert chosen.tolist() == [[False, True, False], [False, False, False]]
-    assert select(field, queries[:0], torch.zeros(4, 2)).shape == (0, 3)  # pyright: ignore
+    chosen = select_each(field, queries, torch.zeros(4, 2), rescaled=False)  # pyright: ignore
+    assert [each.mask.tolist() for each in chosen] == [[False, True, False], [False, False, False]]
+    assert list(select_each(field, queries[:0], torch.zeros(4, 2))) == []  # pyright: ignore
     with pytest.raises(InputError):
-        select(field, queries[0], torch.zeros(4, 2), neighbours=0)  # pyright: ignore
+        next(select_each(field, queries, torch.zeros(4, 2), neighbours=0))  # pyright: ignore
     with pytest.raises(InputError, match="0 to 1"):
-        select(field, queries[0], torch.zeros(4, 2), 1.5)  # pyright: ignore
+        next(select_each(field, queries, torch.zeros(4, 2), 1.5))  # pyright: ignore
 
 
 def test_neighbours_at_one_place_and_not_finite() -> None:

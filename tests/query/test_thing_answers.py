@@ -19,7 +19,7 @@ from scoup.query.answer import Answer, SceneAnswer
 from scoup.query.answering import answer_scene, answer_view
 from scoup.query.presence import UPPER, other_words
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import Question
 from scoup.query.things import (
     AT_A_TIME,
     FEW_REGIONS,
@@ -288,9 +288,7 @@ def test_as_many_things_as_files_hold_fit_as_many_words_as_tables_hold() -> None
         torch.ones(count),
         torch.ones(count),
     )
-    texts = TextVectors(
-        ("a",), random_vectors(1, 4), random_vectors(4, 4, seed=1), random_vectors(n_words, 4)
-    )
+    texts = Question(("a",), random_vectors(1, 4), random_vectors(4, 4, seed=1), random_vectors(n_words, 4))
     assert ThingFits.of(things, texts).fits.shape == (count, 1)
 
 
@@ -316,7 +314,7 @@ def check_whole(answer: Answer, relevancy: Tensor) -> None:
 def test_things_answer_in_views(asked: Asked) -> None:
     field, wall = asked.field, asked.wall
     for camera in wall.cameras:
-        answers = answer_view(field, camera, wall.texts, present_from=1.5)
+        answers = answer_view(field, camera, replace(wall.texts, present_from=1.5))
         maps = field.relevancy(camera, wall.texts.queries, wall.texts.canonical)
         shows = wall.shows(camera)
         for number, answer in enumerate(answers):
@@ -334,7 +332,7 @@ def test_things_answer_in_views(asked: Asked) -> None:
 def test_things_answer_in_the_scene(asked: Asked) -> None:
     field, wall, things = asked.field, asked.wall, asked.things
     of_thing = (things.embeddings.float() @ wall.vectors.T).argmax(1)
-    for number, answer in enumerate(answer_scene(field, wall.texts, present_from=1.5)):
+    for number, answer in enumerate(answer_scene(field, replace(wall.texts, present_from=1.5))):
         level = LEVELS.index(answer.level)
         expected = things.members(((of_thing == number) & (things.levels == level)).nonzero()[:, 0])
         assert answer.mask.equal(expected)
@@ -353,11 +351,11 @@ def test_a_level_of_ones_own_answers_with_its_things(asked: Asked, number: int) 
     field, wall, things = asked.field, asked.wall, asked.things
     of_thing = (things.embeddings.float() @ wall.vectors.T).argmax(1)
     maps = field.relevancy(wall.cameras[2], wall.texts.queries, wall.texts.canonical)
-    answers = answer_view(field, 2, wall.texts, level=number)
+    answers = answer_view(field, 2, replace(wall.texts, level=number))
     for query, answer in enumerate(answers):
         check_whole(answer, maps[:, query])
         assert (answer.level, answer.threshold) == (LEVELS[number], None)
-    for query, place in enumerate(answer_scene(field, wall.texts, level=LEVELS[number])):
+    for query, place in enumerate(answer_scene(field, replace(wall.texts, level=number))):
         mine = (of_thing == query) & (things.levels == number)
         assert place.mask.equal(things.members(mine.nonzero()[:, 0]))
         assert (place.level, place.threshold) == (LEVELS[number], None)
@@ -386,20 +384,20 @@ def same_scene(one: SceneAnswer, other: SceneAnswer) -> None:
     ids=lambda each: f"{each.name}-{each.threshold}-{each.level_choice}",
 )
 def test_rules_of_choice_are_for_the_votes(asked: Asked, preset: QueryPreset) -> None:
-    texts = asked.wall.texts
     for present_from in (None, 1.0):
-        ours = answer_view(asked.field, 1, texts, preset, present_from)
-        for one, other in zip(ours, answer_view(asked.bare, 1, texts, preset, present_from), strict=True):
+        question = replace(asked.wall.texts, preset=preset, present_from=present_from)
+        ours = answer_view(asked.field, 1, question)
+        for one, other in zip(ours, answer_view(asked.bare, 1, question), strict=True):
             same_view(one, other)
             assert one.threshold is not None
 
 
 @pytest.mark.parametrize("how", [{"threshold": 0.4}, {"neighbours": 5}, {"rescaled": False}], ids=str)
 def test_selections_of_choice_are_for_the_votes(asked: Asked, how: dict) -> None:
-    texts = asked.wall.texts
     for present_from in (None, 1.0):
-        ours = answer_scene(asked.field, texts, present_from=present_from, **how)
-        votes = answer_scene(asked.bare, texts, present_from=present_from, **how)
+        question = replace(asked.wall.texts, present_from=present_from, **how)
+        ours = answer_scene(asked.field, question)
+        votes = answer_scene(asked.bare, question)
         for one, other in zip(ours, votes, strict=True):
             same_scene(one, other)
             assert one.threshold is not None
@@ -419,17 +417,19 @@ def test_texts_are_answered_alike_alone_and_together(asked: Asked) -> None:
     """Also where there are more than one pass takes."""
     wall = asked.wall
     more = torch.cat([wall.texts.queries, unit(wall.vectors + 0.5 * wall.vectors.roll(1, 0)), wall.vectors])
-    texts = replace(wall.texts, texts=tuple(f"word {i}" for i in range(len(more))), queries=more)
+    texts = replace(
+        wall.texts, texts=tuple(f"word {i}" for i in range(len(more))), queries=more, present_from=1.0
+    )
     assert len(more) > AT_A_TIME + 1
-    together = answer_view(asked.field, 3, texts, present_from=1.0)
-    in_scene = answer_scene(asked.field, texts, present_from=1.0)
+    together = answer_view(asked.field, 3, texts)
+    in_scene = answer_scene(asked.field, texts)
     for number, (in_view, place) in enumerate(zip(together, in_scene, strict=True)):
-        one = replace(texts, texts=texts.texts[number : number + 1], queries=more[number : number + 1])
-        (alone,) = answer_view(asked.field, 3, one, present_from=1.0)
+        one = texts.one(number)
+        (alone,) = answer_view(asked.field, 3, one)
         assert in_view.mask.equal(alone.mask)
         assert (in_view.level, in_view.threshold is None) == (alone.level, alone.threshold is None)
         assert in_view.z_score == pytest.approx(alone.z_score, abs=1e-3)
-        (alone_in_scene,) = answer_scene(asked.field, one, present_from=1.0)
+        (alone_in_scene,) = answer_scene(asked.field, one)
         assert place.mask.equal(alone_in_scene.mask)
         assert place.z_score == pytest.approx(alone_in_scene.z_score, abs=1e-3)
 
@@ -442,8 +442,8 @@ def test_a_thing_out_of_sight_does_not_answer(asked: Asked) -> None:
     shows = asked.wall.shows(aside)
     assert bool((shows == 0).any())
     assert not (shows == COUNT - 1).any()
-    *_, last = answer_view(asked.field, aside, asked.wall.texts, present_from=1.5)
-    first, *_ = answer_view(asked.field, aside, asked.wall.texts, present_from=1.5)
+    *_, last = answer_view(asked.field, aside, replace(asked.wall.texts, present_from=1.5))
+    first, *_ = answer_view(asked.field, aside, replace(asked.wall.texts, present_from=1.5))
     assert first.presence
     assert not last.presence
     assert last.point is None

@@ -57,7 +57,7 @@ def test_answers_know_their_position_after_the_projection_is_gone(queried: Queri
     field, camera = queried.field, queried.camera
     projection = field.project(camera)
     expected = ViewDepth(field, camera, projection)()
-    answers = answer_view(field, camera, queried.texts, projection=projection)
+    answers = answer_view(field, camera, queried.texts, projection)
     del projection
     gc.collect()
     for answer in answers:

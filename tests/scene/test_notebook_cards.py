@@ -34,7 +34,7 @@ def shown() -> dict[str, Any]:
     words = unit(torch.randn(30, 16, generator=torch.Generator().manual_seed(0)))
     names = ["object", "things", "stuff", "texture", *(f"word {number}" for number in range(26))]
     encoder = TextEncoder.open(dict(zip(names, words, strict=True)))
-    answer = field.query("word 3", encoder=encoder, always=True)
+    answer = field.answer(field.question("word 3", encoder=encoder, always=True))
     return {
         "80 Gaussians": gaussians,
         "3 cameras": cameras,
@@ -70,9 +70,9 @@ def test_every_object_has_a_card_with_a_picture_and_one_line(shown: dict[str, An
 def test_what_is_found_in_the_scene_has_a_card_without_a_picture(shown: dict[str, Any]) -> None:
     field = shown["Language field of 80 Gaussians"]
     found = (
-        field.locate("word 3", always=True),
+        field.location(field.question("word 3", always=True)),
         field.label(["word 3", "word 4"]),
-        field.locate("word 3").answer,
+        field.location("word 3").answer,
     )
     for each in found:
         assert "<table>" in each._repr_html_()

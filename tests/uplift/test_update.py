@@ -17,6 +17,7 @@ from scoup.base.native import native_core
 from scoup.coding.encode import encode
 from scoup.field.language_field import LanguageField
 from scoup.pictures.colors import code_picture
+from scoup.query.select import select_each
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.directions import normalise_embeddings
@@ -159,7 +160,7 @@ def test_a_thing_seen_only_later_is_found_with_new_atoms(
     assert contrast > 0.3
     assert contrast > contrast_without + 0.2
     # The Gaussians themselves: those of the new thing are selected, and hardly any other.
-    chosen = scoup.select(grown, wall.things[NEW], wall.canonical)
+    chosen = next(select_each(grown, wall.things[NEW][None], wall.canonical)).mask
     on_it = wall.gaussians.means[:, 0] > EDGES[NEW]
     assert float(on_it[chosen].float().mean()) > 0.9
     assert int(chosen.sum()) > 100

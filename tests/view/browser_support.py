@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from tools.chromium import program
 from torch import Tensor
 
-from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
+from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import SH_C0, Gaussians
 from scoup.scene.things import NO_THING, Things
 from scoup.view.page import PAGE_FOLDER

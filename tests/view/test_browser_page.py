@@ -96,7 +96,7 @@ def selected(
     """[N] what the page is to select, from the field's own relevancy of its Gaussians."""
     answer = viewed.answers([text])[0]
     level = answer.level if level is None else level
-    vectors, _ = viewed.texts([text])
+    vectors = viewed.question([text])
     relevancy = viewed.field.gaussian_relevancy(vectors.queries, vectors.canonical)[level, 0]
     low, high = answer.spans[level].tolist()
     least = float(answer.thresholds[level]) if threshold is None else threshold

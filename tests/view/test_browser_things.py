@@ -52,7 +52,9 @@ def selected(
     viewed: ViewedField, text: str, level: int | None = None, threshold: float | None = None
 ) -> torch.Tensor:
     """[N] what `scoup select` selects."""
-    return answer_scene(viewed.field, viewed.texts([text])[0], threshold, level=level)[0].mask
+    return answer_scene(viewed.field, viewed.question([text], always=True, threshold=threshold, level=level))[
+        0
+    ].mask
 
 
 def render(viewed: ViewedField, mask: torch.Tensor) -> Picture:

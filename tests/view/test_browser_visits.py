@@ -110,7 +110,7 @@ def test_relevancy_on_the_browsers_gpu_is_that_of_the_library(browser: Browser, 
         assert difference(white, viewed.picture(camera)) < ALIKE
         for text in ("kettle", "dishes"):
             visit.page.evaluate("texts => window.scoupViewer.ask(texts)", [text])
-            vectors, _ = viewed.texts([text])
+            vectors = viewed.question([text])
             relevancy = field.gaussian_relevancy(vectors.queries, vectors.canonical)[:, 0]
             assert float(relevancy.max() - relevancy.min()) > 0.5
             for level in range(3):
@@ -288,7 +288,7 @@ def test_on_a_telephone(browser: Browser, live: str, camera: Camera, width: int)
 
 def _selected(viewed: ViewedField, text: str, level: int, threshold: float) -> np.ndarray:
     """[N] boolean: the Gaussians that a text selects."""
-    vectors, _ = viewed.texts([text])
+    vectors = viewed.question([text])
     relevancy = viewed.field.gaussian_relevancy(vectors.queries, vectors.canonical)[level, 0]
     low, high = viewed.answers([text])[0].spans[level].tolist()
     return ((relevancy - low) / (high - low) > threshold).numpy()

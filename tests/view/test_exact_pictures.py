@@ -32,7 +32,7 @@ def camera(viewed: ViewedField) -> Camera:
 def test_pictures_are_those_of_query(viewed: ViewedField, camera: Camera) -> None:
     rgb = raster.render_colors(viewed.gaussians, camera)
     assert np.array_equal(viewed.picture(camera), as_picture(rgb))
-    answer = viewed.field.query("thing 3", camera, encoder=table())
+    answer = viewed.field.answer(viewed.field.question("thing 3", encoder=table()), camera)
     heat, mask = (viewed.picture(camera, mode, "thing 3") for mode in ("heat", "mask"))
     assert np.array_equal(heat, heat_overlay(answer.heat, rgb))
     assert np.array_equal(mask, mask_overlay(answer.mask, rgb, answer.box, answer.point))
@@ -41,7 +41,7 @@ def test_pictures_are_those_of_query(viewed: ViewedField, camera: Camera) -> Non
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_level_and_a_threshold_of_ones_own(viewed: ViewedField, camera: Camera, level: int) -> None:
-    answer = viewed.field.query("thing 3", camera, encoder=table(), level=level)
+    answer = viewed.field.answer(viewed.field.question("thing 3", encoder=table(), level=level), camera)
     assert answer.level == viewed.field.levels[level]
     rgb = raster.render_colors(viewed.gaussians, camera)
     assert np.array_equal(viewed.picture(camera, "heat", "thing 3", level), heat_overlay(answer.heat, rgb))

@@ -51,7 +51,7 @@ def test_codes_and_scores_give_the_relevancy_of_the_field() -> None:
         cosine = (own * answer.scores.numpy()[level][indices]).sum(0)
         canonical = (own[None] * tensors["canonical"][level][:, indices]).sum(1).max(0)
         found.append(1 / (1 + np.exp(-10 * (cosine - canonical))))
-    texts, _ = viewed.texts(["thing 3"])
+    texts = viewed.question(["thing 3"])
     wanted = viewed.field.gaussian_relevancy(texts.queries, texts.canonical)[:, 0, rows]
     assert np.abs(np.stack(found) - wanted.numpy()).max() < 2e-3
     assert tensors["canonical"].shape == (2, 5, 9)  # four phrases, and the mean of everyday words

@@ -25,7 +25,7 @@ def viewed() -> ViewedField:
 
 def selected(viewed: ViewedField, answer: PageAnswer, level: int, threshold: float) -> torch.Tensor:
     """What the page's shader selects."""
-    texts, _ = viewed.texts([answer.text])
+    texts = viewed.question([answer.text])
     relevancy = viewed.field.gaussian_relevancy(texts.queries, texts.canonical)[level, 0]
     low, high = answer.spans[level].tolist()
     rescaled = ((relevancy - low) / max(high - low, 1e-9)).clamp(0, 1)
@@ -35,14 +35,14 @@ def selected(viewed: ViewedField, answer: PageAnswer, level: int, threshold: flo
 @pytest.mark.parametrize("text", WORDS[:6])
 def test_level_threshold_presence_and_gaussians_are_those_of_select(viewed: ViewedField, text: str) -> None:
     answer = viewed.answers([text])[0]
-    texts, present_from = viewed.texts([text])
-    wanted = answer_scene(viewed.field, texts, present_from=present_from)[0]
+    texts = viewed.question([text])
+    wanted = answer_scene(viewed.field, texts)[0]
     assert viewed.field.levels[answer.level] == wanted.level
     assert answer.thresholds[answer.level] == pytest.approx(wanted.threshold)
     assert answer.score == pytest.approx(wanted.score, abs=1e-5)
     assert answer.present == wanted.presence
     assert answer.z_score == pytest.approx(wanted.z_score, abs=1e-3)
-    anyway = answer_scene(viewed.field, texts)[0]
+    anyway = answer_scene(viewed.field, viewed.question([text], always=True))[0]
     assert answer.gaussians == int(anyway.mask.sum())
     shown = selected(viewed, answer, answer.level, float(answer.thresholds[answer.level]))
     assert int((shown != anyway.mask).sum()) <= 1  # one on the threshold, by rounding
@@ -62,13 +62,13 @@ def members(viewed: ViewedField, things: list[int]) -> torch.Tensor:
 
 def test_things_level_presence_and_gaussians_are_those_of_select(of_things: ViewedField) -> None:
     for answer in of_things.answers(WORDS):
-        texts, present_from = of_things.texts([answer.text])
-        wanted = answer_scene(of_things.field, texts, present_from=present_from)[0]
+        texts = of_things.question([answer.text])
+        wanted = answer_scene(of_things.field, texts)[0]
         assert of_things.field.levels[answer.level] == wanted.level
         assert answer.score == pytest.approx(wanted.score, abs=1e-5)
         assert answer.present == wanted.presence
         assert answer.z_score == pytest.approx(wanted.z_score, abs=1e-3)
-        anyway = answer_scene(of_things.field, texts)[0]
+        anyway = answer_scene(of_things.field, of_things.question([answer.text], always=True))[0]
         assert answer.gaussians == int(anyway.mask.sum())
         assert (answer.chosen_things is None) == (anyway.threshold is not None)
         if answer.chosen_things is not None:
@@ -79,9 +79,9 @@ def test_things_level_presence_and_gaussians_are_those_of_select(of_things: View
 def test_things_of_each_level_are_those_of_select(of_things: ViewedField) -> None:
     by_votes = set()
     for answer in of_things.answers(WORDS):
-        texts, _ = of_things.texts([answer.text])
         for level, chosen in enumerate(answer.things):
-            wanted = answer_scene(of_things.field, texts, level=level)[0]
+            question = of_things.question([answer.text], always=True, level=level)
+            wanted = answer_scene(of_things.field, question)[0]
             by_votes.add(chosen is None)
             if chosen is not None:
                 assert wanted.threshold is None
@@ -90,7 +90,7 @@ def test_things_of_each_level_are_those_of_select(of_things: ViewedField) -> Non
             assert wanted.threshold == pytest.approx(float(answer.thresholds[level]))
     assert False in by_votes  # some are answered by things
     saved = of_things.selection(["thing 1"], 0, always=True)
-    wanted = answer_scene(of_things.field, of_things.texts(["thing 1"])[0], level=0)[0]
+    wanted = answer_scene(of_things.field, of_things.question(["thing 1"], always=True, level=0))[0]
     assert len(saved) == int(wanted.mask.sum())
 
 
@@ -122,8 +122,7 @@ def test_words_name_the_same_things() -> None:
 def test_a_level_and_a_threshold_of_ones_own(viewed: ViewedField) -> None:
     answer = viewed.answers(["thing 2"])[0]
     for level in (0, 1):
-        texts, _ = viewed.texts(["thing 2"])
-        wanted = answer_scene(viewed.field, texts, level=level)[0]
+        wanted = answer_scene(viewed.field, viewed.question(["thing 2"], always=True, level=level))[0]
         assert wanted.level == viewed.field.levels[level]
         assert wanted.threshold == pytest.approx(float(answer.thresholds[level]))
         shown = selected(viewed, answer, level, float(answer.thresholds[level]))
@@ -185,11 +184,9 @@ class _Model:
 
 
 def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
-    texts, present_from = viewed.texts(WORDS)
+    texts = viewed.question(WORDS)
     seen: list[int] = []
-    answers = vocabulary_answers(
-        viewed.field, viewed.codes, texts, present_from, lambda stage, done, total: seen.append(done)
-    )
+    answers = vocabulary_answers(viewed.field, texts, lambda stage, done, total: seen.append(done))
     assert seen[0] == 0
     assert seen[-1] == len(WORDS)
     tensors, metadata = unpacked(words_data(viewed.field, answers))

@@ -12,11 +12,11 @@ import torch
 from safetensors.numpy import load
 from torch import Tensor
 
-from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
+from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING, Things
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles

@@ -59,6 +59,11 @@ function isCertain(state: State): boolean {
   return state.absent || state.level !== null || state.threshold !== null;
 }
 
+/** A text with its options as the methods of a field take it. */
+function question(text: string, options: string[]): string {
+  return options.length ? `field.question(${[text, ...options].join(", ")})` : text;
+}
+
 export function python(settings: Settings, state: State, levels: string[], camera: string | null): string {
   const lines = ["import scoup", "", `field = scoup.LanguageField.load(${JSON.stringify(settings.field)})`];
   if (settings.text !== null) lines.push(`field.text_encoder(${JSON.stringify(settings.text)})`);
@@ -71,12 +76,12 @@ export function python(settings: Settings, state: State, levels: string[], camer
     if (level !== null) options.push(`level=${JSON.stringify(levels[level])}`);
     if (isCertain(state)) options.push("always=True");
     const text = JSON.stringify(query.answer.text);
-    lines.push("", `place = field.locate(${[text, ...options].join(", ")})`);
+    lines.push("", `place = field.location(${question(text, options)})`);
     const name = JSON.stringify(`${fileName(query.answer.text)}.scoup`);
     lines.push(rest ? "found |= place.answer.mask" : `field[place.answer.mask].save(${name})`);
     if (camera !== null) {
       const others = options.filter((option) => !option.startsWith("threshold"));
-      lines.push(`answer = field.query(${[text, JSON.stringify(camera), ...others].join(", ")})`);
+      lines.push(`answer = field.answer(${question(text, others)}, ${JSON.stringify(camera)})`);
     }
   }
   if (rest) {

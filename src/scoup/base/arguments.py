@@ -18,10 +18,10 @@ _MADE_BY = {
     "LanguageField": "scoup.LanguageField.load(path), or scoup.build",
     "RegionSums": "scoup.region_sums(gaussians, cameras, regions)",
     "TextEncoder": "scoup.TextEncoder.open(model_or_table)",
-    "TextVectors": "scoup.encode_texts(encoder, field, texts)",
+    "Question": "field.question(texts)",
 }
 """Type -> what gives one."""
-_SHOWN = {"QueriedField": "LanguageField"}
+_SHOWN = {"CodedScene": "LanguageField"}
 """Type -> the one that users know."""
 
 

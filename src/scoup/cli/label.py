@@ -65,9 +65,7 @@ class Label(TextOptions, CameraOptions):
 
     def run(self, console: Console) -> None:
         """Label and write."""
-        from scoup.query.label import label
         from scoup.query.label_files import label_files, save_label_views, save_labels
-        from scoup.query.presence import presence_threshold
 
         words = self._words()
         out = self.out or Path(f"{self.field.stem}_labels")
@@ -75,13 +73,14 @@ class Label(TextOptions, CameraOptions):
         field = self.open_field()
         cameras = self._cameras(field)
         outputs = self.outputs if cameras or self.outputs != USUAL else USUAL[:-1]
-        texts = self.encode(field, words)
-        present_from = None if self.always else presence_threshold(texts, self.presence)
+        question = self.question(
+            field, words, threshold=self.threshold, present_from=self.presence, always=self.always
+        )
         # Only the words decide the names of files, so that what cannot be written is known before the work.
         stems = unique_slugs(camera.stem for camera in cameras)
         files = label_files(words, outputs, stems)
         check_outputs(out, files, self.overwrite)
-        labels = label(field, texts.with_everyday(), self.threshold, present_from)
+        labels = field.label(question)
         with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
             save_labels(field, labels, hidden, outputs, self.gaussians)
             views = dict(zip(stems, cameras, strict=True))

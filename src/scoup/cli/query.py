@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -32,9 +33,8 @@ if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.query.answer import Answer
     from scoup.query.answer_files import AnswerFiles
-    from scoup.query.answering import AnsweredViews
     from scoup.query.locate import Location
-    from scoup.query.text_vectors import TextVectors
+    from scoup.query.question import Question
     from scoup.raster import Projection
     from scoup.scene.cameras import Camera
 
@@ -100,8 +100,6 @@ class Query(TextOptions, CameraOptions):
         """Answer every text in every view asked for, and in the world."""
         from scoup.io import write_text
         from scoup.query.answer_files import AnswerFiles
-        from scoup.query.answering import answer_views
-        from scoup.query.presence import compared
         from scoup.query.presets import query_preset
 
         check_texts(self.texts)
@@ -112,16 +110,22 @@ class Query(TextOptions, CameraOptions):
         check_outputs(out, [RECORD], self.overwrite)
         field = self.open_field()
         cameras = self.open_cameras(field)
-        texts, present_from = compared(self.encode(field, self.texts), preset, self.presence, self.always)
+        question = self.question(
+            field,
+            self.texts,
+            preset=preset,
+            present_from=self.presence,
+            always=self.always,
+            level=self.level,
+        )
         files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, self.coco)
         names = [RECORD, *files.names, *self._video_names()]
         with staged(out, names, self.overwrite) as hidden, console.progress() as progress:
-            views = answer_views(field, cameras, texts, preset, present_from, self.level)
-            views = reported(views, "query", len(cameras), progress)
-            records = self._write_views(field, views, files, hidden)
+            views = reported(cameras, "query", len(cameras), progress)
+            records = self._write_views(field, question, views, files, hidden)
             files.finish(hidden)
-            places = self._locate(field, texts, present_from)
-            videos = self._save_videos(field, texts, places, hidden, progress)
+            places = field.location(question)
+            videos = self._save_videos(field, question, places, hidden, progress)
             result: dict[str, Any] = {
                 "sheets": [(out / name).as_posix() for name in files.sheet_names],
                 "answers": records,
@@ -132,7 +136,7 @@ class Query(TextOptions, CameraOptions):
             if self.video != "none":
                 result["videos"] = [(out / name).as_posix() for name in videos]
             write_text(hidden / RECORD, json.dumps({"field": str(self.field), **result}, indent=2))
-        self._report(console, result, present_from, places)
+        self._report(console, result, question.present_from, places)
 
     def _check_options(self) -> None:
         from scoup.base.errors import InputError
@@ -150,15 +154,22 @@ class Query(TextOptions, CameraOptions):
         return self.out or Path(f"{self.field.stem}_queries")
 
     def _write_views(
-        self, field: LanguageField, views: AnsweredViews, files: AnswerFiles, hidden: Path
+        self,
+        field: LanguageField,
+        question: Question,
+        cameras: Iterable[Camera],
+        files: AnswerFiles,
+        hidden: Path,
     ) -> list[dict[str, Any]]:
-        """Write what belongs to each view; their answers as JSON values."""
+        """Answer in each view and write what belongs to it; the answers as JSON values."""
         from scoup.query.finding import answer_record
         from scoup.raster import render_colors
 
         records: list[dict[str, Any]] = []
         blind: list[Camera] = []
-        for camera, projection, answers in views:
+        for camera in cameras:
+            projection = field.project(camera)
+            answers = field.answer(question, camera, projection=projection)
             if _sees_nothing(field, projection, answers):
                 blind.append(camera)
             rgb = render_colors(field.gaussians, camera, projection).cpu() if files.needs_colors else None
@@ -169,14 +180,6 @@ class Query(TextOptions, CameraOptions):
         self.check_seen(blind, files.n_views)
         return records
 
-    def _locate(self, field: LanguageField, texts: TextVectors, present_from: float | None) -> list[Location]:
-        """Where each text is in the world."""
-        from scoup.query.answering import answer_scene
-        from scoup.query.locate import location
-
-        answers = answer_scene(field, texts, present_from=present_from, level=self.level)
-        return [location(field, answer) for answer in answers]
-
     def _video_names(self) -> list[str]:
         """Of all texts' videos; texts that are nowhere get none on a turntable."""
         names = unique_slugs(self.texts) if self.video != "none" else []
@@ -185,7 +188,7 @@ class Query(TextOptions, CameraOptions):
     def _save_videos(
         self,
         field: LanguageField,
-        texts: TextVectors,
+        question: Question,
         places: list[Location],
         hidden: Path,
         progress: Progress,
@@ -203,7 +206,7 @@ class Query(TextOptions, CameraOptions):
             if self.video == "turntable" and place.position is None:
                 continue
             moving = moving_cameras(field, place, everywhere, self.video, self.frames)
-            frames = heat_frames(field, texts.queries[number], texts.canonical, place, moving)
+            frames = heat_frames(field, question.queries[number], question.canonical, place, moving)
             save_video(
                 reported(frames, "video", len(moving), progress), hidden / name, self.frames_per_second
             )

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
@@ -15,7 +15,8 @@ from scoup.cli.options import FieldFile, OptionalPath, OptionalText, OptionGroup
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
-    from scoup.query.text_vectors import TextVectors
+    from scoup.query.expression import Expression
+    from scoup.query.question import Question
     from scoup.scene.cameras import Camera, Cameras
 
 LONGEST_SIDE = 16384  # of a picture, in pixels
@@ -139,22 +140,19 @@ class TextOptions(FieldOptions):
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
     """Turns words into vectors: a table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
-    def encode(self, field: LanguageField, texts: Sequence[str]) -> TextVectors:
-        """Vectors of the texts and of what they are compared with.
+    def question(self, field: LanguageField, texts: Sequence[str] | Expression, **options: Any) -> Question:
+        """The question that ``field.question`` makes of texts and options.
 
         Raises:
-            InputError, UnknownNameError: as ``scoup.query.text_vectors.encode_texts``; or neither the options nor
-                the field name a model or table.
+            InputError, UnknownNameError: as there; or neither the options nor the field name a model or table.
         """
         from scoup.base.errors import InputError
-        from scoup.models.text import TextEncoder
-        from scoup.query.text_vectors import encode_texts
 
         if not self.text and not field.embedding_model:
             raise InputError(f"{self.field}: names no embedding model; give a table or model with --text")
-        source = self.text or field.encoder_source
-        with TextEncoder.open(source, device=self.device) as encoder:
-            return encode_texts(encoder, field, texts, source)
+        question = field.question(texts, encoder=self.text, **options)
+        field.text_encoder().close()  # models are large
+        return question
 
 
 def check_texts(texts: tuple[str, ...]) -> None:

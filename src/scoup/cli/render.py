@@ -100,9 +100,7 @@ class Render(TextOptions, CameraOptions):
             )
         if self.query is None:
             return color_drawing(field, self.plain)
-        return relevancy_drawing(
-            field, self.encode(field, [self.query]).with_everyday(), self.query, self.plain
-        )
+        return relevancy_drawing(field, self.question(field, [self.query], always=True), self.plain)
 
 
 def _check_one_file(out: Path, cameras: list[Camera]) -> None:

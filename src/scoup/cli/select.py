@@ -17,7 +17,6 @@ from scoup.cli.query_options import CameraOptions, TextOptions, absence_message,
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.query.answer import SceneAnswer
-    from scoup.query.expression import Expression
     from scoup.query.locate import Location
     from scoup.scene.gaussians import Gaussians
 
@@ -88,9 +87,7 @@ class Select(TextOptions, CameraOptions):
     def run(self, console: Console) -> None:
         """Choose, change and write."""
         from scoup.base.errors import InputError
-        from scoup.query.edits import combined_answer
         from scoup.query.expression import parse_expression
-        from scoup.query.locate import location
         from scoup.query.reshape import Reshaping
 
         check_texts(self.texts)
@@ -101,36 +98,27 @@ class Select(TextOptions, CameraOptions):
             raise InputError("--edit ids numbers texts: give them without and, or, not, and without a shape")
         field = self.open_field()
         self._check_out(field)
-        answers, absent = self._answers(field, expression)
+        question = self.question(
+            field,
+            expression,
+            threshold=self.threshold,
+            neighbours=self.neighbours,
+            rescaled=not self.absolute,
+            present_from=self.presence,
+            always=self.always,
+            level=self.level,
+        )
+        whole = field.select(question, shape)
+        absent = [
+            f"{part.text}: {absence_message('scene', part.z_score, question.present_from)}"
+            for part in whole.parts
+            if not part.presence
+        ]
         for message in absent:
             console.say(message)
-        whole = combined_answer(field, expression, answers, shape)
         self._check_found(whole, absent)
-        written = self._write(field, whole, answers)
-        self._report(console, answers, whole, written, location(field, whole))
-
-    def _answers(self, field: LanguageField, expression: Expression) -> tuple[list[SceneAnswer], list[str]]:
-        """The answer to each text, and what is said of those that are not there."""
-        from scoup.query.answering import answer_scene
-        from scoup.query.presence import presence_threshold
-
-        texts = self.encode(field, expression.texts)
-        present_from = None if self.always else presence_threshold(texts, self.presence)
-        answers = answer_scene(
-            field,
-            texts.with_everyday(),
-            self.threshold,
-            self.neighbours or None,
-            not self.absolute,
-            present_from,
-            self.level,
-        )
-        absent = [
-            f"{answer.text}: {absence_message('scene', answer.z_score, present_from)}"
-            for answer in answers
-            if not answer.presence
-        ]
-        return answers, absent
+        written = self._write(field, whole)
+        self._report(console, whole, written, field.location(whole))
 
     def _check_options(self) -> None:
         from scoup.base.errors import InputError
@@ -198,21 +186,21 @@ class Select(TextOptions, CameraOptions):
             f"{self.out}: nothing to write, {found:,} of {counted(count, 'Gaussian')} answer; {advice}"
         )
 
-    def _write(self, field: LanguageField, whole: SceneAnswer, answers: list[SceneAnswer]) -> int:
+    def _write(self, field: LanguageField, whole: SceneAnswer) -> int:
         """Write the scene that is left, and the picture; returns the number of Gaussians written."""
         from scoup.io import save_gaussians, write_ply_table
         from scoup.query.edits import edited
         from scoup.query.splat_table import SplatTable
 
         if self.edit == "ids":
-            table = SplatTable.of(field, self.gaussians).with_ids([answer.mask for answer in answers])
+            table = SplatTable.of(field, self.gaussians).with_ids([part.mask for part in whole.parts])
             write_ply_table(table, self.out, self.overwrite)
             return len(table)
         left = edited(field.gaussians, whole.mask, self.edit, self._rgb(), self.opacity)
         self._draw(field, whole, left)
         kept = {"keep": whole.mask, "remove": ~whole.mask}.get(self.edit)
         if self.out.suffix.lower() == ".scoup":
-            edited_field = field.with_gaussians(left) if kept is None else field.select(kept)
+            edited_field = field.with_gaussians(left) if kept is None else field[kept]
             edited_field.save(self.out, self.overwrite)
         elif self._is_plain_ply():
             rows = SplatTable.of(field, self.gaussians)
@@ -235,16 +223,9 @@ class Select(TextOptions, CameraOptions):
         camera = best_camera(field, whole.mask, cameras)
         save_png(edit_picture(field, left, whole.mask, camera, whole.text), self.picture, self.overwrite)
 
-    def _report(
-        self,
-        console: Console,
-        answers: list[SceneAnswer],
-        whole: SceneAnswer,
-        written: int,
-        place: Location,
-    ) -> None:
+    def _report(self, console: Console, whole: SceneAnswer, written: int, place: Location) -> None:
         """Say what was found, where it is, and what is written."""
-        counts = {answer.text: int(answer.mask.sum()) for answer in answers}
+        counts = {part.text: int(part.mask.sum()) for part in whole.parts}
         for text, count in counts.items():
             console.say(f"{text}: {count:,} of {counted(len(whole.mask), 'Gaussian')}")
         selected = int(whole.mask.sum())
@@ -262,7 +243,7 @@ class Select(TextOptions, CameraOptions):
                 "out": self.out,
                 "written": written,
                 "chosen": counts,
-                "thresholds": {answer.text: answer.record()["threshold"] for answer in answers},
+                "thresholds": {part.text: part.record()["threshold"] for part in whole.parts},
                 "gaussians": len(whole.mask),
                 "expression": whole.text,
                 "selected": selected,

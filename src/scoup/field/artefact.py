@@ -6,9 +6,9 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from scoup.base.atomic import Move, atomic_path, check_output
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, WriteError, check_format_version
 from scoup.io.reading import safetensors_damage_named
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import index_dtype
+from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import MOST_THINGS, NO_THING, Things
 
@@ -29,27 +29,6 @@ VERSION = 1
 METADATA_KEY = "scoup"
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
 _REBUILD = "build the field again, or copy the file again if it was cut short"
-
-
-@dataclass(frozen=True)
-class FieldInfo:
-    """What a field is, without its tensors.
-
-    Attributes:
-        levels: level names, fine to coarse.
-        embedding_model: id of the model whose embeddings were coded; queries must come from the same model.
-        fingerprint: of the geometry the field belongs to (``Gaussians.fingerprint``).
-        n_gaussians: N of that geometry.
-        raster_preset: rasteriser constants the field was built with and is rendered with.
-        provenance: software version, settings, source hashes, coding reports; plain JSON values.
-    """
-
-    levels: tuple[str, ...]
-    embedding_model: str
-    fingerprint: str
-    n_gaussians: int
-    raster_preset: str = "inria"
-    provenance: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,53 +46,6 @@ class FieldParts:
     geometry_path: Path | None
     cameras: Cameras | None
     things: Things | None = None
-
-
-def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, info: FieldInfo) -> None:
-    """Check the codes of a field; see ``LanguageField``.
-
-    Raises:
-        InputError: shapes, dtypes or values do not fit together.
-    """
-    shape = tuple(code_indices.shape)
-    if len(shape) != 3 or shape != tuple(code_weights.shape) or shape[0] != info.n_gaussians:
-        raise InputError(
-            f"code indices {list(shape)} and weights {list(code_weights.shape)} must both be "
-            f"[{info.n_gaussians}, S, K]"
-        )
-    if codebook.dim() != 3 or not len(codebook) == shape[1] == len(info.levels):
-        raise InputError(
-            f"codebook {list(codebook.shape)} does not fit {shape[1]} levels of codes and "
-            f"{len(info.levels)} level names"
-        )
-    if 0 in (*shape[1:], *codebook.shape):
-        raise InputError(f"codes {list(shape)} and codebook {list(codebook.shape)} hold nothing")
-    n_atoms = codebook.shape[1]
-    if code_indices.dtype != index_dtype(n_atoms):
-        raise InputError(f"code indices are {code_indices.dtype}, expected {index_dtype(n_atoms)}")
-    # The smallest and the largest are not finite if any is not, and need no copy of the weights.
-    low, high = torch.aminmax(code_weights) if code_weights.numel() else torch.zeros(2)
-    if not torch.isfinite(codebook).all() or not bool(torch.isfinite(low) & torch.isfinite(high)):
-        raise InputError("codebook or code weights hold values that are not finite")
-    if low < 0:
-        raise InputError("a code weight is negative")
-    # torch finds no largest of uint16.
-    indices = code_indices if code_indices.dtype == torch.uint8 else code_indices.int()
-    if indices.numel() and int(indices.max()) >= n_atoms:
-        raise InputError(f"a code index is beyond the {n_atoms} atoms of the codebook")
-
-
-def check_things(things: Things, codes: Sequence[int], dim: int) -> None:
-    """Check that things belong to codes [N, S, K] and embeddings of some size.
-
-    Raises:
-        InputError: they do not.
-    """
-    if tuple(things.owners.shape) != tuple(codes[:2]) or things.embeddings.shape[1] != dim:
-        raise InputError(
-            f"things of {list(things.owners.shape)} Gaussians and levels and {things.embeddings.shape[1]} dimensions "
-            f"do not fit codes {list(codes)} of {dim} dimensions"
-        )
 
 
 def write_field(

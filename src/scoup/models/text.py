@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 import torch
@@ -46,13 +47,24 @@ class TextEncoder:
         names: those in a table or dict; None for a model, which takes any phrase.
     """
 
-    def __init__(self, name: str, dim: int, encode: Encode, names: tuple[str, ...] | None = None) -> None:
+    def __init__(
+        self, name: str, dim: int, encode: Encode | None, names: tuple[str, ...] | None = None
+    ) -> None:
         self.name = name
         self.dim = dim
         self.names = names
-        self._encode: Encode | None = encode
+        self._encode = encode
+        self._made_by: tuple[Callable[..., TextEncoder], tuple[Any, ...]] | None = None
         self._canonical: Tensor | None = None
         self._everyday: Tensor | None = None
+
+    def __reduce__(self) -> tuple[Callable[..., TextEncoder], tuple[Any, ...]]:
+        if self._encode is None or self._made_by is None:
+            return TextEncoder, (self.name, self.dim, self._encode, self.names)
+        return self._made_by  # another process opens the model again
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> TextEncoder:
+        return self  # a model is large, and nothing changes it
 
     def __repr__(self) -> str:
         what = (
@@ -112,7 +124,9 @@ class TextEncoder:
             raise ScoupError(NO_WORDS_FOR_COLORS)
         refuse_other_file(text)
         encode = _open_model(text, revision, device)
-        return cls(text, int(encode(["object"]).shape[1]), encode)
+        opened = cls(text, int(encode(["object"]).shape[1]), encode)
+        opened._made_by = TextEncoder.open, (text, revision, device)
+        return opened
 
     @classmethod
     def _of_table(cls, table: WordTable) -> TextEncoder:
@@ -129,7 +143,9 @@ class TextEncoder:
                 rows.append(row)
             return vectors[rows]
 
-        return cls(table.model, vectors.shape[1], encode, table.names)
+        opened = cls(table.model, vectors.shape[1], encode, table.names)
+        opened._made_by = TextEncoder._of_table, (table,)
+        return opened
 
     def encode(self, phrases: Sequence[str]) -> Tensor:
         """[Q, D] float32 unit vectors of the phrases, on the CPU.

@@ -66,7 +66,7 @@ class Answer:
     @property
     def position(self) -> Tensor | None:
         """[3] float64 world units, the middle of the surface that the main parts show, by its depth in the view; None
-        if the thing is not there, or its depth is not known. ``locate`` finds the thing itself, from all sides."""
+        if the thing is not there, or its depth is not known. ``location`` finds the thing itself, from all sides."""
         return None if self.depth is None else self.depth.position(self.main_parts)
 
     def __repr__(self) -> str:
@@ -158,6 +158,7 @@ class SceneAnswer:
         z_score, presence, text: as in ``Answer``.
         threshold: the Gaussians that answer are above it, on the relevancy rescaled over the Gaussians with a code at
             that level, or on the relevancy itself if that was wanted; None if that is not known.
+        parts: of an answer to an expression, those to its texts.
     """
 
     mask: Tensor  # [N]
@@ -168,6 +169,7 @@ class SceneAnswer:
     presence: bool = True
     text: str = ""
     threshold: float | None = None
+    parts: tuple[SceneAnswer, ...] = ()
 
     def __repr__(self) -> str:
         found = f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians, level {self.level}, score {self.score:.2f}"

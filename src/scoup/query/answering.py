@@ -3,71 +3,61 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from numbers import Integral
-from typing import TypeAlias
 
 from torch import Tensor
 
 from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.query.answer import Answer, SceneAnswer
+from scoup.query.coded_scene import CodedScene
 from scoup.query.localize import averaged_relevancy, best_pixel
 from scoup.query.presence import scene_z_scores, view_z_scores, with_evidence
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
-from scoup.query.queried_field import QueriedField
+from scoup.query.question import Question
 from scoup.query.segment import Segmentation, main_parts, mask_box, segment
 from scoup.query.select import Selection, select_each
-from scoup.query.text_vectors import TextVectors
 from scoup.query.things import ThingFits, thing_of_scene, things_of_view
 from scoup.query.view_depth import ViewDepth
 from scoup.scene.cameras import Camera
 
 
 def answer_view(
-    field: QueriedField,
+    field: CodedScene,
     camera: Camera | str | int,
-    texts: TextVectors,
-    preset: QueryPreset = QUERY_PRESETS["default"],
-    present_from: float | None = None,
+    question: Question,
     projection: raster.Projection | None = None,
-    level: str | int | None = None,
 ) -> list[Answer]:
-    """Where each query is in one view, and which pixels are it.
+    """Return where each text is in one view, and which pixels are it; ``field.answer`` calls this.
 
     Args:
         field: to be queried.
         camera: of the view, or its name or position among the field's.
-        texts: queries and what they are compared with (``scoup.query.text_vectors.encode_texts``);
-            ``texts.with_everyday()`` is what `scoup query` uses.
-        preset: how relevancy becomes points and masks.
-        present_from: the z-score from which a thing counts as present (``scoup.query.presence.PRESENT_FROM``); None:
-            presence is not judged, and something is found always.
-        projection: what ``field.project(camera)`` gave, if it is known; keep it for further queries.
-        level: the one that answers, its name or position; None: the preset chooses.
+        question: from ``field.question``.
+        projection: what ``field.project(camera)`` returned, if it is known; keep it for further questions.
 
     Returns:
-        One answer a query, in their order.
+        One answer per text, in their order.
 
     Raises:
         InputError: the vectors do not fit the field, there is no such level, or there are too few everyday words to
             judge presence.
     """
     place = (camera, (Camera, str, Integral))
-    check_arguments("answer_view", field=(field, QueriedField), camera=place, texts=(texts, TextVectors))
+    check_arguments("answer_view", field=(field, CodedScene), camera=place, question=(question, Question))
     camera = field.camera(camera)
     projection = field.project(camera) if projection is None else projection
-    maps = field.relevancy(camera, texts.queries, texts.canonical, projection).unbind(1)
-    chosen = None if level is None else field.level_index(level)
-    found = [_segmented(each, preset, chosen) for each in maps]
+    maps = field.relevancy(camera, question.queries, question.canonical, projection).unbind(1)
+    found = [_segmented(each, question.preset, question.level) for each in maps]
     judged: list[float | None] = [None] * len(found)
-    if present_from is not None:
-        judged = view_z_scores(field, projection, found, texts.queries, texts.everyday).tolist()
-    if field.things is not None and preset.follows_things:
-        fits = ThingFits.of(field.things, texts)
-        seen = things_of_view(fits, projection, [each.mask for each in found], chosen)
+    if question.present_from is not None:
+        judged = view_z_scores(field, projection, found, question.queries, question.everyday).tolist()
+    if field.things is not None and question.preset.follows_things:
+        fits = ThingFits.of(field.things, question)
+        seen = things_of_view(fits, projection, [each.mask for each in found], question.level)
         found = [
             each if thing is None else _of_thing(each, relevancy, *thing)
             for each, relevancy, thing in zip(found, maps, seen.masks, strict=True)
@@ -78,63 +68,33 @@ def answer_view(
     render, depth = partial(_colors, field, camera), ViewDepth(field, camera, projection)
     return [
         replace(
-            _answer(field.levels, shape, relevancy, z_score, present_from),
+            _answer(field.levels, shape, relevancy, z_score, question.present_from),
             text=text,
             view=camera.name,
             render=render,
             depth=depth,
         )
-        for text, shape, relevancy, z_score in zip(texts.texts, found, maps, judged, strict=True)
+        for text, shape, relevancy, z_score in zip(question.texts, found, maps, judged, strict=True)
     ]
 
 
-AnsweredViews: TypeAlias = "Iterator[tuple[Camera, raster.Projection, list[Answer]]]"
-"""Views one after the other: camera, the field's projection to it, one answer a query."""
-
-
-def answer_views(
-    field: QueriedField,
-    cameras: Iterable[Camera],
-    texts: TextVectors,
-    preset: QueryPreset = QUERY_PRESETS["default"],
-    present_from: float | None = None,
-    level: str | int | None = None,
-) -> AnsweredViews:
-    """``answer_view`` in one view after the other; arguments and errors as there."""
-    for camera in cameras:
-        projection = field.project(camera)
-        yield camera, projection, answer_view(field, camera, texts, preset, present_from, projection, level)
-
-
-def answer_scene(
-    field: QueriedField,
-    texts: TextVectors,
-    threshold: float | None = None,
-    neighbours: int | None = None,
-    rescaled: bool = True,
-    present_from: float | None = None,
-    level: str | int | None = None,
-) -> list[SceneAnswer]:
-    """Which Gaussians answer each query, without rendering.
+def answer_scene(field: CodedScene, question: Question) -> list[SceneAnswer]:
+    """Return which Gaussians answer each text, without rendering; ``field.select`` and ``field.location`` call this.
 
     Args:
         field: to be queried.
-        texts: as for ``answer_view``.
-        threshold, neighbours, rescaled: as for ``scoup.query.select.select``.
-        present_from: as for ``answer_view``.
-        level: the one that answers, its name or position; None: as ``select`` chooses.
+        question: from ``field.question``.
 
     Returns:
-        One answer a query, in their order.
+        One answer per text, in their order.
 
     Raises:
-        InputError: as ``answer_view``, or ``neighbours`` is below 1.
+        InputError: as ``answer_view``, or ``neighbours`` is below 0.
     """
-    check_arguments("answer_scene", field=(field, QueriedField), texts=(texts, TextVectors))
-    found = judged_selections(field, texts, threshold, neighbours, rescaled, present_from, level)
+    check_arguments("answer_scene", field=(field, CodedScene), question=(question, Question))
     answers = []
-    for text, (each, z_score) in zip(texts.texts, found, strict=True):
-        presence = _presence(z_score, present_from)
+    for text, (each, z_score) in zip(question.texts, judged_selections(field, question), strict=True):
+        presence = _presence(z_score, question.present_from)
         answers.append(
             SceneAnswer(
                 mask=each.mask.cpu() & presence,
@@ -150,33 +110,27 @@ def answer_scene(
     return answers
 
 
-def judged_selections(
-    field: QueriedField,
-    texts: TextVectors,
-    threshold: float | None = None,
-    neighbours: int | None = None,
-    rescaled: bool = True,
-    present_from: float | None = None,
-    level: str | int | None = None,
-) -> Iterator[tuple[Selection, float | None]]:
-    """What each text selects in the scene, one after the other, and how surely it is there; arguments as for
-    ``answer_scene``.
+def judged_selections(field: CodedScene, question: Question) -> Iterator[tuple[Selection, float | None]]:
+    """Yield what each text selects in the scene, and its z-score.
 
     Things answer where the field has them, unless a threshold or neighbours of choice say how the votes are read.
     """
-    things = field.things if threshold is None and neighbours is None and rescaled else None
-    fits = None if things is None else ThingFits.of(things, texts)
-    chosen = None if level is None else field.level_index(level)
-    for number, found in enumerate(
-        select_each(field, texts.queries, texts.canonical, threshold, neighbours, rescaled, level)
-    ):
-        query = texts.queries[number : number + 1]
+    threshold, neighbours = question.threshold, question.neighbours or None
+    things = field.things if threshold is None and neighbours is None and question.rescaled else None
+    fits = None if things is None else ThingFits.of(things, question)
+    found_by_votes = select_each(
+        field, question.queries, question.canonical, threshold, neighbours, question.rescaled, question.level
+    )
+    for number, found in enumerate(found_by_votes):
+        query = question.queries[number : number + 1]
         z_score = None
-        if present_from is not None:
-            z_score = float(scene_z_scores(field, [found], query, texts.everyday)[0])
+        if question.present_from is not None:
+            z_score = float(scene_z_scores(field, [found], query, question.everyday)[0])
         if fits is not None:
-            thing = thing_of_scene(fits, number, found.mask, chosen)
-            found = found if thing is None else _selected_thing(field, found, query, texts.canonical, *thing)
+            thing = thing_of_scene(fits, number, found.mask, question.level)
+            found = (
+                found if thing is None else _selected_thing(field, found, query, question.canonical, *thing)
+            )
             z_score = None if z_score is None else z_score + fits.presence(number)
         yield found, None if z_score is None else with_evidence(z_score, found.mask)
 
@@ -199,7 +153,7 @@ def _of_thing(voted: Segmentation, relevancy: Tensor, mask: Tensor, level: int) 
 
 
 def _selected_thing(
-    field: QueriedField, voted: Selection, query: Tensor, canonical: Tensor, mask: Tensor, level: int
+    field: CodedScene, voted: Selection, query: Tensor, canonical: Tensor, mask: Tensor, level: int
 ) -> Selection:
     """The Gaussians of a thing in the place of those that the votes select."""
     relevancy = voted.relevancy
@@ -237,7 +191,7 @@ def _answer(
     )
 
 
-def _colors(field: QueriedField, camera: Camera) -> Tensor:
+def _colors(field: CodedScene, camera: Camera) -> Tensor:
     return raster.render_colors(field.gaussians, camera, field.project(camera))
 
 

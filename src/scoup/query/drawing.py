@@ -22,8 +22,8 @@ from scoup.pictures import (
 )
 from scoup.pictures.colors import Picture
 from scoup.query.answering import answer_view
-from scoup.query.queried_field import QueriedField
-from scoup.query.text_vectors import TextVectors
+from scoup.query.coded_scene import CodedScene
+from scoup.query.question import Question
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
 
@@ -38,7 +38,7 @@ Draw: TypeAlias = Callable[[Camera, raster.Projection], Picture]
 """Draws one view, given its camera and the field's projection to it."""
 
 
-def color_drawing(field: QueriedField, plain: bool = False) -> Draw:
+def color_drawing(field: CodedScene, plain: bool = False) -> Draw:
     """Draws the splat of a field.
 
     Args:
@@ -53,22 +53,21 @@ def color_drawing(field: QueriedField, plain: bool = False) -> Draw:
     return draw
 
 
-def relevancy_drawing(field: QueriedField, texts: TextVectors, text: str, plain: bool = False) -> Draw:
-    """Draws a heat map of the relevancy to the first query of ``texts``, at the level of its mask.
+def relevancy_drawing(field: CodedScene, question: Question, plain: bool = False) -> Draw:
+    """Draws a heat map of the relevancy to the first text of a question, at the level of its mask.
 
     Args:
         field: to be queried.
-        texts: as for ``answer_view``.
-        text: of the query, written above.
+        question: from ``field.question``.
         plain: without title and legend.
     """
 
     def draw(camera: Camera, projection: raster.Projection) -> Picture:
-        answer = answer_view(field, camera, texts, projection=projection)[0]
+        answer = answer_view(field, camera, question, projection)[0]
         rgb = raster.render_colors(field.gaussians, camera, projection).cpu()
         if plain:
             return heat_overlay(answer.heat, rgb)
-        return heat_map(answer.heat, rgb, text, answer.level, answer.score, camera.name)
+        return heat_map(answer.heat, rgb, answer.text, answer.level, answer.score, camera.name)
 
     return draw
 
@@ -78,7 +77,7 @@ def placed_atoms(atoms: Tensor) -> Tensor:
     return atoms @ torch.linalg.svd(atoms, full_matrices=False).Vh[:AXES].T
 
 
-def code_drawing(field: QueriedField, level: str | int, plain: bool = False) -> Draw:
+def code_drawing(field: CodedScene, level: str | int, plain: bool = False) -> Draw:
     """Draws the codes of one level as colours: the same code has the same colour in every view.
 
     Args:

@@ -12,7 +12,7 @@ from scoup.base.counts import counted, spread
 from scoup.base.errors import InputError
 from scoup.pictures import as_picture, contact_sheet, mask_overlay
 from scoup.pictures.colors import Picture
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 
@@ -21,7 +21,7 @@ TRIED_SIDE = 160  # pixels of their longer side
 COVERED = 0.5  # share of a pixel's light from which it counts as painted by the selection
 
 
-def edit_picture(field: QueriedField, after: Gaussians, mask: Tensor, camera: Camera, title: str) -> Picture:
+def edit_picture(field: CodedScene, after: Gaussians, mask: Tensor, camera: Camera, title: str) -> Picture:
     """Before, selection and after beside each other.
 
     Args:
@@ -45,7 +45,7 @@ def edit_picture(field: QueriedField, after: Gaussians, mask: Tensor, camera: Ca
     return contact_sheet(tiles, ("before", "selected", "after"), 3, 1500, heading)
 
 
-def best_camera(field: QueriedField, mask: Tensor, cameras: Sequence[Camera]) -> Camera:
+def best_camera(field: CodedScene, mask: Tensor, cameras: Sequence[Camera]) -> Camera:
     """Of cameras, that in which a selection [N] paints the largest share; at most ``MOST_TRIED``, evenly spread.
 
     Raises:
@@ -61,7 +61,7 @@ def best_camera(field: QueriedField, mask: Tensor, cameras: Sequence[Camera]) ->
     return max(shares, key=lambda pair: pair[0])[1]
 
 
-def _painted(field: QueriedField, projection: raster.Projection, mask: Tensor) -> Tensor:
+def _painted(field: CodedScene, projection: raster.Projection, mask: Tensor) -> Tensor:
     """[H, W] on the CPU: the share of each pixel that the Gaussians in a mask [N] paint."""
     values = mask[:, None].float().to(field.codebook.device)
     return raster.render_channels(projection, values)[0][..., 0].cpu()

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.query.answer import SceneAnswer
+from scoup.query.coded_scene import CodedScene
 from scoup.query.expression import Expression
-from scoup.query.queried_field import QueriedField
 from scoup.query.reshape import UNCHANGED, Reshaping, reshaped
 from scoup.scene.gaussians import SH_C0, Gaussians
 
@@ -20,17 +20,17 @@ Edit = Literal["keep", "remove", "recolor", "fade"]
 
 
 def combined_answer(
-    field: QueriedField,
+    field: CodedScene,
     expression: Expression,
     answers: Sequence[SceneAnswer],
     wanted: Reshaping = UNCHANGED,
 ) -> SceneAnswer:
-    """The answer to an expression, from those to its texts.
+    """Return the answer to an expression, from those to its texts; ``field.select`` calls this.
 
     Args:
         field: that was queried.
         expression: of the texts.
-        answers: one for each of ``expression.texts`` in their order, from ``answer_scene``.
+        answers: one for each of ``expression.texts``, from ``answer_scene``.
         wanted: what is done to the selection afterwards.
 
     Returns:
@@ -46,7 +46,7 @@ def combined_answer(
         mask = reshaped(field.gaussians, mask, relevancy, wanted)
     text = best.text if len(of_text) == 1 and expression.is_plain else str(expression)
     presence = best.presence if expression.is_plain else bool(mask.any())
-    return replace(best, mask=mask, relevancy=relevancy, text=text, presence=presence)
+    return replace(best, mask=mask, relevancy=relevancy, text=text, presence=presence, parts=tuple(answers))
 
 
 def edited(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import TypeAlias
@@ -40,6 +40,11 @@ class Expression:
 
     root: Node
 
+    @classmethod
+    def of(cls, texts: Sequence[str]) -> Expression:
+        """Texts of which any may answer."""
+        return cls(texts[0] if len(texts) == 1 else Operation("or", tuple(texts)))
+
     @property
     def texts(self) -> tuple[str, ...]:
         """The texts, each once, in the order in which they stand."""
@@ -74,7 +79,11 @@ def parse_expression(words: Iterable[str]) -> Expression:
         words: each a text, an operator, or an expression.
 
     Raises:
-        InputError: it is no expression.
+        InputError: it is not an expression.
+
+    Example:
+        >>> scoup.parse_expression(["mug and not handle", "plate"]).texts
+        ('mug', 'handle', 'plate')
     """
     given = list(words)
     tokens: list[str] = []

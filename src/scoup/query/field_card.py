@@ -6,11 +6,11 @@ from scoup.base.counts import listed
 from scoup.base.errors import InputError
 from scoup.base.html import PREVIEW, card
 from scoup.pictures.colors import Picture
+from scoup.query.coded_scene import CodedScene
 from scoup.query.drawing import code_drawing
-from scoup.query.queried_field import QueriedField
 
 
-def field_card(field: QueriedField) -> str:
+def field_card(field: CodedScene) -> str:
     """HTML: the codes in one view, and what the field consists of."""
     names = () if field.cameras is None else field.cameras.names
     facts = {
@@ -23,7 +23,7 @@ def field_card(field: QueriedField) -> str:
     return card(f"Language field of {len(field):,} Gaussians", facts, _codes(field))
 
 
-def _codes(field: QueriedField) -> Picture | None:
+def _codes(field: CodedScene) -> Picture | None:
     """The codes of the middle level in the first camera; None if there is no camera or no geometry."""
     if field.cameras is None or not len(field.cameras) or not len(field):
         return None

@@ -11,9 +11,9 @@ from torch import Tensor
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card
 from scoup.query.answering import judged_selections
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
+from scoup.query.question import Question
 from scoup.query.select import Selection
-from scoup.query.text_vectors import TextVectors
 
 NONE = -1
 """The class of a Gaussian that none of the words fits."""
@@ -65,39 +65,27 @@ class GaussianLabels:
         return {**dict(zip(self.names, found[1:], strict=True)), NONE_NAME: found[0]}
 
 
-def label(
-    field: QueriedField,
-    texts: TextVectors,
-    threshold: float | None = None,
-    present_from: float | None = None,
-) -> GaussianLabels:
-    """The word that fits each Gaussian best, of several, or none.
+def label(field: CodedScene, question: Question) -> GaussianLabels:
+    """Return the word that fits each Gaussian best, of several, or none; ``field.label`` calls this.
 
     A word fits the Gaussians that ``answer_scene`` gives for it, unless the thing is not in the scene. Of several
     words that fit, the one that a finer level answers counts, for the name of a part says more than that of its whole;
     of words of one level the most relevant, which is the one with the largest cosine.
 
-    Args:
-        field: to be queried.
-        texts: the words, and what they are compared with.
-        threshold: see ``answer_scene``.
-        present_from: the z-score from which a thing counts as present; None: presence is not judged.
-
     Raises:
         InputError: the vectors do not fit the field, a word is given twice or is "none", or there are too few everyday
             words to judge presence.
     """
-    if len(set(texts.texts)) < len(texts.texts) or NONE_NAME in texts.texts:
-        raise InputError(
-            f"labels need words that differ, and other than {NONE_NAME!r}: {', '.join(texts.texts)}"
-        )
+    names, present_from = question.texts, question.present_from
+    if len(set(names)) < len(names) or NONE_NAME in names:
+        raise InputError(f"labels need words that differ, and other than {NONE_NAME!r}: {', '.join(names)}")
     judged: list[float] = []
     presence: list[bool] = []
     levels: list[str] = []
 
     def there() -> Iterator[tuple[Selection, bool]]:
         """The selections one after the other, so that only one relevancy is in memory, and whether each counts."""
-        for found, z_score in judged_selections(field, texts, threshold, present_from=present_from):
+        for found, z_score in judged_selections(field, question):
             if z_score is not None:
                 judged.append(z_score)
             presence.append(present_from is None or judged[-1] >= present_from)
@@ -106,7 +94,7 @@ def label(
 
     ids, scores = label_by_selections(there(), len(field), field.codebook.device)
     z_scores = tuple(judged) if present_from is not None else None
-    return GaussianLabels(ids.cpu(), texts.texts, scores.cpu(), z_scores, tuple(presence), tuple(levels))
+    return GaussianLabels(ids.cpu(), names, scores.cpu(), z_scores, tuple(presence), tuple(levels))
 
 
 def label_by_selections(

@@ -17,10 +17,10 @@ from scoup.base.progress import Progress, no_progress
 from scoup.io import PlyTable, save_label_png, save_png, write_ply, write_ply_table
 from scoup.io.coco import CocoAnnotations
 from scoup.pictures import label_colors
+from scoup.query.coded_scene import CodedScene
 from scoup.query.edits import edited
 from scoup.query.label import NONE, NONE_NAME, GaussianLabels
 from scoup.query.label_maps import MOST_VIEWS, LabelSheet, label_map
-from scoup.query.queried_field import QueriedField
 from scoup.query.splat_table import SplatTable
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera
@@ -56,7 +56,7 @@ def label_files(words: Sequence[str], outputs: Sequence[str], views: Sequence[st
 
 
 def save_labels(
-    field: QueriedField,
+    field: CodedScene,
     labels: GaussianLabels,
     folder: Path,
     outputs: Sequence[str],
@@ -92,7 +92,7 @@ def save_labels(
 
 
 def save_label_views(
-    field: QueriedField,
+    field: CodedScene,
     labels: GaussianLabels,
     cameras: Mapping[str, Camera],
     folder: Path,

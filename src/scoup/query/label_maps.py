@@ -9,8 +9,8 @@ from scoup import raster
 from scoup.pictures import contact_sheet, region_overlay, swatch_legend
 from scoup.pictures.colors import Picture, label_colors
 from scoup.pictures.lettering import stacked
+from scoup.query.coded_scene import CodedScene
 from scoup.query.label import NONE, NONE_NAME, GaussianLabels
-from scoup.query.queried_field import QueriedField
 
 AT_A_TIME = 16  # words rendered together
 LEAST_PAINTED = 0.5  # share of a pixel's light from which it has a label at all
@@ -18,7 +18,7 @@ COLUMNS, SHEET_WIDTH = 3, 1500
 MOST_VIEWS = 6  # on a sheet
 
 
-def label_map(field: QueriedField, projection: raster.Projection, labels: GaussianLabels) -> Tensor:
+def label_map(field: CodedScene, projection: raster.Projection, labels: GaussianLabels) -> Tensor:
     """[H, W] int32 on the CPU: at each pixel the word whose Gaussians paint most of it, ``NONE`` where those of none
     of the words do, or where less than half of the pixel is painted.
 

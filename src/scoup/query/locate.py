@@ -14,7 +14,8 @@ from scoup.base.brief import brief
 from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.query.answer import SceneAnswer
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
+from scoup.query.select import true_rows
 
 NEIGHBOURS = 8
 """Each Gaussian of an answer is linked to so many of its nearest others in the answer."""
@@ -127,7 +128,7 @@ class Location:
         }
 
 
-def location(field: QueriedField, answer: SceneAnswer) -> Location:
+def location(field: CodedScene, answer: SceneAnswer) -> Location:
     """Position and extent of what answers a query in a scene.
 
     The Gaussians of the answer fall into parts that are connected in space: each is linked to its nearest others, and
@@ -138,7 +139,7 @@ def location(field: QueriedField, answer: SceneAnswer) -> Location:
         field: that was queried, with its geometry.
         answer: from ``answer_scene``.
     """
-    members = answer.mask.nonzero()[:, 0]
+    members = true_rows(answer.mask)
     gaussians = field.gaussians.select(members.to(field.gaussians.device)).to("cpu")
     usable = torch.isfinite(gaussians.means).all(1) & torch.isfinite(gaussians.scales).all(1)
     members, means = members[usable], gaussians.means[usable].double()

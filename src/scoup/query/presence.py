@@ -30,12 +30,11 @@ from scoup import raster
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.models.words import LEAST_WORDS
-from scoup.query.presets import QueryPreset
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
 from scoup.query.segment import Segmentation
-from scoup.query.select import Selection
+from scoup.query.select import Selection, true_rows
 from scoup.query.text_vectors import TextVectors
-from scoup.scene.codes import rows_of
+from scoup.scene.codes import signed
 
 PRESENT_FROM = 1.4
 """The z-score from which a query counts as present, unless another is given."""
@@ -69,29 +68,6 @@ def presence_threshold(texts: TextVectors, wanted: float | None = None) -> float
             "more, so add any words to the table"
         )
     return None
-
-
-def compared(
-    texts: TextVectors, preset: QueryPreset, wanted: float | None = None, always: bool = False
-) -> tuple[TextVectors, float | None]:
-    """Texts with what a preset compares them with, and the z-score from which one counts as present.
-
-    The preset "default" compares with everyday words too, and judges presence by them; the systems' presets do without
-    and find something always, unless a z-score is wanted.
-
-    Args:
-        texts: as they were encoded.
-        preset: of the query.
-        wanted: as for ``presence_threshold``.
-        always: find something for any text; the z-score is None then.
-
-    Raises:
-        InputError: as ``presence_threshold``.
-    """
-    everyday = preset.name == "default"
-    judged = not always and (wanted is not None or everyday)
-    present_from = presence_threshold(texts, wanted) if judged else None
-    return texts.with_everyday() if everyday else texts, present_from
 
 
 def other_words(queries: Tensor, words: Tensor) -> Tensor:
@@ -162,7 +138,7 @@ def with_evidence(z_score: float, selected: Tensor) -> float:
 
 
 def view_z_scores(
-    field: QueriedField,
+    field: CodedScene,
     projection: raster.Projection,
     segmentations: Sequence[Segmentation],
     queries: Tensor,
@@ -192,7 +168,7 @@ def view_z_scores(
 
 
 def scene_z_scores(
-    field: QueriedField, selections: Iterable[Selection], queries: Tensor, words: Tensor
+    field: CodedScene, selections: Iterable[Selection], queries: Tensor, words: Tensor
 ) -> Tensor:
     """[Q] z-scores of the more relevant half of the Gaussians selected, without rendering.
 
@@ -207,17 +183,18 @@ def scene_z_scores(
     """
     embeddings = torch.zeros(len(queries), field.dim)
     for row, found in enumerate(selections):
-        if found.mask.any():
-            middle = found.relevancy[found.mask].median()
-            core = (found.mask & (found.relevancy >= middle)).nonzero()[:, 0]
+        selected = true_rows(found.mask)
+        if len(selected):
+            relevancy = found.relevancy[selected]
+            core = selected[relevancy >= relevancy.median()]
             embeddings[row] = mean_embedding(field, found.level, core, field.gaussians.opacities[core])
     return z_scores(embeddings, queries, words)
 
 
-def mean_embedding(field: QueriedField, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
+def mean_embedding(field: CodedScene, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
     """[D] on the CPU: sum of the decoded codes of some Gaussians [M] by weights [M], at one level."""
     # On the CPU: sums by index on a GPU are not the same twice.
-    atoms = rows_of(field.code_indices[:, level], gaussians).cpu().long()
+    atoms = signed(field.code_indices)[gaussians, level].view(field.code_indices.dtype).cpu().long()
     shares = (field.code_weights[gaussians, level].float() * weights[:, None]).cpu()
     code = torch.bincount(atoms.flatten(), shares.flatten().double(), field.n_atoms)
     return code.float() @ field.codebook[level].cpu()

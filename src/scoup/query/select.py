@@ -6,16 +6,17 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base.brief import brief
 from scoup.base.errors import InputError
+from scoup.query.coded_scene import CodedScene
 from scoup.query.neighbours import Neighbourhood
-from scoup.query.queried_field import QueriedField
 from scoup.query.smoothing import rescale
-from scoup.query.stable_threshold import stable_thresholds
+from scoup.query.stable_threshold import STABILITY, stable_thresholds
 
 ABSOLUTE_THRESHOLD = 0.6
 """Threshold on the relevancy itself, where none is given. The most stable one nearly always selects something; who puts
@@ -44,15 +45,23 @@ class Selection:
     __repr__ = brief
 
 
-def select(
-    field: QueriedField,
-    queries: Tensor | ArrayLike,  # [D] or [Q, D]
+def true_rows(mask: Tensor) -> Tensor:
+    """[M] int64: where a boolean mask [N] is true. Numpy finds few among many sooner than torch."""
+    if mask.device.type != "cpu":
+        return mask.nonzero()[:, 0]
+    return torch.from_numpy(np.flatnonzero(mask.numpy()))
+
+
+def select_each(
+    field: CodedScene,
+    queries: Tensor | ArrayLike,  # [Q, D]
     canonical: Tensor | ArrayLike,  # [P, D]
     threshold: float | None = None,
     neighbours: int | None = None,
     rescaled: bool = True,
-) -> Tensor:
-    """The Gaussians that answer one or several queries.
+    level: str | int | None = None,
+) -> Iterator[Selection]:
+    """Yield the Gaussians that answer each of several queries, by the votes alone.
 
     Per query one level answers, after blending with neighbours if that is wanted. With a threshold given, it is the
     level with the largest relevancy, as in VALA-3D; otherwise that whose selected Gaussians have the largest mean
@@ -60,45 +69,13 @@ def select(
 
     Args:
         field: the language field; its geometry is needed only for ``neighbours``.
-        queries: [D] or [Q, D] unit-norm text embeddings.
+        queries: [Q, D] unit-norm text embeddings.
         canonical: [P, D] unit-norm embeddings of the canonical phrases.
-        threshold: a Gaussian is selected above this, 0 to 1; None: of each level the threshold at which the number of
-            Gaussians above it changes least (``scoup.query.stable_threshold``), or, if ``rescaled`` is false,
-            ``ABSOLUTE_THRESHOLD`` and the level with the largest relevancy.
-        neighbours: blend each Gaussian's relevancy half and half with the mean of so many nearest coded
-            neighbours (10 in VALA-3D); None: do not.
-        rescaled: stretch the relevancy of the level as ``rescale`` does before it meets the threshold, as in
-            VALA-3D; otherwise the threshold is on the relevancy itself, and nothing may pass it.
-
-    Returns:
-        Boolean [N], or [Q, N] for [Q, D].
+        threshold, neighbours, rescaled, level: see ``scoup.query.question.Question``; 10 neighbours in VALA-3D. Without
+            a threshold, and not rescaled, it is ``ABSOLUTE_THRESHOLD`` and the level with the largest relevancy.
 
     Raises:
         InputError: shapes do not fit, ``neighbours`` is below 1, or the threshold is not 0 to 1.
-    """
-    queries = torch.as_tensor(queries)
-    rows = queries if queries.dim() == 2 else queries[None]
-    canonical = torch.as_tensor(canonical)
-    masks = [found.mask for found in select_each(field, rows, canonical, threshold, neighbours, rescaled)]
-    if queries.dim() == 1:
-        return masks[0]
-    return torch.stack(masks) if masks else field.code_weights.new_zeros(0, len(field.code_weights)).bool()
-
-
-def select_each(
-    field: QueriedField,
-    queries: Tensor,  # [Q, D]
-    canonical: Tensor,  # [P, D]
-    threshold: float | None = None,
-    neighbours: int | None = None,
-    rescaled: bool = True,
-    level: str | int | None = None,
-) -> Iterator[Selection]:
-    """``select`` query by query, with level and relevancy; arguments and errors as there.
-
-    Args:
-        field, queries, canonical, threshold, neighbours, rescaled: see ``select``.
-        level: the one that answers, its name or position; None: as ``select`` chooses.
     """
     if neighbours is not None and neighbours < 1:
         raise InputError(f"neighbours must be at least 1, got {neighbours}")
@@ -106,9 +83,9 @@ def select_each(
         raise InputError(f"the threshold must be 0 to 1, got {threshold}")
     first = 0 if level is None else field.level_index(level)
     rows = slice(None) if level is None else slice(first, first + 1)
-    coded = (field.code_weights > 0).any(-1).T[rows]  # [S or 1, N]
+    coded = field.coded_levels()[rows]  # [S or 1, N]
     around = Neighbourhood.of(field.gaussians.means, coded.any(0), neighbours) if neighbours else None
-    for query in queries:
+    for query in torch.as_tensor(queries):
         relevancy = field.gaussian_relevancy(query[None], canonical)[rows, 0]
         found = select_by_relevancy(relevancy, coded, around, threshold, rescaled)
         yield replace(found, level=found.level + first)
@@ -121,19 +98,19 @@ def select_by_relevancy(
     threshold: float | None = None,
     rescaled: bool = True,
 ) -> Selection:
-    """``select`` for one query from its relevancy, whatever that comes from.
+    """``select_each`` for one query from its relevancy, whatever that comes from.
 
     Args:
         relevancy: [S, N] of every Gaussian at every level.
         coded: [S, N] boolean, those that may be selected.
         around: neighbours to blend with.
-        threshold, rescaled: see ``select``.
+        threshold, rescaled: see ``select_each``.
     """
     values = relevancy if around is None else around.blend(relevancy, coded)
+    if threshold is None and rescaled:
+        return _most_stable([_Level.of(*rows) for rows in zip(values, coded, strict=True)])
     masked = torch.where(coded, values, -torch.inf)
     peaks = masked.amax(1) if masked.shape[1] else masked.new_full((len(masked),), -torch.inf)
-    if threshold is None and rescaled:
-        return _most_stable(values, coded, peaks)
     threshold = ABSOLUTE_THRESHOLD if threshold is None else threshold
     level = int(peaks.argmax())
     mask = _above(values[level], coded[level], threshold, rescaled)
@@ -147,24 +124,60 @@ def level_thresholds(values: Tensor, coded: Tensor) -> Tensor:
         values: [S, N] relevancy.
         coded: [S, N] boolean, those that count.
     """
-    return torch.cat([stable_thresholds(row[own][None])[0] for row, own in zip(values, coded, strict=True)])
+    return torch.tensor([_Level.of(*rows).threshold for rows in zip(values, coded, strict=True)])
 
 
-def _most_stable(values: Tensor, coded: Tensor, peaks: Tensor) -> Selection:
-    """``select_by_relevancy`` with the most stable threshold of each level.
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """The Gaussians of one level that may be selected by a stable threshold: a few per cent of all, as a rule.
 
-    Args:
-        values: [S, N] relevancy.
-        coded: [S, N] boolean.
-        peaks: [S] the largest relevancy of a coded Gaussian, by which the level is chosen if none can be selected.
+    Attributes:
+        values: [N] relevancy of all Gaussians.
+        rows: [M] those above the lowest threshold.
+        rescaled: [M] their rescaled relevancy.
+        peak: the largest relevancy of a coded Gaussian; minus infinity if there is none.
+        threshold: the most stable one.
     """
-    thresholds = level_thresholds(values, coded)
-    masks = [_above(*rows) for rows in zip(values, coded, thresholds.tolist(), strict=True)]
+
+    values: Tensor
+    rows: Tensor
+    rescaled: Tensor
+    peak: float
+    threshold: float
+
+    @classmethod
+    def of(cls, values: Tensor, coded: Tensor) -> _Level:
+        """Of relevancy [N] and the Gaussians that count [N] boolean."""
+        inside = values if bool(coded.all()) else values[coded]
+        low, high = (
+            inside.aminmax()
+            if inside.numel()
+            else (values.new_tensor(torch.inf), values.new_tensor(-torch.inf))
+        )
+        # A little lower than need be, for rounding.
+        rows = true_rows(values >= low + (high - low) * (0.5 + 0.5 * STABILITY.lowest_counted) - 1e-6)
+        rows = rows[coded[rows]]
+        rescaled = rescale(values[rows], low, high)
+        return cls(
+            values, rows, rescaled, float(high), float(stable_thresholds(rescaled[None], is_rescaled=True)[0])
+        )
+
+
+def _most_stable(levels: list[_Level]) -> Selection:
+    """``select_by_relevancy`` with the most stable threshold of each level."""
+    found = [level.rows[level.rescaled > level.threshold] for level in levels]
     # In float64, so that levels alike to the last bit have equal means, and the first of them answers.
-    means = [float(row[mask].double().mean()) for row, mask in zip(values, masks, strict=True)]
-    chosen = [-math.inf if math.isnan(mean) else mean for mean in means]  # no mean without a Gaussian
-    level = chosen.index(max(chosen)) if max(chosen) > -math.inf else int(peaks.argmax())
-    return Selection(masks[level], values[level], level, float(peaks[level]), float(thresholds[level]))
+    means = [
+        float(level.values[rows].double().mean()) if len(rows) else -math.inf
+        for level, rows in zip(levels, found, strict=True)
+    ]
+    peaks = [level.peak for level in levels]
+    order = means if max(means) > -math.inf else peaks
+    number = order.index(max(order))
+    level = levels[number]
+    mask = torch.zeros(len(level.values), dtype=torch.bool, device=level.values.device)
+    mask[found[number]] = True
+    return Selection(mask, level.values, number, level.peak, level.threshold)
 
 
 def _above(values: Tensor, members: Tensor, threshold: float, rescaled: bool = True) -> Tensor:

@@ -123,10 +123,13 @@ def plain_mask_sums(smoothed: Tensor, masks: Tensor) -> tuple[Tensor, Tensor, Te
     return smoothed.flatten(1).amax(1), masks.flatten(1).sum(1), sums
 
 
-def rescale(values: Tensor) -> Tensor:
+def rescale(values: Tensor, low: Tensor | None = None, high: Tensor | None = None) -> Tensor:
     """Stretch values of any shape to 0..1 and cut the lower half off: clip(2 n - 1, 0, 1) with
-    n = (v - min) / (max - min + 1e-9) (protocols.md, LERF-OVS, step 2). Constant values become 0."""
-    low, high = values.min(), values.max()
+    n = (v - min) / (max - min + 1e-9) (protocols.md, LERF-OVS, step 2). Constant values become 0.
+
+    Minimum and maximum may be given, for some of the values."""
+    low = values.min() if low is None else low
+    high = values.max() if high is None else high
     # float64, in which 1e-9 does not vanish beside the range.
     stretched = (values.double() - low) / (high.double() - low + 1e-9)
     return (2 * stretched - 1).clamp(0, 1).to(values.dtype)

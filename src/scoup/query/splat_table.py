@@ -11,7 +11,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.io import PlyTable, find_gaussians, gaussians_from_table, read_ply_table
 from scoup.io.splats.ply import table_from_gaussians
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
 from scoup.scene.gaussians import Gaussians
 
 
@@ -28,7 +28,7 @@ class SplatTable:
     is_gaussian: Tensor  # [M]
 
     @classmethod
-    def of(cls, field: QueriedField, geometry: Path | None = None) -> SplatTable:
+    def of(cls, field: CodedScene, geometry: Path | None = None) -> SplatTable:
         """The rows of the PLY the field was built on; made from its Gaussians if it was built on something else.
 
         Args:

@@ -35,12 +35,20 @@ class Stability:
     centre: float = 0.64
     pull: float = 0.05
 
+    @property
+    def lowest_counted(self) -> float:
+        """Where the lowest window begins: values below it count for nothing."""
+        return self.lowest - self.window / 2
+
 
 STABILITY = Stability()
 
 
 def stable_thresholds(
-    values: Tensor, fixed: float | None = None, stability: Stability = STABILITY
+    values: Tensor,
+    fixed: float | None = None,
+    stability: Stability = STABILITY,
+    is_rescaled: bool = False,
 ) -> tuple[Tensor, Tensor]:
     """The most stable threshold of each row, and how unstable the answer is there.
 
@@ -48,22 +56,25 @@ def stable_thresholds(
         values: [S, M] relevancy of pixels or Gaussians, finite, each row for itself.
         fixed: take this threshold instead, and say how unstable the answer is there.
         stability: what counts as stable.
+        is_rescaled: the values are rescaled already; those below ``Stability.lowest_counted`` may be left out.
 
     Returns:
         thresholds [S] float32 on the rescaled relevancy (``rescale``), and [S] float32, the change of the logarithm of
         the area over the window there: 0 for a step, 2 and more for what fades away. Both on the CPU. Rows that are
         empty, constant or not finite have the centre and 0.
     """
-    found = [_stable(row, fixed, stability) for row in values]
+    middle = stability.centre if fixed is None else fixed
+    found = [
+        _stable(row if is_rescaled else rescale(row), fixed, stability) if row.numel() else (middle, 0.0)
+        for row in values
+    ]
     thresholds, changes = zip(*found, strict=True) if found else ((), ())
     return torch.tensor(thresholds, dtype=torch.float32), torch.tensor(changes, dtype=torch.float32)
 
 
-def _stable(values: Tensor, fixed: float | None, stability: Stability) -> tuple[float, float]:
-    """Of relevancy [M]."""
-    if not values.numel():  # there is nothing to rescale
-        return stability.centre if fixed is None else fixed, 0.0
-    counts = torch.histc(rescale(values).float(), _BINS, 0, 1).double().cpu()
+def _stable(rescaled: Tensor, fixed: float | None, stability: Stability) -> tuple[float, float]:
+    """Of rescaled relevancy [M]."""
+    counts = torch.histc(rescaled.float(), _BINS, 0, 1).double().cpu()
     above = counts.flip(0).cumsum(0).flip(0)  # values in bin b and further up
     area = above.clamp(min=1).log()
     half = round(stability.window / 2 * _BINS)

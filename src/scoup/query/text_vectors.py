@@ -17,7 +17,7 @@ from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder
 from scoup.models.word_table import is_table
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
 
 _PUBLISHERS = {
     "open",
@@ -68,7 +68,7 @@ class TextVectors:
 
 
 def encode_texts(
-    encoder: TextEncoder, field: QueriedField, texts: Sequence[str], source: str | None = None
+    encoder: TextEncoder, field: CodedScene, texts: Sequence[str], source: str | None = None
 ) -> TextVectors:
     """Vectors of texts to query a field with, of the canonical phrases, and of everyday words.
 
@@ -86,7 +86,7 @@ def encode_texts(
         InputError: the vectors have another size than the field's embeddings, or the table lacks the canonical phrases
             and has too few names to stand in for them.
     """
-    check_arguments("encode_texts", encoder=(encoder, TextEncoder), field=(field, QueriedField))
+    check_arguments("encode_texts", encoder=(encoder, TextEncoder), field=(field, CodedScene))
     source = source or encoder.name or "the word table"
     if encoder.dim != field.dim:
         raise InputError(
@@ -136,7 +136,7 @@ def _words_of(model: str) -> set[str]:
     return set(re.findall(r"[a-z]+[0-9]+[a-z]*|[a-z]+|[0-9]+", model.lower())) - _PUBLISHERS
 
 
-def _where_words_are(field: QueriedField, other: TextEncoder) -> str:
+def _where_words_are(field: CodedScene, other: TextEncoder) -> str:
     """The remedy for vectors of another size than the field's embeddings; ``other`` is what gave them."""
     named = field.embedding_model
     if named == COLORS:

@@ -13,9 +13,9 @@ from scoup import raster
 from scoup.base.errors import InputError
 from scoup.pictures import captioned, heat_overlay
 from scoup.pictures.colors import Picture
+from scoup.query.coded_scene import CodedScene
 from scoup.query.edit_picture import best_camera
 from scoup.query.locate import Location
-from scoup.query.queried_field import QueriedField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.paths import camera_path, turntable, upwards
 
@@ -24,7 +24,7 @@ SHARE = 0.35  # of the picture's height that a thing takes on a turntable
 
 
 def moving_cameras(
-    field: QueriedField, place: Location, cameras: Cameras, motion: Motion, count: int
+    field: CodedScene, place: Location, cameras: Cameras, motion: Motion, count: int
 ) -> Cameras:
     """The cameras of a video.
 
@@ -64,7 +64,7 @@ def moving_cameras(
 
 
 def heat_frames(
-    field: QueriedField, query: Tensor, canonical: Tensor, place: Location, cameras: Cameras
+    field: CodedScene, query: Tensor, canonical: Tensor, place: Location, cameras: Cameras
 ) -> Iterator[Picture]:
     """Heat maps of one text with one title, at one level and with one scale of colours, [H, W, 3] uint8 each.
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
 from scoup.scene.cameras import Camera
 
 LEAST_PAINTED = 0.5  # share of a pixel's light from which it has a depth
@@ -23,7 +23,7 @@ class ViewDepth:
         projection: of the field to it; not kept alive.
     """
 
-    def __init__(self, field: QueriedField, camera: Camera, projection: raster.Projection) -> None:
+    def __init__(self, field: CodedScene, camera: Camera, projection: raster.Projection) -> None:
         self._field, self._camera = field, camera
         self._projection = weakref.ref(projection)
         self._depth: Tensor | None = None
@@ -41,7 +41,7 @@ class ViewDepth:
         return mask_position(mask, self(), self._camera)
 
 
-def view_depth(field: QueriedField, camera: Camera, projection: raster.Projection) -> Tensor:
+def view_depth(field: CodedScene, camera: Camera, projection: raster.Projection) -> Tensor:
     """[H, W] float32 on the CPU; see ``ViewDepth``."""
     means = field.gaussians.means.double()
     row = camera.viewmat[2].to(means.device)

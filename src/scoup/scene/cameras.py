@@ -59,6 +59,8 @@ class Camera:
             if not torch.isfinite(tensor).all():
                 raise InputError(f"camera {self.name!r}: {field} has values that are not finite")
             object.__setattr__(self, field, tensor)
+        for field in ("width", "height"):
+            object.__setattr__(self, field, self._whole(field))
         if self.width < 1 or self.height < 1:
             raise InputError(f"camera {self.name!r}: size {self.width} x {self.height} is not an image size")
         if self.fx <= 0 or self.fy <= 0:
@@ -66,6 +68,16 @@ class Camera:
         determinant = float(torch.linalg.det(self.viewmat[:3, :3]))
         if not math.isclose(determinant, 1.0, abs_tol=1e-2):
             raise InputError(f"camera {self.name!r}: rotation has determinant {determinant:.3g}, expected 1")
+
+    def _whole(self, field: str) -> int:
+        """A number of pixels as an int, whatever type of number it is."""
+        value = getattr(self, field)
+        try:
+            if int(value) == value:
+                return int(value)
+        except (TypeError, ValueError, OverflowError):
+            pass
+        raise InputError(f"camera {self.name!r}: {field} {value!r} is not a whole number of pixels")
 
     @classmethod
     def from_c2w(

@@ -14,6 +14,8 @@ from scoup.base.brief import brief
 from scoup.base.errors import InputError
 from scoup.base.native import native_core
 
+ROWS_AT_A_TIME = 16384
+
 
 def index_dtype(n_atoms: int) -> torch.dtype:
     """The dtype of code indices: uint8 up to 256 atoms, uint16 beyond.
@@ -178,6 +180,35 @@ def plain_code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tenso
         for level in range(len(scores))
     ]
     return torch.stack(levels, 1)
+
+
+def code_norms(indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
+    """The norms of decoded sparse codes, sqrt(W G W^T) with G = C C^T.
+
+    Args:
+        indices: [N, S, K] atoms, each below L.
+        weights: [N, S, K] float16 or float32.
+        codebook: [S, L, D].
+
+    Returns:
+        [N, S] float32.
+    """
+    count, levels, k = weights.shape
+    n_atoms = codebook.shape[1]
+    grams = (codebook.float() @ codebook.float().transpose(1, 2)).flatten()
+    kind = torch.int32 if len(grams) < 2**31 else torch.int64
+    starts = torch.arange(levels, dtype=kind, device=weights.device) * n_atoms**2
+    squares = torch.zeros(count, levels, device=weights.device)
+    for first in range(0, count, ROWS_AT_A_TIME):
+        part = slice(first, first + ROWS_AT_A_TIME)
+        atoms = indices[part].permute(2, 0, 1).to(kind).contiguous()  # one contiguous plane per entry
+        some = weights[part].permute(2, 0, 1).float().contiguous()
+        for one in range(k):
+            rows = starts + atoms[one] * n_atoms
+            for other in range(one, k):
+                products = grams.index_select(0, (rows + atoms[other]).flatten()).view(rows.shape)
+                squares[part].addcmul_(some[one] * some[other], products, value=1.0 if one == other else 2.0)
+    return squares.clamp_(min=0).sqrt_()
 
 
 def code_arrays(indices: Tensor, weights: Tensor) -> tuple[np.ndarray, np.ndarray]:

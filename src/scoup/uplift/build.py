@@ -12,9 +12,9 @@ from scoup.base.arguments import check_arguments
 from scoup.base.errors import ScoupWarning
 from scoup.base.processes import ALONE, Processes, at_work
 from scoup.base.progress import Progress, no_progress
-from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions

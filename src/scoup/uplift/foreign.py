@@ -17,13 +17,13 @@ from scoup.base.progress import Progress, no_progress
 from scoup.base.version import VERSION
 from scoup.coding import fit_codes
 from scoup.coding.encode import encode
-from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.io.langsplatv2 import LangSplatV2Level, read_langsplatv2
 from scoup.io.npy import open_npy
 from scoup.io.torch_file import load_torch
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.directions import normalise_embeddings
+from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 
 LEARNED_FROM = 16_384  # rows that a codebook is learned from

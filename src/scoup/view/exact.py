@@ -14,12 +14,12 @@ from scoup.base.errors import InputError
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.pictures.overlays import heat_overlay, mask_overlay
-from scoup.query.answering import answer_view
+from scoup.query.coded_scene import CodedScene
 from scoup.query.drawing import Draw, code_drawing
 from scoup.query.locate import weighted_quantiles
+from scoup.query.methods import FieldQueries
 from scoup.query.presence import mean_embedding
-from scoup.query.presets import query_preset
-from scoup.query.queried_field import QueriedField
+from scoup.query.question import Question
 from scoup.query.relevancy import relevancy
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
@@ -37,11 +37,8 @@ class PictureRequest:
         camera: of the view; sides of at most ``LARGEST_SIDE`` pixels.
         mode: "color": the splat; "heat": the relevancy to the text over it; "mask": the mask of the text, its box and
             point; "codes": like meaning, like colour.
-        texts: one query, for "heat" and "mask".
-        level: position of the level that answers, or whose codes are shown; None: the one that answers best, or the
-            middle one.
-        threshold: of the mask; None: the most stable one.
-        present_from: the z-score from which the thing counts as present; None: it always does.
+        question: of one text, for "heat" and "mask".
+        level: position of the level whose codes are shown; None: the middle one.
 
     Raises:
         InputError: a value is out of range, or the text is missing.
@@ -49,17 +46,15 @@ class PictureRequest:
 
     camera: Camera
     mode: PictureMode = "color"
-    texts: TextVectors | None = None
+    question: Question | None = None
     level: int | None = None
-    threshold: float | None = None
-    present_from: float | None = None
 
     def __post_init__(self) -> None:
         if self.mode not in get_args(PictureMode):
             raise InputError(f"a picture shows {', '.join(get_args(PictureMode))}, not {self.mode!r}")
         if max(self.camera.width, self.camera.height) > LARGEST_SIDE:
             raise InputError(f"a picture has sides of at most {LARGEST_SIDE} pixels")
-        if self.mode in ("heat", "mask") and self.texts is None:
+        if self.mode in ("heat", "mask") and self.question is None:
             raise InputError(f"the picture {self.mode!r} needs a text")
 
 
@@ -70,7 +65,7 @@ class ExactPictures:
         field: to be rendered, with its geometry.
     """
 
-    def __init__(self, field: QueriedField) -> None:
+    def __init__(self, field: FieldQueries) -> None:
         self.field = field
         self._projection: tuple[str, raster.Projection] | None = None
         self._code_drawings: dict[int, Draw] = {}
@@ -84,15 +79,12 @@ class ExactPictures:
                 self._code_drawings[level] = code_drawing(self.field, level, plain=True)
             return self._code_drawings[level](camera, projection)
         rgb = raster.render_colors(self.field.gaussians, camera, projection).cpu()
-        if request.mode == "color" or request.texts is None:
+        if request.mode == "color" or request.question is None:
             return as_picture(rgb)
-        preset = query_preset("default", threshold=request.threshold)
         # A projection that was queried before answers quicker, and rounds otherwise: as nobody has queried this copy,
         # the picture does not depend on what others have asked.
         unasked = copy.copy(projection)
-        answer = answer_view(
-            self.field, camera, request.texts, preset, request.present_from, unasked, request.level
-        )[0]
+        answer = self.field.answer(request.question, camera, projection=unasked)
         if request.mode == "heat":
             return heat_overlay(answer.heat, rgb)
         return mask_overlay(answer.mask, rgb, answer.box, answer.point)
@@ -106,7 +98,7 @@ class ExactPictures:
 
 
 def what_is_at(
-    field: QueriedField,
+    field: CodedScene,
     confidence: Tensor,
     camera: Camera,
     pixel: tuple[int, int],
@@ -159,7 +151,7 @@ def what_is_at(
 
 
 def _position(
-    field: QueriedField, camera: Camera, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor
+    field: CodedScene, camera: Camera, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor
 ) -> Tensor:
     """[3] float64: the point of the pixel's ray at the median depth of the weight."""
     means = field.gaussians.means[gaussians.to(field.gaussians.device)].double().cpu()

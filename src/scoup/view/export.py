@@ -113,8 +113,7 @@ def _words(viewed: ViewedField, progress: Progress) -> tuple[bytes, int]:
     vocabulary = viewed.vocabulary()
     if vocabulary is None:
         return b"", 0
-    _, present_from = viewed.texts(vocabulary.texts[:1])
-    answers = vocabulary_answers(viewed.field, viewed.codes, vocabulary, present_from, progress)
+    answers = vocabulary_answers(viewed.field, vocabulary, progress)
     return words_data(viewed.field, answers), len(answers)
 
 

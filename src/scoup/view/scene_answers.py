@@ -11,13 +11,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from scoup.query.coded_scene import CodedScene
 from scoup.query.presence import scene_z_scores, with_evidence
-from scoup.query.queried_field import QueriedField
-from scoup.query.relevancy import relevancy as relevancy_of
+from scoup.query.question import Question
 from scoup.query.select import Selection, level_thresholds, select_by_relevancy
-from scoup.query.text_vectors import TextVectors
 from scoup.query.things import ThingFits, things_of_scene
-from scoup.view.unit_codes import UnitCodes, atom_scores
+from scoup.view.unit_codes import atom_scores
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,29 +70,25 @@ class PageAnswer:
         }
 
 
-def scene_answers(
-    field: QueriedField, codes: UnitCodes, texts: TextVectors, present_from: float | None
-) -> Iterator[PageAnswer]:
+def scene_answers(field: CodedScene, question: Question) -> Iterator[PageAnswer]:
     """The answer to each text, in their order.
 
     Args:
         field: to be queried.
-        codes: ``UnitCodes.of(field)``.
-        texts: with everyday words among the canonical phrases (``TextVectors.with_everyday``).
-        present_from: the z-score from which a thing counts as present; None: presence is not judged.
+        question: from ``field.question``.
     """
-    coded = codes.coded()
-    canonical = codes.cosines(atom_scores(field, texts.canonical)).amax(1, keepdim=True)  # [S, 1, N]
-    scores = atom_scores(field, texts.queries)
-    fits = None if field.things is None else ThingFits.of(field.things, texts)
-    for number, text in enumerate(texts.texts):
+    present_from = question.present_from
+    coded = field.coded_levels().cpu()
+    scores = atom_scores(field, question.queries)
+    fits = None if field.things is None else ThingFits.of(field.things, question)
+    for number, text in enumerate(question.texts):
         own = scores[:, :, number : number + 1].contiguous()
-        relevancy = relevancy_of(codes.cosines(own), canonical)[:, 0]
+        query = question.queries[number : number + 1]
+        relevancy = field.gaussian_relevancy(query, question.canonical)[:, 0].cpu()
         found = select_by_relevancy(relevancy, coded)
         z_score = None
         if present_from is not None:
-            query = texts.queries[number : number + 1]
-            z_score = float(scene_z_scores(field, [found], query, texts.everyday)[0])
+            z_score = float(scene_z_scores(field, [found], query, question.everyday)[0])
         own_things, of_levels = None, [None] * len(relevancy)
         if fits is not None:
             own_things = things_of_scene(fits, number, found.mask)

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from scoup.models.word_table import is_table
 from scoup.pictures.colors import code_basis
+from scoup.query.coded_scene import CodedScene
 from scoup.query.drawing import placed_atoms
-from scoup.query.queried_field import QueriedField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes, rows_of
 from scoup.scene.gaussians import SH_C0, Gaussians
@@ -32,7 +32,7 @@ _NO_OWNER = 65535
 
 
 def scene_metadata(
-    field: QueriedField, name: str, words_problem: str | None = None, present_from: float | None = None
+    field: CodedScene, name: str, words_problem: str | None = None, present_from: float | None = None
 ) -> dict[str, Any]:
     """What the page is told of a field, but for its Gaussians: plain JSON values.
 
@@ -63,7 +63,7 @@ def scene_metadata(
 
 
 def scene_data(
-    field: QueriedField,
+    field: CodedScene,
     codes: UnitCodes,
     canonical: Tensor | None,
     metadata: dict[str, Any],
@@ -165,7 +165,7 @@ def _splat(gaussians: Gaussians) -> tuple[dict[str, np.ndarray], dict[str, Any]]
     return tensors, ranges
 
 
-def _code_colors(field: QueriedField, codes: UnitCodes) -> dict[str, NDArray[np.float32]]:
+def _code_colors(field: CodedScene, codes: UnitCodes) -> dict[str, NDArray[np.float32]]:
     """A colour for each atom, [S, 3, L], whose weighted sum and offset [S, 3] is that of a code: like meaning, like
     colour, as in ``scoup.query.drawing.code_drawing``."""
     step = max(1, math.ceil(len(codes) / _CODES_FOR_COLORS))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.query.queried_field import QueriedField
+from scoup.query.coded_scene import CodedScene
 from scoup.scene.codes import code_scores
 
 GAUSSIANS_AT_A_TIME = 65536
@@ -32,7 +32,7 @@ class UnitCodes:
     confidence: Tensor  # [N, S]
 
     @classmethod
-    def of(cls, field: QueriedField) -> UnitCodes:
+    def of(cls, field: CodedScene) -> UnitCodes:
         """Those of a field."""
         indices, codebook = field.code_indices.cpu(), field.codebook.float().cpu()
         weights = field.code_weights.float().cpu()
@@ -66,6 +66,6 @@ class UnitCodes:
         return code_scores(self.indices, self.weights, scores).permute(1, 2, 0)
 
 
-def atom_scores(field: QueriedField, vectors: Tensor) -> Tensor:
+def atom_scores(field: CodedScene, vectors: Tensor) -> Tensor:
     """[S, L, Q] float32 on the CPU: inner products A = C T^T of the codebooks and text vectors [Q, D]."""
     return field.codebook.float().cpu() @ vectors.float().cpu().T

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,11 +17,9 @@ from scoup.io import PlyTable
 from scoup.models.word_table import is_table
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
-from scoup.query.answering import answer_scene
 from scoup.query.methods import Encoder, FieldQueries
-from scoup.query.presence import presence_threshold
+from scoup.query.question import Question
 from scoup.query.splat_table import SplatTable
-from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
 from scoup.view.exact import ExactPictures, PictureMode, PictureRequest, what_is_at
 from scoup.view.scene_answers import PageAnswer, scene_answers
@@ -70,11 +67,11 @@ class ViewedField:
         self.name = "field" if field.path is None else field.path.name
         self.table = str(encoder) if isinstance(encoder, (str, Path)) else None
         self.words_problem: str | None = None
-        self._vocabulary: TextVectors | None = None
+        self._vocabulary: Question | None = None
         self._wanted_words = words
         try:
             field.text_encoder(encoder)
-            self.texts(self._probe)
+            self.question(self._probe)
         except ScoupError as error:
             if encoder is not None:
                 raise
@@ -106,7 +103,7 @@ class ViewedField:
         facts = {"mode": mode, "name": self.name, "version": VERSION, "identity": self.identity}
         return {**facts, "open": command, "field": path, "text": table}
 
-    def vocabulary(self) -> TextVectors | None:
+    def vocabulary(self) -> Question | None:
         """The words that a click chooses from; None if no text can be asked.
 
         Raises:
@@ -114,15 +111,15 @@ class ViewedField:
         """
         if self._vocabulary is None and self.words_problem is None:
             words = self._wanted_words or everyday_vocabulary(self.field.text_encoder())
-            self._vocabulary = self.texts(words)[0]
+            self._vocabulary = self.question(words)
         return self._vocabulary
 
     def is_closed(self) -> bool:
         """Whether only the names of a table can be asked."""
         return self.words_problem is None and self.field.text_encoder().names is not None
 
-    def texts(self, texts: Sequence[str], always: bool = False) -> tuple[TextVectors, float | None]:
-        """Vectors of texts with all that they are compared with, and the z-score from which one counts as present.
+    def question(self, texts: str | Sequence[str], always: bool = False, **options: Any) -> Question:
+        """What ``field.question`` makes of texts and options.
 
         Raises:
             InputError: no text can be asked of this field.
@@ -130,8 +127,7 @@ class ViewedField:
         """
         if self.words_problem is not None:
             raise InputError(self.words_problem)
-        vectors = self.field.text_vectors(list(texts))
-        return vectors.with_everyday(), None if always else presence_threshold(vectors)
+        return self.field.question(texts if isinstance(texts, str) else list(texts), always=always, **options)
 
     @cached_property
     def identity(self) -> str:
@@ -145,7 +141,7 @@ class ViewedField:
 
     def metadata(self, exported: bool = False) -> dict[str, Any]:
         """What the page is told of the field (``scene_metadata``); an exported one not where files are missing."""
-        present_from = None if self.words_problem is not None else self.texts(self._probe)[1]
+        present_from = None if self.words_problem is not None else self.question(self._probe).present_from
         problem = NO_WORDS if exported and self.words_problem is not None else self.words_problem
         return scene_metadata(self.field, self.name, problem, present_from)
 
@@ -153,13 +149,12 @@ class ViewedField:
         """The file that the page loads (``scene_data``)."""
         canonical = None
         if self.words_problem is None:
-            canonical = atom_scores(self.field, self.texts(self._probe)[0].canonical)
+            canonical = atom_scores(self.field, self.question(self._probe).canonical)
         return scene_data(self.field, self.codes, canonical, self.metadata(exported), self.most, effort)
 
     def answers(self, texts: Sequence[str], always: bool = False) -> list[PageAnswer]:
         """The answers of the scene to texts."""
-        vectors, present_from = self.texts(texts, always)
-        return list(scene_answers(self.field, self.codes, vectors, present_from))
+        return list(scene_answers(self.field, self.question(texts, always)))
 
     def picture(
         self,
@@ -171,9 +166,9 @@ class ViewedField:
         always: bool = False,
     ) -> Picture:
         """The method's own picture of a view; see ``scoup.view.exact.PictureRequest``."""
-        vectors, present_from = (None, None) if text is None else self.texts([text], always)
-        request = PictureRequest(camera, mode, vectors, level, threshold, present_from)
-        return self._pictures.picture(request)
+        options = {"level": level, "threshold": threshold}
+        question = None if text is None else self.question(text, always, **options)
+        return self._pictures.picture(PictureRequest(camera, mode, question, level))
 
     def what_is_at(self, camera: Camera, pixel: tuple[int, int]) -> dict[str, Any]:
         """What the scene says is at a pixel; see ``scoup.view.exact.what_is_at``."""
@@ -193,17 +188,13 @@ class ViewedField:
         Raises:
             InputError: there would be none, or a value is out of range.
         """
-        vectors, present_from = self.texts(texts, always)
+        question = self.question(texts, always, threshold=threshold)
         levels = [level] * len(texts)
         if threshold is not None and level is None:  # the page moves the threshold and leaves the level
             levels = [answer.level for answer in self.answers(texts, always)]
         chosen = torch.zeros(len(self.field), dtype=torch.bool)
         for number, own in enumerate(levels):
-            one = replace(
-                vectors, texts=vectors.texts[number : number + 1], queries=vectors.queries[number][None]
-            )
-            answer = answer_scene(self.field, one, threshold, present_from=present_from, level=own)[0]
-            chosen |= answer.mask
+            chosen |= self.field.select(question.one(number, level=own)).mask
         chosen = ~chosen if rest else chosen
         if not chosen.any():
             raise InputError("no Gaussian is selected; try a lower threshold, or another text")

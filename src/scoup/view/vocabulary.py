@@ -13,11 +13,10 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.models.text import TextEncoder
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.query.queried_field import QueriedField
-from scoup.query.text_vectors import TextVectors
+from scoup.query.coded_scene import CodedScene
+from scoup.query.question import Question
 from scoup.view.packing import packed
 from scoup.view.scene_answers import PageAnswer, scene_answers
-from scoup.view.unit_codes import UnitCodes
 
 AT_A_TIME = 16  # words between two reports of progress
 
@@ -50,7 +49,7 @@ def read_words(path: str, text: str) -> tuple[str, ...]:
     return words
 
 
-def words_data(field: QueriedField, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
+def words_data(field: CodedScene, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
     """The file of words that an exported page holds (docs/formats.md, "Words of a page").
 
     Args:
@@ -86,17 +85,13 @@ def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
 
 
 def vocabulary_answers(
-    field: QueriedField,
-    codes: UnitCodes,
-    texts: TextVectors,
-    present_from: float | None,
-    progress: Progress = no_progress,
+    field: CodedScene, question: Question, progress: Progress = no_progress
 ) -> list[PageAnswer]:
     """The answers to all words; arguments as for ``scene_answers``."""
     answers = []
-    progress("words", 0, len(texts.texts))
-    for answer in scene_answers(field, codes, texts, present_from):
+    progress("words", 0, len(question.texts))
+    for answer in scene_answers(field, question):
         answers.append(answer)
-        if len(answers) % AT_A_TIME == 0 or len(answers) == len(texts.texts):
-            progress("words", len(answers), len(texts.texts))
+        if len(answers) % AT_A_TIME == 0 or len(answers) == len(question.texts):
+            progress("words", len(answers), len(question.texts))
     return answers

@@ -15,10 +15,10 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.query.relevancy import relevancy
 from scoup.scene.codes import cosines_from_codes
+from scoup.scene.field_info import FieldInfo
 from scoup.scene.things import Things
 from scoup.uplift.region_sums import RegionSums
 

@@ -13,8 +13,8 @@ import torch
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output, load_cameras, load_gaussians, load_regions
-from scoup.query.answering import answer_view
 from scoup.query.presets import QUERY_PRESETS
+from scoup.query.question import Question
 from scoup.query.text_vectors import TextVectors
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
@@ -180,20 +180,19 @@ def _labelled(scene: DemoScene, folder: Path) -> LabelledScene:
     return LabelledScene("", folder, folder, folder, scene.held_out, PROTOCOL, frames)
 
 
-def texts_of(scene: DemoScene, labels: Sequence[str]) -> TextVectors:
-    """Labels beside all words that have a vector, as `scoup query` compares them."""
+def question_of(scene: DemoScene, labels: Sequence[str]) -> Question:
+    """Labels beside all words that have a vector, as `scoup query` compares them; presence is not judged."""
     words = [word for word in scene.words.texts if word not in CANONICAL]
     everyday = scene.text_vectors(words)
-    return TextVectors(
-        tuple(labels), scene.text_vectors(list(labels)), scene.canonical, everyday
-    ).with_everyday()
+    vectors = TextVectors(tuple(labels), scene.text_vectors(list(labels)), scene.canonical, everyday)
+    return Question.from_vectors(vectors.with_everyday())
 
 
 def answered(field: LanguageField, scene: DemoScene, labelled: LabelledScene) -> SceneScore:
     """Score what the field answers in the labelled views; presence is not judged."""
     pairs = []
     for frame, camera in labelled.frames:
-        for answer in answer_view(field, camera, texts_of(scene, frame.labels)) if frame.labels else ():
+        for answer in field.answer(question_of(scene, frame.labels), camera) if frame.labels else ():
             assert answer.point is not None
             hit = any_inside(torch.tensor([answer.point]), frame.boxes[answer.text])
             level = field.level_index(answer.level)

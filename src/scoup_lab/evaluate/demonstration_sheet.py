@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
-from scoup.query.answering import answer_view
 from scoup.raster import render_colors
-from scoup_lab.evaluate.demonstration import METHOD, DemoResult, rows_by_name, texts_of
+from scoup_lab.evaluate.demonstration import METHOD, DemoResult, question_of, rows_by_name
 from scoup_lab.evaluate.scores import PairScore
 
 TRUTH_COLOR = (70, 200, 110)
@@ -51,7 +50,7 @@ def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture
     camera = scene.held_out[pair.frame]
     projection = field.project(camera)
     rgb = render_colors(field.gaussians, camera, projection)
-    (answer,) = answer_view(field, camera, texts_of(scene, [pair.label]), projection=projection)
+    (answer,) = field.answer(question_of(scene, [pair.label]), camera, projection=projection)
     truth = mask_overlay(
         scene.mask(camera.name, pair.label),
         rgb,

@@ -21,6 +21,16 @@ MOST_CHANNELS = 18
 """Further queries and phrases times levels: beyond, it takes longer to render channels than cosines."""
 
 
+def versions(*parts: object) -> tuple[int, ...]:
+    """The state of tensors and other objects: it changes when one is replaced, and when a tensor is written to."""
+    counted = [isinstance(part, Tensor) and not part.is_inference() for part in parts]
+    return tuple(
+        number
+        for part, counts in zip(parts, counted, strict=True)
+        for number in (id(part), part._version if counts else 0)  # pyright: ignore[reportAttributeAccessIssue]
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class FieldCodes:
     """The codes of a field: indices [N, S, K], weights [N, S, K] and codebook [S, L, D]."""
@@ -31,12 +41,7 @@ class FieldCodes:
 
     def versions(self) -> tuple[int, ...]:
         """The state of each tensor: it changes when the tensor is replaced or written to."""
-        tensors = (self.indices, self.weights, self.codebook)
-        return tuple(
-            number
-            for tensor in tensors
-            for number in (id(tensor), 0 if tensor.is_inference() else tensor._version)
-        )
+        return versions(self.indices, self.weights, self.codebook)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,9 @@ from torch import Tensor
 
 from raster.parity import BACKENDS
 from scoup import raster
-from scoup.field.artefact import FieldInfo
-from scoup.field.cosine_cache import CosineCache, FieldCodes
 from scoup.field.language_field import LanguageField
+from scoup.query.cosine_cache import CosineCache, FieldCodes
+from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from support import KINDS, examples, make_camera, random_gaussians, scenes, unit
 

@@ -1,0 +1,6 @@
+"""The command line as `python -m scoup`."""
+
+from scoup.cli.app import entry
+
+if __name__ == "__main__":
+    entry()

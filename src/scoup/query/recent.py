@@ -1,0 +1,59 @@
+"""Values that were used a short while ago, kept for the next time."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Hashable
+from typing import Any
+
+
+class Recent:
+    """The most recently used values, bounded in number and size. Threads may share it; copies and pickles start empty.
+
+    Args:
+        most: values.
+        most_bytes: of all values together.
+    """
+
+    def __init__(self, most: int, most_bytes: int) -> None:
+        self.most, self.most_bytes = most, most_bytes
+        self._kept: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[type[Recent], tuple[int, int]]:
+        return Recent, (self.most, self.most_bytes)
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    @property
+    def bytes(self) -> int:
+        """Of all values together, as they were declared."""
+        return self._bytes
+
+    def get(self, key: Hashable) -> Any:
+        """The value of a key; None if it is not kept."""
+        with self._lock:
+            if key not in self._kept:
+                return None
+            self._kept.move_to_end(key)
+            return self._kept[key][0]
+
+    def keep(self, key: Hashable, value: Any, n_bytes: int) -> None:
+        """Keep a value of this size, unless it is larger than all may be together."""
+        with self._lock:
+            self._bytes -= self._kept.pop(key, (None, 0))[1]
+            if n_bytes > self.most_bytes:
+                return
+            self._kept[key] = value, n_bytes
+            self._bytes += n_bytes
+            while self._bytes > self.most_bytes or len(self._kept) > self.most:
+                self._bytes -= self._kept.popitem(last=False)[1][1]
+
+    def clear(self) -> None:
+        """Keep nothing."""
+        with self._lock:
+            self._kept.clear()
+            self._bytes = 0

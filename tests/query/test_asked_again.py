@@ -1,0 +1,170 @@
+"""What a field keeps from one question to the next: the same answers, in bounded memory, from several threads."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from query.conftest import Queried, random_vectors
+from scoup.field.language_field import LanguageField
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.query.recent import Recent
+from scoup.query.relevancy import relevancy
+from scoup.scene.codes import SparseCodes, code_norms, cosines_from_codes
+
+WORDS = [*CANONICAL_PHRASES, *(f"word {number}" for number in range(30))]
+
+
+@pytest.fixture
+def field(queried: Queried) -> LanguageField:
+    made = queried.field.with_gaussians(queried.field.gaussians)
+    made.text_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=5), strict=True)))
+    return made
+
+
+def dense(field: LanguageField, level: int) -> Tensor:
+    codes = SparseCodes(field.code_indices[:, level], field.code_weights[:, level].float(), field.n_atoms)
+    return codes.to_dense()
+
+
+def literal(field: LanguageField, queries: Tensor, canonical: Tensor) -> Tensor:
+    """[S, Q, N] by dense codes."""
+    both = torch.cat([queries, canonical])
+    cosines = torch.stack(
+        [cosines_from_codes(dense(field, level), atoms, both).T for level, atoms in enumerate(field.codebook)]
+    )
+    return relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
+
+
+@pytest.mark.parametrize("n_atoms", [8, 300])
+def test_norms_are_those_of_decoded_codes(n_atoms: int) -> None:
+    generator = torch.Generator().manual_seed(n_atoms)
+    indices = torch.rand(50, 2, n_atoms, generator=generator).argsort(-1)[..., :4]
+    weights = torch.rand(50, 2, 4, generator=generator).half()
+    weights[3] = 0
+    codebook = random_vectors(2, n_atoms, 16)
+    expected = torch.zeros(50, 2)
+    for row in range(50):
+        for level in range(2):
+            atoms = codebook[level][indices[row, level]]
+            expected[row, level] = (weights[row, level].float()[:, None] * atoms).sum(0).norm()
+    kind = torch.uint8 if n_atoms <= 256 else torch.uint16
+    found = code_norms(indices.to(kind), weights, codebook)
+    torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
+    assert code_norms(indices[:0].to(kind), weights[:0], codebook).shape == (0, 2)
+
+
+def test_relevancy_of_gaussians_is_that_of_dense_codes(field: LanguageField) -> None:
+    for seed in range(3):  # other phrases every time
+        queries, canonical = random_vectors(4, 16, seed=seed), random_vectors(3, 16, seed=9 + seed)
+        found = field.gaussian_relevancy(queries, canonical)
+        torch.testing.assert_close(found, literal(field, queries, canonical), atol=2e-6, rtol=0)
+        assert field.gaussian_relevancy(queries[1], canonical)[:, 0].equal(found[:, 1])
+
+
+def test_codes_that_change_are_noticed(field: LanguageField) -> None:
+    before = field.location("word 3")
+    assert field.coded_levels().equal((field.code_weights > 0).any(-1).T)
+    field.code_weights = field.code_weights.flip(0).clone()
+    after = field.location("word 3")
+    assert not before.answer.relevancy.equal(after.answer.relevancy)
+    field.code_weights[::2] = 0
+    assert not field.location("word 3").answer.relevancy.equal(after.answer.relevancy)
+    assert field.coded_levels().equal((field.code_weights > 0).any(-1).T)
+    queries, canonical = random_vectors(2, 16), random_vectors(3, 16, seed=1)
+    torch.testing.assert_close(
+        field.gaussian_relevancy(queries, canonical), literal(field, queries, canonical), atol=2e-6, rtol=0
+    )
+
+
+def test_the_same_text_again_has_an_answer_of_its_own(field: LanguageField) -> None:
+    first = field.location("word 3")
+    expected = first.record()
+    assert field.question("word 3") is field.question("word 3")
+    assert field.question("word 3") is not field.question("word 3", always=True)
+    first.answer.mask[:] = True
+    first.answer.relevancy.numpy()[:] = 0
+    again = field.location("word 3")
+    assert again.record() == expected
+    assert not again.answer.mask.equal(first.answer.mask)
+    either = field.question(["word 3", "word 4"], always=True)
+    field.select(either).mask[:] = False
+    assert field.select(either).mask.any()
+    moved = field.with_gaussians(field.gaussians)
+    field.things = None
+    assert field.location(field.question("word 3", always=True)).answer.threshold is not None
+    assert moved.location("word 3").record() == expected
+    field.text_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=6), strict=True)))
+    assert not field.location("word 3").answer.relevancy.equal(again.answer.relevancy)
+
+
+def test_a_thousand_questions_keep_memory_flat(field: LanguageField) -> None:
+    field._answers = Recent(256, 50_000)
+    sizes = []
+    dice = np.random.default_rng(0)
+    for number in range(1000):
+        one, other = dice.choice(WORDS[4:], 2, replace=False).tolist()
+        level, always = int(dice.integers(2)), bool(dice.integers(2))
+        if number % 3 == 0:
+            field.location(field.question([one, other], level=level, always=always))
+        elif number % 3 == 1:
+            field.select(f"{one} and not {other}")
+        else:
+            field.location(random_vectors(16, seed=number))
+        sizes.append(
+            (len(field._questions), field._questions.bytes, len(field._answers), field._answers.bytes)
+        )
+    questions, question_bytes, _, answer_bytes = (max(each) for each in zip(*sizes, strict=True))
+    assert questions == 256
+    assert question_bytes < 256 * 8 * 16 * 4
+    assert 40_000 < answer_bytes <= 50_000
+    assert len(field._cosine_cache) == 0
+
+
+def test_what_is_kept_is_the_newest_within_bounds() -> None:
+    kept = Recent(3, 100)
+    for number in range(4):
+        kept.keep(number, str(number), 30)
+    assert [kept.get(number) for number in range(4)] == [None, "1", "2", "3"]
+    kept.get(1)
+    kept.keep(4, "4", 50)
+    assert [kept.get(number) for number in (1, 2, 3, 4)] == [None, None, "3", "4"] or kept.bytes <= 100
+    kept.keep(5, "5", 101)
+    assert kept.get(5) is None
+    kept.keep(4, "new", 10)
+    assert (kept.get(4), kept.bytes <= 100) == ("new", True)
+    kept.clear()
+    assert (len(kept), kept.bytes) == (0, 0)
+
+
+def test_several_threads_ask_one_field(field: LanguageField) -> None:
+    words = WORDS[4:16]
+    fresh = field.with_gaussians(field.gaussians)
+    expected = {word: (fresh.location(word).record(), fresh.answer(word, 1).record()) for word in words}
+    found: list[tuple[str, object]] = []
+
+    def ask(start: int) -> None:
+        for word in (words[start:] + words[:start]) * 2:
+            found.append((word, (field.location(word).record(), field.answer(word, 1).record())))
+
+    threads = [threading.Thread(target=ask, args=(3 * number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 4 * 2 * len(words)
+    for word, records in found:
+        assert records == expected[word]
+
+
+def test_a_smaller_look(field: LanguageField) -> None:
+    answer = field.answer(field.question("word 3", always=True), 0, scale=0.5)
+    height, width = field.answer(field.question("word 3", always=True), 0).mask.shape
+    assert answer.mask.shape == (round(height / 2), round(width / 2))
+    assert field.cameras is not None
+    small = field.cameras.scaled(0.5)[0]
+    assert field.answer(field.question("word 3", always=True), small).record() == answer.record()

@@ -1,0 +1,93 @@
+"""Fields, encoders, questions and answers in other processes: pickle, deepcopy, spawn, joblib."""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from query.conftest import Queried, random_vectors
+from scoup.base.errors import InputError
+from scoup.field.language_field import LanguageField
+from scoup.models.text import TextEncoder
+from scoup.models.word_table import save_table
+from scoup.models.words import CANONICAL_PHRASES
+
+WORDS = [*CANONICAL_PHRASES, *(f"word {number}" for number in range(20))]
+COPIES = {"pickle": lambda value: pickle.loads(pickle.dumps(value)), "deepcopy": copy.deepcopy}
+
+
+@pytest.fixture
+def field(queried: Queried) -> LanguageField:
+    made = queried.field.with_gaussians(queried.field.gaussians)
+    made.text_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=5), strict=True)))
+    return made
+
+
+@pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
+def test_fields_and_what_they_answer(field: LanguageField, copied: Callable[[Any], Any]) -> None:
+    expected = field.location("word 3").record()  # and something is kept
+    field.answer("word 3", projection=field.project(0))
+    other = copied(field)
+    assert other.location("word 3").record() == expected
+    assert len(other._answers) == 1  # its own
+    assert field.cameras is not None
+    assert other.cameras.names == field.cameras.names
+    question = field.question(["word 1", "word 2"], threshold=0.6)
+    assert [each.record() for each in other.location(copied(question))] == [
+        each.record() for each in field.location(question)
+    ]
+    for made in (
+        field.answer("word 3"),
+        field.location("word 3"),
+        field.select("word 3 and not word 4"),
+    ):
+        assert copied(made).record() == made.record()
+    finding = field.finding("word 3")
+    assert finding.best is not None
+    assert copied(finding).best.record() == finding.best.record()
+    labels = field.label(["word 1", "word 2"])
+    assert copied(labels).ids.equal(labels.ids)
+
+
+@pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
+def test_encoders(tmp_path: Path, copied: Callable[[Any], Any]) -> None:
+    vectors = random_vectors(len(WORDS), 16, seed=5)
+    save_table(tmp_path / "words.npz", WORDS, vectors)
+    for encoder in (
+        TextEncoder.open(dict(zip(WORDS, vectors, strict=True))),
+        TextEncoder.open(tmp_path / "words.npz"),
+        TextEncoder("model", 16, _ones),
+    ):
+        other = copied(encoder)
+        assert (other.name, other.dim, other.names) == (encoder.name, encoder.dim, encoder.names)
+        assert other.encode(["word 3"]).equal(encoder.encode(["word 3"]))
+    encoder.close()
+    with pytest.raises(InputError, match="is closed"):
+        copied(encoder).encode(["word 3"])
+
+
+def _ones(phrases: list[str]) -> torch.Tensor:
+    return torch.ones(len(phrases), 16)
+
+
+def _located(field: LanguageField, text: str) -> dict[str, Any]:
+    return field.location(text).record()
+
+
+def test_another_process_asks(field: LanguageField) -> None:
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply(_located, (field, "word 3")) == _located(field, "word 3")
+
+
+def test_joblib_asks(field: LanguageField) -> None:
+    joblib = pytest.importorskip("joblib")
+    texts = ["word 3", "word 4"]
+    found = joblib.Parallel(n_jobs=2)(joblib.delayed(_located)(field, text) for text in texts)
+    assert found == [_located(field, text) for text in texts]
