@@ -102,9 +102,11 @@ def main(arguments: Arguments) -> dict[str, Any]:
     districts = arguments.districts
     one = model.predict(arguments.gaussians, arguments.views)
     each = model.predict(arguments.margin * arguments.gaussians / districts, arguments.views / districts)
-    cities = {"one scene": shared(one, districts), "districts": {**each, "hours": each["total"] / 3600}}
+    hours = each["total"] / 3600
+    alone = {**each, "hours": hours, "machine_hours": hours * districts}
+    cities = {"one scene": shared(one, districts), "districts": alone}
     for of_city in cities.values():
-        of_city["price"] = arguments.price * of_city["hours"] * districts
+        of_city["price"] = arguments.price * of_city["machine_hours"]
     limits = limits_of(model, arguments.memory, arguments.disk)
     print(check_table(checks))
     print(city_table(cities))
@@ -200,9 +202,12 @@ def checked(model: Model, case: dict[str, Any]) -> dict[str, Any]:
 
 
 def shared(whole: dict[str, float], processes: int) -> dict[str, float]:
-    """The city as one scene: views and vote are shared out, the codes of all regions are learned in one place."""
-    own = {**whole, "region sums": whole["region sums"] / processes, "vote": whole["vote"] / processes}
-    return {**own, "hours": sum(own[stage] for stage in STAGES) / 3600}
+    """The city as one scene: views are shared out; one process learns the codes of all regions, and votes."""
+    own = {**whole, "region sums": whole["region sums"] / processes}
+    hours = sum(own[stage] for stage in STAGES) / 3600
+    # All other machines have ended before the merge.
+    shards = (own["load"] + own["region sums"]) / 3600
+    return {**own, "hours": hours, "machine_hours": hours + shards * (processes - 1)}
 
 
 def limits_of(model: Model, memory: float, disk: float) -> dict[str, dict[str, float]]:
@@ -213,7 +218,7 @@ def limits_of(model: Model, memory: float, disk: float) -> dict[str, dict[str, f
         "embeddings of all regions, in the process that learns codes": {
             "views": memory / (of["regions"]["V seen"] * BYTES_OF_EMBEDDING)
         },
-        "region sums of all views, on the disk of each process that votes": {
+        "region sums of all views, on the disk of the process that merges": {
             "views": disk / of["bytes_of_sums"]["V seen"]
         },
         "codes of all Gaussians, order and projection, in every process": {

@@ -17,7 +17,6 @@ from scoup.base.atomic import atomic_path
 from scoup.base.errors import InputError, ScoupWarning, WriteError
 from scoup.base.last_steps import LastSteps
 from scoup.base.locks import complete, locked_file
-from scoup.base.processes import Processes
 
 # Writes a.scoup, a.scoup.sums from a.scoup.partial, and removes a.scoup.rest; killed before the n-th step of these.
 FINISH = """
@@ -185,15 +184,3 @@ def test_a_refused_move_names_the_file_that_it_was_to_make(
     with pytest.warns(ScoupWarning, match=r"\(a.scoup.sums\)"):  # the rest, once it is allowed
         complete(Path("a.scoup"))
     assert snapshot(Path()) == NEW
-
-
-def test_of_several_processes_those_that_hold_no_lock_finish_too() -> None:
-    class Second(Processes):
-        def from_rank(self, item, rank):
-            return item
-
-    write({"a.scoup.partial": b"sums"})
-    with locked_file(Path("a.scoup"), processes=Second(1, 2)) as lock:
-        assert lock.descriptor is None
-        lock.finish({Path("a.scoup.partial"): Path("a.scoup.sums")})
-    assert snapshot(Path()) == {"a.scoup.sums": b"sums"}

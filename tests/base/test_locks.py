@@ -19,7 +19,7 @@ import pytest
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import InputError, OutputExistsError, OutputInUseError
 from scoup.base.locks import locked_file, locked_folder
-from scoup.base.processes import Processes
+from scoup.base.shares import Share
 from scoup.base.staging import staged
 
 HOLD = """
@@ -218,28 +218,28 @@ def test_files_move_together_though_interrupted(
 
 def test_processes_at_work_in_one_folder(tmp_path: Path) -> None:
     """They keep a lone process out, to the last, and a lone one keeps each of them out."""
-    first, second = Processes(0, 2), Processes(1, 2)
+    first, second = Share(0, 2), Share(1, 2)
     with another_process("folder", tmp_path) as other:
-        for processes in (first, second):
+        for share in (first, second):
             with pytest.raises(OutputInUseError, match=f"by process {other.pid} "), \
-                    locked_folder(tmp_path, processes):  # fmt: skip
+                    locked_folder(tmp_path, share):  # fmt: skip
                 pass
     with locked_folder(tmp_path, second):
         with locked_folder(tmp_path, first), pytest.raises(OutputInUseError), locked_folder(tmp_path, first):
             pass
         with pytest.raises(OutputInUseError, match=f"by process {os.getpid()} "), locked_folder(tmp_path):
             pass
-        assert [item.name for item in tmp_path.iterdir()] == ["scoup.lock.1"]
+        assert [item.name for item in tmp_path.iterdir()] == ["scoup.lock.2-of-2"]
     assert not list(tmp_path.iterdir())
 
 
 def test_locks_of_dead_processes_at_work_in_one_folder_are_removed(tmp_path: Path) -> None:
-    with locked_folder(tmp_path, Processes(0, 2)):
-        record = (tmp_path / "scoup.lock.0").read_text()
-    for name in ("scoup.lock", "scoup.lock.0", "scoup.lock.1"):
+    with locked_folder(tmp_path, Share(0, 2)):
+        record = (tmp_path / "scoup.lock.1-of-2").read_text()
+    for name in ("scoup.lock", "scoup.lock.1-of-2", "scoup.lock.2-of-2"):
         (tmp_path / name).write_text(record)
     (tmp_path / "scoup.lock.txt").write_text("precious")
-    with locked_folder(tmp_path, Processes(0, 2)):
+    with locked_folder(tmp_path, Share(0, 2)):
         pass
     with locked_folder(tmp_path):
         pass
@@ -266,24 +266,6 @@ def test_hidden_folders_of_killed_processes_are_removed(tmp_path: Path) -> None:
             assert len(list(tmp_path.iterdir())) == 2  # its own, and that of the living
     assert sorted(item.name for item in tmp_path.iterdir()) == ["b", "c"]
     assert (tmp_path / "b" / "half").read_text() == "half"  # the living one was not disturbed
-
-
-def test_of_several_processes_the_first_holds_it_and_all_are_refused(tmp_path: Path) -> None:
-    said = []
-
-    class Others(Processes):
-        def from_rank(self, item, rank):
-            said.append(item)
-            return item
-
-    path = tmp_path / "a.scoup"
-    with locked_file(path, processes=Others(1, 2)):
-        assert not list(tmp_path.iterdir())  # the second writes no lock
-    path.write_text("x")
-    with pytest.raises(OutputExistsError), locked_file(path, processes=Others(0, 2)):
-        pass
-    assert said[0] == (None, None)
-    assert isinstance(said[1][1], OutputExistsError)  # which every process would raise
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,7 @@ def test_refusals(here):
         ("merge", "words.sums"): "words.sums: its name does not say which field it is of; give --out",
         ("merge", *paths, "--n-atoms", "0"): "must not exceed the 0 atoms",
         ("build", *SCENE, "--out", "g.scoup", "--shard", "1/2"): "g.scoup.1-of-2.sums: already exists",
-        ("build", *SCENE, "--out", "g.scoup", "--shard", "5/4"): "'5/4' is no shard; give I/N",
+        ("build", *SCENE, "--out", "g.scoup", "--shard", "5/4"): "invalid shard '5/4'; expected I/N",
         ("build", *SCENE, "--shard", "1/4", "--keep-sums", "--k", "1"): "give --k, --keep-sums to scoup merge",
         ("build", *SCENE, "--shard", "1/4", "--sums", paths[0]): "there is nothing to rasterise",
     }  # fmt: skip
@@ -119,7 +119,7 @@ def test_refusals(here):
 def test_torchrun_and_shards_do_not_go_together(monkeypatch):
     monkeypatch.setenv("RANK", "0")
     monkeypatch.setenv("WORLD_SIZE", "2")
-    assert "torchrun shares the views out by itself" in refused("build", *SCENE, "--shard", "1/4")
+    assert "which shares out views itself; not both" in refused("build", *SCENE, "--shard", "1/4")
 
 
 def test_info_of_shards_and_sums():

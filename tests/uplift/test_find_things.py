@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 
 from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
 from scoup.base.counts import spread
-from scoup.base.processes import Item, Processes, shard
+from scoup.base.shares import Share
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
@@ -415,32 +415,6 @@ def test_kept_in_memory_in_files_or_spilled_they_are_the_same(wall: Wall, tmp_pa
         assert_same(things_of(sums, coded), of_field(built(wall)))
 
 
-@dataclass(frozen=True)
-class Together(Processes):
-    """Stands for several processes that each hold some of the Gaussians: all are given to ``gather`` at once."""
-
-    def gather(self, item: Item) -> list[Item]:
-        entries: list[Item] = []
-        count = len(item.total)  # pyright: ignore[reportAttributeAccessIssue]
-        for rank in range(self.world):
-            mine = np.zeros(count, bool)
-            part = Processes(rank, self.world).share_range(count)
-            mine[part.start : part.stop] = True
-            own = mine[item.gaussians]  # pyright: ignore[reportAttributeAccessIssue]
-            held = {name: getattr(item, name)[own] for name in ("gaussians", "regions", "weights")}
-            total = np.where(mine, item.total, 0.0)  # pyright: ignore[reportAttributeAccessIssue]
-            entries.append(replace(item, total=total, **held))  # pyright: ignore[reportArgumentType]
-        return entries
-
-
-@pytest.mark.parametrize("world", [2, 3, 1000])
-def test_how_gaussians_are_shared_does_not_matter(wall: Wall, things: Things, world: int) -> None:
-    sums = region_sums(wall.gaussians, wall.cameras, wall.regions)
-    embeddings = [wall.regions.embeddings(level)[0] for level in LEVELS]
-    assert_same(find_things(sums, embeddings), things)
-    assert_same(find_things(sums, embeddings, Together(0, world)), things)
-
-
 @pytest.mark.parametrize("share_out", [("1/1",), ("2/3", "3/3", "1/3")])
 def test_shards_merge_to_the_things_of_a_build(wall: Wall, tmp_path: Path, share_out: Sequence[str]) -> None:
     with ExitStack() as stack:
@@ -448,7 +422,9 @@ def test_shards_merge_to_the_things_of_a_build(wall: Wall, tmp_path: Path, share
         for number, share in enumerate(share_out):
             path = tmp_path / f"{number}.sums"
             shards.append(stack.enter_context(closing(RegionSums.of(wall.gaussians, LEVELS, path=path))))
-            add_shard(shards[-1], wall.gaussians, wall.cameras, wall.regions, shard(share), check_fit=False)
+            add_shard(
+                shards[-1], wall.gaussians, wall.cameras, wall.regions, Share.parse(share), check_fit=False
+            )
         found = merge(shards, SETTINGS)
     assert saved(found, tmp_path / "a.scoup") == saved(built(wall), tmp_path / "b.scoup")
     assert len(of_field(found)) == 3 * COUNT

@@ -14,7 +14,7 @@ import torch
 
 from scoup import BuildSettings, build
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
-from scoup.base.processes import Processes, shard
+from scoup.base.shares import Share
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.rasterise import region_sums
@@ -39,7 +39,7 @@ def made(folder: Path, share: str, scene=SCENE, **how) -> Path:
     gaussians, cameras, regions = scene
     path = folder / f"{next(NUMBERS)}.sums"
     with closing(RegionSums.of(gaussians, regions.levels, path=path, **how)) as sums:
-        add_shard(sums, gaussians, cameras, regions, shard(share), embedding_model="m",
+        add_shard(sums, gaussians, cameras, regions, Share.parse(share), embedding_model="m",
                   geometry_path=folder / "g.ply", check_fit=False)  # fmt: skip
     return path
 
@@ -127,7 +127,7 @@ def test_an_interrupted_shard_goes_on(tmp_path: Path) -> None:
         sums = RegionSums.of(gaussians, regions.levels, path=path) if new else RegionSums.open(path, True)
         with closing(sums):
             try:
-                add_shard(sums, gaussians, cameras, regions, shard("1/1"), embedding_model="m", progress=stop,
+                add_shard(sums, gaussians, cameras, regions, Share.parse("1/1"), embedding_model="m", progress=stop,
                           geometry_path=tmp_path / "g.ply", check_fit=False)  # fmt: skip
             except KeyboardInterrupt:
                 assert 1 <= len(sums) < 5
@@ -146,7 +146,7 @@ def test_inputs_that_have_changed_are_kept_anew(tmp_path: Path) -> None:
 
     changed = Regions(regions.levels, cameras.names, load)
     with closing(RegionSums.open(path, writable=True)) as sums:
-        add_shard(sums, gaussians, cameras, changed, shard("1/1"), embedding_model="m",
+        add_shard(sums, gaussians, cameras, changed, Share.parse("1/1"), embedding_model="m",
                   geometry_path=tmp_path / "g.ply", check_fit=False)  # fmt: skip
     assert merged([path], tmp_path) == alone(tmp_path, scene=(gaussians, cameras, changed))
 
@@ -231,13 +231,3 @@ def test_a_shard_that_was_cut_short_is_refused(tmp_path: Path) -> None:
     path.write_bytes(whole[: len(whole) * 3 // 4])
     with pytest.raises(FileFormatError, match="lacks the region sums of view_"):
         merged([path], tmp_path)
-
-
-@pytest.mark.parametrize("text", ["", "1", "0/2", "3/2", "1/0", "a/b", "1/2/3", "-1/2", "1/ 2", "²/3"])
-def test_what_is_no_share_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="give I/N"):
-        shard(text)
-
-
-def test_shares_count_from_one() -> None:
-    assert [shard("1/4"), shard("4/4")] == [Processes(0, 4), Processes(3, 4)]

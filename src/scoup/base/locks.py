@@ -7,22 +7,22 @@ import json
 import os
 import re
 import socket
+import threading
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import Any
 
 from scoup.base.atomic import check_output, folder_made
 from scoup.base.errors import InputError, OutputInUseError, ScoupError, ScoupWarning, WriteError
 from scoup.base.holding import HEX, LONGEST_STEM, NO_LINK, is_same, remove_abandoned, try_hold
 from scoup.base.last_steps import LastSteps
+from scoup.base.shares import Share
 from scoup.base.staging import stops_held_back
-
-if TYPE_CHECKING:
-    from scoup.base.processes import Processes
 
 LOCK = ".lock"
 FOLDER_LOCK = "scoup.lock"
@@ -32,15 +32,29 @@ _LAST_STEPS = "last_steps"  # of the contents of a lock: what its process was ab
 
 @dataclass(frozen=True)
 class Lock:
-    """The lock of an output, while this process, or the first of several, holds it.
+    """The lock of an output, while this process holds it.
 
     Attributes:
         output: the file.
-        descriptor: of the lock file; None in the other processes.
+        descriptor: of the lock file.
+        notes: entries of its record, beside who holds it and since when.
     """
 
     output: Path
-    descriptor: int | None = None
+    descriptor: int
+    notes: dict[str, Any] = field(default_factory=dict)
+    _writing: threading.Lock = field(default_factory=threading.Lock)
+
+    def note(self, **notes: Any) -> None:
+        """Write entries into the lock file; those of None are removed from it.
+
+        Raises:
+            WriteError: the system refuses.
+        """
+        with self._writing:
+            self.notes.update(notes)
+            known = {name: value for name, value in self.notes.items() if value is not None}
+            _write_holder(self.output, self.descriptor, known)
 
     def finish(self, moves: Mapping[Path, Path], removed: Iterable[Path] = ()) -> None:
         """Give finished files their names and remove others: all of it or, where nothing was begun, nothing.
@@ -58,18 +72,17 @@ class Lock:
         """
         steps = LastSteps.of(self.output, moves, removed)
         with stops_held_back():
-            if self.descriptor is not None:
-                _write_holder(self.output, self.descriptor, steps)
+            self.note(**{_LAST_STEPS: steps.record()})
             try:
                 steps.take()
             except WriteError:
-                if self.descriptor is not None and not steps.is_begun:
-                    _write_holder(self.output, self.descriptor)
+                if not steps.is_begun:
+                    self.note(**{_LAST_STEPS: None})
                 raise
 
 
 @contextmanager
-def locked_file(path: Path, overwrite: bool = False, processes: Processes | None = None) -> Iterator[Lock]:
+def locked_file(path: Path, overwrite: bool = False) -> Iterator[Lock]:
     """Keep other processes from writing a file, and what goes beside it, meanwhile.
 
     ``PATH.lock`` says who writes. It is removed at the end, after an interruption too. One whose process has died
@@ -79,7 +92,6 @@ def locked_file(path: Path, overwrite: bool = False, processes: Processes | None
     Args:
         path: the file. It is checked once more, as another process may just have finished it.
         overwrite: replace what is there.
-        processes: at one task; the first holds the lock for all, and all are refused together.
 
     Raises:
         OutputInUseError: another process is writing it.
@@ -90,18 +102,9 @@ def locked_file(path: Path, overwrite: bool = False, processes: Processes | None
     """
     own = re.escape(path.stem[:LONGEST_STEM]), re.escape(path.suffix), re.escape(path.name[:LONGEST_STEM])
     temporary = re.compile(rf"\.({own[0]}\.{HEX}{own[1]}|{own[2]}\.{HEX}\.\w+)")
-    with ExitStack() as stack:
-
-        def acquire() -> None:
-            held.append(stack.enter_context(_held(path, path.with_name(path.name + LOCK), temporary)))
-            check_output(path, overwrite)
-
-        held: list[int] = []
-        if processes is None:
-            acquire()
-        else:
-            processes.of_first(acquire)
-        yield Lock(path, *held)
+    with _held(path, lock_path(path), temporary) as descriptor:
+        check_output(path, overwrite)
+        yield Lock(path, descriptor)
 
 
 def complete(path: Path) -> None:
@@ -112,19 +115,19 @@ def complete(path: Path) -> None:
     Warns:
         ScoupWarning: something was put in its place.
     """
-    if path.with_name(path.name + LOCK).is_file():
+    if lock_path(path).is_file():
         with suppress(ScoupError), locked_file(path, overwrite=True):
             pass
 
 
 @contextmanager
-def locked_folder(path: Path, processes: Processes | None = None) -> Iterator[None]:
+def locked_folder(path: Path, share: Share = Share()) -> Iterator[None]:  # noqa: B008 - frozen
     """The same for a folder of results, by a file ``scoup.lock`` in it; the folder is made if it is missing.
 
     Args:
         path: the folder.
-        processes: at work in it together, which need not communicate. Each of several holds ``scoup.lock.RANK``: a lone
-            process is kept out while any of them is at work, and they are while a lone one is.
+        share: of the work that this process does. Each of several holds ``scoup.lock.I-of-N``: one that does
+            everything is kept out while any of them works, and they are while it does.
 
     Raises:
         InputError: it is a file; or as ``locked_file``.
@@ -133,8 +136,8 @@ def locked_folder(path: Path, processes: Processes | None = None) -> Iterator[No
         raise InputError(f"{path}: is a file; give the name of a folder")
     temporary = re.compile(rf"\..+\.{HEX}(\.\w+)?")
     # Whoever has taken its own lock looks for others': of two that begin together, one at least is refused.
-    if processes is not None and processes.world > 1:
-        with _held(path, path / f"{FOLDER_LOCK}.{processes.rank}", temporary):
+    if not share.is_everything:
+        with _held(path, path / f"{FOLDER_LOCK}.{share}", temporary):
             _check_free(path, path / FOLDER_LOCK)
             yield
         return
@@ -146,9 +149,14 @@ def locked_folder(path: Path, processes: Processes | None = None) -> Iterator[No
         yield
 
 
+def lock_path(output: Path) -> Path:
+    """Return the place of the lock file of an output."""
+    return output.with_name(output.name + LOCK)
+
+
 def is_folder_lock(name: str) -> bool:
     """Whether a file of this name in a folder is a lock of ``locked_folder``."""
-    return re.fullmatch(re.escape(FOLDER_LOCK) + r"(\.\d+)?", name) is not None
+    return re.fullmatch(re.escape(FOLDER_LOCK) + r"(\.\d+-of-\d+)?", name) is not None
 
 
 @contextmanager
@@ -257,22 +265,38 @@ def _last_steps(output: Path, descriptor: int) -> LastSteps | None:
     return LastSteps.of_record(output, contents[_LAST_STEPS])
 
 
-def _write_holder(output: Path, descriptor: int, steps: LastSteps | None = None) -> None:
+def _write_holder(output: Path, descriptor: int, notes: Mapping[str, Any] = MappingProxyType({})) -> None:
     record: dict[str, Any] = {
         "host": socket.gethostname(),
         "process": os.getpid(),
         "since": datetime.now().isoformat(timespec="seconds"),
+        **notes,
     }
-    if steps is not None:
-        record[_LAST_STEPS] = steps.record()
-    text = (json.dumps(record) + "\n").encode()
+    # In one write and never shorter than before: others may read it at any moment.
+    text = json.dumps(record).encode().ljust(os.fstat(descriptor).st_size - 1) + b"\n"
     try:
-        os.ftruncate(descriptor, 0)
         os.lseek(descriptor, 0, os.SEEK_SET)
         if os.write(descriptor, text) < len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     except OSError as error:
         raise WriteError.of(output, error) from error
+
+
+def read_record(lock: Path) -> dict[str, Any] | None:
+    """Return the record in a lock file; None where there is no such file.
+
+    Raises:
+        ValueError: it is being written at this moment, or something else.
+    """
+    try:
+        record = json.loads(lock.read_bytes()[:_MOST_BYTES])
+    except FileNotFoundError:
+        return None
+    except (OSError, RecursionError) as error:
+        raise ValueError from error
+    if not isinstance(record, dict):
+        raise ValueError("not a record")
+    return record
 
 
 def _record(descriptor: int) -> tuple[str, datetime] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,8 @@ from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, OptionGroups
 
 if TYPE_CHECKING:
-    from scoup.base.processes import Processes
+    from scoup.base.locks import Lock
+    from scoup.field.language_field import LanguageField
     from scoup.uplift.region_sums import RegionSums
 
 
@@ -46,33 +47,20 @@ class Merge(BuildOptions):
 
     def run(self, console: Console) -> None:
         """Merge, save and report."""
+        from scoup.base.errors import InputError
         from scoup.base.locks import locked_file
-        from scoup.base.processes import device_of_process, process_group
-        from scoup.uplift.checkpoint import moved_with_sums
-        from scoup.uplift.shards import merge
+        from scoup.base.shares import Share
 
-        device, out = device_of_process(self.device), self._output()
-        settings = self.settings("inria")  # a mistake shows now; the rasteriser preset is that of the shards
+        if not Share.of_environment().is_everything:
+            raise InputError("scoup merge works in one process; run it without torchrun")
+        out = self._output()
+        self.settings("inria")  # a mistake shows now; the rasteriser preset is that of the shards
         started = time.perf_counter()
-        with (
-            process_group(device) as processes,
-            locked_file(out, self.overwrite, processes) as lock,
-            _opened(self.shards) as shards,
-            self._kept(out, shards, processes) as keep,
-            console.progress() as progress,
-        ):
-            field = merge(
-                shards, settings, keep=keep, geometry_path=self.gaussians, field_path=out,
-                device=device, progress=progress,
-            )  # fmt: skip
-            bytes_of_sums = None if keep is None else keep.bytes
-            # Field and sums appear together.
-            move = os.replace if keep is None else moved_with_sums(lock, keep, keep=True)
-            how = (self.overwrite, self.embed_geometry, self.weight_bits, move)
-            processes.of_first(lambda: field.save(out, *how))
-        if processes.first:
-            console.say(f"{counted(len(self.shards), 'shard')} merged")
-            report_field(console, field, out, bytes_of_sums, device, time.perf_counter() - started)
+        with locked_file(out, self.overwrite) as lock:
+            found = save_merged(console, self, lock, self.shards, self.device, self.keep_sums, self.gaussians)
+        console.say(f"{counted(len(self.shards), 'shard')} merged")
+        seconds = time.perf_counter() - started
+        report_field(console, found.field, out, found.bytes_of_sums, self.device, seconds)
 
     def _output(self) -> Path:
         """The file to write, after checking that it and what goes beside it may be written."""
@@ -97,24 +85,60 @@ class Merge(BuildOptions):
             check_output(sums_path(out), self.overwrite)
         return out
 
-    @contextmanager
-    def _kept(self, out: Path, shards: list[RegionSums], processes: Processes) -> Iterator[RegionSums | None]:
-        """New region sums in a file beside the field; None where none are to be kept."""
-        from scoup.base.errors import InputError
-        from scoup.uplift.checkpoint import new_sums
-        from scoup.uplift.region_sums import RegionSums
 
-        if not self.keep_sums:
-            yield None
-            return
-        if processes.world > 1:
-            raise InputError("--keep-sums works in one process; run without torchrun")
-        with new_sums(out, "merge") as path, closing(RegionSums.like(shards[0], path)) as keep:
-            yield keep
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """A field of shards, and the bytes of its region sums where they are kept."""
+
+    field: LanguageField
+    bytes_of_sums: int | None
+
+
+def save_merged(
+    console: Console,
+    options: BuildOptions,
+    lock: Lock,
+    paths: Sequence[Path],
+    device: str,
+    keep_sums: bool,
+    geometry: Path | None,
+) -> Merged:
+    """Merge shards and write the field of a lock, and its region sums if they are to be kept."""
+    from scoup.uplift.checkpoint import moved_with_sums
+    from scoup.uplift.shards import merge
+
+    out = lock.output
+    with (
+        _opened(paths) as shards,
+        _kept(out, shards, keep_sums) as keep,
+        console.progress() as progress,
+    ):
+        field = merge(
+            shards, options.settings("inria"), keep=keep, geometry_path=geometry, field_path=out,
+            device=device, progress=progress,
+        )  # fmt: skip
+        bytes_of_sums = None if keep is None else keep.bytes
+        # Field and sums appear together.
+        move = os.replace if keep is None else moved_with_sums(lock, keep, keep=True)
+        field.save(out, options.overwrite, options.embed_geometry, options.weight_bits, move)
+    return Merged(field, bytes_of_sums)
 
 
 @contextmanager
-def _opened(paths: tuple[Path, ...]) -> Iterator[list[RegionSums]]:
+def _kept(out: Path, shards: list[RegionSums], wanted: bool) -> Iterator[RegionSums | None]:
+    """New region sums in a file beside the field; None where none are to be kept."""
+    from scoup.uplift.checkpoint import new_sums
+    from scoup.uplift.region_sums import RegionSums
+
+    if not wanted:
+        yield None
+        return
+    with new_sums(out, "merge") as path, closing(RegionSums.like(shards[0], path)) as keep:
+        yield keep
+
+
+@contextmanager
+def _opened(paths: Sequence[Path]) -> Iterator[list[RegionSums]]:
     from scoup.uplift.region_sums import RegionSums
 
     with ExitStack() as stack:

@@ -10,7 +10,6 @@ import torch
 
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import ScoupWarning
-from scoup.base.processes import ALONE, Processes, at_work
 from scoup.base.progress import Progress, no_progress
 from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
@@ -22,7 +21,7 @@ from scoup.scene.things import Things
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import build_record
-from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums, exchanged
+from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums
 from scoup.uplift.region_codes import RegionCodes, RegionEmbeddings, inputs_digest, learn_region_codes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.things import find_things
@@ -46,9 +45,6 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
 
     The parts can be called one by one: ``fit_codes``, ``region_sums``, ``vote``, ``LanguageField``. Beyond the
     embeddings and codes of all regions, memory does not grow with the number of views.
-
-    Where torch's process group is set up (torchrun), each process learns the codes of some levels, rasterises its share
-    of the views and votes for its share of the Gaussians; all of them return the field that one process makes.
 
     Args:
         gaussians: the trained scene; never changed.
@@ -77,23 +73,21 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     for oddity in oddities(gaussians):
         warnings.warn(oddity, ScoupWarning, stacklevel=2)
     views = cameras_with_regions(cameras, regions)
-    names = [camera.name for camera in views]
-    regions = regions.select(names)
+    regions = regions.select([camera.name for camera in views])
     embeddings = RegionEmbeddings.of(regions)
     if sums is None:
         sums = RegionSums.of(gaussians, regions.levels, settings.raster_preset)
     else:
         check_sums(sums, gaussians, regions, settings.raster_preset)
-    processes, device = at_work(), gaussians.device
-    if check_fit and not any(processes.gather(len(sums))):
-        fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path, processes)
+    device = gaussians.device
+    if check_fit and not len(sums):
+        fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path)
 
-    codes = learn_region_codes(sums, embeddings, settings, device, processes, progress)
+    codes = learn_region_codes(sums, embeddings, settings, device, progress)
     digest = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
     del embeddings  # codes, and rounded embeddings, are enough from here on
-    add_views(sums, gaussians, views, regions, backend, progress, processes)
-    sums = exchanged(sums, names, processes)
-    things = things_of(sums, codes, processes, progress)
+    add_views(sums, gaussians, views, regions, backend, progress)
+    things = things_of(sums, codes, progress)
     path = None if geometry_path is None else Path(geometry_path)
     sources = Sources(tuple(views), embedding_model, path, digest)
     field = voted(sums, codes, things, sources, settings, device, backend, progress)
@@ -121,22 +115,18 @@ class Sources:
 def things_of(
     sums: RegionSums,
     codes: RegionCodes,
-    processes: Processes = ALONE,
     progress: Progress = no_progress,
 ) -> Things | None:
     """The things of the views of ``codes``; None where their embeddings are not known.
 
     Args:
-        sums: of these views; on each of several processes those of some of the Gaussians.
+        sums: of these views.
         codes: of the regions.
-        processes: all that hold a part of the sums.
         progress: called for the stage "things".
     """
     if not codes.embeddings:
         return None
-    return find_things(
-        sums.of_views(codes.rows[0], codes.rows), codes.embeddings, processes, progress=progress
-    )
+    return find_things(sums.of_views(codes.rows[0], codes.rows), codes.embeddings, progress)
 
 
 def voted(
@@ -152,7 +142,7 @@ def voted(
     """The last step of a build: all views vote. Its field has no Gaussians attached.
 
     Args:
-        sums: of the views of ``sources``, on each process those of the Gaussians that it votes for.
+        sums: of the views of ``sources``.
         codes: of the regions of these views.
         things: of these views.
         sources, settings: of the build.

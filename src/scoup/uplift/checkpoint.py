@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import os
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,9 +14,8 @@ from typing import Any
 import torch
 
 from scoup.base.atomic import Move, atomic_path
-from scoup.base.errors import FileFormatError, InputError, ScoupWarning, WriteError, refused_read
+from scoup.base.errors import FileFormatError, InputError, ScoupWarning, refused_read
 from scoup.base.locks import Lock
-from scoup.base.processes import ALONE, Processes
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -34,8 +33,6 @@ def checkpoint(
     gaussians: Gaussians,
     regions: Regions,
     raster_preset: str = "inria",
-    keep: bool = False,
-    processes: Processes = ALONE,
     **how: Any,
 ) -> Iterator[RegionSums]:
     """The region sums of a build, in the file FIELD.partial; what an interrupted build has left there is continued.
@@ -43,23 +40,12 @@ def checkpoint(
     At the end of the block the file is removed, unless ``moved_with_sums`` has made it the field's ``sums_path``. After
     an error it stays for the next build, but for an ``InputError`` before there was anything in it.
 
-    Files of sums that builds by another number of processes have left are removed.
-
     Args:
         field: the file that is built; the caller has locked it (``base.locks``).
         gaussians, regions, raster_preset: of the build.
-        keep: the sums after the build.
-        processes: each has a file of its own. None may end the block before the field is written.
         how: further arguments of ``RegionSums``.
-
-    Raises:
-        InputError: several processes cannot keep sums.
-        WriteError: files of other builds cannot be removed.
     """
-    if keep and processes.world > 1:
-        raise InputError("--keep-sums works in one process; run without torchrun")
-    path = field.with_name(_partial_name(field, processes.rank, processes.world))
-    processes.of_first(lambda: _remove_others(field, processes.world))
+    path = partial_path(field)
     sums = resumed(path, gaussians, regions, raster_preset, **how)
     try:
         with closing(sums):  # before its file is removed
@@ -113,27 +99,15 @@ def continued(sums: RegionSums, views: int) -> str | None:
     return f"{sums.path}: continues an interrupted build: {len(sums)} of {views} views are there, {codes}"
 
 
-def _partial_name(field: Path, rank: int, world: int) -> str:
-    return f"{field.name}.partial" + (f".{rank}" if world > 1 else "")
+def take_up(output: Path) -> None:
+    """Continue a finished shard, if it is there, as one in progress; the caller has locked it."""
+    if output.exists():
+        os.replace(output, partial_path(output))
 
 
-def _remove_others(field: Path, world: int) -> None:
-    """Remove the checkpoints of another number of processes, which nobody would continue."""
-    own = {_partial_name(field, rank, world) for rank in range(world)}
-    pattern = re.compile(re.escape(f"{field.name}.partial") + r"(\.\d+)?")
-    try:
-        names = (path.name for path in field.parent.iterdir() if pattern.fullmatch(path.name))
-        others = sorted(set(names) - own)
-        for name in others:
-            field.with_name(name).unlink(missing_ok=True)
-    except OSError as error:
-        raise WriteError.of(error.filename or field, error) from error
-    if others:
-        warnings.warn(
-            f"{field}: removed what a build by another number of processes has left ({', '.join(others)})",
-            ScoupWarning,
-            stacklevel=6,
-        )
+def partial_path(field: Path) -> Path:
+    """Where a build keeps what it has done, until the field is there."""
+    return field.with_name(f"{field.name}.partial")
 
 
 @dataclass(frozen=True, eq=False)

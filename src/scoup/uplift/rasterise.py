@@ -17,7 +17,6 @@ from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.base.counts import listed, none_of
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
-from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene.cameras import Camera, Cameras
@@ -103,7 +102,6 @@ def add_views(
     regions: Regions,
     backend: str | None = None,
     progress: Progress = no_progress,
-    processes: Processes = ALONE,
 ) -> None:
     """Bring sums up to date with views: those that are not there, or have changed, are rasterised and appended.
 
@@ -112,20 +110,18 @@ def add_views(
     Args:
         sums: of the same Gaussians.
         cameras: views with regions.
-        processes: each adds its share.
     """
-    mine = processes.share(cameras)
     prepared: raster.PreparedGaussians | None = None
-    progress(STAGE, 0, len(mine))
+    progress(STAGE, 0, len(cameras))
 
     def append(camera: Camera, combined: CombinedLabels, found: ViewSums, order: Tensor | None) -> None:
         sums.append(camera.name, replace(found, labels_digest=combined.digest()), camera, order)
 
     with ThreadPoolExecutor(1) as writer:  # a view is appended while the next one is projected
         written: Future[None] | None = None
-        for done, (camera, combined) in enumerate(read_labels(regions, mine, gaussians.device), start=1):
+        for done, (camera, combined) in enumerate(read_labels(regions, cameras, gaussians.device), start=1):
             if holds_view(sums, camera, combined):
-                progress(STAGE, done, len(mine))
+                progress(STAGE, done, len(cameras))
                 continue
             if not sums.writable:
                 raise InputError(
@@ -138,7 +134,7 @@ def add_views(
                 written.result()  # before the next one is begun: killed, one view at most is done again
             found = raster.region_sums(projection, combined)
             written = writer.submit(append, camera, combined, found, prepared.order)
-            progress(STAGE, done, len(mine))
+            progress(STAGE, done, len(cameras))
         if written is not None:
             written.result()
 
@@ -199,25 +195,6 @@ def _ahead(
         finally:
             for _, future in waiting:
                 future.cancel()
-
-
-def exchanged(sums: RegionSums, view_names: Sequence[str], processes: Processes) -> RegionSums:
-    """What each process has added (``add_views``), brought to all: to each what the Gaussians need that it votes for.
-
-    Args:
-        sums: this process's.
-        view_names: all views, in the order in which they were shared out.
-        processes: all of them.
-    """
-    if processes.world == 1:
-        return sums
-    buckets = processes.share_range(sums.n_buckets)
-    mine = RegionSums.like(sums)
-    for position, name in enumerate(view_names):
-        view = processes.from_rank(sums.views.get(name), processes.owner(position))
-        parts = tuple(part.of_buckets(buckets.start, buckets.stop) for part in view.parts)
-        mine.views[name] = replace(view, parts=parts)
-    return mine
 
 
 def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_preset: str) -> None:

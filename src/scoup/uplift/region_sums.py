@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError, InputError, check_format_version
-from scoup.base.processes import Processes
+from scoup.base.shares import Share
 from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
@@ -372,9 +372,9 @@ def _arrays(tensors: Mapping[str, Tensor]) -> dict[str, NDArray[Any]]:
     return {name: tensor.cpu().contiguous().numpy() for name, tensor in tensors.items()}
 
 
-def shard_path(field: Path, share: Processes) -> Path:
+def shard_path(field: Path, share: Share) -> Path:
     """Where a shard of a field's views is kept: beside it."""
-    return field.with_name(f"{field.name}.{share.rank + 1}-of-{share.world}.sums")
+    return field.with_name(f"{field.name}.{share}.sums")
 
 
 def sums_path(field: Path) -> Path:

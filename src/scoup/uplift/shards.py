@@ -24,8 +24,8 @@ from torch import Tensor
 from scoup.base.arguments import check_arguments
 from scoup.base.counts import counted, listed, verb
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
-from scoup.base.processes import Processes, at_work
 from scoup.base.progress import Progress, no_progress
+from scoup.base.shares import Share
 from scoup.field.language_field import LanguageField
 from scoup.models.word_table import is_table
 from scoup.scene.cameras import Camera, Cameras
@@ -122,7 +122,7 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
     gaussians: Gaussians,
     cameras: Cameras,
     regions: Regions,
-    share: Processes,
+    share: Share,
     *,
     embedding_model: str = "",
     geometry_path: str | Path | None = None,
@@ -135,7 +135,7 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
     Args:
         sums: of these Gaussians, in a file; views that are in them already are not rasterised again.
         gaussians, cameras, regions: as for ``build``; all shares of a scene must be given the same.
-        share: which share: of ``Processes(rank, world)`` it is every world-th view, from number ``rank`` on.
+        share: which of the views with regions (``Share.of``).
         embedding_model, geometry_path, backend, check_fit, progress: as for ``build``.
 
     Raises:
@@ -151,11 +151,11 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
         warnings.warn(oddity, ScoupWarning, stacklevel=2)
     check_sums(sums, gaussians, regions, sums.raster_preset)
     everything = cameras_with_regions(cameras, regions)
-    views = share.share(everything)
+    views = share.of(everything)
     path = None if geometry_path is None else Path(geometry_path)
     shard = Shard(
         Sources(tuple(views), embedding_model, path),
-        tuple(share.share(range(len(everything)))),
+        tuple(share.of(range(len(everything)))),
         len(everything),
         _digest(everything),
         RegionEmbeddings.unchecked(regions.select([view.name for view in views])),
@@ -179,9 +179,6 @@ def merge(
     progress: Progress = no_progress,
 ) -> LanguageField:
     """The language field of the views of some shards: of all of them, the one that ``build`` makes of the scene.
-
-    Where torch's process group is set up, each process learns the codes of some levels and votes for its share of the
-    Gaussians.
 
     Args:
         shards: what ``add_shard`` has made, in any order; a view may be in several.
@@ -213,16 +210,14 @@ def merge(
     model = _moved(parts[0].sources.embedding_model, shards[0].path, field_path)
     path = parts[0].sources.geometry_path if geometry_path is None else Path(geometry_path)
 
-    device, processes = torch.device(device), at_work()
-    codes = learn_region_codes(
-        sums if keep is None else keep, embeddings, settings, device, processes, progress
-    )
+    device = torch.device(device)
+    codes = learn_region_codes(sums if keep is None else keep, embeddings, settings, device, progress)
     digest = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
     del embeddings, parts  # the vote needs the codes only
     if keep is not None:
         for name in holders:
             keep.append_record(name, sums.views[name])
-    things = things_of(sums, codes, progress=progress)  # every process has all sums
+    things = things_of(sums, codes, progress)
     sources = Sources(tuple(views), model, path, digest)
     return voted(sums, codes, things, sources, settings, device, backend, progress)
 
