@@ -100,19 +100,19 @@ def study(name: str, number: int) -> str:
 
 
 def faults() -> str:
-    """Every way under each fault by the protocol and as asked, then the differences."""
+    """Every way under each fault by the protocol and as answered always, then the differences."""
     found = record("answers_faults")
     keys = [key for key in next(iter(found["ways"].values())) if key != "all"]
     rows = [
-        [way, *(f"{of[key]['peak']:.3f} / {of[key]['asked']:.3f}" for key in keys)]
+        [way, *(f"{of[key]['peak']:.3f} / {of[key]['always']:.3f}" for key in keys)]
         for way, of in found["ways"].items()
     ]
     rows += [
         [f"{pair}, {rule}", *(interval(of[key][rule]) for key in keys)]
         for pair, of in found["differences"].items()
-        for rule in ("peak", "asked")
+        for rule in ("peak", "always")
     ]
-    return markdown(["peak / asked", *keys], rows)
+    return markdown(["peak / always", *keys], rows)
 
 
 def consistency() -> str:

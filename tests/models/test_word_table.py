@@ -239,3 +239,16 @@ def test_archives_that_unpack_to_no_end_are_refused(tmp_path: Path) -> None:
     assert load_table(tmp_path / "1000.npz").vectors.shape == (2, 1000)
     with pytest.raises(FileFormatError, match="is too large for a table of words"):
         load_table(tmp_path / "3000000.npz")
+
+
+def test_long_texts_are_refused_at_once_and_not_repeated(tmp_path: Path) -> None:
+    save_table(tmp_path / "words.npz", NAMES, VECTORS)
+    encoder = TextEncoder.open(tmp_path / "words.npz")
+    with pytest.raises(InputError) as caught:
+        encoder.encode([NAMES[0], "ab" * 1_000_000])
+    assert str(caught.value) == (
+        f"'{'ab' * 40}'... (2,000,000 characters): is too long for a phrase; pass at most 1,000 characters"
+    )
+    with pytest.raises(UnknownNameError) as unknown:
+        encoder.encode(["m" * 1000])
+    assert len(str(unknown.value)) < 400 + len(str(tmp_path))

@@ -203,9 +203,11 @@ class UnknownNameError(InputError, KeyError):
         self.kind = kind
         self.name = name
         self.where = where
-        self.nearest = nearest_names(name, known)
+        self.nearest = nearest_names(name[:QUOTED], known)
         listed = ", ".join(repr(item) for item in self.nearest) or "there are none"
-        self.message = f"{where + ': ' if where else ''}no {kind} named {name!r}; nearest names: {listed}"
+        self.message = (
+            f"{where + ': ' if where else ''}no {kind} named {quoted(name)}; nearest names: {listed}"
+        )
         super().__init__(self.message)
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -239,6 +241,17 @@ class ScoupWarning(UserWarning):
 def warn_once(message: str) -> None:
     """Give a ``ScoupWarning``, once in the life of the process (``warn_once.cache_clear`` forgets all of them)."""
     warnings.warn(message, ScoupWarning, stacklevel=3)
+
+
+QUOTED = 80
+"""Characters of a user's text that a message repeats."""
+
+
+def quoted(text: str) -> str:
+    """The text in quotes, cut after ``QUOTED`` characters."""
+    if len(text) <= QUOTED:
+        return repr(text)
+    return f"{text[:QUOTED]!r}... ({len(text):,} characters)"
 
 
 def nearest_names(name: str, known: Iterable[str], count: int = 5) -> list[str]:

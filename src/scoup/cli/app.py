@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import signal
 import sys
 
-from scoup.cli.console import Console, Terminated, close_output, run_verb
+from scoup.cli.console import Console, Terminated, run_verb, silence
 from scoup.cli.options import Common
 from scoup.cli.parsing import Family, in_one_line, parse
 
@@ -74,6 +75,7 @@ def run(arguments: list[str]) -> int:
 
 def entry() -> None:
     """The console script."""
+    _fill_closed_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # File names and texts may hold letters that the terminal's encoding lacks.
@@ -85,13 +87,24 @@ def entry() -> None:
     except KeyboardInterrupt as stop:  # before a verb has begun
         code = 143 if isinstance(stop, Terminated) else 130
     except BrokenPipeError:  # whoever read the help, such as head, has seen enough
-        close_output()
+        silence(sys.stdout)
         code = 0
     except OSError as error:  # nowhere to print the help to
-        close_output()
+        silence(sys.stdout)
         print(f"error: standard output: cannot be written ({error.strerror or error})", file=sys.stderr)
         code = 2
     sys.exit(code)
+
+
+def _fill_closed_streams() -> None:
+    """Open standard streams that the caller has closed: the first files that are opened would take their places."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != number:
+                os.dup2(opened, number)
+                os.close(opened)
+            setattr(sys, name, open(number, "r" if name == "stdin" else "w", closefd=False))  # noqa: SIM115
 
 
 def _terminate(*_: object) -> None:

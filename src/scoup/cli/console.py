@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TextIO
 
 from scoup.base.errors import ScoupError, ScoupWarning, WriteError, is_said_elsewhere
 from scoup.base.progress import Progress, no_progress
@@ -42,14 +42,14 @@ class Console:
         if self.common.quiet or self.common.as_json:
             return
         if all(isinstance(part, str) for part in parts):
-            with _output_named():
+            with _printing():
                 # Not by rich: file names and texts may contain what it takes for markup. At once, also into a pipe: a
                 # server goes on for hours.
                 print(*parts, flush=True)
             return
         from rich.console import Console as RichConsole
 
-        with _output_named():
+        with _printing():
             RichConsole().print(*parts, highlight=False, soft_wrap=True)
 
     def result(self, record: dict[str, Any]) -> None:
@@ -57,14 +57,15 @@ class Console:
         if self.common.as_json:
             if self.warnings:
                 record = {**record, "warnings": self.warnings}
-            with _output_named():
+            with _printing():
                 print(json.dumps(record, indent=2, default=_plain), flush=True)
 
     def warn(self, message: str) -> None:
         """Print a warning the first time it comes, and keep it for the JSON result."""
         if message not in self.warnings:
             self.warnings.append(message)
-            print(f"warning: {message}", file=sys.stderr)
+            with _printing(sys.stderr):
+                print(f"warning: {message}", file=sys.stderr, flush=True)
 
     def fail(
         self,
@@ -80,7 +81,8 @@ class Console:
         if is_said_elsewhere(error):
             return code
         message = " ".join(message.splitlines())
-        print(f"error: {message}", file=sys.stderr)
+        with _printing(sys.stderr):
+            print(f"error: {message}", file=sys.stderr, flush=True)
         self.result({**record, "error": message})
         return code
 
@@ -132,7 +134,7 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
         try:
             check_device(common.device)
             code = run(console) or 0
-            with _output_named():
+            with _printing():
                 sys.stdout.flush()
             return code
         except ScoupError as error:
@@ -142,9 +144,6 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
             return console.fail(f"{word}; {console.kept()}", code, stop)
         except MemoryError:
             return console.fail(_OUT_OF_MEMORY, 2)
-        except BrokenPipeError:  # whoever read the output, such as head, has seen enough
-            close_output()
-            return 0
         except OSError as error:  # such as a full disk: no fault of the program
             where = f"{error.filename}: " if error.filename else ""
             return console.fail(
@@ -164,21 +163,27 @@ def kept(done: int, total: int, what: str, also: str = "") -> str:
     return f"{left} are kept, run the same command again to continue"
 
 
-def close_output() -> None:
-    """Write no more to standard output: what waits there cannot be written."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def silence(stream: TextIO) -> None:
+    """Write no more to a standard stream: what waits there cannot be written."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 @contextmanager
-def _output_named() -> Iterator[None]:
-    """Standard output that cannot be written, such as a file on a full disk, is said to be so."""
+def _printing(stream: TextIO | None = None) -> Iterator[None]:
+    """Print to a standard stream, by default standard output; a reader who has gone, such as ``head``, ends nothing.
+
+    Raises:
+        WriteError: standard output cannot be written, such as a file on a full disk.
+    """
+    printed = sys.stdout if stream is None else stream
     try:
         yield
     except BrokenPipeError:
-        raise
+        silence(printed)
     except OSError as error:
-        close_output()
-        raise WriteError.of("standard output", error) from error
+        silence(printed)
+        if printed is sys.stdout:
+            raise WriteError.of("standard output", error) from error
 
 
 def check_device(device: str) -> None:

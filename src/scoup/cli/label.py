@@ -58,7 +58,7 @@ class Label(TextOptions, CameraOptions):
     """A word counts for Gaussians above this, 0 to 1, once relevancy is rescaled over the scene. Default: where its
     answer changes least."""
     presence: OptionalNumber = None
-    """A word is in the scene if its z-score is at least this. Default: 1.5, where the table of --text has 16 words or
+    """A word is in the scene if its z-score is at least this. Default: 1.4, where the table of --text has 16 words or
     more."""
     always: Flag = False
     """Take every word as one of something in the scene."""

@@ -73,7 +73,7 @@ class Query(TextOptions, CameraOptions):
     """The level that answers: s (fine), m or l (coarse). Default: as the rule chooses, for each text."""
     presence: OptionalNumber = None
     """A text is in a view if its z-score is at least this: how many standard deviations what was found lies nearer to
-    it than to everyday words. Otherwise it gets an empty mask and no point there. Default: 1.5 with the rule default,
+    it than to everyday words. Otherwise it gets an empty mask and no point there. Default: 1.4 with the rule default,
     where the table of --text has 16 words or more; the systems' rules find something always."""
     always: Flag = False
     """Find something in every view, for any text."""

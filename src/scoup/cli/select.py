@@ -77,7 +77,7 @@ class Select(TextOptions, CameraOptions):
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
     presence: OptionalNumber = None
     """A text is in the scene if its z-score is at least this: how many standard deviations what was found lies nearer
-    to it than to everyday words. Otherwise nothing is chosen for it. Default: 1.5, where the table of --text has 16
+    to it than to everyday words. Otherwise nothing is chosen for it. Default: 1.4, where the table of --text has 16
     words or more."""
     always: Flag = False
     """Choose something for any text, unless the threshold is absolute."""

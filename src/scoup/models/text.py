@@ -14,7 +14,7 @@ from torch import Tensor
 
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.counts import counted, listed
-from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameError
+from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameError, quoted
 from scoup.base.html import card
 from scoup.models.hub import OPEN_CLIP, ModelRequest, load_open_clip, load_pretrained
 from scoup.models.towers import load_tower
@@ -28,6 +28,7 @@ NO_WORDS_FOR_COLORS = (
     "extract them with a CLIP model (scoup extract --embedder MODEL) and build the field again"
 )
 _BATCH = 64
+LONGEST = 1000  # characters of a phrase; models read some hundred at most
 _SHOWN = 50  # names in the picture of a notebook
 
 Encode = Callable[[list[str]], Tensor]
@@ -136,7 +137,7 @@ class TextEncoder:
         Raises:
             UnknownNameError: a table lacks a phrase (case and outer blanks are ignored if need be); the
                 message lists the nearest names.
-            InputError: the encoder is closed, or a phrase is not text or is blank.
+            InputError: the encoder is closed, or a phrase is not text, blank, or longer than ``LONGEST``.
         """
         if self._encode is None:
             raise InputError("this text encoder is closed; open it again")
@@ -145,6 +146,10 @@ class TextEncoder:
         for phrase in phrases:
             if not isinstance(phrase, str) or not phrase.strip():
                 raise InputError(f"a phrase to encode must be a text that is not blank, got {phrase!r}")
+            if len(phrase) > LONGEST:
+                raise InputError(
+                    f"{quoted(phrase)}: is too long for a phrase; pass at most {LONGEST:,} characters"
+                )
         if not phrases:
             return torch.zeros(0, self.dim)
         batches = [

@@ -155,7 +155,7 @@ class FieldQueries(QueriedField):
             encoder: see ``text_encoder``.
             preset: how relevancy becomes masks and points (``scoup.query.presets.QUERY_PRESETS``); those other than
                 "default" follow the papers' systems, find something always and do without everyday words.
-            present_from: a text is in the view if its z-score is at least this; by default 1.5, where there are enough
+            present_from: a text is in the view if its z-score is at least this; by default 1.4, where there are enough
                 everyday words.
             always: find something for any text.
             projection: what ``field.project(camera)`` gave, if it is known: further queries with it take less time.
