@@ -18,7 +18,6 @@ import tempfile
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -177,19 +176,19 @@ def build_here(folder: Path, threads: int) -> dict[str, Any]:
         marks.setdefault(stage.split()[0], []).append(time.perf_counter())
 
     seconds: dict[str, float] = {}
-    sums_file = folder / "city.sums"
-    sums_file.unlink(missing_ok=True)
+    kept = folder / "city.sums"
+    shutil.rmtree(kept, ignore_errors=True)
     with timed(seconds, "total"):
         with timed(seconds, "load"):
             gaussians = scoup.load_gaussians(folder / "scene" / "point_cloud.ply")
             cameras = scoup.load_cameras(folder / "scene")
             regions = scoup.load_regions(folder / "scene" / "language_features", cameras)
-        with closing(RegionSums.of(gaussians, regions.levels, path=sums_file)) as sums:
-            field = scoup.build(
-                gaussians, cameras, regions, sums=sums, geometry_path=folder / "scene" / "point_cloud.ply",
-                progress=progress,
-            )  # fmt: skip
-            size = sums.bytes
+        sums = RegionSums.of(gaussians, regions.levels, path=kept)
+        field = scoup.build(
+            gaussians, cameras, regions, sums=sums, geometry_path=folder / "scene" / "point_cloud.ply",
+            progress=progress,
+        )  # fmt: skip
+        size = sums.bytes
         with timed(seconds, "save"):
             field.save(folder / "city.scoup", overwrite=True)
     named = {"coding": "coding", "region": "region sums", "vote": "vote"}

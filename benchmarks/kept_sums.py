@@ -11,6 +11,7 @@ each Gaussian paints, and the mean difference of weights where the atoms are the
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -173,8 +174,7 @@ def measure(scene: Scene, folder: Path) -> dict[str, Any]:
         rows.append([name, f"{sums.bytes / 1e6:.0f}", f"{entries / len(sums):,.0f}", f"{figures['same_atoms']:.4f}",
                      f"{figures['same_atoms_by_paint']:.5f}",
                      f"{figures['weight_difference']:.1e}"])  # fmt: skip
-        sums.close()
-        smaller.unlink(missing_ok=True)
+        shutil.rmtree(smaller, ignore_errors=True)
     print(f"\n{scene.name}: {found['gaussians']:,} Gaussians, {found['views']} views\n")
     print(
         markdown(

@@ -188,7 +188,6 @@ def _streamed(
             "memory": float(resident_bytes() or 0),
             "sums": float(sums.bytes),
         }
-    sums.close()
 
 
 def _touched(sums: RegionSums, view_name: str) -> np.ndarray:

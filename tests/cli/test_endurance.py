@@ -51,7 +51,9 @@ def test_killed_between_field_and_sums(
     assert run_verb(verb, scene, point=point).code == Run.KILLED
     left = snapshot(scene.work)
     assert left["a.scoup"] == plain.files["a.scoup"]
-    assert left.get("a.scoup.sums") != plain.files["a.scoup.sums"]
+    assert any(
+        left.get(file) != content for file, content in plain.files.items() if file.startswith("a.scoup.sums/")
+    )
     killed = scene.work.with_name("killed")
     shutil.rmtree(killed, ignore_errors=True)
     shutil.copytree(scene.work, killed)
@@ -64,7 +66,7 @@ def test_killed_between_field_and_sums(
     ):
         if number:
             for path in scene.work.iterdir():
-                path.unlink()
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
             shutil.copytree(killed, scene.work, dirs_exist_ok=True)
         found, _, err = run(*arguments)
         assert found == code, err
@@ -72,4 +74,4 @@ def test_killed_between_field_and_sums(
         assert sentence in err
         after = snapshot(scene.work)
         assert {file: content for file, content in after.items() if not file.startswith("b.")} == plain.files
-        assert ("b.scoup.sums" in after) == (code == 0)
+        assert ("b.scoup.sums/scene.safetensors" in after) == (code == 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import secrets
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,21 +18,28 @@ Move = Callable[[Path, Path], object]
 """``move(temporary, path)``: gives a finished file its name."""
 
 
-def check_output(path: str | Path, overwrite: bool = False) -> Path:
+def check_output(path: str | Path, overwrite: bool = False, is_folder: bool = False) -> Path:
     """Check that ``path`` may be written, before long work starts. Creates nothing.
+
+    Args:
+        path: the output.
+        overwrite: replace what is there.
+        is_folder: the output is a folder that is replaced as a whole, not a file.
 
     Returns:
         The path.
 
     Raises:
-        OutputExistsError: there is a file already and ``overwrite`` is false.
-        InputError: the path is a folder or a special file, or its folder is a file or cannot be written to.
+        OutputExistsError: it is there already and ``overwrite`` is false.
+        InputError: the path is of the other kind or special, or its folder is a file or cannot be written to.
     """
     path = Path(path)
-    if os.path.isdir(path):
+    if os.path.isdir(path) and not is_folder:
         raise InputError(f"{path}: is a folder; give the name of a file to write")
+    if os.path.isfile(path) and is_folder:
+        raise InputError(f"{path}: is a file; move it, as a folder of this name is written")
     if os.path.lexists(path):
-        if os.path.exists(path) and not os.path.isfile(path):
+        if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
             raise InputError(f"{path}: is not a regular file; give another name")
         if not overwrite:
             raise OutputExistsError(path)
@@ -99,6 +107,35 @@ def atomic_file(path: str | Path, overwrite: bool = False) -> Iterator[BinaryIO]
         yield cast(BinaryIO, stream)
 
 
+def replace(source: Path, target: Path) -> None:
+    """Rename a file or a folder, in place of what is there. A folder is moved aside first, and then removed.
+
+    Raises:
+        OSError: the system refuses.
+    """
+    if not target.is_dir():
+        os.replace(source, target)
+        return
+    aside = hidden_path(target)
+    os.replace(target, aside)
+    os.replace(source, target)
+    remove(aside)
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder; what is not there, or cannot be removed, is left."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            path.unlink()
+
+
+def hidden_path(path: Path) -> Path:
+    """Return a new name for a temporary file or folder beside an output."""
+    return path.with_name(f".{path.stem[:LONGEST_STEM]}.{secrets.token_hex(6)}{path.suffix}")
+
+
 def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
     """Write UTF-8 text atomically."""
     with atomic_file(path, overwrite) as stream:
@@ -109,7 +146,7 @@ def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
 def _appearing(path: str | Path, overwrite: bool, in_folder: bool, move: Move = os.replace) -> Iterator[Path]:
     """The path of a temporary file that is held (``base.holding``), or is in a folder that is."""
     path = check_output(path, overwrite)
-    hidden = path.with_name(f".{path.stem[:LONGEST_STEM]}.{secrets.token_hex(6)}{path.suffix}")
+    hidden = hidden_path(path)
     temporary = hidden / path.name if in_folder else hidden
     with (
         folder_made(path.parent, path),

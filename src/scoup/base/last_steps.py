@@ -5,14 +5,13 @@ They are written down before the first of them, so that they are all taken, or n
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from scoup.base.atomic import remove, replace
 from scoup.base.errors import WriteError
 from scoup.base.holding import HEX, LONGEST_STEM
 
@@ -89,13 +88,12 @@ class LastSteps:
         home, moved = self.output.parent, []
         for first, second in self.moves:
             try:
-                os.replace(home / first, home / second)
+                replace(home / first, home / second)
             except FileNotFoundError:  # moved already
                 continue
             except OSError as error:
                 raise WriteError.of(home / second, error) from error
             moved.append(second)
         for name in self.removed:
-            with suppress(OSError):
-                (home / name).unlink()
+            remove(home / name)
         return moved

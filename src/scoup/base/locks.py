@@ -82,7 +82,7 @@ class Lock:
 
 
 @contextmanager
-def locked_file(path: Path, overwrite: bool = False) -> Iterator[Lock]:
+def locked_file(path: Path, overwrite: bool = False, is_folder: bool = False) -> Iterator[Lock]:
     """Keep other processes from writing a file, and what goes beside it, meanwhile.
 
     ``PATH.lock`` says who writes. It is removed at the end, after an interruption too. One whose process has died
@@ -92,6 +92,7 @@ def locked_file(path: Path, overwrite: bool = False) -> Iterator[Lock]:
     Args:
         path: the file. It is checked once more, as another process may just have finished it.
         overwrite: replace what is there.
+        is_folder: it is a folder, which appears as a whole.
 
     Raises:
         OutputInUseError: another process is writing it.
@@ -103,7 +104,7 @@ def locked_file(path: Path, overwrite: bool = False) -> Iterator[Lock]:
     own = re.escape(path.stem[:LONGEST_STEM]), re.escape(path.suffix), re.escape(path.name[:LONGEST_STEM])
     temporary = re.compile(rf"\.({own[0]}\.{HEX}{own[1]}|{own[2]}\.{HEX}\.\w+)")
     with _held(path, lock_path(path), temporary) as descriptor:
-        check_output(path, overwrite)
+        check_output(path, overwrite, is_folder)
         yield Lock(path, descriptor)
 
 
@@ -116,7 +117,7 @@ def complete(path: Path) -> None:
         ScoupWarning: something was put in its place.
     """
     if lock_path(path).is_file():
-        with suppress(ScoupError), locked_file(path, overwrite=True):
+        with suppress(ScoupError), locked_file(path, overwrite=True, is_folder=path.is_dir()):
             pass
 
 

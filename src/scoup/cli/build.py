@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -71,7 +71,7 @@ class Build(BuildOptions, ViewOptions):
     """Also keep the region sums, in <out>.sums: with them scoup update adds and removes views, and --sums builds again
     (other embeddings, codes or rounds) without rasterising."""
     sums: OptionalPath = None
-    """Take the region sums from this file, as --keep-sums has left it; nothing is rasterised. It is not changed."""
+    """Take the region sums from this folder, as --keep-sums has left it; nothing is rasterised. It is not changed."""
     sums_weights: Literal["float32", "float16"] = "float32"
     """How region sums are kept: float16 takes 5 bytes an entry instead of 7."""
     least_weight: float = 0.0
@@ -120,7 +120,7 @@ class Build(BuildOptions, ViewOptions):
         share = Share.parse(self.shard or "")
         path = shard_path(out, share)
         started = time.perf_counter()
-        with locked_file(path, self.overwrite) as lock:
+        with locked_file(path, self.overwrite, is_folder=True) as lock:
             made, size = self._make_shard(console, lock, loaded, share, not self.no_check_fit)
         seconds = time.perf_counter() - started
         views = len(made.sources.views)
@@ -152,6 +152,7 @@ class Build(BuildOptions, ViewOptions):
         self, console: Console, out: Path, loaded: _Loaded, share: Share, device: str
     ) -> None:
         """Make the shard of one of several processes; the first of them merges all."""
+        from scoup.base.atomic import remove
         from scoup.base.heartbeats import heartbeats, reported_once, wait_for_parts, wait_until_taken
         from scoup.base.locks import lock_path, locked_file
         from scoup.base.shares import Share
@@ -162,19 +163,20 @@ class Build(BuildOptions, ViewOptions):
         shards = [shard_path(out, Share(number, share.count)) for number in range(share.count)]
         path, started = shards[share.number], time.perf_counter()
         if not share.is_first:
-            with reported_once(share), locked_file(path, overwrite=True) as part, heartbeats(part):
+            part_lock = locked_file(path, overwrite=True, is_folder=True)
+            with reported_once(share), part_lock as part, heartbeats(part):
                 take_up(path)  # of an earlier run, which may have been of another scene
                 self._make_shard(console, part, loaded, share, check_fit=False)
                 wait_until_taken(part, path, lock_path(out))
             return
         with reported_once(share), locked_file(out, self.overwrite) as whole, heartbeats(whole):
-            with locked_file(path, overwrite=True) as part:
+            with locked_file(path, overwrite=True, is_folder=True) as part:
                 take_up(path)
                 self._make_shard(console, part, loaded, share, not self.no_check_fit)
             wait_for_parts(whole, [lock_path(path) for path in shards[1:]])
             found = save_merged(console, self, whole, shards, device, self.keep_sums, loaded.source)
             for path in shards:
-                path.unlink()
+                remove(path)
         report_field(console, found.field, out, found.bytes_of_sums, device, time.perf_counter() - started)
 
     def _load(self, console: Console, device: str, out: Path) -> _Loaded:
@@ -215,7 +217,7 @@ class Build(BuildOptions, ViewOptions):
             self._check_alone_with_shard()
             path = shard_path(out, Share.parse(self.shard))
             complete(path)
-            check_output(path, self.overwrite)
+            check_output(path, self.overwrite, is_folder=True)
             return out
         if self.sums is not None and not share.is_everything:
             raise InputError("--sums needs one process: nothing is rasterised; run without torchrun")
@@ -224,7 +226,7 @@ class Build(BuildOptions, ViewOptions):
         if self.keep_sums:
             if self.sums is not None:
                 raise InputError("--sums and --keep-sums do not go together: the sums are kept already")
-            check_output(sums_path(out), self.overwrite)
+            check_output(sums_path(out), self.overwrite, is_folder=True)
         return out
 
     def _check_alone_with_shard(self) -> None:
@@ -239,12 +241,12 @@ class Build(BuildOptions, ViewOptions):
             raise InputError(f"--shard makes region sums only; give {listed(later, 9)} to scoup merge")
 
     def _region_sums(self, out: Path, loaded: _Loaded) -> AbstractContextManager[RegionSums]:
-        """The sums named, or those in the file beside the output in which a build keeps what it has done."""
+        """The sums named, or those in the folder beside the output in which a build keeps what it has done."""
         from scoup.uplift.checkpoint import checkpoint
         from scoup.uplift.region_sums import RegionSums
 
         if self.sums is not None:
-            return closing(RegionSums.open(self.sums))
+            return nullcontext(RegionSums.open(self.sums))
         how = {"weights": self.sums_weights, "least_weight": self.least_weight}
         return checkpoint(out, loaded.gaussians, loaded.regions, loaded.raster_preset, **how)
 

@@ -6,7 +6,7 @@ import os
 import re
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -82,7 +82,7 @@ class Merge(BuildOptions):
         complete(out)
         check_output(out, self.overwrite)
         if self.keep_sums:
-            check_output(sums_path(out), self.overwrite)
+            check_output(sums_path(out), self.overwrite, is_folder=True)
         return out
 
 
@@ -105,14 +105,12 @@ def save_merged(
 ) -> Merged:
     """Merge shards and write the field of a lock, and its region sums if they are to be kept."""
     from scoup.uplift.checkpoint import moved_with_sums
+    from scoup.uplift.region_sums import RegionSums
     from scoup.uplift.shards import merge
 
     out = lock.output
-    with (
-        _opened(paths) as shards,
-        _kept(out, shards, keep_sums) as keep,
-        console.progress() as progress,
-    ):
+    shards = [RegionSums.open(path) for path in paths]
+    with _kept(out, shards, keep_sums) as keep, console.progress() as progress:
         field = merge(
             shards, options.settings("inria"), keep=keep, geometry_path=geometry, field_path=out,
             device=device, progress=progress,
@@ -126,20 +124,12 @@ def save_merged(
 
 @contextmanager
 def _kept(out: Path, shards: list[RegionSums], wanted: bool) -> Iterator[RegionSums | None]:
-    """New region sums in a file beside the field; None where none are to be kept."""
+    """New region sums in a folder beside the field; None where none are to be kept."""
     from scoup.uplift.checkpoint import new_sums
     from scoup.uplift.region_sums import RegionSums
 
     if not wanted:
         yield None
         return
-    with new_sums(out, "merge") as path, closing(RegionSums.like(shards[0], path)) as keep:
-        yield keep
-
-
-@contextmanager
-def _opened(paths: Sequence[Path]) -> Iterator[list[RegionSums]]:
-    from scoup.uplift.region_sums import RegionSums
-
-    with ExitStack() as stack:
-        yield [stack.enter_context(closing(RegionSums.open(path))) for path in paths]
+    with new_sums(out, "merge") as path:
+        yield RegionSums.like(shards[0], path)

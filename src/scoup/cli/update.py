@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -143,7 +143,7 @@ class Update(FieldOptions, ViewOptions):
                 )  # fmt: skip
                 move = os.replace if found.sums is None else moved_with_sums(lock, found.sums, keep=True)
                 found.field.save(out, self.overwrite, embed, self.weight_bits, move)
-        if kept is None and sums_path(out).is_file():
+        if kept is None and sums_path(out).is_dir():
             console.warn(f"{sums_path(out)}: are region sums of another splat than {out}; remove them")
         self._report(console, out, found)
 
@@ -175,7 +175,7 @@ class Update(FieldOptions, ViewOptions):
 
     @contextmanager
     def _kept_sums(self, out: Path) -> Iterator[KeptSums | None]:
-        """The field's region sums and views, and a file for those of the edited splat, where a scene is named."""
+        """The field's region sums and views, and a folder for those of the edited splat, where a scene is named."""
         from scoup.uplift.checkpoint import new_sums
         from scoup.uplift.edited_splat import KeptSums
         from scoup.uplift.region_sums import RegionSums
@@ -185,8 +185,8 @@ class Update(FieldOptions, ViewOptions):
             return
         source = self._source()
         cameras, regions, _ = self.load_views(self.scene)
-        with new_sums(out, "update") as path, closing(RegionSums.open(source)) as sums:
-            yield KeptSums(sums, cameras, regions, path)
+        with new_sums(out, "update") as path:
+            yield KeptSums(RegionSums.open(source), cameras, regions, path)
 
     def _output(self, also_sums: bool) -> Path:
         """The field to write, after checking that it, and its region sums, may be written."""
@@ -197,17 +197,18 @@ class Update(FieldOptions, ViewOptions):
         out = self.out or self.field
         for path in dict.fromkeys((self.field, out)):
             complete(path)
-        for path in (out, sums_path(out)) if also_sums else (out,):
-            check_output(path, self.overwrite)
+        check_output(out, self.overwrite)
+        if also_sums:
+            check_output(sums_path(out), self.overwrite, is_folder=True)
         return out
 
     def _source(self) -> Path:
-        """The file of the field's region sums."""
+        """The folder of the field's region sums."""
         from scoup.base.errors import MissingFileError
         from scoup.uplift.region_sums import sums_path
 
         source = self.sums or sums_path(self.field)
-        if not source.is_file():
+        if not source.is_dir():
             problem = "is not there: the region sums of the field are needed"
             remedy = "build the field with --keep-sums, or name them with --sums"
             raise MissingFileError(source, problem, remedy)
@@ -220,15 +221,15 @@ class Update(FieldOptions, ViewOptions):
         from scoup.uplift.region_sums import RegionSums
         from scoup.uplift.update import codes_of
 
-        with closing(RegionSums.open(source)) as sums:
-            codes_of(field, sums)
-            if not self.add:
-                return [], None
-            if self.scene is None:
-                raise InputError("name the folder with the cameras of the views to add: --scene SCENE")
-            cameras, regions, _ = self.load_views(self.scene)
-            chosen = self._chosen(cameras, regions)
-            changed = changed_views(sums, chosen, regions, field.gaussians.device)
+        sums = RegionSums.open(source)
+        codes_of(field, sums)
+        if not self.add:
+            return [], None
+        if self.scene is None:
+            raise InputError("name the folder with the cameras of the views to add: --scene SCENE")
+        cameras, regions, _ = self.load_views(self.scene)
+        chosen = self._chosen(cameras, regions)
+        changed = changed_views(sums, chosen, regions, field.gaussians.device)
         if not changed and not self.remove:
             raise InputError("nothing to do: these views are in the field, and have not changed")
         return changed, regions

@@ -11,6 +11,7 @@ import torch
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import ScoupWarning
 from scoup.base.progress import Progress, no_progress
+from scoup.base.scratch import temporary_folder
 from scoup.field.artefact import FieldInfo
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
@@ -55,7 +56,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         geometry_path: file of the Gaussians, kept in the field as a reference.
         backend: of rasteriser and vote, by name.
         sums: region sums of these Gaussians, to continue from and to keep: views that are in them are not rasterised,
-            the others are appended, and the codes are kept beside them. By default they are made and forgotten.
+            the others are appended, and the codes are kept beside them. By default they are in a temporary folder.
         check_fit: compare small renders of some views with their photographs first (``uplift/fit.py``), unless the
             sums hold views already.
         progress: called as ``progress(stage, done, total)``.
@@ -70,15 +71,19 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)
     )
     settings = build_settings(settings)
+    if sums is None:
+        with temporary_folder() as folder:
+            sums = RegionSums.of(gaussians, regions.levels, settings.raster_preset, path=folder / "sums")
+            return build(
+                gaussians, cameras, regions, settings, embedding_model=embedding_model, geometry_path=geometry_path,
+                backend=backend, sums=sums, check_fit=check_fit, progress=progress,
+            )  # fmt: skip
+    check_sums(sums, gaussians, regions, settings.raster_preset)
     for oddity in oddities(gaussians):
         warnings.warn(oddity, ScoupWarning, stacklevel=2)
     views = cameras_with_regions(cameras, regions)
     regions = regions.select([camera.name for camera in views])
     embeddings = RegionEmbeddings.of(regions)
-    if sums is None:
-        sums = RegionSums.of(gaussians, regions.levels, settings.raster_preset)
-    else:
-        check_sums(sums, gaussians, regions, settings.raster_preset)
     device = gaussians.device
     if check_fit and not len(sums):
         fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path)

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.arguments import check_arguments
+from scoup.base.atomic import remove
 from scoup.base.counts import listed, none_of
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.base.progress import Progress, no_progress
@@ -45,13 +46,13 @@ def region_sums(
         cameras: posed views; those without regions are passed over.
         regions: their label maps; they are brought to the size of the camera.
         raster_preset, backend: see ``raster.project``.
-        path: keep the sums in this file. Views that it holds already, of the same scene and with the same label maps
+        path: keep the sums in this folder. Views that it holds already, of the same scene and with the same label maps
             and cameras, are not rasterised again.
         progress: called for the stage "region sums".
         more: further arguments of ``RegionSums``.
 
     Raises:
-        InputError: no camera has regions, the file holds sums of another scene, or an argument is of a wrong type.
+        InputError: no camera has regions, the folder holds sums of another scene, or an argument is of a wrong type.
     """
     check_arguments(
         "region_sums",
@@ -74,10 +75,10 @@ def region_sums(
 def resumed(
     path: Path, gaussians: Gaussians, regions: Regions, raster_preset: str = "inria", **more: Any
 ) -> RegionSums:
-    """Region sums in a file: those an interrupted build has left there, or new ones.
+    """Region sums in a folder: those an interrupted build has left there, or new ones.
 
     Args:
-        path: the file; what is there and cannot be continued is replaced, with a warning.
+        path: the folder; what is there and cannot be continued is replaced, with a warning.
         gaussians, regions, raster_preset: of the build.
         more: further arguments of ``RegionSums``.
     """
@@ -91,7 +92,7 @@ def resumed(
             return sums
         except (InputError, FileFormatError) as error:
             warnings.warn(f"{path}: cannot be continued ({error}); starting over", ScoupWarning, stacklevel=2)
-            path.unlink()
+            remove(path)
     return RegionSums.of(gaussians, regions.levels, raster_preset, path=path, **more)
 
 

@@ -1,4 +1,4 @@
-"""Shards: the region sums of a share of the views, each in a file with all that a merge needs to know of these views.
+"""Shards: the region sums of a share of the views, each in a folder with all that a merge needs to know of these views.
 
 Views are independent and sums add up, so any processes may make shards, in any order and on any machines: a Slurm
 array, make, Ray, or a batch of a cloud. A merge reads them, learns the codes of all regions and votes
@@ -133,7 +133,7 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
     """Rasterise a share of the views, and keep beside their region sums what ``merge`` needs to know of them.
 
     Args:
-        sums: of these Gaussians, in a file; views that are in them already are not rasterised again.
+        sums: of these Gaussians, in a folder; views that are in them already are not rasterised again.
         gaussians, cameras, regions: as for ``build``; all shares of a scene must be given the same.
         share: which of the views with regions (``Share.of``).
         embedding_model, geometry_path, backend, check_fit, progress: as for ``build``.

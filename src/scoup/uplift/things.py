@@ -119,7 +119,6 @@ def _strong_entries(sums: RegionSums, names: Sequence[str]) -> _StrongEntries:
             strong = np.flatnonzero((weights >= LEAST_SHARE * largest[gaussians]) & (weights > 0))
             table = np.where(part.table >= 0, part.table + firsts, -1).astype(np.int32)
             kept.append((gaussians[strong].astype(np.int32), table[combinations[strong]], weights[strong]))
-        sums.forget_pages()
     gaussians, regions, weights = (np.concatenate(parts) for parts in zip(*kept, strict=True))
     return _StrongEntries(gaussians, regions, weights, total)
 

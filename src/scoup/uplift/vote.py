@@ -140,7 +140,6 @@ def vote(
             progress("vote", done, total)
             rows = slice(batch.start * BUCKET, batch.stop * BUCKET)
             indices[rows], weights[rows] = everybody.round(kept, earlier, not last, batch)
-            sums.forget_pages()
             done += 1
         return indices, weights
 
