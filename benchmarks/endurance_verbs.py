@@ -105,8 +105,8 @@ class Verb:
         return {path: content for path, content in files.items() if path.split("/")[0] in self.new}
 
     def says_how_to_go_on(self, files: dict[str, bytes]) -> bool:
-        """Whether the lock says which files are still to be put in their places."""
-        return bool(self.new) and b'"last_steps"' in files.get(f"{self.new[0]}.lock", b"")
+        """Whether marks say which files are still to be put in their places."""
+        return any(path.split("/")[0].endswith((".ready", ".unwanted")) for path in files)
 
 
 def views_of_build(work: Path) -> int:

@@ -12,7 +12,7 @@ import pytest
 from scoup.base import heartbeats as module
 from scoup.base.errors import ProcessLostError, is_said_elsewhere
 from scoup.base.heartbeats import heartbeats, reported_once, wait_for_parts, wait_until_taken
-from scoup.base.locks import lock_path, locked_file, read_record
+from scoup.base.locks import lock_path, locked_output, read_record
 from scoup.base.shares import Share
 from support import HANGS
 
@@ -30,7 +30,7 @@ WHOLE, PARTS = Path("a.scoup"), [Path("a.1.sums"), Path("a.2.sums")]
 
 def first(fails: bool = False) -> None:
     """Wait for the parts, and take them."""
-    with locked_file(WHOLE) as lock, heartbeats(lock):
+    with locked_output(WHOLE) as lock, heartbeats(lock):
         wait_for_parts(lock, [lock_path(part) for part in PARTS])
         if fails:
             raise ValueError
@@ -40,7 +40,7 @@ def first(fails: bool = False) -> None:
 
 def other(part: Path) -> None:
     """Make a part and wait until it is taken."""
-    with locked_file(part, overwrite=True) as lock, heartbeats(lock):
+    with locked_output(part, overwrite=True) as lock, heartbeats(lock):
         part.write_text("a part")
         wait_until_taken(lock, part, lock_path(WHOLE))
 
@@ -88,13 +88,13 @@ def test_if_the_first_fails_the_others_end_and_leave_it_to_the_first_to_say_so()
 @pytest.mark.usefixtures("here")
 def test_if_another_fails_the_first_says_so() -> None:
     def fails() -> None:
-        with locked_file(PARTS[1]) as lock, heartbeats(lock):
+        with locked_output(PARTS[1]) as lock, heartbeats(lock):
             while not str((read_record(lock_path(PARTS[0])) or {}).get("ready_for", "")):
                 pass  # until the first has begun, which looks at both
             while read_record(lock_path(WHOLE)) == begun:
                 pass
 
-    with locked_file(WHOLE):
+    with locked_output(WHOLE):
         begun = read_record(lock_path(WHOLE))
     found = at_once(lambda: other(PARTS[0]), fails, first)
     assert [type(error) for error in found] == [ProcessLostError, type(None), ProcessLostError]

@@ -18,7 +18,7 @@ import pytest
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import InputError, OutputExistsError, OutputInUseError
-from scoup.base.locks import locked_file, locked_folder
+from scoup.base.locks import locked_folder, locked_output
 from scoup.base.shares import Share
 from scoup.base.staging import staged
 
@@ -26,10 +26,10 @@ HOLD = """
 import sys
 from pathlib import Path
 from scoup.base.atomic import atomic_path
-from scoup.base.locks import locked_file, locked_folder
+from scoup.base.locks import locked_output, locked_folder
 from scoup.base.staging import staged
 path = Path(sys.argv[2])
-kinds = {"file": locked_file, "folder": locked_folder, "staged": staged, "nothing": atomic_path}
+kinds = {"file": locked_output, "folder": locked_folder, "staged": staged, "nothing": atomic_path}
 with kinds[sys.argv[1]](path) as made:
     if sys.argv[1] == "staged":
         (made / "half").write_text("half")
@@ -53,7 +53,7 @@ def another_process(what: str, path: Path) -> Iterator[subprocess.Popen[str]]:
 def test_the_second_is_refused_with_the_name_of_the_holder(tmp_path: Path) -> None:
     path = tmp_path / "a.scoup"
     with another_process("file", path) as other:
-        with pytest.raises(OutputInUseError) as refused, locked_file(path):
+        with pytest.raises(OutputInUseError) as refused, locked_output(path):
             pass
         message = str(refused.value)
         start = f"{path}: is being written by process {other.pid} on {socket.gethostname()} since "
@@ -62,10 +62,10 @@ def test_the_second_is_refused_with_the_name_of_the_holder(tmp_path: Path) -> No
         assert re.fullmatch(r"(\d{4}-\d\d-\d\d )?\d\d:\d\d", since)  # the date where midnight has passed
         assert message.endswith("; wait for it or give another --out")
         assert str(pickle.loads(pickle.dumps(refused.value))) == message
-        with locked_file(tmp_path / "b.scoup"):  # another output
+        with locked_output(tmp_path / "b.scoup"):  # another output
             pass
     assert not list(tmp_path.iterdir())  # it was removed by the other at its end
-    with locked_file(path):
+    with locked_output(path):
         assert json.loads((tmp_path / "a.scoup.lock").read_text())["process"] == os.getpid()
     assert not list(tmp_path.iterdir())
 
@@ -76,7 +76,7 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path) -> None:
         other.kill()
         other.wait()
     assert (tmp_path / "a.scoup.lock").exists()
-    with locked_file(path):
+    with locked_output(path):
         assert json.loads((tmp_path / "a.scoup.lock").read_text())["process"] == os.getpid()
     assert not list(tmp_path.iterdir())
 
@@ -84,7 +84,7 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path) -> None:
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
 def test_it_is_given_up_after_an_error(tmp_path: Path, error: type[BaseException]) -> None:
     def work() -> None:
-        with locked_file(tmp_path / "new" / "a.scoup"):
+        with locked_output(tmp_path / "new" / "a.scoup"):
             assert (tmp_path / "new" / "a.scoup.lock").exists()
             raise error
 
@@ -96,9 +96,9 @@ def test_it_is_given_up_after_an_error(tmp_path: Path, error: type[BaseException
 def test_what_another_process_has_just_finished_is_not_made_again(tmp_path: Path) -> None:
     path = tmp_path / "a.scoup"
     path.write_text("precious")
-    with pytest.raises(OutputExistsError), locked_file(path):
+    with pytest.raises(OutputExistsError), locked_output(path):
         pass
-    with locked_file(path, overwrite=True):
+    with locked_output(path, overwrite=True):
         pass
     assert path.read_text() == "precious"
     assert [item.name for item in tmp_path.iterdir()] == ["a.scoup"]
@@ -131,7 +131,7 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     for name in precious:
         (tmp_path / name).write_text("x")
     assert len(list(tmp_path.iterdir())) == 3 + len(precious)
-    with locked_file(path):
+    with locked_output(path):
         pass
     left = {item.name for item in tmp_path.iterdir()} - set(precious)
     (other_output,) = left
@@ -141,7 +141,7 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
 def test_what_a_living_process_writes_by_itself_stays(tmp_path: Path) -> None:
     path = tmp_path / "a.scoup"
     with another_process("nothing", path) as other:
-        for lock in (locked_file(path), locked_folder(tmp_path)):
+        for lock in (locked_output(path), locked_folder(tmp_path)):
             with lock:
                 pass
         other.communicate("")
@@ -275,14 +275,14 @@ def test_a_file_of_other_contents_is_no_lock(tmp_path: Path, contents: str) -> N
     path = tmp_path / "a.scoup.lock"
     path.write_text(contents)
     with pytest.raises(InputError, match=f"^{path}: is no lock that scoup has written; move it"), \
-            locked_file(tmp_path / "a.scoup"):  # fmt: skip
+            locked_output(tmp_path / "a.scoup"):  # fmt: skip
         pass
     assert path.read_text() == contents
 
 
 def test_an_empty_file_is_a_lock(tmp_path: Path) -> None:
     (tmp_path / "a.scoup.lock").touch()  # of a process that was killed before it wrote its name
-    with locked_file(tmp_path / "a.scoup"):
+    with locked_output(tmp_path / "a.scoup"):
         pass
     assert not list(tmp_path.iterdir())
 
@@ -292,7 +292,7 @@ def test_a_link_is_no_lock(tmp_path: Path, contents: str) -> None:
     (tmp_path / "target").write_text(contents)
     (tmp_path / "a.scoup.lock").symlink_to("target")
     with pytest.raises(InputError, match="is no lock that scoup has written"), \
-            locked_file(tmp_path / "a.scoup"):  # fmt: skip
+            locked_output(tmp_path / "a.scoup"):  # fmt: skip
         pass
     assert (tmp_path / "target").read_text() == contents
     assert (tmp_path / "a.scoup.lock").is_symlink()

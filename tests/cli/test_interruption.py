@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from cli_support import QUICK, refused, run, run_json, snapshot
-from scoup.base.locks import locked_file, locked_folder
+from scoup.base.locks import locked_folder, locked_output
 from scoup.base.shares import Share
 from scoup.io import save_png
 from scoup.io.regions.store import RegionStore
@@ -99,8 +99,8 @@ def test_verbs_that_find_their_output_in_use() -> None:
     run_json("build", "scene", *QUICK, "--out", "kept.scoup", "--keep-sums")
     update = ("update", "kept.scoup", "--remove", "view_00.png", "--overwrite")
     with (
-        locked_file(Path("a.scoup")),
-        locked_file(Path("kept.scoup"), overwrite=True),
+        locked_output(Path("a.scoup")),
+        locked_output(Path("kept.scoup"), overwrite=True),
         locked_folder(Path("regions")),
     ):
         for verb, output in ((BUILD, "a.scoup"), (update, "kept.scoup"), (EXTRACT, "regions")):

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from cli_support import QUICK, RUN, run, run_json, snapshot, together, write_scene
-from scoup.base.locks import locked_file
+from scoup.base.locks import locked_output
 from scoup.uplift.region_sums import RegionSums
 from support import HANGS, environments
 
@@ -133,7 +133,7 @@ def test_what_needs_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("here")
 def test_an_output_in_use_is_refused() -> None:
     before = set(Path().iterdir())
-    with locked_file(Path("g.scoup")):
+    with locked_output(Path("g.scoup")):
         first, second = together(environments(2), *BUILD, program=IMPATIENT + "entry()")
     assert first.returncode == 2
     assert f"error: g.scoup: is being written by process {os.getpid()} on " in first.stderr

@@ -11,10 +11,10 @@ import pytest
 from cli_support import snapshot
 from scoup import raster
 from scoup.base.errors import ScoupWarning
-from scoup.base.locks import locked_file
+from scoup.base.locks import locked_output
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
-from scoup.uplift.checkpoint import changed_copy, moved_with_sums
+from scoup.uplift.checkpoint import changed_copy
 from scoup.uplift.rasterise import add_views, region_sums
 from scoup.uplift.region_sums import RegionSums, view_file
 from support import small_scene
@@ -45,7 +45,7 @@ class Updated:
         """
         add, regions, rasterised = add or self.add, regions or self.regions, []
         with (
-            locked_file(Path("a.scoup")) as lock,
+            locked_output(Path("a.scoup")) as output,
             changed_copy(SOURCE, Path("a.scoup"), add, regions) as copied,
         ):
             for camera in add:
@@ -59,8 +59,8 @@ class Updated:
             copied.sums.keep_codes({"key": ""}, {})
             if stop_at:
                 raise Interrupted
-            Path("a.scoup.new").write_text("field")
-            moved_with_sums(lock, copied.sums, keep=True)(Path("a.scoup.new"), Path("a.scoup"))
+            with output.appearing(copied.sums.path, Path("a.scoup.sums")) as temporary:
+                temporary.write_text("field")
         return rasterised
 
 

@@ -6,16 +6,13 @@ import io
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from scoup.base.errors import NO_SPACE, InputError, OutputExistsError, ScoupError, WriteError
 from scoup.base.holding import LONGEST_STEM, held_temporary
-
-Move = Callable[[Path, Path], object]
-"""``move(temporary, path)``: gives a finished file its name."""
 
 
 def check_output(path: str | Path, overwrite: bool = False, is_folder: bool = False) -> Path:
@@ -77,7 +74,7 @@ def folder_made(folder: Path, output: Path) -> Iterator[None]:
 
 
 @contextmanager
-def atomic_path(path: str | Path, overwrite: bool = False, move: Move = os.replace) -> Iterator[Path]:
+def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     """A path of the same name, in a hidden folder beside ``path``, that becomes ``path`` at the end.
 
     The parent folder is made if it is missing. On any error, interruption included, the hidden folder is removed with
@@ -86,14 +83,13 @@ def atomic_path(path: str | Path, overwrite: bool = False, move: Move = os.repla
     Args:
         path: the output.
         overwrite: replace what is there.
-        move: gives the finished file its name; ``base.locks.Lock.finish`` moves others with it.
 
     Raises:
         OutputExistsError, InputError: as ``check_output``.
         WriteError: the system refuses to write the temporary file; names ``path``.
     """
     # A folder, as libraries may write files of other names first, which nobody holds.
-    with _appearing(path, overwrite, in_folder=True, move=move) as temporary:
+    with _appearing(path, overwrite, in_folder=True) as temporary:
         yield temporary
 
 
@@ -118,7 +114,11 @@ def replace(source: Path, target: Path) -> None:
         return
     aside = hidden_path(target)
     os.replace(target, aside)
-    os.replace(source, target)
+    try:
+        os.replace(source, target)
+    except OSError:
+        os.replace(aside, target)
+        raise
     remove(aside)
 
 
@@ -143,7 +143,7 @@ def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
 
 
 @contextmanager
-def _appearing(path: str | Path, overwrite: bool, in_folder: bool, move: Move = os.replace) -> Iterator[Path]:
+def _appearing(path: str | Path, overwrite: bool, in_folder: bool) -> Iterator[Path]:
     """The path of a temporary file that is held (``base.holding``), or is in a folder that is."""
     path = check_output(path, overwrite)
     hidden = hidden_path(path)
@@ -156,7 +156,7 @@ def _appearing(path: str | Path, overwrite: bool, in_folder: bool, move: Move = 
     ):
         yield temporary
         check_output(path, overwrite)  # somebody else may have written the file meanwhile
-        move(temporary, path)
+        os.replace(temporary, path)
 
 
 class _Output(io.BufferedIOBase):

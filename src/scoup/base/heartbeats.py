@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from scoup.base.errors import SAID_ELSEWHERE, ProcessLostError, WriteError
-from scoup.base.locks import Lock, read_record
+from scoup.base.locks import Output, read_record
 from scoup.base.shares import Share
 
 SILENCE = 60.0
@@ -38,7 +38,7 @@ def reported_once(share: Share) -> Iterator[None]:
 
 
 @contextmanager
-def heartbeats(lock: Lock) -> Iterator[None]:
+def heartbeats(lock: Output) -> Iterator[None]:
     """Write a heartbeat into a lock file once per second while the block runs, from a thread."""
     lock.note(**{_ID: secrets.token_hex(8)})
     ended = threading.Event()
@@ -59,7 +59,7 @@ def heartbeats(lock: Lock) -> Iterator[None]:
         thread.join()
 
 
-def wait_for_parts(lock: Lock, locks: Sequence[Path]) -> None:
+def wait_for_parts(lock: Output, locks: Sequence[Path]) -> None:
     """Return when the holders of other lock files have called ``wait_until_taken`` for this one.
 
     Args:
@@ -80,7 +80,7 @@ def wait_for_parts(lock: Lock, locks: Sequence[Path]) -> None:
         time.sleep(_POLL)
 
 
-def wait_until_taken(lock: Lock, part: Path, whole: Path) -> None:
+def wait_until_taken(lock: Output, part: Path, whole: Path) -> None:
     """Return when the holder of another lock file has removed a finished part.
 
     Args:

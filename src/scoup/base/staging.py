@@ -48,7 +48,7 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
         yield hidden
         found = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
         first = [file for file in files if file in found]
-        with stops_held_back():
+        with defer_stops():
             _move(hidden, folder, [*first, *(file for file in found if file not in files)], overwrite)
 
 
@@ -72,8 +72,8 @@ def _remove_abandoned_once(home: Path) -> None:
 
 
 @contextmanager
-def stops_held_back() -> Iterator[None]:
-    """Interruptions and terminations that come in the block take effect after it, in the main thread."""
+def defer_stops() -> Iterator[None]:
+    """Defer SIGINT and SIGTERM until the block ends, in the main thread."""
     if threading.current_thread() is not threading.main_thread():  # no signal interrupts the others
         yield
         return

@@ -17,7 +17,7 @@ from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.scene_options import ViewOptions
 
 if TYPE_CHECKING:
-    from scoup.base.locks import Lock
+    from scoup.base.locks import Output
     from scoup.base.shares import Share
     from scoup.scene.cameras import Cameras
     from scoup.scene.gaussians import Gaussians
@@ -84,10 +84,10 @@ class Build(BuildOptions, ViewOptions):
 
     def run(self, console: Console) -> None:
         """Build, save and report."""
-        from scoup.base.locks import locked_file
+        from scoup.base.locks import locked_output
         from scoup.base.shares import Share, device_of_process
         from scoup.uplift.build import build
-        from scoup.uplift.checkpoint import moved_with_sums
+        from scoup.uplift.checkpoint import save_field
 
         share, device = Share.of_environment(), device_of_process(self.device)
         out = self._output(share)
@@ -97,7 +97,7 @@ class Build(BuildOptions, ViewOptions):
         if not share.is_everything:
             return self._build_together(console, out, loaded, share, device)
         started = time.perf_counter()
-        with locked_file(out, self.overwrite) as lock, self._region_sums(out, loaded) as sums:
+        with locked_output(out, self.overwrite) as output, self._region_sums(out, loaded) as sums:
             self._announce(console, sums, len(loaded.regions))
             with console.progress() as progress:
                 field = build(
@@ -105,23 +105,22 @@ class Build(BuildOptions, ViewOptions):
                     embedding_model=loaded.model, geometry_path=loaded.source, sums=sums,
                     check_fit=not self.no_check_fit, progress=progress,
                 )  # fmt: skip
-            move = moved_with_sums(lock, sums, self.keep_sums)
-            field.save(out, self.overwrite, self.embed_geometry, self.weight_bits, move)
+            save_field(output, field, sums, self.keep_sums, self.embed_geometry, self.weight_bits)
             bytes_of_sums = sums.bytes if self.keep_sums else None
         report_field(console, field, out, bytes_of_sums, device, time.perf_counter() - started)
         return None
 
     def _write_shard(self, console: Console, out: Path, loaded: _Loaded) -> None:
         """Rasterise a share of the views, keep it and report."""
-        from scoup.base.locks import locked_file
+        from scoup.base.locks import locked_output
         from scoup.base.shares import Share
         from scoup.uplift.region_sums import shard_path
 
         share = Share.parse(self.shard or "")
         path = shard_path(out, share)
         started = time.perf_counter()
-        with locked_file(path, self.overwrite, is_folder=True) as lock:
-            made, size = self._make_shard(console, lock, loaded, share, not self.no_check_fit)
+        with locked_output(path, self.overwrite, is_folder=True) as output:
+            made, size = self._make_shard(console, output, loaded, share, not self.no_check_fit)
         seconds = time.perf_counter() - started
         views = len(made.sources.views)
         console.say(
@@ -132,20 +131,20 @@ class Build(BuildOptions, ViewOptions):
         console.result({**record, "seconds": round(seconds, 2)})
 
     def _make_shard(
-        self, console: Console, lock: Lock, loaded: _Loaded, share: Share, check_fit: bool
+        self, console: Console, output: Output, loaded: _Loaded, share: Share, check_fit: bool
     ) -> tuple[Shard, int]:
-        """Make the shard of a lock; returns it, and its bytes."""
-        from scoup.uplift.checkpoint import moved_alone
+        """Make the shard of an output; returns it, and its bytes."""
         from scoup.uplift.shards import add_shard
 
-        with self._region_sums(lock.output, loaded) as sums, console.progress() as progress:
+        with self._region_sums(output.path, loaded) as sums, console.progress() as progress:
             self._announce(console, sums, len(share.of(range(len(loaded.regions)))))
             made = add_shard(
                 sums, loaded.gaussians, loaded.cameras, loaded.regions, share, embedding_model=loaded.model,
                 geometry_path=loaded.source, check_fit=check_fit, progress=progress,
             )  # fmt: skip
             size = sums.bytes
-            moved_alone(lock, sums)
+            assert sums.path is not None
+            output.take(sums.path)
         return made, size
 
     def _build_together(
@@ -154,7 +153,7 @@ class Build(BuildOptions, ViewOptions):
         """Make the shard of one of several processes; the first of them merges all."""
         from scoup.base.atomic import remove
         from scoup.base.heartbeats import heartbeats, reported_once, wait_for_parts, wait_until_taken
-        from scoup.base.locks import lock_path, locked_file
+        from scoup.base.locks import lock_path, locked_output
         from scoup.base.shares import Share
         from scoup.cli.merge import save_merged
         from scoup.uplift.checkpoint import take_up
@@ -163,14 +162,14 @@ class Build(BuildOptions, ViewOptions):
         shards = [shard_path(out, Share(number, share.count)) for number in range(share.count)]
         path, started = shards[share.number], time.perf_counter()
         if not share.is_first:
-            part_lock = locked_file(path, overwrite=True, is_folder=True)
+            part_lock = locked_output(path, overwrite=True, is_folder=True)
             with reported_once(share), part_lock as part, heartbeats(part):
                 take_up(path)  # of an earlier run, which may have been of another scene
                 self._make_shard(console, part, loaded, share, check_fit=False)
                 wait_until_taken(part, path, lock_path(out))
             return
-        with reported_once(share), locked_file(out, self.overwrite) as whole, heartbeats(whole):
-            with locked_file(path, overwrite=True, is_folder=True) as part:
+        with reported_once(share), locked_output(out, self.overwrite) as whole, heartbeats(whole):
+            with locked_output(path, overwrite=True, is_folder=True) as part:
                 take_up(path)
                 self._make_shard(console, part, loaded, share, not self.no_check_fit)
             wait_for_parts(whole, [lock_path(path) for path in shards[1:]])

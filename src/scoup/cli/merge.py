@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import time
 from collections.abc import Iterator, Sequence
@@ -19,7 +18,7 @@ from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, OptionGroups
 
 if TYPE_CHECKING:
-    from scoup.base.locks import Lock
+    from scoup.base.locks import Output
     from scoup.field.language_field import LanguageField
     from scoup.uplift.region_sums import RegionSums
 
@@ -48,7 +47,7 @@ class Merge(BuildOptions):
     def run(self, console: Console) -> None:
         """Merge, save and report."""
         from scoup.base.errors import InputError
-        from scoup.base.locks import locked_file
+        from scoup.base.locks import locked_output
         from scoup.base.shares import Share
 
         if not Share.of_environment().is_everything:
@@ -56,8 +55,10 @@ class Merge(BuildOptions):
         out = self._output()
         self.settings("inria")  # a mistake shows now; the rasteriser preset is that of the shards
         started = time.perf_counter()
-        with locked_file(out, self.overwrite) as lock:
-            found = save_merged(console, self, lock, self.shards, self.device, self.keep_sums, self.gaussians)
+        with locked_output(out, self.overwrite) as output:
+            found = save_merged(
+                console, self, output, self.shards, self.device, self.keep_sums, self.gaussians
+            )
         console.say(f"{counted(len(self.shards), 'shard')} merged")
         seconds = time.perf_counter() - started
         report_field(console, found.field, out, found.bytes_of_sums, self.device, seconds)
@@ -97,28 +98,25 @@ class Merged:
 def save_merged(
     console: Console,
     options: BuildOptions,
-    lock: Lock,
+    output: Output,
     paths: Sequence[Path],
     device: str,
     keep_sums: bool,
     geometry: Path | None,
 ) -> Merged:
-    """Merge shards and write the field of a lock, and its region sums if they are to be kept."""
-    from scoup.uplift.checkpoint import moved_with_sums
+    """Merge shards and write the field of an output, and its region sums if they are to be kept."""
+    from scoup.uplift.checkpoint import save_field
     from scoup.uplift.region_sums import RegionSums
     from scoup.uplift.shards import merge
 
-    out = lock.output
     shards = [RegionSums.open(path) for path in paths]
-    with _kept(out, shards, keep_sums) as keep, console.progress() as progress:
+    with _kept(output.path, shards, keep_sums) as keep, console.progress() as progress:
         field = merge(
-            shards, options.settings("inria"), keep=keep, geometry_path=geometry, field_path=out,
+            shards, options.settings("inria"), keep=keep, geometry_path=geometry, field_path=output.path,
             device=device, progress=progress,
         )  # fmt: skip
         bytes_of_sums = None if keep is None else keep.bytes
-        # Field and sums appear together.
-        move = os.replace if keep is None else moved_with_sums(lock, keep, keep=True)
-        field.save(out, options.overwrite, options.embed_geometry, options.weight_bits, move)
+        save_field(output, field, keep, True, options.embed_geometry, options.weight_bits)
     return Merged(field, bytes_of_sums)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -83,14 +82,13 @@ class Update(FieldOptions, ViewOptions):
 
     def _change_views(self, console: Console) -> None:
         """Add and remove views."""
-        from scoup.base.locks import locked_file
-        from scoup.uplift.checkpoint import changed_copy, moved_with_sums
+        from scoup.base.locks import locked_output
+        from scoup.uplift.checkpoint import changed_copy, save_field
         from scoup.uplift.update import update
 
         out, source = self._output(also_sums=True), self._source()
-        with locked_file(
-            out, self.overwrite
-        ) as lock:  # before reading: nobody else changes the field meanwhile
+        # Before reading: nobody else changes the field meanwhile.
+        with locked_output(out, self.overwrite) as output:
             field = self.open_field()
             cameras, regions = self._changed_views(field, source)
             with changed_copy(source, out, cameras, regions) as copied, console.progress() as progress:
@@ -99,9 +97,7 @@ class Update(FieldOptions, ViewOptions):
                     field, copied.sums, cameras, regions, self.remove, self.new_atoms,
                     check_fit=not self.no_check_fit and not copied.n_added, progress=progress,
                 )  # fmt: skip
-                # Field and sums change together or not at all.
-                move = moved_with_sums(lock, copied.sums, keep=True)
-                updated.save(out, self.overwrite, field.geometry_path is None, self.weight_bits, move)
+                save_field(output, updated, copied.sums, True, field.geometry_path is None, self.weight_bits)
         total = len(updated.info.provenance["views"])
         console.say(
             f"{out}: {counted(len(cameras), 'view')} added, {len(self.remove)} removed, {total:,} in all; "
@@ -120,9 +116,9 @@ class Update(FieldOptions, ViewOptions):
     def _follow(self, console: Console, edited: Path) -> None:
         """Let the field follow its splat, save and report."""
         from scoup.base.errors import InputError
-        from scoup.base.locks import locked_file
+        from scoup.base.locks import locked_output
         from scoup.io import load_gaussians
-        from scoup.uplift.checkpoint import moved_with_sums
+        from scoup.uplift.checkpoint import save_field
         from scoup.uplift.edited_splat import follow
         from scoup.uplift.matching import Tolerance
         from scoup.uplift.region_sums import sums_path
@@ -131,7 +127,7 @@ class Update(FieldOptions, ViewOptions):
             raise InputError("--edited is an update of its own; add or remove views before or after it")
         out = self._output(also_sums=self.scene is not None)
         tolerance = None if self.tolerance is None else Tolerance(self.tolerance)
-        with locked_file(out, self.overwrite) as lock:
+        with locked_output(out, self.overwrite) as output:
             field, gaussians = self.open_field(), load_gaussians(edited)
             if gaussians.fingerprint() == field.fingerprint:
                 raise InputError(f"nothing to do: {edited} is the splat of {self.field} already")
@@ -141,8 +137,7 @@ class Update(FieldOptions, ViewOptions):
                     field, gaussians, kept, tolerance,
                     geometry_path=None if embed else edited, progress=progress,
                 )  # fmt: skip
-                move = os.replace if found.sums is None else moved_with_sums(lock, found.sums, keep=True)
-                found.field.save(out, self.overwrite, embed, self.weight_bits, move)
+                save_field(output, found.field, found.sums, True, embed, self.weight_bits)
         if kept is None and sums_path(out).is_dir():
             console.warn(f"{sums_path(out)}: are region sums of another splat than {out}; remove them")
         self._report(console, out, found)

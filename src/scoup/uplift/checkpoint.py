@@ -13,9 +13,10 @@ from typing import Any
 
 import torch
 
-from scoup.base.atomic import Move, remove, replace
+from scoup.base.atomic import remove, replace
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning, WriteError, refused_read
-from scoup.base.locks import Lock
+from scoup.base.locks import Output
+from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -34,7 +35,7 @@ def checkpoint(
 ) -> Iterator[RegionSums]:
     """The region sums of a build, in the folder FIELD.partial; what an interrupted build has left there is continued.
 
-    At the end of the block the folder is removed, unless ``moved_with_sums`` has made it the field's ``sums_path``.
+    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``.
     After an error it stays for the next build, but for an ``InputError`` before there was a Gaussian in it.
 
     Args:
@@ -53,35 +54,26 @@ def checkpoint(
     remove(path)
 
 
-def moved_with_sums(lock: Lock, sums: RegionSums, keep: bool) -> Move:
-    """What gives a finished field its name (``LanguageField.save(move=)``) while its region sums get theirs, or go.
+def save_field(
+    output: Output,
+    field: LanguageField,
+    sums: RegionSums | None,
+    keep: bool,
+    embed_geometry: bool | None = None,
+    weight_bits: int = 16,
+) -> None:
+    """Save a field as an output; its region sums get their name with it, or go.
 
     Args:
-        lock: of the field.
-        sums: of ``checkpoint`` or ``changed_copy``. Others are left as they are.
+        output: the field's.
+        field: see ``LanguageField.save`` for the rest.
+        sums: of ``checkpoint``, ``changed_copy`` or ``new_sums``. Others are left as they are.
         keep: as ``sums_path`` of the field.
     """
-
-    def move(temporary: Path, field: Path) -> None:
-        moves, removed = {temporary: field}, []
-        if sums.writable and sums.path is not None:
-            if keep:
-                moves[sums.path] = sums_path(field)
-            else:
-                removed.append(sums.path)
-        lock.finish(moves, removed)
-
-    return move
-
-
-def moved_alone(lock: Lock, sums: RegionSums) -> None:
-    """Give region sums of ``checkpoint`` that are an output of their own, a shard, their name.
-
-    Args:
-        lock: of the output.
-    """
-    assert sums.path is not None
-    lock.finish({sums.path: lock.output})
+    mine = sums.path if sums is not None and sums.writable else None
+    with output.appearing(mine, sums_path(output.path) if keep else None) as temporary:
+        field.save(temporary, False, embed_geometry, weight_bits)
+    field.path = output.path
 
 
 def continued(sums: RegionSums, views: int) -> str | None:
@@ -131,7 +123,7 @@ def changed_copy(
     """A writable copy of kept region sums, in the folder FIELD.update.partial; views that an interrupted update has
     added there are not made again.
 
-    At the end of the block the folder is removed, unless ``moved_with_sums`` has made it the field's ``sums_path``.
+    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``.
     After an error it stays for the next update if views were added.
 
     Args:
@@ -208,7 +200,7 @@ def _cut_back(path: Path, kept: RegionSums, add: Sequence[Camera], regions: Regi
 def new_sums(field: Path, verb: str) -> Iterator[Path]:
     """The path of a new folder of region sums, FIELD.VERB.partial; what a killed process has left there is removed.
 
-    At the end of the block the folder is removed, unless ``moved_with_sums`` has made it the field's ``sums_path``.
+    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``.
 
     Args:
         field: the file that is written; the caller has locked it (``base.locks``).

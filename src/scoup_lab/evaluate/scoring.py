@@ -10,7 +10,7 @@ from pathlib import Path
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.base.locks import complete, locked_file
+from scoup.base.locks import complete, locked_output
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io import default_preset, load_gaussians, load_regions
@@ -22,7 +22,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.checkpoint import checkpoint, continued, moved_with_sums
+from scoup.uplift.checkpoint import checkpoint, continued, save_field
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.data_sets import DataSet, LabelledScene, SceneFiles
@@ -57,7 +57,7 @@ def build_field(
     if path.is_file() and not rebuild:
         return _stored(path, gaussians, settings)
     regions = load_regions(scene.features, scene.cameras)
-    with locked_file(path, overwrite=True) as lock:
+    with locked_output(path, overwrite=True) as output:
         if path.is_file() and not rebuild:  # another process has built it meanwhile
             return _stored(path, gaussians, settings)
         with checkpoint(path, gaussians, regions, settings.raster_preset) as sums:
@@ -73,7 +73,7 @@ def build_field(
                 sums=sums,
                 progress=progress,
             )
-            field.save(path, overwrite=True, move=moved_with_sums(lock, sums, keep=False))
+            save_field(output, field, sums, keep=False)
     return _stored(path, gaussians, settings)  # what is scored is what is stored, half precision included
 
 
