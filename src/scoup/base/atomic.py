@@ -94,13 +94,50 @@ def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def atomic_file(path: str | Path, overwrite: bool = False) -> Iterator[BinaryIO]:
+def atomic_file(path: str | Path, overwrite: bool = False, flush: bool = True) -> Iterator[BinaryIO]:
     """A binary file that becomes ``path`` when the block ends without an error. See ``atomic_path``.
 
     It has no ``fileno``.
+
+    Args:
+        path: the output.
+        overwrite: replace what is there.
+        flush: have it on the disk before it gets its name; else whoever writes many files calls ``flush_to_disk``.
     """
-    with _appearing(path, overwrite, in_folder=False) as temporary, _Output(temporary) as stream:
+    with _appearing(path, overwrite, in_folder=False, flush=flush) as temporary, _Output(temporary) as stream:
         yield cast(BinaryIO, stream)
+
+
+def flush_to_disk(path: Path) -> None:
+    """Have the system write a file, or a folder with its files, to the disk: else a rename may get there first.
+
+    Raises:
+        WriteError: the disk refuses a file. (That a file system cannot flush folders is not an error.)
+    """
+    if path.is_dir():
+        for file in path.iterdir():
+            flush_to_disk(file)
+        with suppress(OSError):
+            _flush(path)
+        return
+    try:
+        _flush(path)
+    except OSError as error:
+        raise WriteError.of(path, error) from error
+
+
+def flush_names(folder: Path) -> None:
+    """Have the system write to the disk which files are in a folder, where the file system can."""
+    with suppress(OSError):
+        _flush(folder)
+
+
+def _flush(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def replace(source: Path, target: Path) -> None:
@@ -143,7 +180,7 @@ def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
 
 
 @contextmanager
-def _appearing(path: str | Path, overwrite: bool, in_folder: bool) -> Iterator[Path]:
+def _appearing(path: str | Path, overwrite: bool, in_folder: bool, flush: bool = True) -> Iterator[Path]:
     """The path of a temporary file that is held (``base.holding``), or is in a folder that is."""
     path = check_output(path, overwrite)
     hidden = hidden_path(path)
@@ -156,7 +193,11 @@ def _appearing(path: str | Path, overwrite: bool, in_folder: bool) -> Iterator[P
     ):
         yield temporary
         check_output(path, overwrite)  # somebody else may have written the file meanwhile
+        if flush:
+            flush_to_disk(temporary)
         os.replace(temporary, path)
+        if flush:
+            flush_names(path.parent)
 
 
 class _Output(io.BufferedIOBase):

@@ -17,7 +17,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from scoup.base.atomic import check_output, folder_made, refusals_named, remove, replace
+from scoup.base.atomic import (
+    check_output,
+    flush_names,
+    flush_to_disk,
+    folder_made,
+    refusals_named,
+    remove,
+    replace,
+)
 from scoup.base.errors import InputError, OutputInUseError, ScoupError, ScoupWarning, WriteError
 from scoup.base.holding import HEX, LONGEST_STEM, NO_LINK, is_same, remove_abandoned, try_hold
 from scoup.base.shares import Share
@@ -95,10 +103,15 @@ class Output:
             else _marked(self.path, name or beside, UNWANTED if name is None else READY)
         )
         with defer_stops():
+            for path in (finished, beside if name is not None else None):
+                if path is not None:
+                    flush_to_disk(path)
             try:
                 if beside is not None and marked is not None:
                     replace(beside, marked)  # from here on the rest follows, whoever does it
+                    flush_names(self.path.parent)
                 replace(finished, self.path)
+                flush_names(self.path.parent)
             except OSError as error:
                 if beside is not None and marked is not None:
                     with suppress(OSError):
@@ -202,6 +215,8 @@ def _finish(path: Path) -> list[str]:
     for item in left:
         if item.suffix == f".{UNWANTED}":
             remove(item)
+    if left:
+        flush_names(path.parent)
     return names
 
 

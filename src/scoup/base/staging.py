@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from scoup.base.atomic import check_output, folder_made, refusals_named
+from scoup.base.atomic import check_output, flush_names, flush_to_disk, folder_made, refusals_named
 from scoup.base.holding import HEX, held_temporary, remove_abandoned
 
 _HIDDEN = ".scoup-"
@@ -61,8 +61,12 @@ def check_outputs(folder: Path, files: Sequence[str], overwrite: bool) -> None:
 def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> None:
     check_outputs(folder, files, overwrite)  # another process may have written meanwhile
     for file in files:
+        flush_to_disk(hidden / file)
+    for file in files:
         with folder_made((folder / file).parent, folder / file):
             os.replace(hidden / file, folder / file)
+    for parent in {(folder / file).parent for file in files}:
+        flush_names(parent)
 
 
 @functools.cache

@@ -44,7 +44,7 @@ class StoredArrays:
 
 
 def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> int:
-    """Write a file, in place of what is there; it appears whole. Returns its bytes.
+    """Write a file, in place of what is there; it appears whole, but is not flushed. Returns its bytes.
 
     Raises:
         WriteError: the system refuses.
@@ -62,7 +62,8 @@ def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDA
     checksum = zlib.crc32(head)
     for part in parts:
         checksum = zlib.crc32(part, checksum)
-    with atomic_file(path, overwrite=True) as stream:
+    # Not flushed one by one: ``base.locks.Output`` flushes the folder before it gets its name, and a checksum tells.
+    with atomic_file(path, overwrite=True, flush=False) as stream:
         stream.write(len(head).to_bytes(8, "little"))
         stream.write(with_checksum(head, f"{checksum:08x}"))
         for part in parts:
