@@ -42,6 +42,17 @@ def data_folder() -> Path:
 
 
 @pytest.fixture(scope="session")
+def mobile_sam() -> Path:
+    """MobileSAM's real checkpoint in $SCOUP_TEST_WEIGHTS, or in ``shared/weights`` beside the repository."""
+    default = Path(__file__).resolve().parents[2] / "shared" / "weights"
+    folder = Path(os.environ.get("SCOUP_TEST_WEIGHTS", default))
+    path = folder / "mobile_sam.pt"
+    if not path.is_file():
+        pytest.skip(f"no real weights at {path} (set SCOUP_TEST_WEIGHTS)")
+    return path
+
+
+@pytest.fixture(scope="session")
 def needs_triton() -> None:
     """Tests that compile or interpret kernels are skipped where triton is not installed."""
     if importlib.util.find_spec("triton") is None:

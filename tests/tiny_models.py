@@ -31,7 +31,7 @@ def tiny_sam(seed: int = 0) -> Any:
         "num_pos_feats": 8,
     }  # fmt: skip
     prompt = {"hidden_size": 16, "image_size": 64, "patch_size": 8, "mask_input_channels": 4}
-    decoder = {"hidden_size": 16, "mlp_dim": 16, "num_hidden_layers": 1, "num_attention_heads": 2,
+    decoder = {"hidden_size": 16, "mlp_dim": 16, "num_hidden_layers": 2, "num_attention_heads": 2,
                "iou_head_hidden_dim": 16}  # fmt: skip
     config = transformers.SamConfig(
         vision_config=vision, prompt_encoder_config=prompt, mask_decoder_config=decoder

@@ -133,6 +133,61 @@ def test_tiny_models(kind: str, tmp_path) -> None:
     assert sum(counts.values()) >= 2
 
 
+class Recorded(MadeUp):
+    """Keeps the points that were asked for, and the model's answers to them."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(seed)
+        self.asked: list[tuple[Tensor, Tensor, Tensor]] = []
+
+    def encode(self, image: np.ndarray) -> MadeUpImage:
+        encoded = super().encode(image)
+        predict = encoded.predict
+
+        def recorded(points: Tensor) -> tuple[Tensor, Tensor]:
+            answer = predict(points)
+            self.asked.append((points, *answer))
+            return answer
+
+        encoded.predict = recorded
+        return encoded
+
+
+@settings(max_examples=examples(15))
+@given(st.integers(0, 2**31), st.integers(1, 9), st.sampled_from([1, 3, 100]))
+def test_points_in_masks_found_before_are_left_out_and_no_others(seed: int, side: int, batch: int) -> None:
+    height, width = 48, 60
+    chosen = replace(
+        LIVELY, points_per_side=side, points_per_batch=batch, crop_layers=0,
+        coarse_filters=True, skip_covered=True,
+    )  # fmt: skip
+    model = Recorded(seed)
+    image = smooth_image(height, width, seed)
+    found = automatic_masks(image, model, chosen)
+    asked = [tuple(point) for points, _, _ in model.asked for point in points.tolist()]
+    wanted: list[tuple[float, float]] = []
+    covered = np.zeros((24, 24), np.bool_)
+    for rows, columns in (([0], [0]), ([1], [1]), ([1, 0], [0, 1])):
+        fresh = []
+        for row, column in zip(rows, columns, strict=True):
+            for y in range(row, side, 2):
+                for x in range(column, side, 2):
+                    px, py = (x + 0.5) / side, (y + 0.5) / side
+                    if not covered[int(py * 24), int(px * 24)]:
+                        fresh.append((px * width, py * height))
+        wanted += fresh
+        encoded = MadeUp(seed).encode(image)
+        for point in fresh:
+            logits, iou = encoded.predict(torch.tensor([point], dtype=torch.float64))
+            small = logits[0, 0].numpy()
+            areas = [(small > offset).sum() for offset in (0.1, -0.1)]
+            if iou[0, 0] > 0.5 and areas[1] and np.float32(areas[0]) / np.float32(areas[1]) >= 0.7:
+                covered |= small > 0
+    np.testing.assert_allclose(asked, wanted)
+    whole = automatic_masks(image, MadeUp(seed), replace(chosen, points_per_batch=50))
+    assert all((found[level].dense() == whole[level].dense()).all() for level in found)
+
+
 def test_batches_and_chunks_change_nothing(monkeypatch) -> None:
     image, model = smooth_image(60, 80), MadeUp(3)
     one = automatic_masks(image, model, replace(LIVELY, points_per_batch=1))

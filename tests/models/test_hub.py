@@ -7,12 +7,14 @@ from pathlib import Path
 import pytest
 
 from scoup.base.errors import InputError, ScoupError
+from scoup.models import hub
 from scoup.models.hub import ModelRequest, Pretrained, load_open_clip, load_pretrained
 
 REQUEST = ModelRequest("embedder", "some/model", "do without", revision="abc")
 
 
-def test_the_network_is_used_only_if_the_files_are_not_here() -> None:
+def test_the_network_is_used_only_if_the_files_are_not_here(monkeypatch) -> None:
+    monkeypatch.setattr(hub, "_no_hub", lambda: "")
     options: list[dict[str, object]] = []
 
     def load(files: Pretrained) -> str:
@@ -26,6 +28,46 @@ def test_the_network_is_used_only_if_the_files_are_not_here() -> None:
     options.clear()
     assert load_pretrained(REQUEST, lambda files: options.append(files.options)) is None
     assert len(options) == 1
+
+
+def test_without_a_hub_nothing_is_tried_and_the_way_round_is_told(monkeypatch) -> None:
+    calls: list[Pretrained] = []
+
+    def load(files: Pretrained) -> None:
+        calls.append(files)
+        raise OSError("not here")
+
+    monkeypatch.setattr(hub, "_no_hub", lambda: "HUB cannot be reached")
+    with pytest.raises(ScoupError) as caught:
+        load_pretrained(REQUEST, load)
+    assert len(calls) == 1
+    message = str(caught.value)
+    assert message.startswith(
+        "embedder 'some/model' cannot be loaded: it is not, or not wholly, on this machine"
+    )
+    assert "HUB cannot be reached" in message
+    assert "hf download some/model --local-dir FOLDER" in message
+    assert message.endswith("or do without")
+
+
+@pytest.mark.parametrize(("variable", "is_asked"), [("", True), ("HTTPS_PROXY", False)])
+def test_whether_a_hub_answers_is_asked_unless_a_proxy_stands_between(
+    monkeypatch, variable, is_asked
+) -> None:
+    from huggingface_hub import constants
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError("no route")
+
+    for name in ("HTTPS_PROXY", "https_proxy", "ALL_PROXY", "all_proxy"):
+        monkeypatch.delenv(name, raising=False)
+    if variable:
+        monkeypatch.setenv(variable, "http://localhost:1")
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
+    monkeypatch.setattr(hub.socket, "create_connection", refuse)
+    assert bool(hub._no_hub()) is is_asked
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    assert "HF_HUB_OFFLINE" in hub._no_hub()
 
 
 def test_a_model_of_the_wrong_kind_is_not_tried_again() -> None:

@@ -49,7 +49,7 @@ def test_sizes_and_normalisation_come_with_the_model(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_loaded_is_told(tmp_path: Path, monkeypatch) -> None:
-    with pytest.raises(ScoupError, match=r"embedder 'laion/nothing' cannot be loaded .*colors"):
+    with pytest.raises(ScoupError, match=r"embedder 'laion/nothing' cannot be loaded: .*colors"):
         open_image_model("laion/nothing")
     with pytest.raises(ScoupError, match="'sam' models have no image features"):
         open_image_model(str(saved(tiny_sam(), tmp_path)))

@@ -19,7 +19,7 @@ from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText,
 if TYPE_CHECKING:
     from scoup.base.progress import Progress
     from scoup.base.shares import Share
-    from scoup.extract import ExtractReport
+    from scoup.extract import ExtractReport, MaskSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +44,10 @@ class Extract(WritesCommon):
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
     out: OptionalPath = None
     """Folder for the regions. Default: SCENE/language_features, where scoup build looks."""
-    segmenter: str = "sam-vit-h"
-    """sam-vit-b, -l, -h; sam2.1-tiny, -small, -base-plus, -large; sam3; a folder or hub id of such a model; or
-    felzenszwalb: regions of even colour from scikit-image, no model and no objects."""
+    segmenter: OptionalText = None
+    """mobile-sam, or its checkpoint (.pt); sam-vit-b, -l, -h; sam2.1-tiny, -small, -base-plus, -large; sam3; a folder
+    or hub id of such a model; onnx:FOLDER with an encoder and a decoder; or felzenszwalb: regions of even colour from
+    scikit-image, no model and no objects. Default: sam-vit-h on a GPU, as LangSplat; mobile-sam without one."""
     embedder: str = CLIP_MODEL
     """A CLIP or SigLIP model by folder or hub id, open_clip:ARCHITECTURE/PRETRAINED; or colors: no model, and no
     queries in words."""
@@ -54,8 +55,11 @@ class Extract(WritesCommon):
     """Branch, tag or commit of the segmenter. The commit found is recorded, and kept when work is resumed."""
     embedder_revision: OptionalText = None
     """Branch, tag or commit of the embedder; the same holds."""
-    preset: Literal["langsplat", "fast"] = "langsplat"
-    """langsplat: its rules to the letter. fast: one grid of points instead of five, early filters, 16 bits on a GPU."""
+    preset: Annotated[
+        Literal["langsplat", "fast"] | None, tyro.conf.arg(metavar="{langsplat,fast}", help_behavior_hint="")
+    ] = None
+    """langsplat: its rules to the letter. fast: one grid of points instead of five, no points in masks found before,
+    early filters, 16 bits on a GPU. Default: langsplat on a GPU, fast without one."""
     points_per_side: OptionalInteger = None
     """Points along each side of a grid. Default: 32."""
     points_per_batch: OptionalInteger = None
@@ -76,25 +80,24 @@ class Extract(WritesCommon):
         """Extract and report."""
         from scoup.base.errors import InputError
         from scoup.base.shares import device_of_process
-        from scoup.extract import Output, extract, find_photographs, mask_settings
+        from scoup.extract import Output, extract, find_photographs
         from scoup.extract.registry import open_pair
         from scoup.io.scene_parts import usual_features
 
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
-        settings = mask_settings(
-            self.preset, points_per_side=self.points_per_side, points_per_batch=self.points_per_batch
-        )
+        device = device_of_process(self.device)
+        segmenter_name, settings = self._masks(console, str(device))
         photographs = find_photographs(self.scene, self.images)
         share = self._share()
         out = self.out or usual_features(self.scene)
         started = time.perf_counter()
         segmenter, embedder = open_pair(
-            self.segmenter,
+            segmenter_name,
             self.embedder,
             settings,
             (self.segmenter_revision, self.embedder_revision),
-            device_of_process(self.device),
+            device,
             None if self.overwrite else out,
             self.with_default,
         )
@@ -125,6 +128,17 @@ class Extract(WritesCommon):
                 "pass --shard, or run under torchrun, which shares out photographs itself; not both"
             )
         return Share.parse(self.shard)
+
+    def _masks(self, console: Console, device: str) -> tuple[str, MaskSettings]:
+        """Segmenter and settings, which are printed: LangSplat's on a GPU, the fastest that are good without one."""
+        from scoup.extract import mask_settings
+
+        on_gpu = device.startswith("cuda")
+        segmenter = self.segmenter or ("sam-vit-h" if on_gpu else "mobile-sam")
+        preset: Literal["langsplat", "fast"] = self.preset or ("langsplat" if on_gpu else "fast")
+        console.say(f"segmenter {segmenter}, preset {preset}, embedder {self.embedder}")
+        points = {"points_per_side": self.points_per_side, "points_per_batch": self.points_per_batch}
+        return segmenter, mask_settings(preset, **points)
 
 
 @contextmanager

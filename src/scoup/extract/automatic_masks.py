@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,16 @@ class Candidates:
 
     def select(self, chosen: NDArray[np.integer] | NDArray[np.bool_]) -> Candidates:
         return Candidates(self.masks.select(chosen), self.channels[chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class _Coarse:
+    """Low-resolution masks of a batch of points that passed the filters of one mask at a time."""
+
+    logits: Tensor  # [N, h, w]
+    iou: Tensor  # [N]
+    stability: Tensor
+    channels: Tensor
 
 
 class SamSegmenter:
@@ -113,12 +124,11 @@ def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings:
     """The masks of one crop of the image, in pixels of the crop."""
     x0, y0, x1, y1 = box
     encoded = model.encode(np.ascontiguousarray(image[y0:y1, x0:x1]))
-    points = torch.from_numpy(point_grid(settings.points_per_side) * [x1 - x0, y1 - y0])
     crop_size, image_size = (y1 - y0, x1 - x0), (image.shape[0], image.shape[1])
     parts: list[Candidates] = []
-    coarse: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
-    for batch in points.split(settings.points_per_batch):
-        logits, iou = encoded.predict(batch)
+    coarse: list[_Coarse] = []
+    for batch in _batches(encoded, coarse, settings):
+        logits, iou = encoded.predict(batch * torch.tensor([x1 - x0, y1 - y0]))
         channels = torch.arange(logits.shape[1], device=iou.device).repeat(len(batch))
         logits, iou = logits.flatten(0, 1), iou.flatten()
         good = torch.nonzero(iou > settings.predicted_iou)[:, 0]
@@ -126,7 +136,7 @@ def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings:
             stable = _stability(encoded.without_padding(logits[good]), settings)
             kept = stable >= settings.stability
             good = good[kept]
-            coarse.append((logits[good].half(), iou[good], stable[kept], channels[good]))
+            coarse.append(_Coarse(logits[good].half(), iou[good], stable[kept], channels[good]))
         else:
             parts += _upscaled(encoded, logits, iou, channels, good, settings, crop_size)
     if settings.coarse_filters:
@@ -135,6 +145,38 @@ def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings:
     channels = np.concatenate([np.zeros(0, np.int64), *(part.channels for part in parts)])
     inside = ~touches_inner_edge(joined.corners(), box, *image_size)
     return Candidates(joined, channels).select(inside)
+
+
+def _batches(encoded: EncodedImage, coarse: list[_Coarse], settings: MaskSettings) -> Iterator[Tensor]:
+    """Points [P, 2] in 0..1 to predict at a time; ``coarse`` has what came of those before.
+
+    Where points may be skipped, every second row and column of the grid comes first, then the points between both,
+    then the rest: whether a point is skipped is decided before its round, and does not depend on the batches.
+    """
+    side = settings.points_per_side
+    grid = point_grid(side).reshape(side, side, 2)
+    rounds = [grid.reshape(-1, 2)]
+    if settings.skip_covered:
+        odd_rows, odd_columns = grid[1::2, ::2].reshape(-1, 2), grid[::2, 1::2].reshape(-1, 2)
+        rounds = [
+            grid[::2, ::2].reshape(-1, 2),
+            grid[1::2, 1::2].reshape(-1, 2),
+            np.concatenate([odd_rows, odd_columns]),
+        ]
+    for number, points in enumerate(rounds):
+        if number:
+            points = points[~_covered(points, encoded, coarse)]
+        yield from torch.from_numpy(points).split(settings.points_per_batch) if len(points) else ()
+
+
+def _covered(points: NDArray[np.float64], encoded: EncodedImage, coarse: list[_Coarse]) -> NDArray[np.bool_]:
+    """[P] whether points lie in masks of level s found so far."""
+    inside = np.zeros(len(points), np.bool_)
+    for found in coarse:
+        covered = (encoded.without_padding(found.logits[found.channels == 0]) > 0).any(0).cpu().numpy()
+        columns, rows = (points * covered.shape[::-1]).astype(np.int64).T
+        inside |= covered[rows, columns]
+    return inside
 
 
 def _upscaled(
@@ -165,12 +207,14 @@ def _upscaled(
 
 def _from_coarse(
     encoded: EncodedImage,
-    batches: list[tuple[Tensor, Tensor, Tensor, Tensor]],
+    batches: list[_Coarse],
     settings: MaskSettings,
     size: tuple[int, int],
 ) -> list[Candidates]:
     """Suppress boxes among the low-resolution masks of each channel, and upscale the rest."""
-    logits, iou, stability, channels = (torch.cat(items) for items in zip(*batches, strict=True))
+    logits, iou, stability, channels = (
+        torch.cat([getattr(batch, part.name) for batch in batches]) for part in fields(_Coarse)
+    )
     small = [
         Masks.from_dense((part > 0).cpu().numpy()) for part in encoded.without_padding(logits).split(256)
     ]

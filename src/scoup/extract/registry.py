@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base.errors import InputError, UnknownNameError
 from scoup.extract import felzenszwalb, plain_colors
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
@@ -23,8 +23,9 @@ def open_segmenter(
     """The segmenter of a name.
 
     Args:
-        name: "felzenszwalb" (no model), a short name of ``sam.SHORT_NAMES`` such as "sam-vit-h", or a folder or hub
-            id of a SAM, SAM 2 or SAM 3 model that transformers knows.
+        name: "felzenszwalb" (no model), "mobile-sam" or the path of its checkpoint (.pt), a short name of
+            ``sam.SHORT_NAMES`` such as "sam-vit-h", a folder or hub id of a SAM, SAM 2 or SAM 3 model that
+            transformers knows, or "onnx:FOLDER" (see ``onnx_sam``).
         settings: of the masks, for models.
         revision: branch, tag or commit of a hub model.
         with_default: also make LangSplat's level "default" (models only).
@@ -37,10 +38,15 @@ def open_segmenter(
             raise InputError(f"{name} has no level default: it does not predict masks from points")
         return felzenszwalb.Felzenszwalb()
     from scoup.extract.automatic_masks import SamSegmenter
-    from scoup.models.sam import open_sam
+    from scoup.models import onnx_sam, sam
 
     settings = settings or MaskSettings()
-    return SamSegmenter(open_sam(name, revision, device, settings.half), settings, with_default)
+    if name.startswith(onnx_sam.PREFIX):
+        return SamSegmenter(onnx_sam.open_onnx_sam(name), settings, with_default)
+    if not (name in sam.NAMES or "/" in name or name.endswith(".pt") or Path(name).exists()):
+        known = (felzenszwalb.NAME, *sam.NAMES, f"{onnx_sam.PREFIX}FOLDER", "OWNER/MODEL of a hub")
+        raise UnknownNameError("segmenter", name, known)
+    return SamSegmenter(sam.open_sam(name, revision, device, settings.half), settings, with_default)
 
 
 def open_embedder(name: str, revision: str | None = None, device: torch.device | str = "cpu") -> Embedder:

@@ -26,6 +26,8 @@ class MaskSettings:
         least_area: smaller holes are filled and smaller islands removed, in pixels.
         mask_overlap, least_score, inside, covered: of the mask rule, see ``overlaps.keep_by_masks``.
         coarse_filters: filter by stability and boxes on the model's low-resolution masks, and upscale only the rest.
+        skip_covered: predict every second point in x and y first, and leave out further ones that lie in a mask of
+            level s found so far. Needs coarse_filters.
         drop_hidden: leave out masks that later ones paint over entirely.
         cut_last: crops leave out the last row and column of the box (``crops.mask_crops``).
         half: run the model in 16 bits where the device can.
@@ -46,6 +48,7 @@ class MaskSettings:
     inside: float = 0.85
     covered: float = 0.5
     coarse_filters: bool = False
+    skip_covered: bool = False
     drop_hidden: bool = False
     cut_last: bool = True
     half: bool = False
@@ -56,6 +59,8 @@ class MaskSettings:
                 raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
         if not 0 <= self.crop_layers <= 4:
             raise InputError(f"crop_layers must be 0 to 4, got {self.crop_layers}")
+        if self.skip_covered and not self.coarse_filters:
+            raise InputError("skip_covered needs coarse_filters")
         if self.least_area < 0:
             raise InputError(f"least_area must not be negative, got {self.least_area}")
 
@@ -71,6 +76,7 @@ _FAST = replace(
     points_per_batch=256,
     crop_layers=0,
     coarse_filters=True,
+    skip_covered=True,
     drop_hidden=True,
     cut_last=False,
     half=True,
@@ -80,8 +86,8 @@ _FAST = replace(
 def mask_settings(preset: Preset = "langsplat", **changes: Any) -> MaskSettings:
     """A preset with changes; those that are None count as not given.
 
-    ``langsplat`` is faithful. ``fast`` uses one grid of points instead of five, filters the model's low-resolution
-    masks before upscaling them, and runs in 16 bits on a GPU.
+    ``langsplat`` is faithful. ``fast`` uses one grid of points instead of five, leaves out points that lie in masks
+    found before, filters the model's low-resolution masks before upscaling them, and runs in 16 bits on a GPU.
 
     Raises:
         InputError: there is no such preset, or a value makes no sense.

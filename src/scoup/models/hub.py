@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
 import torch
 
@@ -24,6 +26,8 @@ Loaded = TypeVar("Loaded")
 
 OPEN_CLIP = "open_clip:"
 """Prefix of the names of models of open_clip."""
+_PATIENCE = 5.0
+"""Seconds within which a hub that can be reached answers; its own client would try for a minute."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,8 @@ class ModelRequest:
         alternative: what works without the model, as an imperative: "use --embedder colors".
         model_id: a folder or hub id, where ``name`` is short for one.
         revision: branch, tag or commit of a hub model.
+        by_hand: how to bring the model here where no hub can be reached; "" for a folder that the hub's own tool
+            makes.
     """
 
     role: str
@@ -43,6 +49,7 @@ class ModelRequest:
     alternative: str
     model_id: str = ""
     revision: str | None = None
+    by_hand: str = ""
 
     @property
     def source(self) -> str:
@@ -52,6 +59,15 @@ class ModelRequest:
     def failed(self, problem: str) -> ScoupError:
         """The error for a model that was found but cannot be used."""
         return ScoupError(f"{self.role} {self.name!r} cannot be loaded: {problem}")
+
+    def out_of_reach(self, hub: str) -> ScoupError:
+        """The error for a model that is not on this machine while no hub can be reached."""
+        by_hand = self.by_hand or (
+            f"run 'hf download {self.source} --local-dir FOLDER' elsewhere and give FOLDER in place of the name"
+        )
+        return self.failed(
+            f"it is not, or not wholly, on this machine, and {hub}; {by_hand}, or {self.alternative}"
+        )
 
     def not_loaded(self, cause: BaseException) -> ScoupError:
         """The error for a model whose files cannot be had or read."""
@@ -157,22 +173,44 @@ def load_pretrained(request: ModelRequest, load: Callable[[Pretrained], Loaded])
             "it is a file; give a folder with config.json and weights (safetensors), or a hub id"
         )
     transformers = request.package("transformers", "models")
+
+    def load_with(options: dict[str, Any]) -> Loaded:
+        return load(Pretrained(transformers, request.source, options))
+
+    return _here_or_from_hub(request, load_with)
+
+
+def hub_file(request: ModelRequest, name: str) -> Path:
+    """The path of one file of a hub model, fetched unless it is on this machine.
+
+    Raises:
+        ScoupError: the hub's client is missing, or the file can neither be found nor fetched.
+    """
+    hub = request.package("huggingface_hub", "models")
+    return Path(
+        _here_or_from_hub(request, lambda options: hub.hf_hub_download(request.source, name, **options))
+    )
+
+
+def _here_or_from_hub(request: ModelRequest, load: Callable[[dict[str, Any]], Loaded]) -> Loaded:
+    """``load(options)`` with what is on this machine; if that fails, with the network too."""
     options: dict[str, Any] = {"revision": request.revision} if request.revision else {}
-    local = Pretrained(transformers, request.source, {**options, "local_files_only": True})
-    try:
-        with _quiet():
-            try:
-                return load(local)
-            except ScoupError:
-                raise
-            except Exception:
-                if os.path.exists(request.source):
-                    raise
-                return load(Pretrained(transformers, request.source, options))
-    except ScoupError as error:
-        raise request.failed(str(error)) from error
-    except Exception as error:  # hub, network, JSON and safetensors each raise kinds of their own
-        raise request.not_loaded(error) from error
+    with _quiet():
+        try:
+            return load({**options, "local_files_only": True})
+        except ScoupError as error:
+            raise request.failed(str(error)) from error
+        except Exception as error:  # hub, network, JSON and safetensors each raise kinds of their own
+            if os.path.exists(request.source):
+                raise request.not_loaded(error) from error
+        if problem := _no_hub():
+            raise request.out_of_reach(problem)
+        try:
+            return load(options)
+        except ScoupError as error:
+            raise request.failed(str(error)) from error
+        except Exception as error:  # as above
+            raise request.not_loaded(error) from error
 
 
 def load_open_clip(
@@ -196,6 +234,23 @@ def load_open_clip(
         return model, open_clip.get_tokenizer(architecture) if with_tokenizer else None
     except Exception as error:  # as above
         raise request.not_loaded(error) from error
+
+
+def _no_hub() -> str:
+    """Why no hub can be reached; "" if one answers, or if a proxy stands between, which this does not ask."""
+    from huggingface_hub import constants
+
+    if constants.HF_HUB_OFFLINE:
+        return "HF_HUB_OFFLINE says to stay offline"
+    hub = urlsplit(constants.ENDPOINT)
+    if any(os.environ.get(name) for name in ("HTTPS_PROXY", "https_proxy", "ALL_PROXY", "all_proxy")):
+        return ""
+    port = hub.port or (80 if hub.scheme == "http" else 443)
+    try:
+        socket.create_connection((hub.hostname or "", port), timeout=_PATIENCE).close()
+    except OSError:
+        return f"{constants.ENDPOINT} cannot be reached"
+    return ""
 
 
 @contextmanager

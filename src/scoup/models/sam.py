@@ -1,9 +1,13 @@
-"""SAM, SAM 2 and SAM 3's tracker through transformers: three masks for each point, levels s, m and l."""
+"""SAM, MobileSAM, SAM 2 and SAM 3's tracker through transformers: three masks for each point, levels s, m and l."""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,10 +16,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from scoup.base.errors import ScoupError
-from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
+from scoup.base.errors import MissingFileError, ScoupError
+from scoup.models import mobile_sam
+from scoup.models.hub import ModelRequest, Pretrained, hub_file, load_pretrained
 from scoup.models.normalization import HALF, IMAGENET, Normalization
+from scoup.models.sam_decoder import SharedDecoder
 
+MOBILE_SAM = "mobile-sam"
 SHORT_NAMES = {
     "sam-vit-b": "facebook/sam-vit-base",
     "sam-vit-l": "facebook/sam-vit-large",
@@ -26,6 +33,8 @@ SHORT_NAMES = {
     "sam2.1-large": "facebook/sam2.1-hiera-large",
     "sam3": "facebook/sam3",
 }
+NAMES = (MOBILE_SAM, *SHORT_NAMES)
+_ALTERNATIVE = "use --segmenter felzenszwalb, which needs no model"
 _CLASSES = {"sam3": "Sam3TrackerModel", "sam2": "Sam2Model", "sam": "SamModel"}
 
 
@@ -58,21 +67,20 @@ class PointModel(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class _SamImage:
+class SamImage:
     """The image is scaled to the model's square by its longer side, and padded below or on the right."""
 
-    model: Sam
-    embeddings: Any
+    decode: Callable[[Tensor], tuple[Tensor, Tensor]]  # of points [P, 2] in pixels of the model's square
+    side: int  # of that square
     size: tuple[int, int]  # of the image
     scaled: tuple[int, int]  # within the model's square
 
     def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
         (height, width), (high, wide) = self.size, self.scaled
-        factor = torch.tensor([wide / width, high / height], dtype=torch.float64)
-        return self.model.predict(self.embeddings, points * factor)
+        return self.decode(points * torch.tensor([wide / width, high / height], dtype=torch.float64))
 
     def without_padding(self, logits: Tensor) -> Tensor:
-        side = self.model.side
+        side = self.side
         high, wide = (
             max(1, round(length * whole / side))
             for length, whole in zip(self.scaled, logits.shape[-2:], strict=True)
@@ -80,13 +88,13 @@ class _SamImage:
         return logits[..., :high, :wide]
 
     def upscale(self, logits: Tensor) -> Tensor:
-        side = self.model.side
+        side = self.side
         whole = _resized(logits, (side, side))
         return _resized(whole[..., : self.scaled[0], : self.scaled[1]], self.size)
 
 
 @dataclass(frozen=True, eq=False)
-class _Sam2Image(_SamImage):
+class Sam2Image(SamImage):
     """The image is stretched over the model's whole square."""
 
     def upscale(self, logits: Tensor) -> Tensor:
@@ -105,6 +113,7 @@ class Sam:
         stretches: whether images are stretched to the square (SAM 2 and 3), not padded (SAM).
         normalization: of its images.
         half: encode images in 16 bits on a GPU.
+        sha256: of the checkpoint, where it is a file of its own; "" for what a commit names.
     """
 
     model: Any
@@ -114,13 +123,15 @@ class Sam:
     stretches: bool
     normalization: Normalization
     half: bool = False
+    sha256: str = ""
 
     @property
     def device(self) -> torch.device:
         return next(self.model.parameters()).device
 
     def record(self) -> dict[str, Any]:
-        return {"segmenter": self.name, "segmenter_revision": self.revision}
+        checked = {"segmenter_sha256": self.sha256} if self.sha256 else {}
+        return {"segmenter": self.name, "segmenter_revision": self.revision, **checked}
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
         from PIL import Image
@@ -136,8 +147,19 @@ class Sam:
         values = functional.pad(values, (0, self.side - wide, 0, self.side - high))
         with torch.inference_mode(), self._precision():
             embeddings = self.model.get_image_embeddings(values[None].to(self.device))
-        kind = _Sam2Image if self.stretches else _SamImage
-        return kind(self, embeddings, (height, width), (high, wide))
+        kind = Sam2Image if self.stretches else SamImage
+        return kind(self._decoder(embeddings, (high, wide)), self.side, (height, width), (high, wide))
+
+    def _decoder(self, embeddings: Any, scaled: tuple[int, int]) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
+        if self.stretches or self.device.type != "cpu":
+            return partial(self.predict, embeddings)
+        # A token beyond the image too, from which its last pixels are interpolated.
+        patch = self.side // embeddings.shape[-1]
+        rows, columns = (
+            min(-(-length // patch) + 1, whole)
+            for length, whole in zip(scaled, embeddings.shape[-2:], strict=True)
+        )
+        return SharedDecoder(self.model, embeddings, (rows, columns)).predict
 
     def predict(self, embeddings: Any, points: Tensor) -> tuple[Tensor, Tensor]:
         """Logits [P, 3, h, w] and predicted IoU [P, 3] for points [P, 2] in pixels of the model's square."""
@@ -162,13 +184,15 @@ def open_sam(
     """Load a SAM model.
 
     Args:
-        name: of ``SHORT_NAMES``, or a folder or hub id.
+        name: "mobile-sam", or the path of its checkpoint (.pt); of ``SHORT_NAMES``; or a folder or hub id.
         revision: branch, tag or commit of a hub model; the commit found is recorded.
         half: encode images in 16 bits on a GPU.
 
     Raises:
         ScoupError: transformers, the weights (safetensors) or a part of them are missing.
     """
+    if name == MOBILE_SAM or name.endswith(".pt"):
+        return _open_mobile_sam(name, revision, device, half)
     model_id = SHORT_NAMES.get(name, name)
 
     def load(files: Pretrained) -> Sam:
@@ -180,8 +204,25 @@ def open_sam(
         normalization = files.normalization() or (HALF if kind.startswith("sam3") else IMAGENET)
         return Sam(model.to(device), model_id, files.commit, side, kind != "sam", normalization, half)
 
-    alternative = "use --segmenter felzenszwalb, which needs no model"
-    return load_pretrained(ModelRequest("segmenter", name, alternative, model_id, revision), load)
+    return load_pretrained(ModelRequest("segmenter", name, _ALTERNATIVE, model_id, revision), load)
+
+
+def _open_mobile_sam(name: str, revision: str | None, device: torch.device | str, half: bool) -> Sam:
+    by_hand = f"fetch {mobile_sam.URL} elsewhere and give the path of the file in place of the name"
+    if name != MOBILE_SAM and not Path(name).is_file():
+        raise MissingFileError(name, "there is no such checkpoint", by_hand)
+    request = ModelRequest("segmenter", name, _ALTERNATIVE, mobile_sam.HUB_ID, revision, by_hand)
+    transformers = request.package("transformers", "models")
+    path = hub_file(request, mobile_sam.FILE) if name == MOBILE_SAM else Path(name)
+    try:
+        model = mobile_sam.sam_of_checkpoint(transformers, path)
+        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    except ScoupError as error:
+        raise request.failed(str(error)) from error
+    except Exception as error:  # torch raises nearly everything for damaged and foreign files
+        raise request.not_loaded(error) from error
+    side = int(model.config.prompt_encoder_config.image_size)
+    return Sam(model.to(device), MOBILE_SAM, "", side, False, IMAGENET, half, sha256)
 
 
 def _class_of(transformers: Any, model_type: str) -> Any:

@@ -1,0 +1,185 @@
+"""SAM and SAM 2 exported to ONNX as pairs of files, encoder and decoder, run by ONNX Runtime on the CPU.
+
+Two layouts are read, told apart by the inputs' names. SAM: as exported by SAM's own code for the decoder
+(image_embeddings, point_coords, point_labels, mask_input, has_mask_input, orig_im_size) and by samexporter and others
+for the encoder, which takes an image [H, W, 3] in 0..255 or [1, 3, S, S] normalised. SAM 2: as exported by samexporter
+(image -> image_embed, high_res_feats_0, high_res_feats_1; the decoder takes these, and points as above).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.models.hub import ModelRequest
+from scoup.models.normalization import IMAGENET
+from scoup.models.sam import EncodedImage, Sam2Image, SamImage
+
+PREFIX = "onnx:"
+"""Before the folder in a segmenter's name."""
+SIDE = 1024
+"""Of the models' square, unless the encoder's input says another."""
+_ENDINGS = (".onnx", ".ort")
+_POINTS_AT_ONCE = 4  # more are slower on a CPU
+
+
+@dataclass(frozen=True, eq=False)
+class OnnxSam:
+    """A pair of ONNX models.
+
+    Attributes:
+        encoder, decoder: sessions of ONNX Runtime.
+        name: for the manifest.
+        sha256: of both files, in this order.
+        side: of the models' square, in pixels.
+    """
+
+    encoder: Any
+    decoder: Any
+    name: str
+    sha256: tuple[str, str]
+    side: int
+
+    @property
+    def is_second(self) -> bool:
+        """SAM 2, whose images are stretched over the whole square."""
+        return "high_res_feats_0" in _names(self.decoder.get_inputs())
+
+    def record(self) -> dict[str, Any]:
+        return {"segmenter": self.name, "segmenter_sha256": list(self.sha256)}
+
+    def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
+        from PIL import Image
+
+        height, width = image.shape[:2]
+        high = wide = self.side
+        if not self.is_second:
+            factor = self.side / max(height, width)
+            high, wide = max(1, int(height * factor + 0.5)), max(1, int(width * factor + 0.5))
+        scaled = np.array(Image.fromarray(image).resize((wide, high), Image.Resampling.BILINEAR))
+        wanted = self.encoder.get_inputs()[0]
+        if len(wanted.shape) == 4:
+            pixels = IMAGENET(torch.from_numpy(scaled).permute(2, 0, 1) / 255)
+            padded = torch.nn.functional.pad(pixels, (0, self.side - wide, 0, self.side - high))
+            values = padded[None].numpy()
+        else:
+            values = scaled
+        kind = np.uint8 if "uint8" in wanted.type else np.float32
+        found = self.encoder.run(None, {wanted.name: values.astype(kind)})
+        outputs = dict(zip(_names(self.encoder.get_outputs()), found, strict=True))
+        image_class = Sam2Image if self.is_second else SamImage
+        return image_class(
+            lambda points: self._predict(outputs, points), self.side, (height, width), (high, wide)
+        )
+
+    def _predict(self, outputs: dict[str, NDArray[Any]], points: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits [P, 3, h, w] and predicted IoU [P, 3] for points [P, 2] in pixels of the square."""
+        inputs = {item.name: item for item in self.decoder.get_inputs()}
+        # A batch of another size than one is possible only where the export left it open.
+        at_once = _POINTS_AT_ONCE if isinstance(inputs["point_coords"].shape[0], str) else 1
+        parts = [self._decoded(outputs, part.float().numpy(), inputs) for part in points.split(at_once)]
+        return torch.cat([masks for masks, _ in parts]), torch.cat([iou for _, iou in parts])
+
+    def _decoded(
+        self, outputs: dict[str, NDArray[Any]], points: NDArray[np.float32], inputs: dict[str, Any]
+    ) -> tuple[Tensor, Tensor]:
+        count = len(points)
+        coordinates, labels = points[:, None], np.ones((count, 1), np.float32)
+        if not self.is_second:  # SAM's export leaves it to the caller to say that there is no box
+            coordinates = np.concatenate([coordinates, np.zeros_like(coordinates)], axis=1)
+            labels = np.concatenate([labels, -labels], axis=1)
+        side = self.side // 4
+        given = {
+            "point_coords": coordinates,
+            "point_labels": labels,
+            "mask_input": np.zeros((count, 1, side, side), np.float32),
+            "has_mask_input": np.zeros(1, np.float32),
+            # The export enlarges masks to this size; those of low resolution are taken instead.
+            "orig_im_size": np.array([side, side], np.float32),
+        }
+        given |= {name: value for name, value in outputs.items() if name in inputs}
+        wanted = ["low_res_masks" if not self.is_second else "masks", "iou_predictions"]
+        masks, iou = self.decoder.run(wanted, {name: given[name] for name in inputs})
+        # The first of four is the mask for a prompt without doubt; the three for a point follow it.
+        return torch.from_numpy(masks[:, -3:]), torch.from_numpy(iou[:, -3:])
+
+
+def open_onnx_sam(name: str) -> OnnxSam:
+    """Open a pair of ONNX models.
+
+    Args:
+        name: "onnx:FOLDER"; the folder holds one encoder and one decoder (.onnx or .ort), by these words in the
+            files' names. Of a decoder for single and one for several masks, that for several is taken.
+
+    Raises:
+        MissingFileError: there is no such folder, or it lacks one of the two.
+        FileFormatError: a file is no such model, or the decoder gives fewer than three masks for a point.
+        ScoupError: ONNX Runtime is not installed.
+    """
+    folder = Path(name.removeprefix(PREFIX))
+    request = ModelRequest("segmenter", name, "use the segmenter felzenszwalb, which needs no model")
+    runtime = request.package("onnxruntime", "onnx")
+    if not folder.is_dir():
+        raise MissingFileError(
+            folder, "there is no such folder", "give the folder of an encoder and a decoder"
+        )
+    paths = _model_file(folder, "encoder"), _model_file(folder, "decoder")
+    encoder, decoder = (_session(runtime, path) for path in paths)
+    _check(paths, encoder, decoder)
+    size = encoder.get_inputs()[0].shape[-1]
+    side = size if isinstance(size, int) and size > 3 else SIDE
+    first, second = (hashlib.sha256(path.read_bytes()).hexdigest() for path in paths)
+    return OnnxSam(encoder, decoder, f"{PREFIX}{folder.resolve().name}", (first, second), side)
+
+
+def _model_file(folder: Path, role: str) -> Path:
+    found = sorted(
+        path
+        for path in folder.iterdir()
+        if path.is_file() and path.name.lower().endswith(_ENDINGS) and role in path.name.lower()
+    )
+    several = [path for path in found if "single" not in path.name.lower()] or found
+    if len(several) != 1:
+        problem = f"holds {len(several)} files named *{role}*.onnx or .ort, not one"
+        raise MissingFileError(folder, problem, "it must hold one encoder and its decoder")
+    return several[0]
+
+
+def _session(runtime: Any, path: Path) -> Any:
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = torch.get_num_threads()
+    options.log_severity_level = 4  # errors are raised, not printed
+    try:
+        return runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # the runtime has kinds of its own
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
+        raise FileFormatError(path, f"cannot be loaded ({reason})", "it should be an ONNX model") from error
+
+
+def _check(paths: tuple[Path, Path], encoder: Any, decoder: Any) -> None:
+    needed = set(_names(decoder.get_inputs())) - {"orig_im_size"} - set(_names(encoder.get_outputs()))
+    if needed != {"point_coords", "point_labels", "mask_input", "has_mask_input"}:
+        raise FileFormatError(
+            paths[1],
+            f"does not take what its encoder gives (it takes {', '.join(_names(decoder.get_inputs()))})",
+            "use a pair as SAM's own code or samexporter writes it",
+        )
+    outputs = {item.name: item for item in decoder.get_outputs()}
+    masks = "masks" if "high_res_feats_0" in _names(decoder.get_inputs()) else "low_res_masks"
+    iou = outputs.get("iou_predictions")
+    if masks not in outputs or iou is None:
+        raise FileFormatError(paths[1], f"has no outputs {masks} and iou_predictions", "use another export")
+    if isinstance(iou.shape[-1], int) and iou.shape[-1] < 3:
+        raise FileFormatError(paths[1], "gives one mask for a point", "use the export for several masks")
+
+
+def _names(items: Any) -> list[str]:
+    return [item.name for item in items]

@@ -1,0 +1,180 @@
+"""The image encoder of MobileSAM: TinyViT, made of convolutions and of attention within windows.
+
+Source: Wu et al., "TinyViT: Fast Pretraining Distillation for Small Vision Transformers", ECCV 2022, with the changes
+of Zhang et al., "Faster Segment Anything", 2023: the last stage keeps the resolution, and SAM's neck follows.
+Modules are named as in MobileSAM's checkpoint. Written here because transformers has no TinyViT, and timm needs
+torchvision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+DIMENSIONS = (64, 128, 160, 320)
+DEPTHS = (2, 2, 6, 2)
+HEADS = (2, 4, 5, 10)
+WINDOWS = (7, 7, 14, 7)
+STRIDES = (2, 2, 1)  # between the stages
+NECK = 256
+
+
+class TinyViT(nn.Module):
+    """Images [B, 3, side, side], normalised -> embeddings [B, 256, side / 16, side / 16].
+
+    Args:
+        dimensions, depths, heads, windows: of the four stages; those of the first stage, which is made of
+            convolutions, are not used beyond its dimension and depth.
+    """
+
+    def __init__(
+        self,
+        dimensions: Sequence[int] = DIMENSIONS,
+        depths: Sequence[int] = DEPTHS,
+        heads: Sequence[int] = HEADS,
+        windows: Sequence[int] = WINDOWS,
+        neck: int = NECK,
+    ) -> None:
+        super().__init__()
+        first = dimensions[0]
+        self.patch_embed = nn.ModuleDict(
+            {
+                "seq": nn.Sequential(
+                    _convolution(3, first // 2, 3, 2), nn.GELU(), _convolution(first // 2, first, 3, 2)
+                )
+            }
+        )
+        self.layers = nn.ModuleList()
+        for stage, (size, depth) in enumerate(zip(dimensions, depths, strict=True)):
+            blocks = [
+                _Block(size, heads[stage], windows[stage]) if stage else _InvertedBottleneck(size)
+                for _ in range(depth)
+            ]
+            parts: dict[str, nn.Module] = {"blocks": nn.Sequential(*blocks)}
+            if stage < len(STRIDES):
+                parts["downsample"] = _Downsample(size, dimensions[stage + 1], STRIDES[stage])
+            self.layers.append(nn.ModuleDict(parts))
+        self.neck = nn.Sequential(
+            nn.Conv2d(dimensions[-1], neck, 1, bias=False),
+            _ChannelNorm(neck),
+            nn.Conv2d(neck, neck, 3, padding=1, bias=False),
+            _ChannelNorm(neck),
+        )
+
+    def forward(self, pixels: Tensor, **_: object) -> tuple[Tensor]:
+        """As a vision encoder of transformers: a tuple that begins with the embeddings."""
+        image = self.patch_embed["seq"](pixels)
+        for layer in self.layers:
+            assert isinstance(layer, nn.ModuleDict)
+            for part in layer.values():
+                image = part(image)
+        return (self.neck(image),)
+
+
+class _ChannelNorm(nn.LayerNorm):
+    """Layer normalisation over the channels of images [B, C, H, W]."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__(channels, eps=1e-6)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return super().forward(input.permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
+
+
+def _convolution(channels: int, out: int, size: int = 1, stride: int = 1, groups: int = 1) -> nn.Module:
+    parts = nn.Sequential()
+    parts.add_module("c", nn.Conv2d(channels, out, size, stride, size // 2, groups=groups, bias=False))
+    parts.add_module("bn", nn.BatchNorm2d(out))
+    return parts
+
+
+class _InvertedBottleneck(nn.Module):
+    """MBConv of MobileNetV2 with four times as many channels within."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        inner = 4 * channels
+        self.conv1 = _convolution(channels, inner)
+        self.conv2 = _convolution(inner, inner, 3, groups=inner)
+        self.conv3 = _convolution(inner, channels)
+
+    def forward(self, image: Tensor) -> Tensor:
+        inner = functional.gelu(self.conv2(functional.gelu(self.conv1(image))))
+        return functional.gelu(image + self.conv3(inner))
+
+
+class _Downsample(nn.Module):
+    """From one stage to the next."""
+
+    def __init__(self, channels: int, out: int, stride: int) -> None:
+        super().__init__()
+        self.conv1 = _convolution(channels, out)
+        self.conv2 = _convolution(out, out, 3, stride, groups=out)
+        self.conv3 = _convolution(out, out)
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.conv3(functional.gelu(self.conv2(functional.gelu(self.conv1(image)))))
+
+
+class _Block(nn.Module):
+    """Attention within windows, a convolution of each channel, and a perceptron."""
+
+    def __init__(self, channels: int, heads: int, window: int) -> None:
+        super().__init__()
+        self.window = window
+        self.attn = _Attention(channels, heads, window)
+        self.local_conv = _convolution(channels, channels, 3, groups=channels)
+        self.mlp = nn.ModuleDict(
+            {
+                "norm": nn.LayerNorm(channels),
+                "fc1": nn.Linear(channels, 4 * channels),
+                "fc2": nn.Linear(4 * channels, channels),
+            }
+        )
+
+    def forward(self, image: Tensor) -> Tensor:
+        image = self.local_conv(image + self._attended(image)).permute(0, 2, 3, 1)
+        mlp = self.mlp
+        image = image + mlp["fc2"](functional.gelu(mlp["fc1"](mlp["norm"](image))))
+        return image.permute(0, 3, 1, 2)
+
+    def _attended(self, image: Tensor) -> Tensor:
+        batch, channels, height, width = image.shape
+        window = self.window
+        padded = functional.pad(image, (0, -width % window, 0, -height % window))
+        rows, columns = padded.shape[2] // window, padded.shape[3] // window
+        cut = padded.view(batch, channels, rows, window, columns, window).permute(0, 2, 4, 3, 5, 1)
+        attended = self.attn(cut.reshape(-1, window * window, channels))
+        whole = attended.view(batch, rows, columns, window, window, channels).permute(0, 5, 1, 3, 2, 4)
+        return whole.reshape(padded.shape)[..., :height, :width]
+
+
+class _Attention(nn.Module):
+    """Attention between the pixels of a window, with a bias for each distance in x and y."""
+
+    bias_numbers: Tensor
+
+    def __init__(self, channels: int, heads: int, window: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.LayerNorm(channels)
+        self.qkv = nn.Linear(channels, 3 * channels)
+        self.proj = nn.Linear(channels, channels)
+        self.attention_biases = nn.Parameter(torch.zeros(heads, window * window))
+        # The checkpoint numbers the distances (y, x) in the order in which the first row of pixels meets them: row
+        # by row, so that distance (y, x) has the number window * y + x.
+        y, x = torch.meshgrid(torch.arange(window), torch.arange(window), indexing="ij")
+        y, x = y.flatten(), x.flatten()
+        numbers = (y[:, None] - y).abs() * window + (x[:, None] - x).abs()
+        self.register_buffer("bias_numbers", numbers, persistent=False)
+
+    def forward(self, windows: Tensor) -> Tensor:
+        count, pixels, channels = windows.shape
+        qkv = self.qkv(self.norm(windows)).view(count, pixels, self.heads, -1).transpose(1, 2)
+        query, key, value = qkv.chunk(3, dim=-1)
+        bias = self.attention_biases[:, self.bias_numbers]
+        mixed = functional.scaled_dot_product_attention(query, key, value, attn_mask=bias)
+        return self.proj(mixed.transpose(1, 2).reshape(count, pixels, channels))

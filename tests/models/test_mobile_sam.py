@@ -1,0 +1,126 @@
+"""MobileSAM: its checkpoint under the names of its authors, and its real weights where they are at hand."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import transformers
+from torch import Tensor
+
+from mask_samples import smooth_image
+from scoup.base.errors import MissingFileError, ScoupError
+from scoup.models.mobile_sam import _empty_model
+from scoup.models.sam import open_sam
+from tiny_models import lively
+
+POINTS = torch.tensor([[5.5, 5.0], [60.0, 20.25]], dtype=torch.float64)
+
+
+def in_checkpoint(name: str) -> str:
+    """The authors' name of a weight, written out the other way round."""
+    name = name.replace("vision_encoder.", "image_encoder.").replace(
+        "layer_norm_final_attn", "norm_final_attn"
+    )
+    if name == "shared_image_embedding.positional_embedding":
+        return "prompt_encoder.pe_layer.positional_encoding_gaussian_matrix"
+    if name.startswith("prompt_encoder.point_embed."):
+        return name.replace("point_embed", "point_embeddings")
+    parts = {"conv1": 0, "layer_norm1": 1, "conv2": 3, "layer_norm2": 4, "conv3": 6}
+    for part, number in parts.items():
+        name = name.replace(f"mask_embed.{part}.", f"mask_downscaling.{number}.")
+    for part, number in {"upscale_conv1": 0, "upscale_layer_norm": 1, "upscale_conv2": 3}.items():
+        name = name.replace(f"mask_decoder.{part}.", f"mask_decoder.output_upscaling.{number}.")
+    if "hypernetworks" in name or "iou_prediction_head" in name:
+        name = name.replace("layers.0", "layers.1")
+        name = name.replace("proj_in", "layers.0").replace("proj_out", "layers.2")
+    elif "mask_decoder.transformer" in name:
+        name = name.replace("layer_norm", "norm")
+    return name
+
+
+@pytest.fixture(scope="module")
+def model():
+    torch.manual_seed(0)
+    return lively(_empty_model(transformers))
+
+
+@pytest.fixture(scope="module")
+def weights(model) -> dict[str, Tensor]:
+    twice = "prompt_encoder.shared_embedding.positional_embedding"
+    given = {in_checkpoint(name): value for name, value in model.state_dict().items() if name != twice}
+    return given | {
+        "image_encoder.norm_head.weight": torch.ones(320),
+        "image_encoder.head.bias": torch.zeros(9),
+    }
+
+
+def test_weights_find_their_places(model, weights, tmp_path: Path) -> None:
+    path = tmp_path / "mobile_sam.pt"
+    torch.save(weights, path)
+    opened = open_sam(str(path))
+    own = opened.model.state_dict()
+    assert all(torch.equal(own[name], value) for name, value in model.state_dict().items())
+    logits, iou = opened.encode(smooth_image(48, 80)).predict(POINTS)
+    assert logits.shape == (2, 3, 256, 256)
+    assert iou.shape == (2, 3)
+    record = opened.record()
+    assert record["segmenter"] == "mobile-sam"
+    assert len(record["segmenter_sha256"]) == 64
+
+
+def test_other_files_are_refused(weights, tmp_path: Path) -> None:
+    path = tmp_path / "other.pt"
+    with pytest.raises(MissingFileError, match="there is no such checkpoint; fetch https://"):
+        open_sam(str(path))
+    name = "mask_decoder.iou_token.weight"
+    for changed in (
+        {key: value for key, value in weights.items() if key != name},
+        weights | {name: torch.zeros(1, 8)},
+        weights | {"more": torch.zeros(1)},
+        [1, 2],
+    ):
+        torch.save(changed, path)
+        with pytest.raises(
+            ScoupError, match=r"other.pt' cannot be loaded: it (is not MobileSAM|holds no weights)"
+        ):
+            open_sam(str(path))
+    path.write_bytes(b"no archive")
+    with pytest.raises(ScoupError, match="cannot be loaded"):
+        open_sam(str(path))
+
+
+def test_code_in_a_checkpoint_is_not_run(tmp_path: Path) -> None:
+    marker = tmp_path / "ran"
+
+    class Hostile:
+        def __reduce__(self) -> tuple[object, ...]:
+            return os.mkdir, (str(marker),)
+
+    path = tmp_path / "hostile.pt"
+    torch.save({"mask_decoder.iou_token.weight": Hostile()}, path, pickle_module=pickle)
+    with pytest.raises(ScoupError, match="cannot be loaded"):
+        open_sam(str(path))
+    assert not marker.exists()
+
+
+def test_the_decoder_for_many_points_gives_the_numbers_of_transformers(
+    model, weights, tmp_path: Path
+) -> None:
+    """At the real size: several heads, two layers, padding below."""
+    path = tmp_path / "mobile_sam.pt"
+    torch.save(weights, path)
+    opened = open_sam(str(path))
+    encoded = opened.encode(smooth_image(48, 100))
+    decoder = encoded.decode.__self__
+    prompts = POINTS * 4
+    shared, plain = decoder.predict(prompts), opened.predict(decoder.embedding, prompts)
+    rows = 4 * (-(-48 * 1024 // 100 // 16))
+    torch.testing.assert_close(shared[0][..., :rows, :], plain[0][..., :rows, :], atol=1e-3, rtol=1e-4)
+    torch.testing.assert_close(shared[1], plain[1], atol=1e-4, rtol=1e-4)
+    assert float(plain[0].std()) > 0.01
+    assert np.isfinite(shared[0].numpy()).all()
