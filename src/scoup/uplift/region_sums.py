@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup.base.atomic import remove
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, WriteError, check_format_version
 from scoup.base.file_names import slug
 from scoup.base.shares import Share
@@ -140,10 +141,11 @@ class RegionSums:
                 least_weight=float(head.header["least_weight"]),
             )
         sums.path, sums.writable, sums._bytes[SCENE] = path, writable, head.bytes
-        for file in sorted(path.iterdir()):
-            if writable and file.name.startswith("."):
-                file.unlink()
-            elif file.suffix == ENDING and not file.name.startswith(".") and file.name != _file(SCENE):
+        for file in sorted(path.glob(f"*{ENDING}")):
+            if file.name.startswith("."):
+                if writable:
+                    remove(file)
+            elif file != scene:
                 sums._take(file.name.removesuffix(ENDING), file)
         sums.views = dict(sorted(sums.views.items()))
         return sums

@@ -37,7 +37,7 @@ from scoup.uplift.build import Sources, things_of, voted
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums
 from scoup.uplift.region_codes import RegionEmbeddings, inputs_digest, learn_region_codes
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.region_sums import ENDING, INPUTS, RegionSums
 
 _REMEDY = "make it again with scoup build --shard"
 
@@ -90,7 +90,8 @@ class Shard:
         try:
             shard = cls._of_record(sums.levels, sums.inputs["header"], sums.inputs["tensors"])
         except (KeyError, TypeError, ValueError, AttributeError, IndexError, InputError) as error:
-            raise FileFormatError(path, f"makes no sense as a shard ({error})", _REMEDY) from error
+            file = path if sums.path is None else path / f"{INPUTS}{ENDING}"
+            raise FileFormatError(file, f"makes no sense as a shard ({error})", _REMEDY) from error
         lacking = [view.name for view in shard.sources.views if view.name not in sums]
         if lacking:
             raise FileFormatError(path, f"lacks the region sums of {listed(lacking, 3)}", _REMEDY)
