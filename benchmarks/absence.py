@@ -1,58 +1,78 @@
-"""Are absent things refused, and present ones not? Presence as `scoup query` judges it, in views of held-out scenes.
-
-    python -m benchmarks.absence [--scenes desk ... kitchen-11 ... table-1 ...] [--seed 2]
-        [--out docs/benchmarks/absence.json]
-
-Every labelled view is asked for its labels (present), for the scene's other labels (out of view) and for up to ``MOST``
-words that nothing in the scene is called (absent). AUC is the chance that the score of a present text is above that of
-an absent one. For each bound the shares of texts found, and the mIoU that refusals cost. The rule and its bound were
-tuned on desk, desk-all, kitchen-1 to -3 of all kinds, 2x2, table-0, hall-0 and yard-0, with codebook seed 0.
-"""
+"""Whether absent things are refused, and present ones are not."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from statistics import mean
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-import tyro
 
-from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
-from benchmarks.answers import groups_of
-from benchmarks.data import data_folder
+from benchmarks.answer_scenes import AnswerScene
+from benchmarks.study import Record
+from benchmarks.ways import LAYOUTS, StudyOfScenes, groups_of, nested
 from scoup.models.words import with_everyday
 from scoup.query.answering import answer_view
 from scoup.query.presence import PRESENT_FROM
 from scoup.query.text_vectors import TextVectors
-from scoup_lab.baselines.method import MethodSettings
-from scoup_lab.baselines.methods import METHODS
-from scoup_lab.baselines.sparse import SparseUplift
-from scoup_lab.bench import describe_environment, markdown, write_json
+from scoup_lab.baselines.fitted import FittedField
+from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import iou
 
 PRESENT, OUT_OF_VIEW, ABSENT = KINDS = ("present", "out of view", "absent")
 BOUNDS = (0.0, 0.5, 1.0, PRESENT_FROM, 2.0, 3.0, 4.0)
-MOST = 40
+MOST = 40  # absent words per scene
 
 
-@dataclass(frozen=True)
-class Arguments:
+@dataclass(frozen=True, kw_only=True)
+class Absence(StudyOfScenes):
+    """Ask held-out views for what is there and what is not, and judge presence as `scoup query` does.
+
+    Every labelled view is asked for its labels (present), for the scene's other labels (out of view) and for up to 40
+    words that nothing in the scene is called (absent). AUC is the chance that the score of a present text is above that
+    of an absent one. For each bound: the shares of texts found, and the mIoU that refusals cost. Tuned on desk,
+    desk-all, kitchen-1 to -3 of all kinds, 2x2, table-0, hall-0 and yard-0, with codebook seed 0.
+    """
+
     scenes: tuple[str, ...] = (
         *("desk", "desk-all", "kitchen-11-desk", "kitchen-12-desk", "kitchen-11-clip", "kitchen-12-clip"),
         *("kitchen-11", "kitchen-12", "kitchen-13", "kitchen-11x2"),
-        *("table-1", "shelves-1", "hall-1", "yard-1"),
+        *LAYOUTS,
     )
-    """As in benchmarks.answers."""
+    """Draws of the kitchen, layouts of benchmarks.scenes with a seed, desk and desk-all."""
+    ways: tuple[str, ...] = ("default",)
+    """The default alone: presence is its rule."""
     seed: int = 2
     """Of the codebook."""
-    out: Path | None = None
-    """Where the figures are written; replaced."""
-    data: Path = field(default_factory=data_folder)
-    """Folder that contains kitchen/ and clip/, and desk/ for its scenes."""
+
+    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        for key, scene, fitted in self.fields(known, self.seed):
+            assert isinstance(fitted, FittedField)
+            yield key, curve(ask(scene, fitted))
+
+    def record(self, rows: dict[str, Any]) -> Record:
+        return {"seed": self.seed, "bound": PRESENT_FROM, "scenes": nested(rows)["default"]}
+
+    @staticmethod
+    def table(record: Record) -> str:
+        """Return means over each kind of scenes: AUCs, then texts found and mIoU lost by the bound."""
+        body = []
+        for title, names in groups_of(list(record["scenes"])).items():
+            of = [record["scenes"][name] for name in names]
+            aucs = [_mean(each[name] for each in of) for name in ("AUC", "AUC, out of view")]
+            cells = [
+                ", ".join(
+                    _mean(each["from"][f"{bound:g}"][key] for each in of)
+                    for key in (PRESENT, ABSENT, "mIoU lost")
+                )
+                for bound in BOUNDS
+            ]
+            body.append([title, *aucs, *cells])
+        heads = ["scenes", "AUC, absent", "AUC, out of view", *(f"from {bound:g}" for bound in BOUNDS)]
+        return markdown(heads, body)
 
 
 class Asked(NamedTuple):
@@ -63,30 +83,9 @@ class Asked(NamedTuple):
     iou: float
 
 
-def main(arguments: Arguments) -> dict[str, Any]:
-    """Print the table and write the figures."""
-    scenes = {
-        name: curve(ask(make_scene(name, arguments.data, SceneSize()), arguments.seed))
-        for name in arguments.scenes
-    }
-    print(table(scenes))
-    record = {
-        "what": "benchmarks.absence: AUC of presence; per bound the share of texts found and the mIoU lost",
-        "machine": describe_environment(),
-        "seed": arguments.seed,
-        "bound": PRESENT_FROM,
-        "scenes": scenes,
-    }
-    if arguments.out is not None:
-        write_json(arguments.out, record, overwrite=True)
-    return record
-
-
-def ask(scene: AnswerScene, seed: int) -> list[Asked]:
+def ask(scene: AnswerScene, fitted: FittedField) -> list[Asked]:
     """Ask every view of a scene everything."""
-    uplift = METHODS["sparse"].uplift
-    assert isinstance(uplift, SparseUplift)
-    field = uplift(scene.inputs(), MethodSettings(seed)).field
+    field = fitted.field
     field.attach(scene.gaussians, known=True)
     words = (*scene.queries, *scene.absent[:MOST])
     queries = torch.stack([scene.everyday[scene.words.index(word)] for word in words])
@@ -103,8 +102,8 @@ def ask(scene: AnswerScene, seed: int) -> list[Asked]:
     return found
 
 
-def curve(asked: list[Asked]) -> dict[str, Any]:
-    """What each bound refuses, and AUCs."""
+def curve(asked: list[Asked]) -> Record:
+    """Return what each bound refuses, and AUCs."""
     scores = {kind: np.array([each.score for each in asked if each.kind == kind]) for kind in KINDS}
     present = [each for each in asked if each.kind == PRESENT]
     bounds = {
@@ -124,7 +123,7 @@ def curve(asked: list[Asked]) -> dict[str, Any]:
 
 
 def auc(higher: np.ndarray, lower: np.ndarray) -> float | None:
-    """The chance that one of the first is above one of the second, ties half; None without both."""
+    """Return the chance that one of the first is above one of the second, ties half; None without both."""
     if not len(higher) or not len(lower):
         return None
     above = (higher[:, None] > lower).mean() + 0.5 * (higher[:, None] == lower).mean()
@@ -135,26 +134,6 @@ def _share(found: np.ndarray) -> float | None:
     return round(float(found.mean()), 4) if len(found) else None
 
 
-def table(scenes: dict[str, Any]) -> str:
-    """Means over each kind of scenes: AUCs, then texts found and mIoU lost by the bound."""
-    body = []
-    for title, names in groups_of(list(scenes)).items():
-        of = [scenes[name] for name in names]
-        cells = [
-            f"{_mean(each['from'][f'{bound:g}'][PRESENT] for each in of)}, "
-            f"{_mean(each['from'][f'{bound:g}'][ABSENT] for each in of)}, "
-            f"{_mean(each['from'][f'{bound:g}']['mIoU lost'] for each in of)}"
-            for bound in BOUNDS
-        ]
-        aucs = [_mean(each[name] for each in of) for name in ("AUC", "AUC, out of view")]
-        body.append([title, *aucs, *cells])
-    return markdown(["scenes", "AUC, absent", "AUC, out of view", *(f"from {b:g}" for b in BOUNDS)], body)
-
-
-def _mean(values: Any) -> str:
+def _mean(values: Iterator[float | None]) -> str:
     known = [value for value in values if value is not None]
     return f"{mean(known):.3f}" if known else ""
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Arguments, description=__doc__))

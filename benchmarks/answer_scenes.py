@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -27,7 +26,7 @@ from scoup.scene.regions import Regions
 from scoup.uplift.rasterise import region_sums
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
-from scoup_lab.synthetic.faults import LevelSums, as_region_sums, gaussians_by_name, level_sums, perturbed
+from scoup_lab.synthetic.faults import LevelSums, as_region_sums, level_sums, perturbed
 from scoup_lab.synthetic.scene import LABELLED_LEVELS, make_demo_scene
 from scoup_lab.synthetic.words import CANONICAL, DISTRACTORS
 
@@ -65,7 +64,6 @@ class AnswerScene:
         words: the everyday words.
         absent: those of them that nothing in the scene is called.
         members: label -> [N] boolean, the Gaussians that truly are it; empty for desk, where it is not known.
-        shares: which Gaussians belong to each label (``gaussians_by_name``).
     """
 
     name: str
@@ -79,7 +77,6 @@ class AnswerScene:
     words: tuple[str, ...]
     absent: tuple[str, ...]
     members: dict[str, Tensor]
-    shares: dict[str, np.ndarray]
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
@@ -88,7 +85,7 @@ class AnswerScene:
 
     def inputs(self, case: str = "clean", draw: int = 0) -> UpliftInputs:
         """What methods are fitted to, with the faults of a case (``scoup_lab.synthetic.faults``) drawn by a seed."""
-        levels = perturbed(self.levels, case, draw, self.shares)
+        levels = perturbed(self.levels, case, draw)
         return UpliftInputs(as_region_sums(levels), [level.embeddings for level in levels])
 
 
@@ -228,7 +225,6 @@ def _prepared(
         texts.words,
         texts.absent,
         members,
-        gaussians_by_name(gaussians, frames),
     )
 
 

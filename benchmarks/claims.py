@@ -1,55 +1,49 @@
-"""Claims of the paper that can be measured on any machine, side by side in one run.
-
-    python -m benchmarks.claims [--parts uplift views entropy glass] [--out docs/benchmarks/claims.json]
-
-* uplift: seconds to lift features of D = 16 to 512 numbers, against sparse codes. Interleaved medians.
-* views: views a second of colours, of codes at three levels, and of 512 numbers at three levels.
-* entropy: mIoU without half of the Gaussians by the entropy of their votes, kept in blending or dropped from it.
-* glass: mIoU of a thing whose Gaussians get a tenth of their opacity, before and after.
-
-Dense features are lifted from the same region sums as codes (``scoup_lab.baselines.dense``), which is exact and far
-cheaper than the scatter of D numbers at every pixel that other systems do. What that scatter costs is estimated by a
-render of D channels in one view, which does the same multiplications; one view and level is timed, and multiplied.
-"""
+"""Claims of the paper that can be measured on any machine, side by side in one run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import torch
-import tyro
 
 from benchmarks.claims_scenes import entropy_rows, glass_rows
 from benchmarks.scenes import find_layout
+from benchmarks.study import Record, Study, report
 from scoup import raster
-from scoup.io import check_output
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.vote import vote
 from scoup_lab.baselines.sparse import learn_codes
 from scoup_lab.bench import (
     Task,
-    Timing,
-    describe_environment,
     markdown,
     random_scene_cameras,
     random_scene_gaussians,
     random_scene_regions,
     time_tasks,
-    write_json,
 )
-from scoup_lab.bench.environment import in_one_line
 from scoup_lab.synthetic.random_scene import clip_like, random_scene_codes
-from scoup_lab.synthetic.scene import make_demo_scene
+from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
 
 Part = Literal["uplift", "views", "entropy", "glass"]
 
 
-@dataclass(frozen=True)
-class Arguments:
+@dataclass(frozen=True, kw_only=True)
+class Claims(Study):
+    """Measure claims of the paper side by side in one run.
+
+    uplift: seconds to lift features of D numbers, against sparse codes. views: views a second of colours, of codes at
+    three levels, and of D numbers at three levels. entropy: mIoU without half of the Gaussians by the entropy of their
+    votes, kept in blending or dropped from it. glass: mIoU of a thing whose Gaussians get a tenth of their opacity,
+    before and after.
+
+    Dense features are lifted from the same region sums as codes, which is exact and far cheaper than the scatter of D
+    numbers at every pixel that other systems do. What that scatter costs is estimated by a render of D channels in one
+    view, which does the same multiplications; one view and level is timed, and multiplied.
+    """
+
     parts: tuple[Part, ...] = ("uplift", "views", "entropy", "glass")
     """What is measured."""
     n_gaussians: int = 40_000
@@ -76,49 +70,53 @@ class Arguments:
     """Timed runs of each task."""
     threads: int = 1
     """Threads of what is timed."""
-    out: Path | None = None
-    """Where to write the figures as JSON."""
-    overwrite: bool = False
-    """Replace OUT."""
+
+    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        for part in self.parts:
+            if part not in known:
+                yield part, MEASURES[part](self)
+
+    def record(self, rows: dict[str, Any]) -> Record:
+        return rows
+
+    @staticmethod
+    def table(record: Record) -> str:
+        """Return a line per figure."""
+        rows = []
+        for of in record.get("uplift", {}).get("dense", []):
+            ratios = f"{of['ratio']:.2f} times sparse, {of['by_pixel_ratio']:.1f} by pixel (estimated)"
+            rows.append([f"uplift of {of['dim']} numbers", f"{of['dense_s']:.3f} s", ratios])
+        for name, of in record.get("views", {}).items():
+            rows.append([f"views a second: {name}", f"{of['views_a_second']:.2f}", ""])
+        for name, of in record.get("entropy", {}).items():
+            rows.append([f"mIoU: {name}", f"{100 * of['miou']:.1f}", ""])
+        for of in record.get("glass", []):
+            before, after = of["before"], of["after"]
+            others = f"others {_percent(before['others_miou'])} to {_percent(after['others_miou'])}"
+            shown = f"{_percent(before['miou'])} to {_percent(after['miou'])}"
+            rows.append([f"mIoU of {of['thing']} as glass", shown, others])
+        return markdown(["what", "measured", "compared"], rows)
 
 
-def main(arguments: Arguments) -> dict[str, Any]:
-    """Measure the parts that are wanted, print their tables, give the record."""
-    if arguments.out is not None:
-        check_output(arguments.out, arguments.overwrite)
-    environment = describe_environment()
-    print(in_one_line(environment))
-    settings = {name: value for name, value in vars(arguments).items() if name not in ("out", "overwrite")}
-    measured = {name: MEASURES[name](arguments) for name in arguments.parts}
-    record = {"what": "benchmarks.claims", "machine": environment, "settings": settings, **measured}
-    if arguments.out is not None:
-        write_json(arguments.out, record, arguments.overwrite)
-    return record
-
-
-def uplift(arguments: Arguments) -> dict[str, Any]:
-    """Seconds of sparse and of dense uplift of all views and levels, codes being learned before."""
-    gaussians = random_scene_gaussians(arguments.n_gaussians, arguments.seed)
-    cameras = random_scene_cameras(arguments.views, arguments.width, arguments.height)
-    regions = random_scene_regions(cameras, seed=arguments.seed)
+def uplift(study: Claims) -> Record:
+    """Return seconds of sparse and of dense uplift of all views and levels, codes being learned before."""
+    gaussians = random_scene_gaussians(study.n_gaussians, study.seed)
+    cameras = random_scene_cameras(study.views, study.width, study.height)
+    regions = random_scene_regions(cameras, seed=study.seed)
     sums = region_sums(gaussians, cameras, regions)
     embeddings = [regions.embeddings(level) for level in regions.levels]
     sums.rows = [rows for _, rows in embeddings]
-    settings = BuildSettings(n_atoms=64, k=4, rounds=1, effort="fast", seed=arguments.seed)
+    settings = BuildSettings(n_atoms=64, k=4, rounds=1, effort="fast", seed=study.seed)
     codes, codebook = learn_codes([rows for rows, _ in embeddings], settings)
     counts = [len(rows) for rows, _ in embeddings]
     projection = raster.project(gaussians, cameras[0])
-
-    def task(run: Callable[[], object]) -> Task:
-        return Task(run, arguments.threads, arguments.repeats)
-
-    tasks = {
-        ("rasterise", 0): task(lambda: region_sums(gaussians, cameras, regions)),
-        ("sparse", 0): task(lambda: vote(sums, codes, codebook, 1, 4)),
-        ("matrices", 0): task(lambda: [sums.matrix(level) for level in range(len(counts))]),
-    }
     matrices = [sums.matrix(level) for level in range(len(counts))]
-    for dim in arguments.dims:
+    runs: dict[str, Callable[[], object]] = {
+        "rasterise": lambda: region_sums(gaussians, cameras, regions),
+        "sparse": lambda: vote(sums, codes, codebook, 1, 4),
+        "matrices": lambda: [sums.matrix(level) for level in range(len(counts))],
+    }
+    for dim in study.dims:
         features = [clip_like(count, dim, level).numpy() for level, count in enumerate(counts)]
         values = torch.randn(len(gaussians), dim, generator=torch.Generator().manual_seed(dim))
 
@@ -126,54 +124,26 @@ def uplift(arguments: Arguments) -> dict[str, Any]:
             found = [matrix @ rows for matrix, rows in zip(matrices, features, strict=True)]
             return [torch.nn.functional.normalize(torch.from_numpy(part), dim=1) for part in found]
 
-        tasks["dense", dim] = task(lift)
-        tasks["pixels", dim] = task(lambda values=values: raster.render_channels(projection, values))
-    timings = time_tasks(tasks)
-    return _uplift_record(arguments, timings, len(counts))
-
-
-def _uplift_record(
-    arguments: Arguments, timings: dict[tuple[str, int], Timing], levels: int
-) -> dict[str, Any]:
-    rasterising, matrices = timings["rasterise", 0].median, timings["matrices", 0].median
-    sparse = rasterising + timings["sparse", 0].median
-    rows, body = [], []
-    for dim in arguments.dims:
-        products = timings["dense", dim].median
-        dense = rasterising + matrices + products
-        pixels = timings["pixels", dim].median * arguments.views * levels
+        runs[f"dense {dim}"] = lift
+        runs[f"pixels {dim}"] = lambda values=values: raster.render_channels(projection, values)
+    timings = timed(study, runs)
+    median = {name: timing["median_s"] for name, timing in timings.items()}
+    sparse = median["rasterise"] + median["sparse"]
+    rows = []
+    for dim in study.dims:
+        dense = median["rasterise"] + median["matrices"] + median[f"dense {dim}"]
+        pixels = median[f"pixels {dim}"] * study.views * len(counts)
         ratios = {"ratio": dense / sparse, "by_pixel_ratio": pixels / sparse}
-        rows.append({"dim": dim, "dense_s": dense, "products_s": products, "by_pixel_s": pixels, **ratios})
-        cells = (
-            f"{products:.3f}",
-            f"{dense:.3f}",
-            f"{dense / sparse:.2f}",
-            f"{pixels:.2f}",
-            f"{pixels / sparse:.1f}",
-        )
-        body.append([str(dim), *cells])
-    print(
-        f"\nuplift of all views and levels: sparse codes {sparse:.3f} s ({rasterising:.3f} s of it rasterising);"
-    )
-    print(f"turning sums into sparse matrices, for dense features, {matrices:.3f} s\n")
-    headers = ["D", "products, s", "dense in all, s", "of sparse", "by pixel, s, estimated", "of sparse"]
-    print(markdown(headers, body))
-    raw = {f"{name} {dim}".removesuffix(" 0"): timing.record() for (name, dim), timing in timings.items()}
-    return {
-        "sparse_s": sparse,
-        "rasterise_s": rasterising,
-        "matrices_s": matrices,
-        "dense": rows,
-        "timings": raw,
-    }
+        rows.append({"dim": dim, "dense_s": dense, "by_pixel_s": pixels, **ratios})
+    return {"sparse_s": sparse, "dense": rows, "timings": timings}
 
 
-def views(arguments: Arguments) -> dict[str, Any]:
-    """Views a second, projection included."""
-    gaussians = random_scene_gaussians(arguments.n_gaussians, arguments.seed)
-    (camera,) = random_scene_cameras(1, arguments.width, arguments.height)
-    indices, weights = random_scene_codes(gaussians.means, seed=arguments.seed)
-    values = torch.randn(len(gaussians), max(arguments.dims), generator=torch.Generator().manual_seed(0))
+def views(study: Claims) -> Record:
+    """Return views a second, projection included."""
+    gaussians = random_scene_gaussians(study.n_gaussians, study.seed)
+    (camera,) = random_scene_cameras(1, study.width, study.height)
+    indices, weights = random_scene_codes(gaussians.means, seed=study.seed)
+    values = torch.randn(len(gaussians), max(study.dims), generator=torch.Generator().manual_seed(0))
     prepared = raster.prepare_gaussians(gaussians)
 
     def dense() -> None:
@@ -181,61 +151,40 @@ def views(arguments: Arguments) -> dict[str, Any]:
         for _ in range(indices.shape[1]):
             raster.render_channels(projection, values)
 
-    runs: dict[str, Callable[[], object]] = {
-        "colours": lambda: raster.render_colors(gaussians, camera, raster.project(prepared, camera)),
-        "codes, three levels": lambda: raster.render_codes(
-            raster.project(prepared, camera), indices, weights, 64
-        ),
-        f"{max(arguments.dims)} numbers, three levels": dense,
-    }
-    tasks = {name: Task(run, arguments.threads, arguments.repeats) for name, run in runs.items()}
-    timings = time_tasks(tasks)
-    rates = {name: 1 / timing.median for name, timing in timings.items()}
-    most = rates["colours"]
-    body = [[name, f"{rate:.2f}", f"{rate / most:.3f}"] for name, rate in rates.items()]
-    print("\n" + markdown(["rendered", "views a second", "of colours"], body))
-    return {name: {"views_a_second": rates[name], **timing.record()} for name, timing in timings.items()}
-
-
-def entropy(arguments: Arguments) -> dict[str, Any]:
-    """mIoU of the rows of the entropy ablation, and what each loses of the base."""
-    found = entropy_rows(_demo(arguments, arguments.entropy_gaussians))
-    base = next(iter(found.values()))["miou"]
-    body = [
-        [name, f"{100 * row['miou']:.1f}", f"{100 * (row['miou'] - base):+.1f}"]
-        for name, row in found.items()
-    ]
-    print(
-        f"\nentropy, {arguments.entropy_gaussians:,} Gaussians\n\n"
-        + markdown(["", "mIoU", "minus base"], body)
+    timings = timed(
+        study,
+        {
+            "colours": lambda: raster.render_colors(gaussians, camera, raster.project(prepared, camera)),
+            "codes, three levels": lambda: raster.render_codes(
+                raster.project(prepared, camera), indices, weights, 64
+            ),
+            f"{max(study.dims)} numbers, three levels": dense,
+        },
     )
-    return found
+    return {name: {"views_a_second": 1 / timing["median_s"], **timing} for name, timing in timings.items()}
 
 
-def glass(arguments: Arguments) -> list[dict[str, Any]]:
-    """mIoU of things before and after they are made glass."""
-    found = glass_rows(
-        _demo(arguments, arguments.n_gaussians), arguments.glass_things, arguments.glass_opacity
-    )
-    body = []
-    for row in found:
-        pairs = [(row["before"][key], row["after"][key]) for key in ("miou", "accuracy", "others_miou")]
-        cells = ["-" if None in pair else f"{100 * pair[0]:.1f} to {100 * pair[1]:.1f}" for pair in pairs]
-        body.append([row["thing"], str(row["views"]), *cells])
-    print("\n" + markdown(["glass", "views", "mIoU", "localisation", "mIoU of the others"], body))
-    return found
+def timed(study: Claims, runs: Mapping[str, Callable[[], object]]) -> dict[str, Record]:
+    """Return interleaved timings by name."""
+    tasks = {name: Task(run, study.threads, study.repeats) for name, run in runs.items()}
+    return {name: timing.record() for name, timing in time_tasks(tasks, progress=report).items()}
 
 
-def _demo(arguments: Arguments, n_gaussians: int) -> Any:
-    held_out = max(1, arguments.views // 4)
-    size = (arguments.width, arguments.height, arguments.views, held_out)
-    return make_demo_scene(arguments.seed, n_gaussians, *size, find_layout(arguments.layout))
+def demo_scene(study: Claims, n_gaussians: int) -> DemoScene:
+    """Return the scene of the entropy study and of glass."""
+    size = (study.width, study.height, study.views, max(1, study.views // 4))
+    return make_demo_scene(study.seed, n_gaussians, *size, find_layout(study.layout))
 
 
-MEASURES: dict[Part, Callable[[Arguments], Any]] = {
-    "uplift": uplift, "views": views, "entropy": entropy, "glass": glass,
-}  # fmt: skip
+MEASURES: dict[Part, Callable[[Claims], Any]] = {
+    "uplift": uplift,
+    "views": views,
+    "entropy": lambda study: entropy_rows(demo_scene(study, study.entropy_gaussians)),
+    "glass": lambda study: glass_rows(
+        demo_scene(study, study.n_gaussians), study.glass_things, study.glass_opacity
+    ),
+}
 
 
-if __name__ == "__main__":
-    main(tyro.cli(Arguments, description=__doc__))
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f}"

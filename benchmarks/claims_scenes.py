@@ -14,10 +14,11 @@ from scoup.query.presets import QUERY_PRESETS
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
-from scoup_lab.evaluate.data_sets import DATA_SETS, LabelledScene
+from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
+from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.scores import PairScore
 from scoup_lab.evaluate.studies.ablation_rows import BASE, find_ablations
-from scoup_lab.evaluate.studies.ablations import ablation_record, run_ablations
+from scoup_lab.evaluate.studies.ablations import Ablations, ablation_record
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 from scoup_lab.synthetic.scene import DemoScene
 
@@ -30,9 +31,7 @@ def study_scene(demo: DemoScene, gaussians: Gaussians) -> StudyScene:
     found = [(demo.labelled_frame(camera.name, OBJECTS), camera) for camera in demo.held_out]
     frames = [(frame, camera) for frame, camera in found if frame.labels]
     nowhere = Path()
-    labelled = LabelledScene(
-        DATA_SETS["lerf-ovs"], demo.layout.name, nowhere, nowhere, nowhere, demo.held_out, frames
-    )
+    labelled = LabelledScene(demo.layout.name, nowhere, nowhere, nowhere, demo.held_out, PROTOCOL, frames)
     labels, canonical = labelled.labels, demo.canonical
     vectors = TextVectors(tuple(labels), demo.text_vectors(labels), canonical, canonical[:0])
     return StudyScene(labelled, vectors, RasterisedScene(gaussians, demo.building, demo.regions))
@@ -41,7 +40,7 @@ def study_scene(demo: DemoScene, gaussians: Gaussians) -> StudyScene:
 def entropy_rows(demo: DemoScene) -> dict[str, Any]:
     """mIoU of the rows of the entropy ablation: the half of a sort loses its codes, or is dropped from blending too."""
     scene = study_scene(demo, demo.gaussians)
-    return ablation_record(run_ablations([scene], find_ablations(["entropy"]), PRESET, (0,)))
+    return ablation_record(Ablations(find_ablations(["entropy"]), PRESET, (0,)).results([scene]))
 
 
 def members(demo: DemoScene, name: str) -> Tensor:

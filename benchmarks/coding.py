@@ -1,240 +1,160 @@
-"""Sparse coding: the exact solver against the paper's Adam (in Gram space, and as plain autograd) and LangSplat's
-autoencoder, interleaved.
-
-    python -m benchmarks.coding [--regions 5000 20000 60000 200000] [--repeats 5] [--threads 2]
-        [--adam-epochs 4000] [--adam-up-to 20000] [--autoencoder-steps 8000] [--out FILE.json]
-
-Rows are synthetic and CLIP-like: a common mean, objects with long-tailed frequencies, noise. Every repetition has a
-seed of its own and times each schedule of the exact solver, early epochs of both forms of Adam (supports change
-little there) and steps of the autoencoder, one after the other, forwards and backwards in turn. Then come one fit
-by Adam to its end, where there are few enough regions; one of the autoencoder, of as many epochs as the allowed steps
-make; and the best codes of some regions, by trying every support. Nothing uses a GPU.
-"""
+"""Sparse coding: the exact solver beside the paper's Adam and LangSplat's autoencoder."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
-from statistics import median
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-import tyro
+from tests.coding.plain_adam import plain_adam
 
-from benchmarks.coding_forms import (
-    EXACT,
-    GRAM,
-    PAPER_EPOCHS,
-    PARTS,
-    PLAIN,
-    QUALITY,
-    Record,
-    autoencoder_fit,
-    autoencoder_step,
-    autoencoder_steps,
-    brute_force_gap,
-    exact_fit,
-    first_atoms,
-    first_below,
-    gram_epoch,
-    is_whole,
-    least_and_median,
-    plain_epoch,
-    rarest_rows,
-    whole_adam,
-)
-from benchmarks.coding_tables import print_tables
-from benchmarks.raster import report
-from scoup.base.backends import default_backend
-from scoup.coding.exact import solve_exact
-from scoup.io import check_output
-from scoup_lab.baselines.autoencoder import LANGSPLAT
-from scoup_lab.bench import describe_environment, write_json
-from scoup_lab.bench.measure import torch_threads
-from scoup_lab.synthetic.random_scene import clip_like_objects
+from benchmarks.study import Record, Study, report
+from scoup.coding.adam import LEARNING_RATE, LOGIT_SCALE, AdamSettings, solve_adam
+from scoup.coding.exact import EFFORTS, solve_exact
+from scoup.coding.kmeans import spherical_kmeans
+from scoup.coding.report import report_on
+from scoup_lab.baselines.autoencoder import LANGSPLAT, fit_autoencoder
+from scoup_lab.bench import Stopwatch, Task, Timing, markdown, time_tasks, torch_threads
+from scoup_lab.bench.report import milliseconds
+from scoup_lab.synthetic.random_scene import clip_like
 
-AUTOENCODER = "autoencoder"
-_WARM_ROWS = 500
+PAPER_EPOCHS = 4000
+GRAM, PLAIN, AUTOENCODER = "Adam in Gram space", "Adam, plain autograd", "autoencoder"
+STEPS = 100  # of the autoencoder, timed together
 
 
-@dataclass(frozen=True)
-class Arguments:
-    regions: tuple[int, ...] = (5000, 20_000, 60_000, 200_000)
+@dataclass(frozen=True, kw_only=True)
+class Coding(Study):
+    """Time the exact solver, the paper's Adam (in Gram space and as plain autograd) and LangSplat's autoencoder.
+
+    Rows are synthetic and like CLIP's: a common mean, objects with long-tailed frequencies, noise. At each number of
+    regions everything is timed interleaved: whole fits of the exact solver, early epochs of both forms of Adam
+    (supports change little there) and steps of the autoencoder. Then Adam is run to its end once, where there are few
+    enough regions. Other whole fits are extrapolated from epochs and steps.
+    """
+
+    regions: tuple[int, ...] = (5000, 20_000, 60_000)
     """Numbers of regions, R."""
-    repeats: int = 5
-    """Interleaved repetitions, one seed each."""
+    repeats: int = 3
+    """Interleaved repetitions; medians are printed."""
     dim: int = 512
     """D."""
     n_atoms: int = 64
     """L."""
     k: int = 4
     """K."""
-    seed: int = 0
-    """Of the rows, and of the first repetition."""
-    threads: int = 2
+    threads: int = 1
     """Threads."""
+    adam_up_to: int = 5000
+    """The most regions for which Adam is run to its end."""
     adam_epochs: int = PAPER_EPOCHS
-    """Epochs of the one fit by Adam that is run to its end; 0 leaves it out."""
-    adam_up_to: int = 20_000
-    """The most regions for which that fit is made."""
-    plain: bool = True
-    """Time the plain autograd form too."""
-    autoencoder_steps: int = 8000
-    """The most steps of the one fit of the autoencoder, at least an epoch; 0 leaves the autoencoder out."""
-    gap_regions: int = 100
-    """Regions whose best codes are found by trying every support; 0 leaves that out."""
-    out: Path | None = None
-    """Where to write the figures as JSON."""
-    overwrite: bool = False
-    """Replace OUT."""
+    """Epochs of that fit."""
+    seed: int = 0
+    """Of everything."""
+
+    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        for count in self.regions:
+            if str(count) not in known:
+                yield str(count), self._size(count)
+
+    def record(self, rows: dict[str, Any]) -> Record:
+        return {"sizes": list(rows.values())}
+
+    @staticmethod
+    def table(record: Record) -> str:
+        return compared_table(record["sizes"])
+
+    def _size(self, count: int) -> Record:
+        """Return all figures for one number of regions."""
+        rows = clip_like(count, self.dim, self.seed)
+        units = {GRAM: min(max(800_000 // count, 8), 40), PLAIN: min(max(200_000 // count, 2), 4)}
+        timings = self._timings(rows, units)
+        epochs = {name: _spent(timings[name], number) for name, number in units.items()}
+        steps = math.ceil(count / LANGSPLAT.batch)
+        step = _spent(timings[AUTOENCODER], min(STEPS, steps))
+        start = timings["kmeans"].median
+        found: Record = {
+            "regions": count,
+            "exact": {name: {"seconds": _spent(timings[name], 1)} for name in EFFORTS},
+            "kmeans_s": start,
+            "epoch_s": epochs,
+            "whole_adam_s": {name: start + PAPER_EPOCHS * each["median"] for name, each in epochs.items()},
+            AUTOENCODER: {
+                "threads": self.threads,
+                "step_s": step,
+                "epochs": 0,
+                "all_epochs_s": LANGSPLAT.epochs * steps * step["median"],
+            },
+        }
+        for name, settings in EFFORTS.items():
+            solution = solve_exact(rows, self.n_atoms, self.k, self.seed, settings)
+            found["exact"][name]["loss"] = report_on(rows, solution.atoms, solution.codes).loss
+        if count <= self.adam_up_to:
+            found["adam"] = self._whole_adam(rows)
+            if self.adam_epochs == PAPER_EPOCHS:
+                found["whole_adam_s"][GRAM] = found["adam"]["seconds"]
+        return found
+
+    def _timings(self, rows: torch.Tensor, epochs: Mapping[str, int]) -> dict[str, Timing]:
+        atoms = spherical_kmeans(rows, self.n_atoms, self.seed)
+        gram = AdamSettings(epochs=epochs[GRAM])
+        runs = {
+            name: lambda settings=settings: solve_exact(rows, self.n_atoms, self.k, self.seed, settings)
+            for name, settings in EFFORTS.items()
+        }
+        runs |= {
+            "kmeans": lambda: spherical_kmeans(rows, self.n_atoms, self.seed),
+            GRAM: lambda: solve_adam(rows, self.n_atoms, self.k, 0, gram, initial_atoms=atoms),
+            PLAIN: lambda: plain_adam(
+                rows, atoms, LOGIT_SCALE * (rows @ atoms.T), self.k, epochs[PLAIN], LEARNING_RATE
+            ),
+            AUTOENCODER: lambda: fit_autoencoder(
+                rows[: STEPS * LANGSPLAT.batch], replace(LANGSPLAT, epochs=1), self.seed
+            ),
+        }
+        tasks = {name: Task(run, self.threads, self.repeats) for name, run in runs.items()}
+        return time_tasks(tasks, progress=report)
+
+    def _whole_adam(self, rows: torch.Tensor) -> Record:
+        """Return seconds and loss of one whole fit by Adam in Gram space, k-means included."""
+        settings, stopwatch = AdamSettings(epochs=self.adam_epochs), Stopwatch()
+        with torch_threads(self.threads):
+            solution = stopwatch("adam", solve_adam, rows, self.n_atoms, self.k, self.seed, settings)
+        loss = report_on(rows, solution.atoms, solution.codes).loss
+        return {"epochs": self.adam_epochs, "seconds": stopwatch.seconds["adam"][0], "loss": loss}
 
 
-def main(arguments: Arguments) -> Record:
-    """Measure at each size, print the tables, give the record."""
-    if arguments.out is not None:
-        check_output(arguments.out, arguments.overwrite)
-    environment = describe_environment()
-    started = time.perf_counter()
-    with torch_threads(arguments.threads):
-        sizes = [measure(count, arguments) for count in arguments.regions]
-    record: Record = {
-        "what": "benchmarks.coding: solvers of stage 1 and the autoencoder, at the same rows",
-        "machine": environment,
-        "settings": {
-            "dim": arguments.dim,
-            "atoms": arguments.n_atoms,
-            "k": arguments.k,
-            "threads": arguments.threads,
-            "repeats": arguments.repeats,
-            "first_seed": arguments.seed,
-            "adam_epochs": arguments.adam_epochs,
-            "exact_with": default_backend(torch.device("cpu")),
-            "schedules": {name: vars(settings) for name, settings in EXACT.items()},
-        },
-        "data": f"random_scene.clip_like, seed {arguments.seed}: unit, 300 objects, the i-th as often as 1/i",
-        "extrapolated": extrapolated(sizes),
-        "sizes": sizes,
-        "seconds": time.perf_counter() - started,
-    }
-    print_tables(record)
-    if arguments.out is not None:
-        write_json(arguments.out, record, arguments.overwrite)
-    return record
-
-
-def measure(count: int, arguments: Arguments) -> Record:
-    """All figures for one number of regions."""
-    rows, objects = clip_like_objects(count, arguments.dim, arguments.seed)
-    rare = rarest_rows(objects)
-    n_atoms, k, seed = arguments.n_atoms, arguments.k, arguments.seed
-    exact: dict[str, list[Record]] = {name: [] for name in EXACT}
-    seconds: dict[str, list[float]] = {}
-    for _, run in _jobs(rows[:_WARM_ROWS], rare[:_WARM_ROWS], seed, arguments):
-        run()  # the first call may have to load things
-    starts = []
-    for repeat in range(arguments.repeats):
-        jobs = list(_jobs(rows, rare, seed + repeat, arguments, starts))
-        for done, (name, run) in enumerate(reversed(jobs) if repeat % 2 else jobs, 1):
-            result = run()
-            if name in exact:
-                exact[name].append(result)
-            else:
-                seconds.setdefault(name, []).append(result)
-            report(f"{count} regions, interleaved", repeat * len(jobs) + done, arguments.repeats * len(jobs))
-
-    epochs = {name: least_and_median(each) for name, each in seconds.items() if name in (GRAM, PLAIN)}
-    start = median(starts)
-    measured: Record = {
-        "regions": count,
-        "objects": len(objects.unique()),
-        "rarest_rows": int(rare.sum()),
-        "exact": {name: _summary(fits) for name, fits in exact.items()},
-        "kmeans_s": least_and_median(starts),
-        "epoch_s": epochs,
-        "whole_adam_s": {name: start + PAPER_EPOCHS * each["median"] for name, each in epochs.items()},
-    }
-    if arguments.adam_epochs and count <= arguments.adam_up_to:
-        adam = whole_adam(rows, rare, n_atoms, k, seed, arguments.adam_epochs, report)
-        below = first_below(exact, adam["loss"])
-        adam["exact_below"] = None if below is None else {"schedule": below[0], "seconds": below[1]}
-        measured["adam"] = adam
-        if adam["epochs"] == PAPER_EPOCHS:
-            measured["whole_adam_s"][GRAM] = adam["seconds"]
-    if arguments.autoencoder_steps:
-        measured["autoencoder"] = _autoencoder(rows, rare, seconds, arguments)
-    if arguments.gap_regions:
-        few = slice(0, arguments.gap_regions)
-        solution = solve_exact(rows, n_atoms, k, seed)
-        measured["gap"] = brute_force_gap(rows[few], solution.atoms, solution.codes.rows(few))
-    return measured
-
-
-def _jobs(
-    rows: torch.Tensor,
-    rare: torch.Tensor,
-    seed: int,
-    arguments: Arguments,
-    starts: list[float] | None = None,
-) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """What one repetition times; the seconds of the k-means that Adam starts from are added to ``starts``."""
-    atoms, spent = first_atoms(rows, arguments.n_atoms, seed)
-    if starts is not None:
-        starts.append(spent)
-    for name, settings in EXACT.items():
-        yield name, partial(exact_fit, rows, rare, arguments.n_atoms, arguments.k, seed, settings)
-    yield GRAM, partial(gram_epoch, rows, atoms, arguments.k)
-    if arguments.plain:
-        yield PLAIN, partial(plain_epoch, rows, atoms, arguments.k)
-    if arguments.autoencoder_steps:
-        # Its steps are so small that one thread may be faster than several.
-        for threads in sorted({1, arguments.threads}):
-            yield f"{AUTOENCODER} {threads}", partial(autoencoder_step, rows, seed, threads)
-
-
-def _autoencoder(
-    rows: torch.Tensor, rare: torch.Tensor, seconds: dict[str, list[float]], arguments: Arguments
-) -> Record:
-    """The long fit, with the number of threads whose steps were the faster; the time of all of LangSplat's epochs."""
-    steps = {threads: seconds[f"{AUTOENCODER} {threads}"] for threads in sorted({1, arguments.threads})}
-    fastest = min(steps, key=lambda threads: median(steps[threads]))
-    with torch_threads(fastest):
-        fitted = autoencoder_fit(rows, rare, arguments.seed, arguments.autoencoder_steps, report)
-    whole = LANGSPLAT.epochs * autoencoder_steps(len(rows)) * median(steps[fastest])
-    return {
-        **fitted,
-        "threads": fastest,
-        "step_s": least_and_median(steps[fastest]),
-        "step_s_by_threads": {str(threads): least_and_median(each) for threads, each in steps.items()},
-        "all_epochs_s": fitted["seconds"] if is_whole(fitted) else whole,
-    }
-
-
-def _summary(fits: list[Record]) -> Record:
-    return {
-        "seconds": least_and_median([fit["seconds"] for fit in fits]),
-        "parts_s": {part: least_and_median([fit["parts"][part] for fit in fits]) for part in PARTS},
-        **{name: [fit[name] for fit in fits] for name in QUALITY},
-    }
-
-
-def extrapolated(sizes: list[Record]) -> list[str]:
-    """Which figures were not measured but computed from others."""
-    found = [
-        f"whole fits by Adam of {PAPER_EPOCHS} epochs, but those marked as measured: the seconds of k-means and "
-        f"{PAPER_EPOCHS} times an early epoch, medians"
-    ]
+def compared_table(sizes: list[Record]) -> str:
+    """Return what the others take, and how many times as long as the exact solver that is."""
+    headers = ["regions", "form", "least, ms", "median, ms", "of", "whole fit, s", "times fast", "times best"]
+    body = []
     for size in sizes:
-        fitted = size.get("autoencoder")
-        if fitted and not is_whole(fitted):
-            found.append(
-                f"autoencoder, {size['regions']} regions: the time is {LANGSPLAT.epochs} epochs of the median step; "
-                f"its cosines are those after {fitted['epochs']} epochs"
+        fitted, run = size[AUTOENCODER], size.get("adam")
+        measured = {GRAM} if run and run["epochs"] == PAPER_EPOCHS else set()
+        lines = [
+            (name, spent, "an epoch", size["whole_adam_s"][name], name in measured)
+            for name, spent in size["epoch_s"].items()
+        ]
+        name = f"{AUTOENCODER}, {fitted['threads']} thread" + ("" if fitted["threads"] == 1 else "s")
+        whole = fitted["epochs"] == LANGSPLAT.epochs
+        lines.append((name, fitted["step_s"], "a step", fitted["all_epochs_s"], whole))
+        for name, spent, unit, seconds, is_measured in lines:
+            how = "measured" if is_measured else "extrapolated"
+            times = (
+                f"{seconds / size['exact'][preset]['seconds']['median']:.0f}" for preset in ("fast", "best")
             )
-    return found
+            cells = [
+                f"{size['regions']:,}",
+                name,
+                milliseconds(spent["least"]),
+                milliseconds(spent["median"]),
+            ]
+            body.append([*cells, unit, f"{seconds:.1f} ({how})", *times])
+    return markdown(headers, body, left=2)
 
 
-if __name__ == "__main__":
-    main(tyro.cli(Arguments, description=__doc__))
+def _spent(timing: Timing, units: int) -> dict[str, float]:
+    """Return least and median seconds of one of so many units."""
+    return {"least": min(timing.seconds) / units, "median": timing.median / units}

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -20,23 +20,21 @@ from typing import Any
 
 import tyro
 
-from benchmarks import (
-    absence,
-    answers,
-    city,
-    city_model,
-    endurance,
-    fewer_pixels,
-    labels,
-    selection,
-    server_load,
-    stream,
-    threshold,
-    viewer,
-)
-from benchmarks.coding_tables import compared_table
+from benchmarks.absence import Absence
+from benchmarks.answers import difference_cell, table_of
+from benchmarks.city import Cities
+from benchmarks.coding import Coding
 from benchmarks.documents_claims import claims_table
-from benchmarks.hostile import __main__ as hostile
+from benchmarks.endurance import Endurance
+from benchmarks.hostile.study import Hostile
+from benchmarks.labels import Labels
+from benchmarks.lerf_sized import LerfSized
+from benchmarks.locate import Locate
+from benchmarks.query import Query
+from benchmarks.selection import Selections
+from benchmarks.server_load import ServerLoad
+from benchmarks.study import Study
+from benchmarks.viewer import ViewerCost
 from scoup_lab.bench import markdown
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -49,11 +47,6 @@ BLOCK = re.compile(r"(<!-- table: ([^>]+?) -->\n).*?(<!-- end of table -->)", re
 def record(name: str) -> dict[str, Any]:
     """One of the records."""
     return json.loads((RECORDS / f"{name}.json").read_text())
-
-
-def interval(values: Sequence[float]) -> str:
-    """A difference with its interval."""
-    return "{:+.3f} [{:+.3f}, {:+.3f}]".format(*values)
 
 
 def readme() -> str:
@@ -74,7 +67,7 @@ def readme() -> str:
         for other in ("dense", "paper"):
             of_sets = found["differences"][f"default - {other}"]
             if all(of_sets[key][rule] for key in columns):
-                cells = (interval(of_sets[key][rule]) for key in columns)
+                cells = (difference_cell(of_sets[key][rule]) for key in columns)
                 parts.append([title, f"default - {other}", *cells])
     return markdown(["read", "field", *columns.values()], parts)
 
@@ -93,6 +86,22 @@ README_COLUMNS = {
 }
 
 
+def bench() -> str:
+    """Stages of the rasteriser as `scoup bench` measured them."""
+    rows = record("bench")["rows"]
+    ratios = {
+        (each["gaussians"], each["stage"], each["threads"]): 1 / each["time_over_reference"]
+        for each in record("bench")["ratios"]
+    }
+    body = []
+    for row in rows:
+        key = (row["gaussians"], row["stage"], row["threads"])
+        if row["backend"] != "reference":
+            cells = [f"{1e3 * row['median_s']:.1f}", f"{ratios[key]:.1f} x" if key in ratios else "-"]
+            body.append([f"{row['gaussians']:,}", row["stage"], str(row["threads"]), *cells])
+    return markdown(["Gaussians", "stage", "threads", "compiled core, ms", "reference takes"], body)
+
+
 def study(name: str, number: int) -> str:
     """A table of ``scoup eval`` as it was written."""
     table = record(name)["tables"][number]
@@ -108,7 +117,7 @@ def faults() -> str:
         for way, of in found["ways"].items()
     ]
     rows += [
-        [f"{pair}, {rule}", *(interval(of[key][rule]) for key in keys)]
+        [f"{pair}, {rule}", *(difference_cell(of[key][rule]) for key in keys)]
         for pair, of in found["differences"].items()
         for rule in ("peak", "always")
     ]
@@ -120,31 +129,6 @@ def consistency() -> str:
     table = record("eval-consistency")["tables"][0]
     rows = [[row[0], row[4], *row[6:]] for row in table["rows"] if row[1] == "all"]
     return markdown(["features", "matched", "of different points", "difference"], rows)
-
-
-def reference() -> str:
-    """Stages of the plain torch rasteriser, relative to a colour render."""
-    ratios = record("reference")["relative to the colour render"]
-    return markdown(["stage", "relative"], [[name, f"{ratio:.2f}"] for name, ratio in ratios.items()])
-
-
-def joint() -> str:
-    """Codes learned through renderings beside the others: CPU seconds, scores, and ratios."""
-    found = record("joint")
-    times = found["published"]["cpu_s"]["times"]
-    rows = []
-    for name, of in found["methods"].items():
-        ratio = f"{times[name]:.0f}" if name in times else ""
-        figures = [f"{100 * of['miou']:.1f}", f"{100 * of['localisation']:.1f}", f"{of['cpu_s']:.1f}"]
-        rows.append([name, *figures, f"{of['peak_bytes'] / 1e6:.0f}", ratio])
-    last = f"times as long: joint-codes, {found['published']['iterations']:,} steps (extrapolated)"
-    return markdown(["method", "mIoU", "localisation", "CPU seconds", "peak memory, MB", last], rows)
-
-
-def fewer() -> str:
-    """Time and agreement with all pixels and views, by variant."""
-    found = record("fewer_pixels")
-    return fewer_pixels.table({name: of for name, of in found.items() if name != "environment"})
 
 
 def points(name: str, metric: str) -> str:
@@ -163,36 +147,25 @@ def points(name: str, metric: str) -> str:
     )
 
 
-def lerf_sized() -> str:
-    """Stages of a whole build, as shares of it."""
-    found = record("lerf_sized")
-    stages = {"coding": 0.0, "region sums": 0.0, "vote": 0.0, "all else": 0.0}
-    for name, seconds in found["seconds"].items():
-        stage = next((stage for stage in stages if stage in name), "all else")
-        stages[stage] += seconds
-    total, settings = found["total_s"], found["settings"]
-    rows = [[name, f"{100 * seconds / total:.0f} %"] for name, seconds in stages.items()]
-    rows.append([f"all, {settings['threads']} threads, of a minute", f"{total / 60:.2f}"])
-    rows.append(["peak memory, GB", f"{found['peak_memory_bytes'] / 1e9:.2f}"])
-    return markdown(["stage", "share of the time"], rows)
-
-
-def lerf_sized_beside() -> str:
-    """A whole build now and before, by turns in one run."""
-    rows = []
-    for name, threads in (("lerf_sized_beside", 2), ("lerf_sized_beside_1", 1)):
-        for figure, of_figure in record(name)["figures"].items():
-            unit, scale = ("s", 1.0) if figure == "total_s" else ("GB", 1e-9)
-            cells = [f"{scale * of_figure[when]:.1f} {unit}" for when in ("before", "now")]
-            title = "whole build" if unit == "s" else "peak memory"
-            rows.append([f"{title}, {threads} threads", *cells, f"{of_figure['ratio']:.2f}"])
-    return markdown(["", "before", "now", "now / before"], rows)
-
-
+STUDIES: dict[str, tuple[type[Study], str]] = {
+    "selections": (Selections, "selection"),
+    "labels": (Labels, "labels"),
+    "locate": (Locate, "locate"),
+    "absence": (Absence, "absence"),
+    "lerf sized": (LerfSized, "lerf_sized"),
+    "coding, compared": (Coding, "coding"),
+    "query": (Query, "query"),
+    "viewer": (ViewerCost, "viewer"),
+    "city": (Cities, "city"),
+    "hostile": (Hostile, "hostile"),
+    "endurance": (Endurance, "endurance"),
+    "server load": (ServerLoad, "server_load"),
+}
+"""Tables that a study makes of its record: the study, and the name of the record."""
 TABLES: dict[str, Callable[[], str]] = {
     "readme": readme,
     **{
-        f"answers on {group}": lambda group=group: answers.table_of(record("answers"), f"{group}, clean")
+        f"answers on {group}": lambda group=group: table_of(record("answers"), f"{group}, clean")
         for group in (*README_COLUMNS, "kitchen draws, noise x 2")
     },
     "answers under faults": faults,
@@ -205,29 +178,10 @@ TABLES: dict[str, Callable[[], str]] = {
     "autoencoder": lambda: study("eval-autoencoder", 0),
     "consistency": consistency,
     "claims": lambda: claims_table(record),
-    "thresholds": lambda: threshold.table(record("threshold")["rules"]),
-    "selections": lambda: selection.table(record("selection")["scores"]),
-    "labels": lambda: labels.table(record("labels")["scores"]),
-    "absence": lambda: absence.table(record("absence")["scenes"]),
     "scannet": lambda: points("eval-scannet", "mIoU"),
     "scenesplat": lambda: points("eval-scenesplat", "f-mIoU"),
-    "joint": joint,
-    "fewer pixels": fewer,
-    "reference": reference,
-    "lerf sized": lerf_sized,
-    "lerf sized beside": lerf_sized_beside,
-    "viewer": lambda: viewer.sent_table(record("viewer")),
-    "viewer in a browser": lambda: viewer.pages_table(record("viewer")),
-    "city": lambda: city.table(record("city")["cases"]),
-    "city, slopes": lambda: city.slope_table(record("city")["slopes"]),
-    "city, predicted": lambda: city_model.check_table(record("city_model")["checks"]),
-    "city, on paper": lambda: city_model.city_table(record("city_model")["city"]),
-    "city, limits": lambda: city_model.limit_table(record("city_model")["limits"]),
-    "hostile": lambda: hostile.table(record("hostile")["readers"]),
-    "endurance": lambda: endurance.table(record("endurance")["verbs"]),
-    "server load": lambda: server_load.table(record("server_load")),
-    "stream": lambda: stream.table(record("stream")["rows"]),
-    "coding, compared": lambda: compared_table(record("coding")["sizes"]),
+    "bench": bench,
+    **{name: lambda of=of: of[0].table(record(of[1])) for name, of in STUDIES.items()},
 }
 """By name."""
 

@@ -1,16 +1,4 @@
-"""Verbs that are killed at random moments and run again: same bytes, little done twice, nothing left.
-
-    python -m benchmarks.endurance [--kills 100] [--seed 0] [--verbs build merge extract] [--out FILE.json]
-
-Each verb runs as a process of its own (``benchmarks/endurance_child.py``) on a small synthetic scene. Half of the kills
-come from outside, after a random part of the time that an undisturbed run takes; half come at a random point: before
-one of the changes of files, in the midst of a file of region sums, around a view. After some kills the run that
-continues is killed again. Then the same command runs to its end, and the folder is compared with that of an undisturbed
-run. Kills that come too late, after the end of a run, are counted apart.
-
-"done again" counts the views that a killed run had rasterised (or extracted) to the end and had not kept; "begun
-again" also those that it was at. What is kept is counted in the files that it left.
-"""
+"""Verbs that are killed at random moments and run again: same bytes, little done twice, nothing left."""
 
 from __future__ import annotations
 
@@ -18,19 +6,16 @@ import functools
 import random
 import tempfile
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import tyro
-
 from benchmarks.endurance_runs import Run, run, snapshot
 from benchmarks.endurance_verbs import VERBS, Scene, Verb, make_scene
+from benchmarks.study import Record, Study
 from scoup.base.errors import looked_up
-from scoup.io import check_output
-from scoup_lab.bench import describe_environment, markdown, write_json
-from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench import markdown
 
 AGAIN = 0.4
 """Share of the kills after which the run that continues is killed, too."""
@@ -41,8 +26,20 @@ EARLY = 1.05
 """Kills from outside come within this much of the time of an undisturbed run."""
 
 
-@dataclass(frozen=True)
-class Arguments:
+@dataclass(frozen=True, kw_only=True)
+class Endurance(Study):
+    """Kill verbs at random moments and run them again: same bytes, little done twice, nothing left.
+
+    Each verb runs as a process of its own (`benchmarks/endurance_child.py`) on a small synthetic scene. Half of the
+    kills come from outside, after a random part of the time that an undisturbed run takes; half come at a random point:
+    before one of the changes of files, within a file of region sums, around a view. After some kills the run that
+    continues is killed again. Then the same command runs to its end, and the folder is compared with that of an
+    undisturbed run. Kills that come too late, after the end of a run, are counted apart.
+
+    "done again" counts the views that a killed run had rasterised (or extracted) to the end and had not kept; "begun
+    again" also those that it was at. What is kept is counted in the files that it left.
+    """
+
     kills: int = 100
     """Kills that hit, shared out among the verbs."""
     seed: int = 0
@@ -55,10 +52,39 @@ class Arguments:
     """Of its photographs, in pixels."""
     outside: float = 0.5
     """Share of the kills that come from outside, after some time; the others come at a point of the work."""
-    out: Path | None = None
-    """Where to write the figures as JSON."""
-    overwrite: bool = False
-    """Replace OUT."""
+
+    def check(self) -> None:
+        for name in self.verbs:
+            looked_up("verb", name, VERBS)
+
+    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        with tempfile.TemporaryDirectory(prefix="scoup-endurance-") as folder:
+            scene = make_scene(Path(folder) / "scene", self.views, self.width)
+            for number, name in enumerate(self.verbs):
+                if name not in known:
+                    share = len(range(number, self.kills, len(self.verbs)))
+                    yield (
+                        name,
+                        figures(endure(VERBS[name], scene, share, self.seed, self.outside), VERBS[name]),
+                    )
+
+    def record(self, rows: dict[str, Any]) -> Record:
+        return {"verbs": rows}
+
+    @staticmethod
+    def table(record: Record) -> str:
+        """Return one line per verb."""
+        heads = ["verb", "kills", "too late", *STAGES, "same bytes", "consistent", "done again, most",
+                 "begun again, most", "orphans", "passed"]  # fmt: skip
+        rows = []
+        for name, of in record["verbs"].items():
+            shares = (f"{of['stages'].get(stage, 0) / max(1, of['kills']):.0%}" for stage in STAGES)
+            count = of["trials"]
+            rows.append([name, str(of["kills"]), str(of["too_late"]), *shares, f"{of['same_bytes']} of {count}",
+                         f"{of['consistent']} of {of['kills']}", str(of["most_done_again"]),
+                         f"{of['most_begun_again']} (at most {of['may_begin_again']})", str(len(of["orphans"])),
+                         f"{of['passed']} of {count}"])  # fmt: skip
+        return markdown(heads, rows)
 
 
 @dataclass(frozen=True)
@@ -128,36 +154,6 @@ class Trial:
         return self.ended_well and self.same_bytes and not self.orphans and not self.most_begun and consistent
 
 
-def main(arguments: Arguments) -> dict[str, Any]:
-    """Kill, continue, compare; print the table, give the record."""
-    if arguments.out is not None:
-        check_output(arguments.out, arguments.overwrite)
-    verbs = [looked_up("verb", name, VERBS) for name in arguments.verbs]
-    trials: dict[str, list[Trial]] = {}
-    with tempfile.TemporaryDirectory(prefix="scoup-endurance-") as folder:
-        scene = make_scene(Path(folder) / "scene", arguments.views, arguments.width)
-        for number, verb in enumerate(verbs):
-            share = len(range(number, arguments.kills, len(verbs)))
-            trials[verb.name] = endure(verb, scene, share, arguments.seed, arguments.outside)
-    environment = describe_environment()
-    print(in_one_line(environment))
-    record: dict[str, Any] = {
-        "what": "benchmarks.endurance: verbs killed at random moments and run again",
-        "environment": environment,
-        "settings": {
-            "kills": arguments.kills,
-            "seed": arguments.seed,
-            "views": arguments.views,
-            "again": AGAIN,
-        },
-        "verbs": {name: figures(found, VERBS[name]) for name, found in trials.items()},
-    }
-    print(table(record["verbs"]))
-    if arguments.out is not None:
-        write_json(arguments.out, record, arguments.overwrite)
-    return record
-
-
 def endure(verb: Verb, scene: Scene, kills: int, seed: int, outside: float = 0.5) -> list[Trial]:
     """Trials of a verb until so many kills have hit.
 
@@ -166,7 +162,7 @@ def endure(verb: Verb, scene: Scene, kills: int, seed: int, outside: float = 0.5
         scene: for all verbs.
         kills: at least so many.
         seed: of the moments.
-        outside: see ``Arguments``.
+        outside: see ``Endurance``.
     """
     dice = random.Random(f"{verb.name} {seed}")
     plain = undisturbed(verb, scene)
@@ -237,21 +233,6 @@ def judged(verb: Verb, scene: Scene, plain: Plain, found: Run, kept_before: int)
     return Kill(found.stage, found.kind, done, begun, consistent)
 
 
-def table(verbs: Mapping[str, Mapping[str, Any]]) -> str:
-    """One line a verb, from its figures."""
-    heads = ["verb", "kills", "too late", *STAGES, "same bytes", "consistent", "done again, most",
-             "begun again, most", "orphans", "passed"]  # fmt: skip
-    rows = []
-    for name, of in verbs.items():
-        shares = (f"{of['stages'].get(stage, 0) / max(1, of['kills']):.0%}" for stage in STAGES)
-        count = of["trials"]
-        rows.append([name, str(of["kills"]), str(of["too_late"]), *shares, f"{of['same_bytes']} of {count}",
-                     f"{of['consistent']} of {of['kills']}", str(of["most_done_again"]),
-                     f"{of['most_begun_again']} (at most {of['may_begin_again']})", str(len(of["orphans"])),
-                     f"{of['passed']} of {count}"])  # fmt: skip
-    return markdown(heads, rows)
-
-
 def figures(trials: list[Trial], verb: Verb) -> dict[str, Any]:
     """Of the trials of a verb, for JSON."""
     kills = [kill for trial in trials for kill in trial.kills]
@@ -272,7 +253,3 @@ def figures(trials: list[Trial], verb: Verb) -> dict[str, Any]:
         "passed": sum(trial.passed for trial in trials),
         "failed": [f"{trial.code} {trial.said}" for trial in trials if not trial.passed],
     }
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Arguments, description=__doc__))

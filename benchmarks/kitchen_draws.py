@@ -1,8 +1,6 @@
 """Draws of the kitchen: regions, embeddings and labels made anew, by seed, from what its Gaussians truly are.
 
-    python -m benchmarks.kitchen_draws [--seeds 1 2 3] [--data DATA]
-
-prints how like the given scene, and how like desk, the draws are. Geometry, colours, cameras and text vectors are the
+Geometry, colours, cameras and text vectors are the
 given ones, and real; the truth (``gt/``) is drawn by hand upon them. A seed draws:
 
 * pieces: every object is cut in space into some pieces, the regions of level s;
@@ -25,30 +23,24 @@ pieces and the same labels.
 from __future__ import annotations
 
 import json
-import tempfile
-from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
-import tyro
 from numpy.typing import NDArray
 from torch import Tensor
 
 import scoup
-from benchmarks.data import data_folder, make_features
-from benchmarks.desk import DESKS, Desk
-from benchmarks.embedding_kinds import KINDS, EmbeddingKind, RegionErrors, draw_hosts, draw_prototypes
+from benchmarks.embedding_kinds import EmbeddingKind, RegionErrors, draw_hosts, draw_prototypes
 from scoup import raster
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.segment import mask_box
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions
-from scoup_lab.bench import markdown
-from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
+from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.art.meshes import Floats
 from scoup_lab.synthetic.observe import IntMap, Shown, embed_regions, make_regions, moved_borders, noise
 from scoup_lab.synthetic.words import unit
@@ -345,123 +337,3 @@ def _labelled(
             masks[name] = mask
             boxes[name] = torch.tensor([[box[0], box[1], box[2] - 1, box[3] - 1]], dtype=torch.float32)
     return LabelledFrame(camera.name.rsplit(".", 1)[0], camera.width, camera.height, masks, boxes)
-
-
-@dataclass(frozen=True)
-class Likeness:
-    """What scenes can be compared by, at one level.
-
-    A thing's region in a labelled view is the one with the largest IoU with its mask. Below ``OWN_REGION`` the thing
-    has none there.
-
-    Attributes:
-        regions: per labelled view.
-        within, within_5: median and 5th percentile of the cosine of one thing's regions in two views.
-        between: median cosine of the mean embeddings of two things.
-        own, own_spread: mean and standard deviation of the cosine of a thing's region with its own name.
-        others, others_spread: the same with the names of other labelled things.
-        without: share of the labelled (view, thing) pairs in which the thing has no region.
-    """
-
-    regions: float
-    within: float
-    within_5: float
-    between: float
-    own: float
-    own_spread: float
-    others: float
-    others_spread: float
-    without: float
-
-
-OWN_REGION = 0.5
-COLUMNS = (
-    "regions per view", "within a thing", "5 %", "between things", "own name", "sd", "other names", "sd",
-    "no own region",
-)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Arguments:
-    seeds: tuple[int, ...] = (1, 2, 3)
-    """Draws to describe, as means over them."""
-    data: Path = field(default_factory=data_folder)
-    """Folder that contains kitchen/ and clip/, and perhaps desk/."""
-
-
-def likeness(
-    regions: Regions, frames: Sequence[tuple[LabelledFrame, Camera]], words: Mapping[str, Floats]
-) -> dict[str, Likeness]:
-    """Compare regions with the labels of their views, per level; ``words`` has the [D] unit vector of each label."""
-    labels = sorted({label for frame, _ in frames for label in frame.labels})
-    vectors = np.stack([words[label] for label in labels])
-    found = {}
-    for place, level in enumerate(regions.levels):
-        of_thing: dict[str, list[Floats]] = defaultdict(list)
-        count, pairs = 0, 0
-        for frame, camera in frames:
-            shown = regions.load_labels(camera.name, frame.width, frame.height)[place].numpy()
-            rows = torch.nn.functional.normalize(regions.load_embeddings(camera.name, level), dim=1).numpy()
-            count, pairs = count + len(rows), pairs + len(frame.labels)
-            for label, mask in frame.masks.items():
-                number = _own_region(shown, mask.numpy(), len(rows))
-                if number is not None:
-                    of_thing[label].append(rows[number])
-        stacked = {label: np.stack(rows) for label, rows in of_thing.items()}
-        within = np.concatenate([_pair_cosines(rows) for rows in stacked.values()])
-        cosines = np.concatenate([rows @ vectors.T for rows in stacked.values()])
-        mine = np.concatenate(
-            [np.tile(np.array(labels) == label, (len(stacked[label]), 1)) for label in stacked]
-        )
-        found[level] = Likeness(
-            count / len(frames),
-            float(np.median(within)),
-            float(np.quantile(within, 0.05)),
-            float(np.median(_pair_cosines(unit(np.stack([rows.mean(0) for rows in stacked.values()]))))),
-            *(float(value) for of in (cosines[mine], cosines[~mine]) for value in (of.mean(), of.std())),
-            without=1 - len(cosines) / pairs,
-        )
-    return found
-
-
-def _own_region(shown: IntMap, mask: NDArray[np.bool_], count: int) -> int | None:
-    """The region with the largest IoU with a mask, if that is at least ``OWN_REGION``."""
-    both = np.bincount(shown[mask & (shown >= 0)], minlength=count)
-    ious = both / (np.bincount(shown[shown >= 0], minlength=count) + mask.sum() - both)
-    return int(ious.argmax()) if ious.max() >= OWN_REGION else None
-
-
-def _pair_cosines(rows: Floats) -> Floats:
-    return (rows @ rows.T)[np.triu_indices(len(rows), 1)]
-
-
-def main(arguments: Arguments) -> dict[str, dict[str, Likeness]]:
-    """Print how like the given scene, and desk, the draws are."""
-    data = arguments.data
-    truth = Truth.open(data, 1.0)
-    found = {}
-    with tempfile.TemporaryDirectory() as folder:
-        regions = scoup.load_regions(make_features(data / "kitchen", Path(folder)), truth.cameras)
-        frames = match_frames(read_labels(data / "kitchen" / "label"), truth.cameras)
-        found["kitchen"] = likeness(regions, frames, truth.words)
-    for suffix, kind in {"": None, **{f"-{name}": kind for name, kind in KINDS.items()}}.items():
-        draws = [make_draw(truth, seed, kind=kind) for seed in arguments.seeds]
-        each = [likeness(draw.regions, draw.frames, truth.words) for draw in draws]
-        found[f"draws{suffix}"] = {
-            level: Likeness(*np.mean([astuple(one[level]) for one in each], 0).tolist()) for level in LEVELS
-        }
-    for name in DESKS if (data / "desk").is_dir() else ():
-        desk = Desk.open(name, data)
-        words = dict(zip(desk.words, desk.everyday.numpy(), strict=True))
-        found[name] = likeness(desk.regions, desk.frames, words)
-    body = [
-        [name, level, f"{values.regions:.0f}", *(f"{value:.3f}" for value in astuple(values)[1:])]
-        for name, levels in found.items()
-        for level, values in levels.items()
-    ]
-    print(markdown(["scene", "level", *COLUMNS], body))
-    return found
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Arguments, description=__doc__))

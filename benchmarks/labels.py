@@ -1,42 +1,25 @@
-"""One of several words for each Gaussian, against the truth: accuracy and mIoU of `scoup label`, beside dense uplift.
-
-    python -m benchmarks.labels [--scenes kitchen-11 ...] [--seed 2] [--out docs/benchmarks/labels.json]
-
-Words are the names of a scene's things. "all words": the names of all things, also of groups of them, which a
-Gaussian has beside its own; the smallest thing that it belongs to is its true one. "half the words": every other name
-of a thing that is no group, and eight names of things that the scene lacks, so that "none of these" is the true
-answer for many Gaussians. Every Gaussian with a code counts alike; mIoU is the mean over the words that any Gaussian
-truly has.
-
-"as labelled" is what `scoup label` does: of the words that select a Gaussian, the one answered at the finer level,
-then the most relevant. "most relevant" leaves out the level; "argmax" gives every Gaussian its most relevant word, at
-any level, without presence and selection, as point-level protocols do.
-
-The rule was chosen on kitchen-1 and table-0, which are not among the scenes by default.
-"""
+"""One of several words for each Gaussian, against the truth."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from statistics import mean
 from typing import Any
 
 import torch
-import tyro
 from torch import Tensor
 
-from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
-from benchmarks.answers import WAYS
-from benchmarks.data import data_folder
+from benchmarks.answer_scenes import AnswerScene
+from benchmarks.study import Record
+from benchmarks.ways import StudyOfScenes, nested
 from scoup.models.words import with_everyday
 from scoup.query.label import NONE, label_by_selections
 from scoup.query.presence import PRESENT_FROM, mean_embedding, z_scores
 from scoup.query.select import Selection, select_by_relevancy
 from scoup_lab.baselines.fitted import FittedChannels, FittedField, FittedMethod
-from scoup_lab.baselines.method import MethodSettings
-from scoup_lab.bench import describe_environment, markdown, write_json
+from scoup_lab.bench import markdown
+from scoup_lab.evaluate.metrics import iou
 
 RULES = ("as labelled", "most relevant", "argmax")
 WORDS = ("all words", "half the words")
@@ -44,61 +27,49 @@ N_ABSENT = 8
 COVERED = 0.5  # share of a name's Gaussians that smaller things own, from which it is the name of a group
 
 
-@dataclass(frozen=True)
-class Arguments:
-    scenes: tuple[str, ...] = (
-        *(f"kitchen-{seed}" for seed in range(11, 16)), "table-1", "shelves-1", "hall-1", "yard-1",
-    )  # fmt: skip
-    """As in benchmarks.answers."""
-    ways: tuple[str, ...] = ("dense", "default")
-    """As there."""
+@dataclass(frozen=True, kw_only=True)
+class Labels(StudyOfScenes):
+    """Give each Gaussian one of several words, and compare with the truth: accuracy, mIoU and IoU of each word.
+
+    Words are the names of a scene's things. all words: the names of all things, also of groups of them, which a
+    Gaussian has beside its own; the smallest thing that it belongs to is its true one. half the words: every other name
+    of a thing that is no group, and eight names of things that the scene lacks, so that "none of these" is the true
+    answer for many Gaussians. Every Gaussian with a code counts alike; mIoU is the mean over the words that any
+    Gaussian truly has.
+
+    as labelled: what `scoup label` does; of the words that select a Gaussian the one answered at the finer level, then
+    the most relevant. most relevant: without the level. argmax: every Gaussian gets its most relevant word, at any
+    level, without presence and selection, as point-level protocols do. Tuned on kitchen-1 and table-0.
+    """
+
     seed: int = 2
     """Of the codebook."""
-    out: Path | None = None
-    """Where the figures are written; replaced."""
-    data: Path = field(default_factory=data_folder)
-    """Folder that holds kitchen/ and clip/."""
 
+    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        for key, scene, fitted in self.fields(known, self.seed):
+            yield key, {words: score(scene, fitted, words) for words in WORDS}
 
-def main(arguments: Arguments) -> dict[str, Any]:
-    """Print the table and write the figures."""
-    scores: dict[str, Any] = {way: {} for way in arguments.ways}
-    for name in arguments.scenes:
-        scene = make_scene(name, arguments.data, SceneSize())
-        inputs = scene.inputs()
-        for way in arguments.ways:
-            fitted = WAYS[way].uplift(inputs, MethodSettings(arguments.seed))
-            scores[way][name] = {words: score(scene, fitted, words) for words in WORDS}
-    print(table(scores))
-    record = {
-        "what": "benchmarks.labels: accuracy, mIoU and IoU of each word, per scene, way, words and rule",
-        "machine": describe_environment(),
-        "seed": arguments.seed,
-        "scores": scores,
-    }
-    if arguments.out is not None:
-        write_json(arguments.out, record, overwrite=True)
-    return record
+    def record(self, rows: dict[str, Any]) -> Record:
+        return {"seed": self.seed, "scores": nested(rows)}
 
-
-def table(scores: dict[str, Any]) -> str:
-    """Means over scenes, and the scenes, as accuracy / mIoU."""
-    body = []
-    scenes = list(next(iter(scores.values())))
-    for words in WORDS:
-        for way, of in scores.items():
-            for rule in RULES:
-                pairs = [
-                    (of[name][words][rule]["accuracy"], of[name][words][rule]["miou"]) for name in scenes
-                ]
-                means = [mean(each) for each in zip(*pairs, strict=True)]
-                cells = [f"{accuracy:.3f} / {miou:.3f}" for accuracy, miou in (means, *pairs)]
-                body.append([words, way, rule, *cells])
-    return markdown(["words", "way", "rule", "mean", *scenes], body)
+    @staticmethod
+    def table(record: Record) -> str:
+        """Return accuracy / mIoU: means over scenes, and the scenes."""
+        body, scores = [], record["scores"]
+        scenes = list(next(iter(scores.values())))
+        for words in WORDS:
+            for way, of in scores.items():
+                for rule in RULES:
+                    figures = [of[name][words][rule] for name in scenes]
+                    pairs = [(each["accuracy"], each["miou"]) for each in figures]
+                    means = [mean(each) for each in zip(*pairs, strict=True)]
+                    cells = [f"{accuracy:.3f} / {miou:.3f}" for accuracy, miou in (means, *pairs)]
+                    body.append([words, way, rule, *cells])
+        return markdown(["words", "way", "rule", "mean", *scenes], body)
 
 
 def score(scene: AnswerScene, fitted: FittedMethod, words: str) -> dict[str, Any]:
-    """Per rule, accuracy, mIoU, IoU of each word and of "none"."""
+    """Return per rule accuracy, mIoU, IoU of each word and of "none"."""
     names, truth = chosen_words(scene, words)
     absent = list(scene.absent[:N_ABSENT]) if words == WORDS[1] else []
     queries = torch.stack([scene.everyday[scene.words.index(name)] for name in (*names, *absent)])
@@ -119,7 +90,7 @@ def score(scene: AnswerScene, fitted: FittedMethod, words: str) -> dict[str, Any
 
 
 def chosen_words(scene: AnswerScene, words: str) -> tuple[list[str], Tensor]:
-    """The names that are given, and [N] the true one of each Gaussian, ``NONE`` for none of them."""
+    """Return the names that are given, and [N] the true one of each Gaussian, ``NONE`` for none of them."""
     names = sorted(scene.queries, key=lambda name: int(scene.members[name].sum()))
     if words == WORDS[1]:
         owned = torch.zeros(len(scene.gaussians), dtype=torch.bool)
@@ -143,7 +114,7 @@ def chosen_words(scene: AnswerScene, words: str) -> tuple[list[str], Tensor]:
 def labelled(
     selections: list[Selection], present: list[bool], relevancy: Tensor, coded: Tensor
 ) -> Iterator[tuple[str, Tensor]]:
-    """[N] the word of each Gaussian by each rule."""
+    """Yield [N] the word of each Gaussian by each rule."""
     count = relevancy.shape[2]
     yield RULES[0], label_by_selections(zip(selections, present, strict=True), count)[0]
     of_one_level = [replace(each, level=0) for each in selections]
@@ -153,7 +124,7 @@ def labelled(
 
 
 def selected_embedding(fitted: FittedMethod, selection: Selection, opacities: Tensor) -> Tensor:
-    """[D] the mean embedding of the more relevant half of a selection, as ``scene_z_scores`` takes it."""
+    """Return [D] the mean embedding of the more relevant half of a selection, as ``scene_z_scores`` takes it."""
     assert isinstance(fitted, (FittedField, FittedChannels))
     inside = selection.mask
     if inside.any():
@@ -165,21 +136,12 @@ def selected_embedding(fitted: FittedMethod, selection: Selection, opacities: Te
 
 
 def agreement(truth: Tensor, given: Tensor, names: list[str]) -> dict[str, Any]:
-    """Accuracy, mIoU over the words that are true somewhere, and IoU of each of these and of none."""
+    """Return accuracy, mIoU over the words that are true somewhere, and IoU of each of these and of none."""
     numbers = [number for number in range(len(names)) if (truth == number).any()]
-    ious = {names[number]: overlap(truth == number, given == number) for number in numbers}
+    ious = {names[number]: iou(truth == number, given == number) for number in numbers}
     return {
         "accuracy": float((truth == given).float().mean()),
         "miou": mean(ious.values()),
-        "none": overlap(truth == NONE, given == NONE),
+        "none": iou(truth == NONE, given == NONE),
         "ious": ious,
     }
-
-
-def overlap(first: Tensor, second: Tensor) -> float:
-    """Intersection over union of two masks."""
-    return int((first & second).sum()) / max(1, int((first | second).sum()))
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Arguments, description=__doc__))

@@ -1,224 +1,154 @@
-"""Where things are, against the truth: ``field.locate`` and boxes in views on synthetic scenes.
-
-    python -m benchmarks.locate --scenes table-4 hall-3 --out docs/benchmarks/locate.json
-
-Each scene is built by the default settings and queried for every object and group of a single thing. The position is
-compared with the middle of the thing's true Gaussians, in diagonals of the box around them, with and without strays
-left off; extents by the ratio of the boxes' diagonals, Gaussians by their intersection over union. In the held-out
-views, boxes around the main parts of the mask, the connected part that holds the point alone, and the whole mask are
-compared with the true boxes; "stretched" is the share of boxes more than twice as large as the true one.
-"""
+"""Where things are in the world and in views, against the truth."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any, TypeAlias
 
 import torch
-import tyro
 from torch import Tensor
 
 import scoup
 from benchmarks.scenes import find_layout
-from scoup.io import check_output
-from scoup.query.locate import Location, oriented_box
+from benchmarks.study import Record, Study
+from scoup.query.locate import oriented_box
 from scoup.query.methods import Encoder
-from scoup.query.segment import main_parts, mask_box
-from scoup_lab.bench import describe_environment, write_json
+from scoup_lab.bench import markdown
+from scoup_lab.evaluate.metrics import iou
 from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
 
+IN_SPACE, IN_VIEWS = "strays left off", "box of the main parts"
+LEAST = 20  # Gaussians of a thing
+Box: TypeAlias = tuple[int, int, int, int]
 
-@dataclass(frozen=True, eq=False)
-class Named:
-    """The true Gaussians of a name.
 
-    Attributes:
-        name: of the thing.
-        mask: [N] boolean.
-        middle: [3] float64.
-        diagonal: of the box around them, in world units.
+@dataclass(frozen=True, kw_only=True)
+class Locate(Study):
+    """Locate every object and group of a single thing by `field.locate` and the boxes of `field.query`.
+
+    Each scene is built by the default settings. The position is compared with the middle of the thing's true Gaussians,
+    in diagonals of the box around them; extents by the ratio of the boxes' diagonals, Gaussians by intersection over
+    union. In the held-out views, boxes are compared with the true ones; "stretched" is the share of boxes more than
+    twice as large.
     """
 
-    name: str
-    mask: Tensor
-    middle: Tensor
-    diagonal: float
+    scenes: tuple[str, ...] = ("table-4", "shelves-2", "hall-3", "yard-3")
+    """Layouts of benchmarks.scenes with a seed."""
+    n_gaussians: int = 120_000
+    """Of each scene."""
+
+    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        for name in self.scenes:
+            if name in known:
+                continue
+            layout, _, seed = name.rpartition("-")
+            scene = make_demo_scene(int(seed), self.n_gaussians, layout=find_layout(layout))
+            field = scoup.build(scene.gaussians, scene.building, scene.regions)
+            vectors = torch.from_numpy(scene.words.vectors).float()
+            encoder: Encoder = dict(zip(scene.words.texts, vectors, strict=True))
+            yield name, [in_space(scene, field, encoder), in_views(scene, field, encoder)]
+
+    def record(self, rows: dict[str, Any]) -> Record:
+        return {"rows": [{"scene": name, **row} for name, of_scene in rows.items() for row in of_scene]}
+
+    @staticmethod
+    def table(record: Record) -> str:
+        """Return one column per scene."""
+        rows = {(row["scene"], row["what"]): row for row in record["rows"]}
+        names = list(dict.fromkeys(row["scene"] for row in record["rows"]))
+        body = [
+            [title, *(_cell(rows[name, what][key], form) for name in names)]
+            for title, what, key, form in (
+                ("things that are located", IN_SPACE, "things", "d"),
+                ("median error of the position", IN_SPACE, "median_error", ".3f"),
+                ("within a quarter of a diagonal", IN_SPACE, "within_quarter", ".3f"),
+                ("extent", IN_SPACE, "extent", ".2f"),
+                ("IoU of the Gaussians", IN_SPACE, "iou", ".3f"),
+                ("boxes in held-out views", IN_VIEWS, "things", "d"),
+                ("IoU of the box", IN_VIEWS, "iou", ".3f"),
+                ("boxes over twice the true area", IN_VIEWS, "stretched", ".3f"),
+            )
+        ]
+        return markdown(["", *names], body)
 
 
-def main(
-    scenes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LAYOUT-SEED")] = (
-        "table-4",
-        "shelves-2",
-        "hall-3",
-        "yard-3",
-    ),
-    n_gaussians: int = 120_000,
-    out: Path | None = None,
-    overwrite: bool = False,
-) -> None:
-    """Print a table; write it as JSON with ``--out``."""
-    if out is not None:
-        check_output(out, overwrite)
-    rows = [row for name in scenes for row in measure(name, n_gaussians)]
-    heads = " ".join(f"{name:>{width}}" for name, width in COLUMNS.items())
-    print(f"{'scene':12} {'what':24} {'things':>6} {heads}")
-    for row in rows:
-        numbers = (f"{row[key]:{width}.3f}" if key in row else " " * width for key, width in COLUMNS.items())
-        print(f"{row['scene']:12} {row['what']:24} {row['things']:6} {' '.join(numbers)}")
-    if out is not None:
-        record = {
-            "environment": describe_environment(),
-            "n_gaussians": n_gaussians,
-            "rows": [without_infinite(row) for row in rows],
-        }
-        write_json(out, record, overwrite)
-
-
-COLUMNS = {"median_error": 12, "within_quarter": 14, "extent": 6, "iou": 6, "stretched": 9}
-
-
-def without_infinite(row: dict[str, Any]) -> dict[str, Any]:
-    """A row for JSON: None where most things were not found, which makes a median infinite."""
-    return {key: None if value == float("inf") else value for key, value in row.items()}
-
-
-def measure(scene_name: str, n_gaussians: int) -> list[dict[str, Any]]:
-    """The rows of one scene."""
-    layout, _, seed = scene_name.rpartition("-")
-    scene = make_demo_scene(int(seed), n_gaussians, layout=find_layout(layout))
-    field = scoup.build(scene.gaussians, scene.building, scene.regions)
-    encoder: Encoder = dict(
-        zip(scene.words.texts, torch.from_numpy(scene.words.vectors).float(), strict=True)
-    )
+def in_space(scene: DemoScene, field: scoup.LanguageField, encoder: Encoder) -> Record:
+    """Return errors of positions, extents and Gaussians; None where most things were not found."""
     things = true_things(scene)
-    located = field.locate([thing.name for thing in things], encoder=encoder, always=True)
+    located = field.locate(list(things), encoder=encoder, always=True)
     assert isinstance(located, list)
-    found = list(zip(things, located, strict=True))
-    parts = {
-        "strays left off": [of_part(each) for _, each in found],
-        "all that answers": [of_all(field, each) for _, each in found],
+    errors, extents, overlaps = [], [], []
+    for truth, place in zip(things.values(), located, strict=True):
+        middle, diagonal = middle_and_diagonal(scene, truth)
+        found = torch.zeros_like(truth)
+        found[place.gaussians] = True
+        distance = torch.inf if place.position is None else float((place.position - middle).norm()) / diagonal
+        ratio = middle_and_diagonal(scene, found)[1] / diagonal if found.any() else 0.0
+        errors.append(distance)
+        extents.append(max(ratio, 1 / max(ratio, 1e-9)))
+        overlaps.append(iou(truth, found))
+    error, extent = float(torch.tensor(errors).median()), float(torch.tensor(extents).median())
+    return {
+        "what": IN_SPACE,
+        "things": len(things),
+        "median_error": error if error < torch.inf else None,
+        "within_quarter": sum(each <= 0.25 for each in errors) / len(errors),
+        "extent": extent,
+        "iou": sum(overlaps) / len(overlaps),
     }
-    rows = []
-    for what, places in parts.items():
-        errors = torch.tensor(
-            [distance(thing, position) for thing, (position, _) in zip(things, places, strict=True)]
-        )
-        extents = torch.tensor(
-            [extent(field, thing, mask) for thing, (_, mask) in zip(things, places, strict=True)]
-        )
-        overlaps = torch.tensor(
-            [overlap(thing.mask, mask) for thing, (_, mask) in zip(things, places, strict=True)]
-        )
-        rows.append({
-            "scene": scene_name, "what": what, "things": len(things), "median_error": float(errors.median()),
-            "within_quarter": float((errors <= 0.25).float().mean()),
-            "extent": float(extents.median()), "iou": float(overlaps.mean()),
-        })  # fmt: skip
-    return [*rows, *box_rows(scene_name, scene, field, encoder)]
 
 
-def true_things(scene: DemoScene) -> list[Named]:
-    """Objects and groups that are one thing each."""
-    found = []
-    for level in ("m", "l"):
-        ids = ids_at(scene, level)
-        for number, name in enumerate(scene.parts.names(level)):
-            mask = ids == number
-            if (
-                name not in scene.parts.several
-                and int(mask.sum()) >= 20
-                and name not in {each.name for each in found}
-            ):
-                means = scene.gaussians.means[mask].double()
-                box = oriented_box(means, scene.gaussians.opacities[mask].double())
-                found.append(Named(name, mask, means.median(0).values, float(box.extent.norm())))
-    return found
-
-
-def ids_at(scene: DemoScene, level: str) -> Tensor:
-    """[N] the true name's number at a level; -1 for none."""
-    return torch.from_numpy(scene.parts.at_level(scene.part_of_gaussian.numpy(), level)).long()
-
-
-def of_part(place: Location) -> tuple[Tensor | None, Tensor]:
-    """Position and [N] mask of what ``locate`` says."""
-    mask = torch.zeros_like(place.answer.mask)
-    mask[place.gaussians] = True
-    return place.position, mask
-
-
-def of_all(field: scoup.LanguageField, place: Location) -> tuple[Tensor | None, Tensor]:
-    """The same of all Gaussians that answer."""
-    mask = place.answer.mask
-    return (field.gaussians.means[mask].double().median(0).values if mask.any() else None), mask
-
-
-def distance(thing: Named, position: Tensor | None) -> float:
-    """From the true middle, in diagonals."""
-    return float("inf") if position is None else float((position - thing.middle).norm()) / thing.diagonal
-
-
-def extent(field: scoup.LanguageField, thing: Named, mask: Tensor) -> float:
-    """Diagonal of the box around the Gaussians found, in true diagonals; the inverse if it is smaller."""
-    if not mask.any():
-        return float("inf")
-    means, opacities = field.gaussians.means[mask].double(), field.gaussians.opacities[mask].double()
-    ratio = float(oriented_box(means, opacities).extent.norm()) / thing.diagonal
-    return max(ratio, 1 / max(ratio, 1e-9))
-
-
-def overlap(first: Tensor, second: Tensor) -> float:
-    """Intersection over union of two masks."""
-    return int((first & second).sum()) / max(1, int((first | second).sum()))
-
-
-def box_rows(
-    name: str, scene: DemoScene, field: scoup.LanguageField, encoder: Encoder
-) -> list[dict[str, Any]]:
-    """Boxes in the held-out views, of things that have one box there."""
-    found: dict[str, list[tuple[float, bool]]] = {
-        "box of the main parts": [],
-        "box of one part": [],
-        "box of the mask": [],
-    }
+def in_views(scene: DemoScene, field: scoup.LanguageField, encoder: Encoder) -> Record:
+    """Return how boxes overlap with the true ones, of things that have one box in a held-out view."""
+    overlaps, stretched = [], []
     for camera in scene.held_out:
         frame = scene.labelled_frame(camera.name, ("m", "l"))
         names = [label for label in frame.labels if len(frame.boxes[label]) == 1]
-        for label, answer in zip(
-            names, field.query(names, camera, encoder=encoder, always=True), strict=True
-        ):
-            x0, y0, x1, y1 = frame.boxes[label][0].tolist()
-            truth = (int(x0), int(y0), int(x1) + 1, int(y1) + 1)
-            one = main_parts(answer.mask, answer.point or (0, 0), answer.heat, torch.inf)
-            boxes = (answer.box, mask_box(one), mask_box(answer.mask))
-            for what, box in zip(found, boxes, strict=True):
-                stretched = box is not None and area(box) > 2 * area(truth)
-                found[what].append((0.0 if box is None else box_overlap(box, truth), stretched))
-    return [
-        {
-            "scene": name,
-            "what": what,
-            "things": len(pairs),
-            "iou": sum(iou for iou, _ in pairs) / len(pairs),
-            "stretched": sum(stretched for _, stretched in pairs) / len(pairs),
-        }
-        for what, pairs in found.items()
-    ]
+        answers = field.query(names, camera, encoder=encoder, always=True)
+        for label, answer in zip(names, answers, strict=True):
+            x0, y0, x1, y1 = map(int, frame.boxes[label][0].tolist())
+            truth = (x0, y0, x1 + 1, y1 + 1)
+            overlaps.append(0.0 if answer.box is None else box_overlap(answer.box, truth))
+            stretched.append(answer.box is not None and _area(answer.box) > 2 * _area(truth))
+    count = len(overlaps)
+    return {
+        "what": IN_VIEWS,
+        "things": count,
+        "iou": sum(overlaps) / count,
+        "stretched": sum(stretched) / count,
+    }
 
 
-def box_overlap(first: tuple[int, int, int, int], second: tuple[int, int, int, int]) -> float:
-    """Intersection over union of two boxes (x0, y0, x1, y1)."""
+def true_things(scene: DemoScene) -> dict[str, Tensor]:
+    """Return objects and groups that are one thing each: name -> [N] boolean."""
+    found: dict[str, Tensor] = {}
+    for level in ("m", "l"):
+        ids = torch.from_numpy(scene.parts.at_level(scene.part_of_gaussian.numpy(), level)).long()
+        for number, name in enumerate(scene.parts.names(level)):
+            mask = ids == number
+            if name not in scene.parts.several and int(mask.sum()) >= LEAST:
+                found.setdefault(name, mask)
+    return found
+
+
+def middle_and_diagonal(scene: DemoScene, mask: Tensor) -> tuple[Tensor, float]:
+    """Return the middle [3] of some Gaussians [N], and the diagonal of the box around them, in world units."""
+    means, opacities = scene.gaussians.means[mask].double(), scene.gaussians.opacities[mask].double()
+    return means.median(0).values, float(oriented_box(means, opacities).extent.norm())
+
+
+def box_overlap(first: Box, second: Box) -> float:
+    """Return intersection over union of two boxes (x0, y0, x1, y1)."""
     width = min(first[2], second[2]) - max(first[0], second[0])
     height = min(first[3], second[3]) - max(first[1], second[1])
     both = max(0, width) * max(0, height)
-    return both / (area(first) + area(second) - both)
+    return both / (_area(first) + _area(second) - both)
 
 
-def area(box: tuple[int, int, int, int]) -> int:
-    """Of a box (x0, y0, x1, y1) in pixels."""
+def _area(box: Box) -> int:
     return (box[2] - box[0]) * (box[3] - box[1])
 
 
-if __name__ == "__main__":
-    tyro.cli(main)
+def _cell(value: float | None, form: str) -> str:
+    return "-" if value is None else f"{value:{form}}"

@@ -1,14 +1,4 @@
-"""Many visitors of `scoup view` at once: whether every answer is right, and whether the server's memory grows.
-
-    python -m benchmarks.server_load [--clients 100] [--minutes 10] [--out FILE.json]
-
-The server runs in a process of its own, on the random scene with made-up codes. Each client is a visitor: it loads the
-page and the scene, asks for words, has pictures drawn, clicks, downloads selections, looks at thumbnails, pauses, and
-sometimes walks away before the answer has come, or in the midst of its message. The same question must get the same
-bytes from first to last. "Busy" (503) and "superseded" (409) are answers of the server that its page knows; everything
-else that is not the answer is an error, as is every word on the server's standard error. The command ends with 1 where
-there are errors. Latencies are those of a machine that clients and server share.
-"""
+"""Many visitors of `scoup view` at once."""
 
 from __future__ import annotations
 
@@ -21,23 +11,21 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import urlsplit
 
 import numpy as np
-import tyro
 
 import scoup
+from benchmarks.study import Record, Study
 from benchmarks.viewer import PROGRAM, served, write_field
-from scoup.io import check_output
 from scoup.models.words import EVERYDAY_WORDS
 from scoup.scene.cameras import Camera, Cameras
-from scoup_lab.bench import describe_environment, markdown, write_json
-from scoup_lab.bench.environment import in_one_line
+from scoup_lab.bench import markdown
 
 PASSED_ON = {503: "busy", 409: "superseded"}
 WORDS = EVERYDAY_WORDS[:60]
@@ -46,26 +34,6 @@ ACTIONS = {
 }  # fmt: skip
 """How often a visitor does what, in a hundred."""
 TIMEOUT = 120  # seconds for an answer
-
-
-@dataclass(frozen=True)
-class Arguments:
-    clients: int = 100
-    """Visitors at once."""
-    minutes: float = 10.0
-    """How long they come."""
-    requests: int = 0
-    """Requests of each visitor, in place of minutes; 0 for as many as there is time for."""
-    pause: float = 1.0
-    """Mean seconds between an answer and the next question."""
-    n_gaussians: int = 20_000
-    """Of the scene."""
-    seed: int = 0
-    """Of what visitors do."""
-    out: Path | None = None
-    """Where to write the figures as JSON."""
-    overwrite: bool = False
-    """Replace OUT."""
 
 
 @dataclass
@@ -181,62 +149,109 @@ class Visitor:
         self.book.answered(action, f"{path} {body}", answer.status, content, time.perf_counter() - started)
 
 
-def main(arguments: Arguments, program: Sequence[str] = PROGRAM) -> dict[str, Any]:
-    """Let the visitors come, print the table, give the record."""
-    if arguments.out is not None:
-        check_output(arguments.out, arguments.overwrite)
-    environment = describe_environment()
-    with tempfile.TemporaryDirectory() as folder:
-        path = write_field(Path(folder), arguments.n_gaussians)
-        cameras = scoup.LanguageField.load(path).cameras
-        assert cameras is not None
-        log = Path(folder) / "log"
-        with log.open("w") as stream, served(path, program, stream) as (address, process):
-            book, samples = visits(arguments, address, process, cameras)
-            said = log.read_text()  # at the end it says that it was terminated
+@dataclass(frozen=True, kw_only=True)
+class ServerLoad(Study):
+    """Send many visitors to `scoup view` at once: whether every answer is right, and whether its memory grows.
+
+    The server runs in a process of its own, on the random scene with made-up codes. Each client is a visitor: it loads
+    the page and the scene, asks for words, has pictures drawn, clicks, downloads selections, looks at thumbnails,
+    pauses, and sometimes leaves before the answer has come, or in the middle of its message. The same question must get
+    the same bytes from first to last. "Busy" (503) and "superseded" (409) are answers of the server that its page
+    knows; everything else that is not the answer is an error, as is every word on the server's standard error. The
+    command ends with 1 where there are errors. Latencies are those of a machine that clients and server share.
+    """
+
+    clients: int = 100
+    """Visitors at once."""
+    minutes: float = 10.0
+    """How long they come."""
+    requests: int = 0
+    """Requests of each visitor, in place of minutes; 0 for as many as there is time for."""
+    pause: float = 1.0
+    """Mean seconds between an answer and the next question."""
+    n_gaussians: int = 20_000
+    """Of the scene."""
+    seed: int = 0
+    """Of what visitors do."""
+
+    program: ClassVar[Sequence[str]] = PROGRAM
+    """That is `scoup`."""
+
+    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        with tempfile.TemporaryDirectory() as folder:
+            path = write_field(Path(folder), self.n_gaussians)
+            cameras = scoup.LanguageField.load(path).cameras
+            assert cameras is not None
+            log = Path(folder) / "log"
+            with log.open("w") as stream, served(path, self.program, stream) as (address, process):
+                book, samples = self._visits(address, process, cameras)
+                said = log.read_text()  # at the end it says that it was terminated
         if said:
             book.errors.append(f"the server's standard error: {said[:2000]}")
-    record = {
-        "what": "benchmarks.server_load: many visitors of scoup view",
-        "environment": environment,
-        "settings": {
-            name: value for name, value in vars(arguments).items() if name not in ("out", "overwrite")
-        },
-        **figures(book, samples),
-    }
-    print(in_one_line(environment))
-    print(table(record))
-    for error in book.errors[:10]:
-        print(error, file=sys.stderr)
-    if arguments.out is not None:
-        write_json(arguments.out, record, arguments.overwrite)
-    return record
+        for error in book.errors[:10]:
+            print(error, file=sys.stderr)
+        yield "visits", figures(book, samples)
 
+    def record(self, rows: dict[str, Any]) -> Record:
+        return rows["visits"]
 
-def visits(
-    arguments: Arguments, address: str, process: int, cameras: Cameras
-) -> tuple[Book, list[dict[str, float]]]:
-    """What visitors have met, and the server's state every second."""
-    book, samples = Book(), [state_of(process, 0.0)]
-    records = [camera_record(camera) for camera in cameras]
-    start = time.monotonic()
+    @staticmethod
+    def failed(record: Record) -> bool:
+        return record["errors"] > 0
 
-    def goes_on(done: int) -> bool:
-        if arguments.requests:
-            return done < arguments.requests
-        return time.monotonic() - start < 60 * arguments.minutes
+    @staticmethod
+    def table(record: Record) -> str:
+        """Return what was asked, a line per action; then the server."""
+        rows = []
+        for action, count in record["counts"].items():
+            of = record["seconds"].get(action)
+            times = (
+                ["", "", ""]
+                if of is None
+                else [f"{of[name] * 1e3:,.0f}" for name in ("median", "p99", "worst")]
+            )
+            rows.append([action, f"{count:,}", *times])
+        heads = ["answers", "number", "median, ms", "99th percentile", "worst"]
+        server = record["server"]
+        kinds = (
+            ("resident memory, MB", "resident", 1e6),
+            ("threads", "threads", 1),
+            ("open files", "open_files", 1),
+        )
+        states = [
+            [name, *(f"{server[when][key] / unit:,.0f}" for when in ("first", "middle", "last"))]
+            for name, key, unit in kinds
+        ]
+        summary = (
+            f"{record['settings']['clients']} clients, {record['server']['last']['seconds'] / 60:.1f} minutes, "
+            f"{record['errors']} errors; memory {server['bytes_a_minute'] / 1e3:+.0f} kB a minute in the second half"
+        )
+        return "\n\n".join(
+            [summary, markdown(heads, rows), markdown(["server", "first", "middle", "last"], states)]
+        )
 
-    threads = []
-    for number in range(arguments.clients):
-        dice = random.Random(f"{arguments.seed} {number}")
-        visitor = Visitor(address, f"visitor {number}", records, dice, book)
-        threads.append(threading.Thread(target=visitor.visit, args=(goes_on, arguments.pause)))
-    for thread in threads:
-        thread.start()
-    while any(thread.is_alive() for thread in threads):
-        time.sleep(1)
-        samples.append(state_of(process, time.monotonic() - start))
-    return book, samples
+    def _visits(self, address: str, process: int, cameras: Cameras) -> tuple[Book, list[dict[str, float]]]:
+        """Return what visitors have met, and the server's state every second."""
+        book, samples = Book(), [state_of(process, 0.0)]
+        records = [camera_record(camera) for camera in cameras]
+        start = time.monotonic()
+
+        def goes_on(done: int) -> bool:
+            if self.requests:
+                return done < self.requests
+            return time.monotonic() - start < 60 * self.minutes
+
+        threads = []
+        for number in range(self.clients):
+            dice = random.Random(f"{self.seed} {number}")
+            visitor = Visitor(address, f"visitor {number}", records, dice, book)
+            threads.append(threading.Thread(target=visitor.visit, args=(goes_on, self.pause)))
+        for thread in threads:
+            thread.start()
+        while any(thread.is_alive() for thread in threads):
+            time.sleep(1)
+            samples.append(state_of(process, time.monotonic() - start))
+        return book, samples
 
 
 def camera_record(camera: Camera) -> dict[str, Any]:
@@ -280,36 +295,3 @@ def figures(book: Book, samples: Sequence[dict[str, float]]) -> dict[str, Any]:
         },
         "server": {"first": samples[0], "middle": half[0], "last": samples[-1], "bytes_a_minute": 60 * slope},
     }
-
-
-def table(record: Mapping[str, Any]) -> str:
-    """What was asked, a line an action; then the server."""
-    rows = []
-    for action, count in record["counts"].items():
-        of = record["seconds"].get(action)
-        times = (
-            ["", "", ""] if of is None else [f"{of[name] * 1e3:,.0f}" for name in ("median", "p99", "worst")]
-        )
-        rows.append([action, f"{count:,}", *times])
-    heads = ["answers", "number", "median, ms", "99th percentile", "worst"]
-    server = record["server"]
-    kinds = (
-        ("resident memory, MB", "resident", 1e6),
-        ("threads", "threads", 1),
-        ("open files", "open_files", 1),
-    )
-    states = [
-        [name, *(f"{server[when][key] / unit:,.0f}" for when in ("first", "middle", "last"))]
-        for name, key, unit in kinds
-    ]
-    summary = (
-        f"{record['settings']['clients']} clients, {record['server']['last']['seconds'] / 60:.1f} minutes, "
-        f"{record['errors']} errors; memory {server['bytes_a_minute'] / 1e3:+.0f} kB a minute in the second half"
-    )
-    return "\n\n".join(
-        [summary, markdown(heads, rows), markdown(["server", "first", "middle", "last"], states)]
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(1 if main(tyro.cli(Arguments, description=__doc__))["errors"] else 0)

@@ -15,7 +15,7 @@ from cli_support import run
 from scoup.io import load_image
 from scoup.raster import render_colors
 from scoup_lab.data.labels import match_frames, read_labels
-from scoup_lab.evaluate.protocols.lerf_ovs import score_scene
+from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 
 
 @pytest.mark.data
@@ -52,7 +52,7 @@ def test_kitchen_from_files_to_scores(data_folder: Path, tmp_path: Path):
         (frame, field.relevancy(camera, encoder.encode(list(frame.labels)), canonical))
         for frame, camera in frames[:3]
     ]
-    score = score_scene("kitchen", answers)
+    score = PROTOCOL.score("kitchen", answers)
     # The dense reference with all views and full size has 0.77 and 0.93; chance is near 0.05.
     assert score.miou > 0.5
     assert score.accuracy > 0.7

@@ -21,7 +21,6 @@ from scoup_lab.baselines.pixel_rules import (
     VisibleInView,
     centre_pixels,
     every_nth_pixel,
-    gathered_sums,
     pixel_weights,
 )
 from support import make_camera, random_gaussians, small_scene
@@ -87,9 +86,9 @@ def literal(rule: object, weights: np.ndarray, centres: np.ndarray) -> np.ndarra
     "rule",
     [CentrePixel(), VisibleCentrePixel(), VisibleCentrePixel(0.9), TopContributors(1), TopContributors(3)],
 )
-def test_gathered_sums_against_loops(rule: CentrePixel | VisibleCentrePixel | TopContributors) -> None:
+def test_region_sums_against_loops(rule: CentrePixel | VisibleCentrePixel | TopContributors) -> None:
     gaussians, cameras, regions = small_scene(count=50, views=2)
-    sums = gathered_sums(gaussians, cameras, regions, rule)
+    sums = rule.region_sums(gaussians, cameras, regions)
     for level, name in enumerate(regions.levels):
         rows = regions.embeddings(name)[1]
         expected = np.zeros((50, sum(part.stop - part.start for part in rows.values())))
@@ -153,7 +152,7 @@ def test_the_gate_against_its_steps() -> None:
 def test_the_gate_sees_a_view_as_a_whole() -> None:
     """Not band by band: the sums are those of the weights at all centres."""
     gaussians, cameras, regions = small_scene(count=50, views=2)
-    sums = gathered_sums(gaussians, cameras, regions, VisibleInView())
+    sums = VisibleInView().region_sums(gaussians, cameras, regions)
     for camera in cameras:
         centres = centre_pixels(gaussians, camera)
         at_centre = weights_of(gaussians, camera).reshape(50, -1)
@@ -174,7 +173,7 @@ def test_the_gate_sees_a_view_as_a_whole() -> None:
 
 def test_all_contributors_are_the_plain_region_sums() -> None:
     gaussians, cameras, regions = small_scene(count=50, views=2)
-    every = gathered_sums(gaussians, cameras, regions, TopContributors(50))
+    every = TopContributors(50).region_sums(gaussians, cameras, regions)
     plain = region_sums(gaussians, cameras, regions)
     for level in range(3):
         np.testing.assert_allclose(

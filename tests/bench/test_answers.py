@@ -12,6 +12,8 @@ import pytest
 import torch
 from benchmarks import answers
 from benchmarks.answer_scenes import SceneSize, make_scene
+from benchmarks.study import run
+from benchmarks.ways import WAYS
 
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.query.presets import QUERY_PRESETS
@@ -19,7 +21,7 @@ from scoup.uplift.build_settings import BUILD_PRESETS
 from scoup_lab.baselines.method import DEFAULTS
 from scoup_lab.baselines.sparse import SparseUplift
 from scoup_lab.evaluate.metrics import bootstrap_interval
-from scoup_lab.evaluate.protocols.lerf_ovs import score_frame
+from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -30,7 +32,7 @@ def one_scene():
         yield
 
 
-def tiny(**changes: Any) -> answers.Arguments:
+def tiny(**changes: Any) -> answers.Answers:
     size = SceneSize(2500, 64, 48, n_building=4, n_held_out=2)
     given: dict[str, Any] = {
         "scenes": ("table-0",),
@@ -38,26 +40,26 @@ def tiny(**changes: Any) -> answers.Arguments:
         "seeds": (0, 1),
         "size": size,
     }
-    return answers.Arguments(**{**given, "epochs": 3, **changes})
+    return answers.Answers(**{**given, "epochs": 3, **changes})
 
 
 def test_scores_are_those_of_the_protocol() -> None:
-    arguments = tiny()
-    scene = answers.make_scene("table-0", arguments.data, arguments.size)
-    fitted = answers.WAYS["default"].uplift(scene.inputs(), DEFAULTS)
+    study = tiny()
+    scene = answers.make_scene("table-0", study.data, study.size)
+    fitted = WAYS["default"].uplift(scene.inputs(), DEFAULTS)
     found = answers.score(scene, fitted)
     for rule, choice in (("peak", "peak"), ("mask", "mask")):
         preset = replace(QUERY_PRESETS["scoup"], level_choice=choice)
         expected = []
         for frame, view in scene.frames:
             queries = torch.stack([scene.queries[label] for label in frame.labels])
-            expected += score_frame(frame, fitted.relevancy(view, queries, scene.canonical), preset)
+            expected += PROTOCOL.score_frame(frame, fitted.relevancy(view, queries, scene.canonical), preset)
         assert found[rule] == [pair.iou for pair in expected]
         assert found["localisation"] == [float(bool(pair.hit)) for pair in expected]
         assert scene.pairs == [(pair.frame, pair.label) for pair in expected]
     assert len(found["always"]) == len(found["asked"]) == len(scene.pairs)
     assert all(asked in (0, always) for asked, always in zip(found["asked"], found["always"], strict=True))
-    votes = answers.score(scene, answers.WAYS["votes"].uplift(scene.inputs(), DEFAULTS))
+    votes = answers.score(scene, WAYS["votes"].uplift(scene.inputs(), DEFAULTS))
     assert all(best >= always for best, always in zip(votes["best level"], votes["always"], strict=True))
 
 
@@ -65,13 +67,13 @@ def test_kept_pairs_give_the_means_and_differences(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, rows = tmp_path / "answers.json", tmp_path / "rows.json"
-    answers.main(tiny(ways=("dense",), cases=("clean", "wrong20"), rows=rows))
-    before = json.loads(rows.read_text())["scores"]
-    answers.main(tiny(cases=("clean", "wrong20"), rows=rows, out=out))
-    printed, kept = capsys.readouterr().out, json.loads(out.read_text())
-    assert printed.count("table-0      wrong20   dense") == 1  # what was there was not run again
+    run(tiny(ways=("dense",), cases=("clean", "wrong20"), rows=rows), "answers")
+    before = json.loads(rows.read_text())["rows"]
+    run(tiny(cases=("clean", "wrong20"), rows=rows, out=out), "answers")
+    printed, kept = capsys.readouterr().err, json.loads(out.read_text())
+    assert printed.count("table-0/wrong20/dense: peak") == 1  # what was there was not run again
     cells = {f"table-0/{case}": kept["scores"][f"table-0/{case}"] for case in ("clean", "wrong20")}
-    assert all(cells[cell]["dense"] == before[cell]["dense"] for cell in cells)
+    assert all(cells[cell]["dense"] == before[f"{cell}/dense"]["scores"] for cell in cells)
     labels = [label for _, label in kept["pairs"]["table-0"]]
     for rule in answers.RULES:
         one, other = (cells["table-0/clean"][way][rule] for way in ("default", "dense"))
@@ -91,16 +93,16 @@ def test_kept_pairs_give_the_means_and_differences(
 
 def test_what_cannot_be(tmp_path: Path) -> None:
     rows = tmp_path / "rows.json"
-    rows.write_text(json.dumps({"settings": {"seeds": [9]}, "pairs": {}, "scores": {}}))
+    rows.write_text(json.dumps({"settings": {"seeds": [9]}, "rows": {}}))
     with pytest.raises(InputError, match="another --rows"):
-        answers.main(tiny(rows=rows))
+        run(tiny(rows=rows), "answers")
     with pytest.raises(UnknownNameError, match="defalt"):
-        answers.main(tiny(ways=("defalt",)))
+        run(tiny(ways=("defalt",)), "answers")
 
 
 def test_ways_are_what_their_names_say() -> None:
     def build_of(name: str):
-        uplift = answers.WAYS[name].uplift
+        uplift = WAYS[name].uplift
         assert isinstance(uplift, SparseUplift)
         return replace(DEFAULTS.build, **uplift.changes)
 
@@ -109,4 +111,4 @@ def test_ways_are_what_their_names_say() -> None:
     assert build_of("one-round") == replace(default, rounds=1)
     assert build_of("votes") == replace(default, things=False)
     assert build_of("best-effort") == replace(default, effort="best")
-    assert {name for pair in answers.COMPARED for name in pair} <= set(answers.WAYS)
+    assert {name for pair in answers.COMPARED for name in pair} <= set(WAYS)

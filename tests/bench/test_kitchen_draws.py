@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import torch
 from benchmarks.answer_scenes import DrawName, SceneSize, make_scene
-from benchmarks.answers import groups_of
 from benchmarks.embedding_kinds import KINDS, draw_hosts, draw_prototypes
-from benchmarks.kitchen_draws import Truth, likeness, make_draw
+from benchmarks.kitchen_draws import Truth, make_draw
+from benchmarks.likeness import likeness
+from benchmarks.ways import groups_of
 
 from scoup.base.errors import UnknownNameError
 from scoup.models.words import CANONICAL_PHRASES

@@ -1,16 +1,12 @@
-"""Slopes, medians, turns and threads."""
+"""Medians, turns and threads."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
-from scoup.base.errors import InputError
 from scoup_lab.bench import measure
 from scoup_lab.bench.measure import (
     DeviceClock,
@@ -18,39 +14,9 @@ from scoup_lab.bench.measure import (
     Task,
     Timing,
     Watch,
-    fit_slope,
     time_tasks,
     torch_threads,
 )
-
-
-@given(
-    slope=st.floats(-2, 3),
-    constant=st.floats(1e-6, 1e3),
-    sizes=st.lists(st.integers(1, 10**7), min_size=2, max_size=8, unique=True),
-)
-def test_the_slope_of_a_power(slope, constant, sizes):
-    found = fit_slope(sizes, [constant * size**slope for size in sizes])
-    assert found.slope == pytest.approx(slope, abs=1e-5)
-    assert found.constant == pytest.approx(constant, rel=1e-3)
-    assert math.isnan(found.spread) if len(sizes) == 2 else found.spread < 1e-4
-
-
-def test_the_spread_is_the_standard_error():
-    found = fit_slope([math.exp(x) for x in range(4)], [math.exp(y) for y in (0, 2, 1, 3)])
-    # By hand: slope 4 / 5, residuals (-0.3, 0.9, -0.9, 0.3), their squares 1.8 over 2 degrees of freedom, over 5.
-    assert found.slope == pytest.approx(0.8)
-    assert found.spread == pytest.approx(math.sqrt(1.8 / 2 / 5))
-    assert found.record()["standard_error"] == found.spread
-    assert fit_slope([1, 2], [1, 2]).record()["standard_error"] is None
-
-
-@pytest.mark.parametrize(
-    ("sizes", "seconds"), [([1], [1]), ([2, 2], [1, 2]), ([1, 2], [1]), ([0, 1], [1, 1]), ([1, 2], [0, 1])]
-)
-def test_no_slope_without_sizes(sizes, seconds):
-    with pytest.raises(InputError, match="a slope needs"):
-        fit_slope(sizes, seconds)
 
 
 def test_tasks_take_turns_under_their_threads():

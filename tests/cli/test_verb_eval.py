@@ -11,7 +11,7 @@ from PIL import Image
 
 from cli_support import refused, run, run_json
 from scoup_lab.data.labels import read_labels
-from scoup_lab.evaluate.data_sets import find_data_set, find_scenes
+from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 
 pytestmark = pytest.mark.slow
 
@@ -207,7 +207,7 @@ def test_synthetic_data_sets(tmp_path: Path) -> None:
     code, out, err = run(*command, "--seed", 3, "--json")
     assert code == 0, err
     assert json.loads(out)["scenes"] == ["table_3", "table_4"]
-    assert find_scenes(find_data_set("lerf-ovs"), tmp_path / "lerf-ovs") == ["table_3", "table_4"]
+    assert PROTOCOL.find(tmp_path / "lerf-ovs") == ["table_3", "table_4"]
     assert "--overwrite" in refused(*command, "--seed", 3, folder=tmp_path / "lerf-ovs")
 
 

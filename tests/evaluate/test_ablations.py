@@ -13,7 +13,7 @@ from scoup_lab.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
 
 def test_rules_of_rows() -> None:
     preset = QUERY_PRESETS["scoup"]
-    rules = {each.name: each.scoring_rule(preset) for each in ABLATIONS}
+    rules = {each.name: each.rule(preset) for each in ABLATIONS}
     assert [name for name, rule in rules.items() if rule.everyday] == ["beside everyday words"]
     assert [name for name, rule in rules.items() if rule.coded] == [
         "without the 50 % of highest entropy, dropped from blending",

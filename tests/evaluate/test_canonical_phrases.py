@@ -21,14 +21,16 @@ from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.methods import find_method
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.data.labels import LabelledFrame
-from scoup_lab.evaluate import scoring
-from scoup_lab.evaluate.data_sets import LabelledScene, find_data_set
+from scoup_lab.evaluate import pixel_evaluation
 from scoup_lab.evaluate.label_vectors import encode_labels
+from scoup_lab.evaluate.pixel_evaluation import predict
 from scoup_lab.evaluate.predictions import PredictionCache
-from scoup_lab.evaluate.scoring import predict, score_selection
-from scoup_lab.evaluate.studies.ablation_rows import BASE, Ablation, find_ablations
-from scoup_lab.evaluate.studies.ablations import run_ablations
-from scoup_lab.evaluate.studies.comparison import compare
+from scoup_lab.evaluate.protocols import selection
+from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
+from scoup_lab.evaluate.protocols.pixels import LabelledScene
+from scoup_lab.evaluate.studies.ablation_rows import BASE, BESIDE_EVERYDAY, Ablation, find_ablations
+from scoup_lab.evaluate.studies.ablations import Ablations
+from scoup_lab.evaluate.studies.comparison import Comparison
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 from support import small_scene, unit
 
@@ -90,7 +92,7 @@ def scene(table: tuple[Path, Tensor], tmp_path_factory: pytest.TempPathFactory) 
         boxes = {label: torch.tensor([[0.0, 0.0, 39.0, 29.0]]) for label in masks}
         frames.append((LabelledFrame(camera.name, 40, 30, masks, boxes), camera))
     folder = tmp_path_factory.mktemp("scene")
-    labelled = LabelledScene(find_data_set("lerf-ovs"), "s", folder, folder, folder, cameras, frames)
+    labelled = LabelledScene("s", folder, folder, folder, cameras, PROTOCOL, frames)
     vectors = encode_labels(labelled, str(table[0]))
     return StudyScene(labelled, vectors, RasterisedScene(gaussians, cameras, regions))
 
@@ -114,10 +116,10 @@ def test_evaluation(
     rasterised = scene.rasterised
     built = build(rasterised.gaussians, rasterised.cameras, rasterised.regions, settings=BUILD)
     recorder = Recorder(FittedField(built))
-    monkeypatch.setattr(scoring, "FittedField", lambda _: recorder)
+    monkeypatch.setattr(pixel_evaluation, "FittedField", lambda _: recorder)
     maps = list(predict(scene.labelled, scene.vectors, built, "digest", PredictionCache(None)))
     assert len(maps) == len(recorder.given) == 2
-    score_selection(scene.labelled, scene.vectors, recorder, rasterised.gaussians, "inria")
+    selection.score_method(scene.labelled, scene.vectors, recorder, rasterised.gaussians, "inria")
     assert len(recorder.given) == 4
     check(recorder.given, table[1])
     for frame, found in maps:
@@ -135,7 +137,7 @@ def test_comparison_of_methods(scene: StudyScene, table: tuple[Path, Tensor], na
         return recorders[-1]
 
     settings = MethodSettings(build=BUILD, autoencoder=AutoencoderSettings(epochs=1))
-    compare([scene], [replace(method, uplift=uplift)], PRESET, settings, selection=True)
+    Comparison([replace(method, uplift=uplift)], PRESET, settings, selection=True).results([scene])
     check(recorders[0].given, table[1])
 
 
@@ -150,7 +152,8 @@ def test_ablations(scene: StudyScene, table: tuple[Path, Tensor]) -> None:
     method = replace(BASE, uplift=uplift)
     rows = [replace(each, method=method) for each in find_ablations(["levels"]) if each.method is BASE]
     settings = (PRESET, (0,), 2)
-    run_ablations([scene], rows, *settings)
+    Ablations(rows, *settings).results([scene])
     check(recorders[0].given, table[1])
-    run_ablations([scene], [Ablation("beside everyday words", "phrases", method, "everyday")], *settings)
+    everyday = Ablation("beside everyday words", "phrases", method, BESIDE_EVERYDAY)
+    Ablations([everyday], *settings).results([scene])
     assert {len(each) for each in recorders[1].given} == {5}

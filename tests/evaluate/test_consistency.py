@@ -59,7 +59,7 @@ def test_raw_cosines_are_those_of_the_regions() -> None:
     assert raw.cosines == pytest.approx(expected, abs=1e-5)
     assert raw.pairs == 5
     assert {result.features for result in results} == {"raw", "autoencoder", "sparse codes"}
-    rows = consistency_table(results, {"s": "hand"}).rows
+    rows = consistency_table(results).rows
     assert len(rows) == 9 + 3
     raw = [row for row in rows if row[0] == "raw"]
     assert float(raw[-1][4]) == pytest.approx(sum(float(row[4]) for row in raw[:-1]) / 3, abs=2e-3)

@@ -8,21 +8,20 @@ from pathlib import Path
 import pytest
 
 from scoup.base.errors import OutputExistsError
-from scoup_lab.evaluate.data_sets import DATA_SETS
-from scoup_lab.evaluate.published import PUBLISHED
-from scoup_lab.evaluate.report import (
-    Report,
+from scoup_lab.evaluate.pixel_report import (
+    PixelScores,
     overall_table,
     published_table,
     query_records,
     query_table,
     report_record,
-    write_report,
 )
+from scoup_lab.evaluate.protocols import PIXELS
+from scoup_lab.evaluate.published import PUBLISHED
 from scoup_lab.evaluate.scores import PairScore, SceneScore, accuracy_interval, miou_interval
 from scoup_lab.evaluate.tables import Table
 
-DATA_SET_OF = {each.protocol: name for name, each in DATA_SETS.items()} | {"3D selection": "lerf-ovs"}
+DATA_SET_OF = {each.title: name for name, each in PIXELS.items()} | {"3D selection": "lerf-ovs"}
 PAIRS = {"figurines": 56, "teatime": 59, "ramen": 71, "waldo_kitchen": 22}  # of LERF-OVS
 
 
@@ -36,9 +35,9 @@ def scene(name: str, ious: dict[str, list[float]], protocol: str = "lerf-ovs 2D"
     return SceneScore(name, "scoup", tuple(pairs), protocol)
 
 
-def report(*names: str, protocol: str = "lerf-ovs 2D") -> Report:
+def report(*names: str, protocol: str = "lerf-ovs 2D") -> PixelScores:
     scenes = [scene(name, {"cup": [0.2, 0.4], "pot": [0.9]}, protocol) for name in names]
-    return Report(protocol, "scoup", tuple(scenes), ("ramen", "teatime", "waldo_kitchen", "figurines"))
+    return PixelScores(protocol, "scoup", tuple(scenes), ("ramen", "teatime", "waldo_kitchen", "figurines"))
 
 
 def test_every_scene_counts_alike() -> None:
@@ -69,9 +68,9 @@ def test_published_rows_stand_beside_published_scenes_only() -> None:
 
 @pytest.mark.parametrize("protocol", PUBLISHED)
 def test_each_published_row_has_a_footnote_that_says_where_it_is_from(protocol: str) -> None:
-    scenes = DATA_SETS[DATA_SET_OF[protocol]].scenes
+    scenes = PIXELS[DATA_SET_OF[protocol]].scenes
     of_scenes = [scene(name, {"cup": [0.5]}, protocol) for name in scenes]
-    run = Report(protocol, "scoup", tuple(of_scenes), scenes)
+    run = PixelScores(protocol, "scoup", tuple(of_scenes), scenes)
     table = overall_table(run)
     for row, published in zip(table.rows[1:], PUBLISHED[protocol], strict=True):
         number = row[1].removeprefix("published ")
@@ -93,7 +92,7 @@ def test_each_published_row_has_a_footnote_that_says_where_it_is_from(protocol: 
 
 
 def test_selection_on_another_data_set_shows_no_figures_of_lerf_ovs() -> None:
-    room = Report("3D selection", "vala-3d", (scene("room", {"cup": [0.5]}, "3D selection"),), ("room",))
+    room = PixelScores("3D selection", "vala-3d", (scene("room", {"cup": [0.5]}, "3D selection"),), ("room",))
     assert room.published == ()
     assert len(overall_table(room).rows) == 1
 
@@ -105,7 +104,7 @@ BY_PAIRS = {("lerf-ovs 2D", "LangSplatV2")}
 @pytest.mark.parametrize("protocol", PUBLISHED)
 def test_published_figures_agree_with_themselves(protocol: str) -> None:
     """Each row has a source; means over scenes are the overall figures, as far as they are rounded."""
-    scenes = set(DATA_SETS[DATA_SET_OF[protocol]].scenes)
+    scenes = set(PIXELS[DATA_SET_OF[protocol]].scenes)
     for row in PUBLISHED[protocol]:
         assert row.origin.source
         assert row.origin.read_in
@@ -163,12 +162,18 @@ def test_protocols_without_localisation_have_no_such_columns() -> None:
     assert record["overall"]["accuracy"] is None
 
 
+def test_published_rows_of_protocols_without_localisation() -> None:
+    table = published_table(report("sofa", protocol="3d-ovs 2D"))
+    assert table.rows[0] == ("this run", "measured", "50.0")
+
+
 def test_files(tmp_path: Path) -> None:
-    record = write_report(report("ramen"), tmp_path / "out", "r", ("s", "m", "l"))
+    found = report("ramen").report("r", ("s", "m", "l"))
+    found.write(tmp_path / "out")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["r.json", "r.md", "r.tex"]
     read = json.loads((tmp_path / "out" / "r.json").read_text())
-    assert read == json.loads(json.dumps(record))
+    assert read == json.loads(json.dumps(found.record))
     assert read["overall"]["miou"] == pytest.approx(0.5)
     assert len(read["scenes"]["ramen"]["pairs"]) == 3
     with pytest.raises(OutputExistsError):
-        write_report(report("ramen"), tmp_path / "out", "r")
+        found.write(tmp_path / "out")

@@ -15,7 +15,7 @@ from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import segment
 from scoup.scene.cameras import Camera, Cameras
 from scoup_lab.data.labels import match_frames, read_frame, read_labels
-from scoup_lab.evaluate.protocols.lerf_ovs import score_frame, score_scene
+from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.scores import overall
 from support import examples
 
@@ -92,15 +92,15 @@ def test_hits_count_any_pixel_any_box_and_borders(tmp_path: Path) -> None:
     )
     relevancy = torch.zeros(1, 1, 40, 60)
     relevancy[0, 0, 20:27, 40:47] = 1  # the second box
-    (pair,) = score_frame(frame, relevancy)
+    (pair,) = PROTOCOL.score_frame(frame, relevancy)
     assert pair.hit
     assert pair.pixel == (43, 23)
     relevancy = torch.zeros(1, 1, 40, 60)
     relevancy[0, 0, 27:34, 40:47] = 1
-    (pair,) = score_frame(frame, relevancy)
+    (pair,) = PROTOCOL.score_frame(frame, relevancy)
     assert not pair.hit
     # A constant map has its maximum everywhere, so somewhere in a box; its mask is empty.
-    (pair,) = score_frame(frame, torch.full((2, 1, 40, 60), 0.5))
+    (pair,) = PROTOCOL.score_frame(frame, torch.full((2, 1, 40, 60), 0.5))
     assert (pair.hit, pair.iou) == (True, 0.0)
 
 
@@ -109,9 +109,9 @@ def test_only_the_chosen_level_counts_and_levels_may_differ(tmp_path: Path) -> N
     relevancy = torch.zeros(2, 1, 40, 60)
     relevancy[0, 0, 10:30, 20:40] = 0.9
     relevancy[1, 0, 0:8, 0:8] = 1.0
-    (pair,) = score_frame(frame, relevancy)
+    (pair,) = PROTOCOL.score_frame(frame, relevancy)
     assert (pair.level, pair.localization_level, pair.hit, pair.iou) == (1, 1, False, 0.0)
-    (pair,) = score_frame(frame, relevancy[:1])
+    (pair,) = PROTOCOL.score_frame(frame, relevancy[:1])
     assert pair.hit
     assert pair.iou == pytest.approx(
         300 / 400
@@ -122,7 +122,7 @@ def test_other_render_size(tmp_path: Path) -> None:
     frame = read_frame(write_label(tmp_path / "f.json", [square("cup", 20, 10, 39, 29)]))
     relevancy = torch.zeros(1, 1, 80, 120)
     relevancy[0, 0, 20:60, 40:80] = 1
-    (pair,) = score_frame(frame, relevancy)
+    (pair,) = PROTOCOL.score_frame(frame, relevancy)
     assert pair.hit
     assert 0.85 < pair.iou < 38**2 / 40**2
     small = frame.resized(30, 20)
@@ -136,7 +136,7 @@ def test_iou_is_that_of_the_mask(tmp_path: Path) -> None:
     relevancy = torch.zeros(1, 1, 40, 60)
     relevancy[0, 0, 10:30, 20:40] = 1
     mask = segment(relevancy[:, 0], QUERY_PRESETS["scoup"]).mask
-    (pair,) = score_frame(frame, relevancy)
+    (pair,) = PROTOCOL.score_frame(frame, relevancy)
     both = int((mask & frame.masks["cup"]).sum())
     assert both > 0
     assert pair.iou == both / (400 + int(mask.sum()) - both)
@@ -154,19 +154,19 @@ def test_scene_scores(tmp_path: Path) -> None:
     maps = torch.zeros(1, 40, 60)
     maps[0, 10:30, 20:40] = 1
     relevancy = {"cup": maps, "pot": maps}
-    scene = score_scene("kitchen", ((frame, relevancy) for frame in frames))
+    scene = PROTOCOL.score("kitchen", ((frame, relevancy) for frame in frames))
     assert [(pair.frame, pair.label, pair.hit) for pair in scene.pairs] == [
         ("a", "cup", True), ("b", "cup", True), ("b", "pot", False),
     ]  # fmt: skip
     assert scene.accuracy == pytest.approx(2 / 3)
     assert scene.miou == pytest.approx(sum(pair.iou for pair in scene.pairs) / 3)
-    other = score_scene("other", [(frames[0], {"cup": maps})])
+    other = PROTOCOL.score("other", [(frames[0], {"cup": maps})])
     assert overall([scene, other])[1] == pytest.approx((2 / 3 + 1) / 2)
     for wrong in ({"cup": maps}, torch.zeros(1, 3, 40, 60), maps):
         with pytest.raises(InputError):
-            score_frame(frames[1], wrong)
+            PROTOCOL.score_frame(frames[1], wrong)
     with pytest.raises(InputError):
-        score_scene("none", [])
+        PROTOCOL.score("none", [])
     with pytest.raises(InputError):
         overall([])
 
@@ -248,7 +248,9 @@ def test_kitchen_labels(data_folder: Path) -> None:
     assert len(frames) == 6
     assert all((frame.width, frame.height) == (960, 720) for frame in frames)
     # The truth itself as relevancy: only what the protocol shaves off the edges is lost.
-    pairs = score_frame(frames[0], {label: mask.float()[None] for label, mask in frames[0].masks.items()})
+    pairs = PROTOCOL.score_frame(
+        frames[0], {label: mask.float()[None] for label, mask in frames[0].masks.items()}
+    )
     assert all(pair.hit for pair in pairs)
     assert sum(pair.iou for pair in pairs) / len(pairs) > 0.8
 

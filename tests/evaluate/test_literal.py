@@ -12,7 +12,7 @@ from evaluate import literal
 from scoup.query.presets import QUERY_PRESETS, query_preset
 from scoup.query.smoothing import box_mean
 from scoup_lab.data.labels import LabelledFrame
-from scoup_lab.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
+from scoup_lab.evaluate.protocols import PIXELS
 from support import examples
 
 HEIGHT, WIDTH = 13, 17
@@ -64,7 +64,7 @@ LERF_OVS = given(maps(), truths(), st.sampled_from(["scoup", "langsplatv2", "lan
 
 def check_lerf_ovs(levels: np.ndarray, frame: LabelledFrame, system: str) -> None:
     preset = query_preset(system, "lerf-ovs")
-    (pair,) = lerf_ovs.score_frame(frame, torch.from_numpy(levels)[:, None], preset)
+    (pair,) = PIXELS["lerf-ovs"].score_frame(frame, torch.from_numpy(levels)[:, None], preset)
     truth, boxes = frame.masks["cup"].numpy(), frame.boxes["cup"].tolist()
     rules = preset.kernel, preset.border, preset.threshold, preset.smoothing, preset.smoothing_border
     iou, level, hit = literal.lerf_ovs(levels, truth, boxes, *rules)
@@ -89,7 +89,9 @@ THREED_OVS = given(maps(), truths(), st.sampled_from([("scoup", 0.3, 7), ("langs
 
 def check_threed_ovs(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
     system, threshold, kernel = rules
-    (pair,) = threed_ovs.score_frame(frame, torch.from_numpy(levels)[:, None], threed_ovs.preset(system))
+    (pair,) = PIXELS["3d-ovs"].score_frame(
+        frame, torch.from_numpy(levels)[:, None], PIXELS["3d-ovs"].preset(system)
+    )
     iou, level = literal.mask_mean_level(levels[1:], frame.masks["cup"].numpy(), kernel, threshold)
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level + 1, None)
 
@@ -114,7 +116,9 @@ MIPNERF360 = given(maps(), truths(), st.sampled_from([("scoup", 0.45, 7), ("lang
 
 def check_mipnerf360(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
     system, threshold, kernel = rules
-    (pair,) = mipnerf360.score_frame(frame, torch.from_numpy(levels)[:, None], mipnerf360.preset(system))
+    (pair,) = PIXELS["mipnerf360"].score_frame(
+        frame, torch.from_numpy(levels)[:, None], PIXELS["mipnerf360"].preset(system)
+    )
     iou, level = literal.mask_mean_level(levels, frame.masks["cup"].numpy(), kernel, threshold)
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, None)
 
@@ -142,7 +146,7 @@ def test_truth_is_resized_by_nearest_neighbour(size: tuple[int, int]) -> None:
     truth = literal.nearest(mask.numpy(), width, height)
     assert frame.resized(width, height).masks["cup"].numpy().tolist() == truth.tolist()
     levels = np.random.default_rng(2).random((3, height, width)).astype(np.float32)
-    (pair,) = threed_ovs.score_frame(frame, torch.from_numpy(levels)[:, None])
+    (pair,) = PIXELS["3d-ovs"].score_frame(frame, torch.from_numpy(levels)[:, None])
     assert pair.iou == pytest.approx(literal.mask_mean_level(levels[1:], truth, 7, 0.3)[0])
 
 
@@ -159,7 +163,13 @@ def test_presets_are_those_of_the_protocols() -> None:
             preset.kernel, preset.border, preset.threshold, preset.smoothing, preset.smoothing_border,
             preset.level_choice,
         ) == expected  # fmt: skip
-    assert threed_ovs.preset().level_choice == mipnerf360.preset().level_choice == "mask"
-    assert (threed_ovs.preset("langsplatv2").kernel, threed_ovs.preset("langsplatv2").threshold) == (29, 0.25)
-    assert (mipnerf360.preset().threshold, mipnerf360.preset("langsplatv2").threshold) == (0.45, 0.4)
+    assert PIXELS["3d-ovs"].preset().level_choice == PIXELS["mipnerf360"].preset().level_choice == "mask"
+    assert (
+        PIXELS["3d-ovs"].preset("langsplatv2").kernel,
+        PIXELS["3d-ovs"].preset("langsplatv2").threshold,
+    ) == (29, 0.25)
+    assert (
+        PIXELS["mipnerf360"].preset().threshold,
+        PIXELS["mipnerf360"].preset("langsplatv2").threshold,
+    ) == (0.45, 0.4)
     assert QUERY_PRESETS["scoup"].level_choice == "peak"

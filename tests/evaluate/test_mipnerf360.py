@@ -25,7 +25,7 @@ def frame_of(width: int, height: int) -> LabelledFrame:
 
 def test_maps_of_another_size_are_refused() -> None:
     with pytest.raises(InputError, match="never the label"):
-        mipnerf360.score_frame(frame_of(20, 14), torch.rand(3, 1, 28, 40))
+        mipnerf360.PROTOCOL.score_frame(frame_of(20, 14), torch.rand(3, 1, 28, 40))
 
 
 def test_three_levels_compete() -> None:
@@ -33,12 +33,12 @@ def test_three_levels_compete() -> None:
     maps = torch.zeros(3, 1, 14, 20)
     maps[0, 0, 3:9, 4:12] = 0.9
     maps[1, 0, :, 15:] = 0.5
-    scene = mipnerf360.score_scene("room", [(frame, maps)])
+    scene = mipnerf360.PROTOCOL.score("room", [(frame, maps)])
     assert scene.protocol == "mipnerf360 2D"
     assert scene.pairs[0].level == 0
     assert scene.miou == 0.5  # a thing of 6 x 8 pixels loses its rim and corners to the boxes of 7 x 7
     with pytest.raises(InputError):
-        mipnerf360.score_scene("room", [])
+        mipnerf360.PROTOCOL.score("room", [])
 
 
 def test_resizing_is_bilinear_by_pixel_centres() -> None:

@@ -14,7 +14,7 @@ from PIL import Image
 from scoup.base.errors import InputError
 from scoup_lab.evaluate.metrics import Interval
 from scoup_lab.evaluate.plots import HOW_TO_GET_THEM, Curve, CurvePlot, IntervalPlot, Plot, png
-from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.tables import Table
 
 needs_matplotlib = pytest.mark.skipif(
@@ -96,8 +96,8 @@ def test_what_cannot_be_drawn(plot: Plot) -> None:
         plot.figure()
 
 
-def report() -> StudyReport:
-    return StudyReport("study", "Study", [Table("t", ("a",), (("1",),))], {"a": 1}, {"p.png": CURVES})
+def report() -> Report:
+    return Report("study", "Study", [Table("t", ("a",), (("1",),))], {"a": 1}, {"p.png": CURVES})
 
 
 @needs_matplotlib

@@ -15,49 +15,34 @@ from torch import Tensor
 from scoup.base.errors import InputError, MissingFileError, UnknownNameError
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
-from scoup.query.text_vectors import TextVectors
 from scoup.raster import Projection
 from scoup.uplift.build_settings import build_settings
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.methods import find_method
 from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
-from scoup_lab.evaluate.data_sets import Places
-from scoup_lab.evaluate.label_vectors import encode_words, text_source
-from scoup_lab.evaluate.point_evaluation import (
-    PointSettings,
-    count_points,
-    evaluate_point_scene,
-    read_truths,
-)
-from scoup_lab.evaluate.point_report import PointReport, write_point_report
-from scoup_lab.evaluate.point_scenes import (
-    PointScene,
-    find_class_list,
-    find_point_data_set,
-    find_point_scenes,
-    open_point_scene,
-)
-from scoup_lab.evaluate.protocols.point_labels import NO_CLASS, class_ious, class_mean, class_totals
+from scoup_lab.evaluate.label_vectors import text_source
+from scoup_lab.evaluate.point_evaluation import PointEvaluation
+from scoup_lab.evaluate.point_report import PointScores
+from scoup_lab.evaluate.protocols import POINTS
+from scoup_lab.evaluate.protocols.points import NO_CLASS, PointScene, class_ious, class_mean, class_totals
 from scoup_lab.evaluate.report import OURS
 
 LISTS = {"scannet": ("19", "10"), "scenesplat": ("scannet20", "scannet200")}
 
 
-def settings_of(name: str, methods: tuple[str, ...] = ()) -> PointSettings:
-    data_set = find_point_data_set(name)
-    return PointSettings(
-        data_set,
-        tuple(find_class_list(data_set, classes) for classes in LISTS[name]),
-        build_settings("default", n_atoms=32),
-        tuple(find_method(method) for method in methods),
+def evaluation_of(name: str, methods: tuple[str, ...] = ()) -> PointEvaluation:
+    return PointEvaluation(
+        protocol=POINTS[name],
+        class_lists=tuple(POINTS[name].find_class_list(classes) for classes in LISTS[name]),
+        build=build_settings("default", n_atoms=32),
+        methods=tuple(find_method(method) for method in methods),
     )
 
 
-def opened(root: Path, name: str, scene: str = "table") -> tuple[PointScene, TextVectors, PointSettings]:
-    settings = settings_of(name)
-    found = open_point_scene(settings.data_set, root, scene, Places())
-    vectors = encode_words(settings.texts, text_source(root, found, None, "none"), "a class")
-    return found, vectors, settings
+def opened(root: Path, name: str, scene: str = "table") -> tuple[PointScene, str, PointEvaluation]:
+    """A scene, its word table, and how it is evaluated."""
+    found = POINTS[name].open(root, scene)
+    return found, text_source(root, found, None, "none"), evaluation_of(name)
 
 
 @dataclass(frozen=True)
@@ -89,17 +74,18 @@ class Oracle:
 
 @pytest.mark.parametrize("name", ["scannet", "scenesplat"])
 def test_true_classes_score_one(synthetic_data_sets: Path, name: str) -> None:
-    scene, vectors, settings = opened(synthetic_data_sets / name, name)
+    scene, source, evaluation = opened(synthetic_data_sets / name, name)
+    vectors = evaluation.vectors(source, scene.name)
     gaussians = load_gaussians(scene.splat)
-    for classes in settings.class_lists:
+    for classes in evaluation.class_lists:
         if name == "scannet":
             truth = scene.truth(classes, gaussians).classes
         else:
             folder = synthetic_data_sets / name / "val" / "table"
             truth = torch.from_numpy(np.load(folder / f"{classes.file}.npy").astype(np.int64))
         oracle = Oracle(truth, vectors.of(classes.texts))
-        only = replace(settings, class_lists=(classes,))
-        counts = count_points(read_truths(scene, gaussians, only), gaussians, {OURS: oracle}, vectors, only)
+        only = replace(evaluation, class_lists=(classes,))
+        counts = only.count(only.truths(scene, gaussians), gaussians, {OURS: oracle}, vectors)
         miou = float(class_mean(class_ious(class_totals(counts[classes.name][OURS]))))
         # A point of a scan that is nearest to a Gaussian of another thing, or of a class that is not counted.
         assert miou == 1 if name == "scannet" else miou > 0.9
@@ -109,16 +95,16 @@ def test_true_classes_score_one(synthetic_data_sets: Path, name: str) -> None:
 def test_a_field_answers_better_than_a_shuffled_one(
     synthetic_data_sets: Path, tmp_path: Path, name: str
 ) -> None:
-    scene, vectors, settings = opened(synthetic_data_sets / name, name)
-    counts = evaluate_point_scene(scene, vectors, tmp_path, settings)
+    scene, source, evaluation = opened(synthetic_data_sets / name, name)
+    counts = evaluation.scene(scene, source, tmp_path)
     field = LanguageField.load(tmp_path / "fields" / "table.scoup", load_gaussians(scene.splat))
     order = torch.randperm(len(field), generator=torch.Generator().manual_seed(0))
     shuffled = LanguageField(
         field.code_indices[order], field.code_weights[order], field.codebook, field.info, field.gaussians
     )
-    truths = read_truths(scene, field.gaussians, settings)
-    mixed = count_points(truths, field.gaussians, {OURS: FittedField(shuffled)}, vectors, settings)
-    for classes in settings.class_lists:
+    truths, vectors = evaluation.truths(scene, field.gaussians), evaluation.vectors(source, scene.name)
+    mixed = evaluation.count(truths, field.gaussians, {OURS: FittedField(shuffled)}, vectors)
+    for classes in evaluation.class_lists:
         ours, chance = (
             float(class_mean(class_ious(class_totals(found[classes.name][OURS]))))
             for found in (counts, mixed)
@@ -126,29 +112,31 @@ def test_a_field_answers_better_than_a_shuffled_one(
         assert ours > 0.3
         assert ours > chance + 0.2
     # The same again reads the field that is there; other settings are refused.
-    again = evaluate_point_scene(scene, vectors, tmp_path, settings)
+    again = evaluation.scene(scene, source, tmp_path)
     assert all(again[key][OURS].equal(counts[key][OURS]) for key in counts)
     with pytest.raises(InputError, match="other settings"):
-        evaluate_point_scene(scene, vectors, tmp_path, replace(settings, build=build_settings(n_atoms=8)))
+        replace(evaluation, build=build_settings(n_atoms=8)).scene(scene, source, tmp_path)
     with pytest.raises(InputError, match="no level 'x'"):
-        evaluate_point_scene(scene, vectors, tmp_path, replace(settings, level="x"))
+        replace(evaluation, level="x").scene(scene, source, tmp_path)
 
 
 def test_tables_of_several_scenes_and_methods(synthetic_data_sets: Path, tmp_path: Path) -> None:
-    settings = settings_of("scenesplat", ("dense",))
+    evaluation = evaluation_of("scenesplat", ("dense",))
     root = synthetic_data_sets / "scenesplat"
-    names = find_point_scenes(settings.data_set, root)
+    names = evaluation.protocol.find(root)
     assert names == ["shelves", "table"]
     counts = {}
     for name in names:
-        scene, vectors, _ = opened(root, "scenesplat", name)
-        counts[name] = evaluate_point_scene(scene, vectors, tmp_path, settings)
-    classes = settings.class_lists[0]
-    report = PointReport.of(settings.data_set, classes, {**counts, "yard": {}})
-    assert report.scenes == ("shelves", "table")
+        scene, source, _ = opened(root, "scenesplat", name)
+        counts[name] = evaluation.scene(scene, source, tmp_path)
+    classes = evaluation.class_lists[0]
+    scores = PointScores.of(evaluation.protocol, classes, {**counts, "yard": {}})
+    assert scores.scenes == ("shelves", "table")
     with pytest.raises(InputError, match=r"none of the scenes \(yard\) has points of a class of scannet20"):
-        PointReport.of(settings.data_set, classes, {"yard": {}})
-    record = write_point_report(report, tmp_path, "all")
+        PointScores.of(evaluation.protocol, classes, {"yard": {}})
+    report = scores.report("all")
+    report.write(tmp_path)
+    record = report.record
     assert json.loads((tmp_path / "all.json").read_text()) == record
     assert list(record["systems"]) == [OURS, "dense"]
     ours = record["systems"][OURS]
@@ -172,50 +160,48 @@ def test_tables_of_several_scenes_and_methods(synthetic_data_sets: Path, tmp_pat
     assert "f-mIoU" in (tmp_path / "all.tex").read_text()
 
 
-def test_means_over_scenes_by_hand(tmp_path: Path) -> None:
-    data_set = find_point_data_set("scannet")
-    classes = find_class_list(data_set, "10")
+def test_means_over_scenes_by_hand() -> None:
+    protocol = POINTS["scannet"]
+    classes = protocol.find_class_list("10")
     good, bad = (torch.zeros(10, 11, dtype=torch.int64) for _ in range(2))
     good[0, 0] = 1000
     bad[0, 1], bad[1, 1] = 1, 1  # of class 0 nothing, of class 1 half
-    report = PointReport(data_set, classes, ("a", "b"), {OURS: [good, bad]})
-    record = write_point_report(report, tmp_path, "two")
+    scores = PointScores(protocol, classes, ("a", "b"), {OURS: [good, bad]})
+    record = scores.report("two").record
     overall = record["systems"][OURS]["overall"]
     assert overall["mIoU"] == pytest.approx((1 + (0 + 0.5) / 2) / 2)
     assert overall["mAcc"] == pytest.approx((1 + (0 + 1) / 2) / 2)
     assert record["systems"][OURS]["scenes"]["b"]["mIoU"] == pytest.approx(0.25)
     assert record["systems"][OURS]["intervals"]["mIoU"] == pytest.approx([0.25, 1])
-    one = replace(report, scenes=("b",), matrices={OURS: [bad]})
-    record = write_point_report(one, tmp_path, "one")
+    one = replace(scores, scenes=("b",), matrices={OURS: [bad]})
+    record = one.report("one").record
     assert record["systems"][OURS]["intervals"]["mIoU"] is None
 
 
 def test_scenes_that_are_not_there(synthetic_data_sets: Path, tmp_path: Path) -> None:
-    data_set = find_point_data_set("scannet")
+    protocol = POINTS["scannet"]
     with pytest.raises(MissingFileError, match="no such folder"):
-        find_point_scenes(data_set, tmp_path / "absent")
+        protocol.find(tmp_path / "absent")
     with pytest.raises(MissingFileError, match=r"no SCENE/SCENE_vh_clean_2\.labels\.ply"):
-        find_point_scenes(data_set, tmp_path)
+        protocol.find(tmp_path)
     with pytest.raises(MissingFileError, match=r"no val/SCENE/coord\.npy"):
-        find_point_scenes(find_point_data_set("scenesplat"), tmp_path)
+        POINTS["scenesplat"].find(tmp_path)
     with pytest.raises(UnknownNameError, match="tabel"):
-        find_point_scenes(data_set, synthetic_data_sets / "scannet", ["tabel"])
+        protocol.find(synthetic_data_sets / "scannet", ["tabel"])
     with pytest.raises(UnknownNameError, match="list of classes"):
-        find_class_list(data_set, "20")
-    with pytest.raises(UnknownNameError, match="data set"):
-        find_point_data_set("scanet")
+        protocol.find_class_list("20")
     with pytest.raises(InputError, match="at least 1"):
-        replace(settings_of("scenesplat"), neighbours=0)
+        replace(evaluation_of("scenesplat"), neighbours=0)
 
 
 def test_a_scene_without_points_of_a_class_is_left_out(synthetic_data_sets: Path, tmp_path: Path) -> None:
-    scene, vectors, settings = opened(synthetic_data_sets / "scannet", "scannet")
+    scene, source, evaluation = opened(synthetic_data_sets / "scannet", "scannet")
     gaussians = load_gaussians(scene.splat)
     folder = tmp_path / "table"
     labels = torch.full((len(gaussians),), 40)
     write_labelled_ply(LabelledPoints(gaussians.means, labels), folder / "table_vh_clean_2.labels.ply")
     said: list[str] = []
     bare = replace(scene, folder=folder)
-    assert evaluate_point_scene(bare, vectors, tmp_path, settings, say=said.append) == {}
+    assert evaluation.scene(bare, source, tmp_path, say=said.append) == {}
     assert said == ["table: none of its points is of a class that is scored; left out"]
     assert not (tmp_path / "fields").exists()

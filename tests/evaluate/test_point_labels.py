@@ -11,7 +11,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.query.text_vectors import TextVectors
 from scoup.raster import Projection
-from scoup_lab.evaluate.protocols.point_labels import (
+from scoup_lab.evaluate.protocols.points import (
     NO_CLASS,
     ClassList,
     class_accuracies,

@@ -76,13 +76,13 @@ def test_scores_by_hand(tmp_path: Path) -> None:
     maps[1, 0] = frame.masks["the cup"]
     maps[1, 1] = frame.masks["what holds tea"]
     maps[1, 2, 10:12] = 1
-    right = ref_lerf.score_scene("s", [(frame, maps)])
+    right = ref_lerf.PROTOCOL.score("s", [(frame, maps)])
     assert right.protocol == "ref-lerf 2D"
     assert not right.localizes
     assert [pair.label for pair in right.pairs] == list(frame.labels)
     assert all(pair.level == 1 for pair in right.pairs)
     assert right.pairs[1].iou > 0.75  # but for what the box means take away
-    wrong = ref_lerf.score_scene("s", [(frame, maps.flip(1))])
+    wrong = ref_lerf.PROTOCOL.score("s", [(frame, maps.flip(1))])
     assert wrong.pairs[1].iou == right.pairs[1].iou  # the middle one stays in its place
     assert (wrong.pairs[0].iou, right.pairs[0].iou > 0.5) == (0, True)
 
@@ -90,7 +90,7 @@ def test_scores_by_hand(tmp_path: Path) -> None:
 def test_a_sentence_without_a_map_is_refused(tmp_path: Path) -> None:
     (frame,) = ref_lerf.read_frames(put(tmp_path, "frame_00003"))
     with pytest.raises(InputError, match="no relevancy map for the label 'the plate'"):
-        ref_lerf.score_frame(frame, {label: torch.rand(3, *SIZE) for label in frame.labels[:2]})
+        ref_lerf.PROTOCOL.score_frame(frame, {label: torch.rand(3, *SIZE) for label in frame.labels[:2]})
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup_lab.data.class_names import NYU40
 from scoup_lab.data.labelled_points import LabelledPoints
 from scoup_lab.evaluate.protocols import scannet
-from scoup_lab.evaluate.protocols.point_labels import NO_CLASS
+from scoup_lab.evaluate.protocols.points import NO_CLASS
 
 CLASSES = scannet.CLASS_LISTS
 

@@ -10,7 +10,7 @@ import torch
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup_lab.evaluate.protocols import scenesplat
-from scoup_lab.evaluate.protocols.point_labels import NO_CLASS
+from scoup_lab.evaluate.protocols.points import NO_CLASS, nearest_classes
 
 CLASSES = scenesplat.CLASS_LISTS
 
@@ -53,23 +53,23 @@ MEANS = torch.tensor([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]])
 def test_points_take_the_class_of_the_nearest_gaussian_that_has_one() -> None:
     points = torch.tensor([[0.4, 0, 0], [1.1, 0, 0], [9, 9, 9]])
     classes = torch.tensor([2, NO_CLASS, 1, 0])
-    assert scenesplat.nearest_classes(MEANS, classes, points, 3).tolist() == [2, 1, 0]
+    assert nearest_classes(MEANS, classes, points, 3).tolist() == [2, 1, 0]
     lost = MEANS.index_fill(0, torch.tensor([2]), torch.nan)
-    assert scenesplat.nearest_classes(lost, classes, points, 3).tolist() == [2, 2, 0]
+    assert nearest_classes(lost, classes, points, 3).tolist() == [2, 2, 0]
 
 
 def test_several_gaussians_vote_and_the_smallest_number_wins_a_draw() -> None:
     points = torch.tensor([[1.9, 0, 0]])
     classes = torch.tensor([0, 1, 2, 1])
-    assert scenesplat.nearest_classes(MEANS, classes, points, 3, neighbours=1).tolist() == [2]
-    assert scenesplat.nearest_classes(MEANS, classes, points, 3, neighbours=2).tolist() == [1]
-    assert scenesplat.nearest_classes(MEANS, classes, points, 3, neighbours=3).tolist() == [1]
-    assert scenesplat.nearest_classes(MEANS, classes, points, 3, neighbours=25).tolist() == [1]
+    assert nearest_classes(MEANS, classes, points, 3, neighbours=1).tolist() == [2]
+    assert nearest_classes(MEANS, classes, points, 3, neighbours=2).tolist() == [1]
+    assert nearest_classes(MEANS, classes, points, 3, neighbours=3).tolist() == [1]
+    assert nearest_classes(MEANS, classes, points, 3, neighbours=25).tolist() == [1]
 
 
 def test_nobody_to_vote() -> None:
     with pytest.raises(InputError, match="0 Gaussians have a class"):
-        scenesplat.nearest_classes(MEANS, torch.full((4,), NO_CLASS), MEANS, 3)
+        nearest_classes(MEANS, torch.full((4,), NO_CLASS), MEANS, 3)
 
 
 def write_points(folder: Path, prefix: str = "", count: int = 4, **labels: np.ndarray) -> Path:

@@ -9,6 +9,7 @@ from scoup import raster
 from scoup.base.errors import InputError
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.protocols import lerf_ovs
 from scoup_lab.evaluate.protocols.selection import VALA_3D, score_scene, silhouette
 from scoup_lab.evaluate.scores import overall
 from support import make_camera, random_gaussians
@@ -70,7 +71,5 @@ def test_protocols_are_never_averaged_together() -> None:
         "a", 40, 30, {"cup": torch.ones(30, 40, dtype=torch.bool)}, {"cup": torch.zeros(1, 4)}
     )
     three = score_scene("s", scene, [(frame, camera)], chosen)
-    from scoup_lab.evaluate.protocols.lerf_ovs import score_scene as in_2d
-
     with pytest.raises(InputError, match="different protocols"):
-        overall([three, in_2d("s", [(frame, torch.rand(3, 1, 30, 40))])])
+        overall([three, lerf_ovs.PROTOCOL.score("s", [(frame, torch.rand(3, 1, 30, 40))])])

@@ -23,14 +23,15 @@ from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.methods import find_method
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.data.labels import LabelledFrame
-from scoup_lab.evaluate.data_sets import LabelledScene, find_data_set
 from scoup_lab.evaluate.plots import can_draw
+from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
+from scoup_lab.evaluate.protocols.pixels import LabelledScene
+from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
-from scoup_lab.evaluate.studies.ablations import ablation_report, run_ablations
-from scoup_lab.evaluate.studies.comparison import compare, comparison_report
-from scoup_lab.evaluate.studies.consistency import consistency_report, run_consistency
-from scoup_lab.evaluate.studies.curves import curve_report, find_fault, run_curves
-from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.studies.ablations import Ablations
+from scoup_lab.evaluate.studies.comparison import Comparison
+from scoup_lab.evaluate.studies.consistency import Consistency
+from scoup_lab.evaluate.studies.curves import Curves, find_fault
 from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
 from support import small_scene, unit
 
@@ -59,8 +60,7 @@ def make_study_scene(seed: int, folder: Path) -> StudyScene:
         boxes = {label: torch.tensor([[0.0, 0.0, 39.0, 29.0]]) for label in LABELS}
         frames.append((LabelledFrame(camera.name, 40, 30, masks, boxes), camera))
     known = replace(known, queries=unit(regions.load(frames[0][1].name, "m").embeddings[:2]))
-    data_set = find_data_set("lerf-ovs")
-    labelled = LabelledScene(data_set, f"scene {seed}", folder, folder, folder, cameras, frames)
+    labelled = LabelledScene(f"scene {seed}", folder, folder, folder, cameras, PROTOCOL, frames)
     return StudyScene(labelled, known, RasterisedScene(gaussians, cameras, regions))
 
 
@@ -69,7 +69,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[StudyScene]:
     return [make_study_scene(seed, tmp_path_factory.mktemp(f"scene{seed}")) for seed in (0, 1)]
 
 
-def check_report(report: StudyReport, folder: Path) -> dict[str, Any]:
+def check_report(report: Report, folder: Path) -> dict[str, Any]:
     """All of it can be written, and nothing is empty; the JSON, which holds the tables too."""
     assert all(table.rows for table in report.tables)
     written = report.write(folder)
@@ -92,7 +92,8 @@ def check_pairs(record: dict[str, Any], ious: list[float], miou: float) -> None:
 
 def test_comparison(scenes: list[StudyScene], tmp_path: Path) -> None:
     methods = [find_method(name) for name in ("sparse", "dense", "centre-pixel")]
-    results = compare(scenes, methods, PRESET, SETTINGS, selection=True)
+    study = Comparison(methods, PRESET, SETTINGS, selection=True)
+    results = study.results(scenes)
     assert [(result.method, result.score.scene) for result in results] == [
         (method.name, scene.name) for scene in scenes for method in methods
     ]
@@ -100,7 +101,7 @@ def test_comparison(scenes: list[StudyScene], tmp_path: Path) -> None:
         assert result.fit.seconds > 0
         assert result.query_seconds > 0
         assert result.selected is not None
-    report = comparison_report(results, methods, {"seed": 0})
+    report = study.report(results, PROTOCOL.title, {"seed": 0})
     assert len(report.tables) == 3
     assert report.record["methods"]["dense"]["bytes_per_gaussian"] == 3 * 16 * 4
     assert report.record["seed"] == 0
@@ -119,18 +120,19 @@ def test_each_method_of_a_comparison_learns_its_own_codes(scenes: list[StudyScen
         calls.append("kept" if inputs.kept_codes else "new")
         return sparse.uplift(inputs, settings)
 
-    compare(scenes[:1], [replace(sparse, uplift=uplift)] * 2, PRESET, SETTINGS)
+    Comparison([replace(sparse, uplift=uplift)] * 2, PRESET, SETTINGS).results(scenes[:1])
     assert calls == ["new", "new"]
 
 
 def test_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
     rows = find_ablations(["vote", "levels", "pixels"])
-    results = {each.ablation.name: each for each in run_ablations(scenes[:1], rows, PRESET, (0, 1), 2)}
+    study = Ablations(rows, PRESET, (0, 1), 2)
+    results = {each.ablation.name: each for each in study.results(scenes[:1])}
     base = results[ABLATIONS[0].name]
     assert list(base.scores) == [0, 1]
     assert list(results["dense uplift"].scores) == [0]
     assert results["level by peak"].by_seed() == base.by_seed()
-    report = ablation_report(list(results.values()), "lerf-ovs 2D", {})
+    report = study.report(list(results.values()), PROTOCOL.title, {})
     assert list(report.record["rows"]) == [row.name for row in rows]
     record = check_report(report, tmp_path)
     for row in record["rows"].values():
@@ -140,8 +142,8 @@ def test_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_all_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
-    results = run_ablations(scenes, ABLATIONS, PRESET, (0,), 3)
-    check_report(ablation_report(results, "lerf-ovs 2D", {}), tmp_path)
+    study = Ablations(ABLATIONS, PRESET, (0,), 3)
+    check_report(study.report(study.results(scenes), PROTOCOL.title, {}), tmp_path)
 
 
 def test_rules_choose_levels(scenes: list[StudyScene]) -> None:
@@ -159,7 +161,7 @@ def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -
     scene = scenes[0]
     row = next(each for each in ABLATIONS if each.name.endswith("highest entropy, dropped from blending"))
     fitted = row.method.fit(scene.rasterised, SETTINGS)
-    rules = {"kept": ScoringRule(PRESET), "dropped": row.scoring_rule(PRESET)}
+    rules = {"kept": ScoringRule(PRESET), "dropped": row.rule(PRESET)}
     assert isinstance(fitted, FittedField)
     gaussians, codebook = scene.rasterised.gaussians, fitted.field.codebook
     for (frame, maps), (_, camera) in zip(
@@ -188,18 +190,20 @@ def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -
 def test_curves(scenes: list[StudyScene], tmp_path: Path) -> None:
     methods = [find_method(name) for name in ("sparse", "dense")]
     faults = [find_fault(name) for name in ("masks", "noise", "views")]
-    points = run_curves(scenes[:1], methods, faults, PRESET, SETTINGS)
+    study = Curves(methods, faults, PRESET, SETTINGS)
+    points = study.results(scenes[:1])
     found = {(point.fault, point.strength, point.method): point.scores[0].miou for point in points}
     assert len(found) == len(points) == 3 * 4 * 2
     for method in ("sparse", "dense"):
         assert found["masks", 0, method] == found["noise", 0, method] == found["views", 100, method]
-    report = curve_report(points, faults, "lerf-ovs 2D", {})
+    report = study.report(points, PROTOCOL.title, {})
     assert len(report.tables) == len(report.plots) == 3
     check_report(report, tmp_path)
 
 
 def test_consistency(scenes: list[StudyScene], tmp_path: Path) -> None:
     quick = AutoencoderSettings(epochs=1, encoder=(8, 3), decoder=(8,))
-    results, sources = run_consistency(scenes[:1], SETTINGS.build, quick)
-    assert sources == {"scene 0": "Gaussians"}
-    check_report(consistency_report(results, sources, {}), tmp_path)
+    study = Consistency(SETTINGS.build, quick)
+    report = study.report(study.results(scenes[:1]), PROTOCOL.title, {})
+    assert report.record["matched_by"] == {"scene 0": "Gaussians"}
+    check_report(report, tmp_path)

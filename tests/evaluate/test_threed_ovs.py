@@ -60,7 +60,9 @@ def test_wood_table_counts_as_wood_wall_in_the_room_only(tmp_path: Path) -> None
     assert threed_ovs.united(frames, "sofa")[0].masks["wood wall"].equal(frames[0].masks["wood wall"])
     relevancy = torch.zeros(3, 3, 20, 30)
     relevancy[:, :, 0:4] = relevancy[:, :, 10:15] = 1
-    apart, together = (threed_ovs.score_frame(frame, relevancy)[1].iou for frame in (frames[0], first))
+    apart, together = (
+        threed_ovs.PROTOCOL.score_frame(frame, relevancy)[1].iou for frame in (frames[0], first)
+    )
     assert together > 0.8 > 0.6 > apart
 
 
@@ -84,38 +86,40 @@ def frame_of(mask: torch.Tensor) -> LabelledFrame:
 
 def test_the_fine_level_has_no_say() -> None:
     maps = torch.stack([square(0, 6) * 5, square(7, 14) * 0.5, square(14, 20) * 0.4])
-    (pair,) = threed_ovs.score_frame(frame_of(square(7, 14)), maps[:, None])
+    (pair,) = threed_ovs.PROTOCOL.score_frame(frame_of(square(7, 14)), maps[:, None])
     assert pair.level == 1
     assert pair.iou > 0.7
     with pytest.raises(InputError, match="there is no 'm'"):
-        threed_ovs.score_frame(frame_of(square(0, 6)), maps[:, None], levels=("s", "x", "l"))
+        threed_ovs.PROTOCOL.score_frame(frame_of(square(0, 6)), maps[:, None], levels=("s", "x", "l"))
     with pytest.raises(InputError, match="3 levels, but 2"):
-        threed_ovs.score_frame(frame_of(square(0, 6)), maps[:, None], levels=("m", "l"))
+        threed_ovs.PROTOCOL.score_frame(frame_of(square(0, 6)), maps[:, None], levels=("m", "l"))
 
 
 def test_the_level_with_the_highest_mean_inside_its_mask_answers_not_the_highest_peak() -> None:
     spread = square(7, 14) * 0.4
     spread[10, 14] = 0.6  # the highest peak, in a mask of low mean
     even = square(0, 6) * 0.5
-    (pair,) = threed_ovs.score_frame(frame_of(square(0, 6)), torch.stack([even, spread, even])[:, None])
+    (pair,) = threed_ovs.PROTOCOL.score_frame(
+        frame_of(square(0, 6)), torch.stack([even, spread, even])[:, None]
+    )
     assert pair.level == 2
 
 
 def test_empty_masks() -> None:
     nothing = torch.zeros(20, 30)
     flat = torch.full((3, 1, 20, 30), 0.5)
-    (pair,) = threed_ovs.score_frame(frame_of(square(0, 6)), flat)
+    (pair,) = threed_ovs.PROTOCOL.score_frame(frame_of(square(0, 6)), flat)
     assert (pair.iou, pair.level) == (0.0, 1)  # nothing predicted, something there
-    (pair,) = threed_ovs.score_frame(frame_of(nothing), flat)
+    (pair,) = threed_ovs.PROTOCOL.score_frame(frame_of(nothing), flat)
     assert pair.iou == 1.0  # nothing predicted, nothing there
-    (pair,) = threed_ovs.score_frame(frame_of(nothing), torch.stack([square(0, 6)] * 3)[:, None])
+    (pair,) = threed_ovs.PROTOCOL.score_frame(frame_of(nothing), torch.stack([square(0, 6)] * 3)[:, None])
     assert pair.iou == 0.0
 
 
 def test_scene_score_is_the_mean_over_frames_and_classes(tmp_path: Path) -> None:
     frames = threed_ovs.read_segmentations(write_scene(tmp_path))
     maps = [torch.rand(3, 3, 20, 30, generator=torch.Generator().manual_seed(seed)) for seed in (0, 1)]
-    scene = threed_ovs.score_scene("sofa", zip(frames, maps, strict=True))
+    scene = threed_ovs.PROTOCOL.score("sofa", zip(frames, maps, strict=True))
     assert len(scene.pairs) == 6
     assert scene.miou == pytest.approx(sum(pair.iou for pair in scene.pairs) / 6)
     assert overall([scene]) == (scene.miou, None)
@@ -125,7 +129,7 @@ def test_scene_score_is_the_mean_over_frames_and_classes(tmp_path: Path) -> None
 
 def test_no_preset_of_langsplat() -> None:
     with pytest.raises(UnknownNameError, match="langsplat"):
-        threed_ovs.preset("langsplat")
+        threed_ovs.PROTOCOL.preset("langsplat")
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from literal_rules import crop_of, exact_crop_of
 from mask_samples import mask_stacks, random_masks, smooth_image
 from scoup.extract.crops import mask_crops
+from scoup.extract.interfaces import RegionEmbedder
 from scoup.extract.masks import Masks
 from scoup.extract.plain_colors import PlainColors
 from scoup.extract.registry import open_embedder
@@ -42,6 +43,7 @@ def test_crops_are_those_of_the_recipe(dense: np.ndarray, side: int, cut_last: b
 def test_embeddings_are_those_of_the_literal_recipe(build, tmp_path: Path) -> None:
     """Within 1e-3 cosine of LangSplat's recipe: literal crops, then the model."""
     embedder = open_embedder(str(saved(build(), tmp_path)))
+    assert not isinstance(embedder, RegionEmbedder)
     image = smooth_image(60, 80)
     dense = random_masks(20, 60, 80, 1)
     dense = dense[dense.any((1, 2))]

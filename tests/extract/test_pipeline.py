@@ -298,7 +298,7 @@ class Hangs(Blocks):
             sys.stdin.read()  # until it is killed
         return super().segment(image)
 
-kind = Hangs if of_environment().rank else Blocks
+kind = Hangs if Share.of_environment().number else Blocks
 extract(find_photographs({scene!r}), Path({out!r}), kind(), PlainColors(), share=Share.of_environment())
 """
 

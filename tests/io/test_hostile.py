@@ -8,16 +8,18 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from benchmarks.hostile import __main__ as program
+from benchmarks.hostile import study as hostile_study
 from benchmarks.hostile.containers import joined
 from benchmarks.hostile.mutation import damaged
 from benchmarks.hostile.readers import READERS
 from benchmarks.hostile.run import FAILURES, Limits, Trial, try_reader
 from benchmarks.hostile.samples import write_samples
+from benchmarks.hostile.study import Hostile
 from benchmarks.hostile.worker import Job, damaged_file
+from benchmarks.study import run
 
 from planted_readers import FILE, VALID, write_planted
-from scoup.base.errors import InputError
+from scoup.base.errors import InputError, UnknownNameError
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="limits and peaks are those of Linux"
@@ -137,14 +139,23 @@ def test_damage_changes_and_is_bounded() -> None:
     assert any(b"nan" in item.lower() for item in found)
 
 
-def test_the_program_prints_and_records(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "hostile.json"
-    record = program.main(program.Arguments(5, readers=("splat", "cfg_args"), out=out))
-    assert json.loads(out.read_text()) == record
+def test_the_study_counts_by_reader(capsys: pytest.CaptureFixture[str]) -> None:
+    study = Hostile(per_reader=5, readers=("splat", "cfg_args"))
+    record = run(study, "hostile")
     assert [row["reader"] for row in record["readers"]] == ["splat", "cfg_args"]
     assert all(row["files"] == row["accepted"] + row["refused"] == 5 for row in record["readers"])
     assert record["failures"] == []
+    assert not study.failed(record)
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
     assert len(lines) == 4
-    with pytest.raises(InputError, match="no readers named spam"):
-        program.main(program.Arguments(5, readers=("spam",)))
+    with pytest.raises(UnknownNameError, match="spam"):
+        run(Hostile(per_reader=5, readers=("spam",)), "hostile")
+
+
+def test_the_study_keeps_what_failed(planted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = planted_trial("crash", planted, 2)
+    monkeypatch.setattr(hostile_study, "try_reader", lambda *_, **__: found)
+    study = Hostile(per_reader=2, readers=("splat",))
+    record = run(study, "hostile")
+    assert [(each["reader"], each["outcome"]) for each in record["failures"]] == [("splat", "crash")] * 2
+    assert study.failed(record)

@@ -7,9 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from benchmarks.hostile.guided import Arguments, main
-
-from scoup.base.errors import OutputExistsError
+from benchmarks.hostile.study import Guided
+from benchmarks.study import run
 
 pytest.importorskip("atheris", reason="needs atheris")
 
@@ -20,24 +19,19 @@ def path_of_children(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_reader_stands_them_and_more_code_is_reached(tmp_path: Path) -> None:
-    record = main(Arguments(runs=400, readers=("words.json",), corpus=tmp_path / "corpus"))
+    record = run(Guided(runs=400, readers=("words.json",), corpus=tmp_path / "corpus"), "guided")
     (found,) = record["readers"]
     assert record["failures"] == 0, found["said"]
     assert found["runs"] == 400
     assert found["reached"] > found["reached_at_first"] > 0
-    assert list((tmp_path / "corpus" / "list_of_scenes").iterdir())
+    assert list((tmp_path / "corpus" / "words_json").iterdir())
 
 
 @pytest.mark.parametrize("reader", ["ValueError", "nameless"])
 def test_a_reader_that_misbehaves_is_found(reader: str, tmp_path: Path) -> None:
     table = "planted_readers:PLANTED"
-    record = main(Arguments(runs=400, readers=(reader,), table=table, failures=tmp_path / "failures"))
+    record = run(
+        Guided(runs=400, readers=(reader,), reader_table=table, failures=tmp_path / "failures"), "guided"
+    )
     assert record["failures"] == 1
     assert list((tmp_path / "failures" / reader).glob("crash-*"))
-
-
-def test_a_record_is_not_replaced(tmp_path: Path) -> None:
-    out = tmp_path / "a.json"
-    out.touch()
-    with pytest.raises(OutputExistsError, match="already exists"):
-        main(Arguments(readers=(), out=out))

@@ -15,7 +15,8 @@ from torch import Tensor
 from mask_samples import smooth_image
 from scoup.base.errors import MissingFileError, ScoupError
 from scoup.models.mobile_sam import _empty_model
-from scoup.models.sam import open_sam
+from scoup.models.sam import SamImage, open_sam
+from scoup.models.sam_decoder import SharedDecoder
 from tiny_models import lively
 
 POINTS = torch.tensor([[5.5, 5.0], [60.0, 20.25]], dtype=torch.float64)
@@ -116,7 +117,9 @@ def test_the_decoder_for_many_points_gives_the_numbers_of_transformers(
     torch.save(weights, path)
     opened = open_sam(str(path))
     encoded = opened.encode(smooth_image(48, 100))
-    decoder = encoded.decode.__self__
+    assert isinstance(encoded, SamImage)
+    decoder = getattr(encoded.decode, "__self__")  # noqa: B009 - functions have no such attribute
+    assert isinstance(decoder, SharedDecoder)
     prompts = POINTS * 4
     shared, plain = decoder.predict(prompts), opened.predict(decoder.embedding, prompts)
     rows = 4 * (-(-48 * 1024 // 100 // 16))

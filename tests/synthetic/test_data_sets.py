@@ -15,8 +15,8 @@ from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
 from scoup.io import load_cameras, load_gaussians, load_regions, read_points
 from scoup.models.word_table import load_table
 from scoup_lab.data.labels import read_labels
-from scoup_lab.evaluate.data_sets import Places, find_data_set, find_scenes, open_scene
-from scoup_lab.evaluate.protocols import threed_ovs
+from scoup_lab.evaluate.protocols import PIXELS, threed_ovs
+from scoup_lab.evaluate.scenes import Places
 from scoup_lab.synthetic import TABLE, make_demo_scene
 from scoup_lab.synthetic.data_sets import DataSetSize, write_data_set
 from synthetic.small_scenes import one_light
@@ -25,9 +25,9 @@ from synthetic.small_scenes import one_light
 @pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360", "ref-lerf"])
 def test_synthetic_data_sets_are_complete(synthetic_data_sets: Path, name: str) -> None:
     root = synthetic_data_sets / name
-    data_set = find_data_set(name)
-    assert find_scenes(data_set, root) == ["shelves", "table"]
-    scene = open_scene(data_set, root, "table")
+    protocol = PIXELS[name]
+    assert protocol.find(root) == ["shelves", "table"]
+    scene = protocol.open(root, "table")
     assert len(load_gaussians(scene.splat)) == 4000
     assert len(scene.cameras) == 6
     regions = load_regions(scene.features, scene.cameras)
@@ -82,7 +82,7 @@ def test_a_scene_for_each_seed(tmp_path: Path) -> None:
     with one_light():
         names = write_data_set("lerf-ovs", tmp_path, size=size, seeds=(4, 5))
     assert names == ("table_4", "table_5")
-    assert find_scenes(find_data_set("lerf-ovs"), tmp_path) == list(names)
+    assert PIXELS["lerf-ovs"].find(tmp_path) == list(names)
     first, second = (load_gaussians(tmp_path / name / "point_cloud.ply") for name in names)
     assert first.fingerprint() != second.fingerprint()
 
@@ -93,7 +93,7 @@ def test_the_script_writes_a_scene_of_each_layout(tmp_path: Path, capsys: pytest
     with one_light():
         scenes_script.main(scenes_script.Arguments("lerf-ovs", tmp_path, ("yard", "hall"), **size))
     assert "yard, hall" in capsys.readouterr().out
-    assert find_scenes(find_data_set("lerf-ovs"), tmp_path) == ["hall", "yard"]
+    assert PIXELS["lerf-ovs"].find(tmp_path) == ["hall", "yard"]
 
 
 def test_refusals(tmp_path: Path) -> None:
@@ -114,16 +114,16 @@ def test_refusals(tmp_path: Path) -> None:
 
 
 def test_parts_of_a_scene_may_lie_elsewhere(synthetic_data_sets: Path, tmp_path: Path) -> None:
-    data_set, root = find_data_set("lerf-ovs"), synthetic_data_sets / "lerf-ovs"
+    protocol, root = PIXELS["lerf-ovs"], synthetic_data_sets / "lerf-ovs"
     places = Places(str(root / "{scene}" / "point_cloud.ply"), str(root / "{scene}" / "language_features"))
-    assert open_scene(data_set, root, "table", places).splat == root / "table" / "point_cloud.ply"
+    assert protocol.open(root, "table", places).splat == root / "table" / "point_cloud.ply"
     with pytest.raises(InputError, match="--gaussians"):
-        open_scene(data_set, root, "table", Places(gaussians=str(tmp_path / "{scene}.ply")))
+        protocol.open(root, "table", Places(gaussians=str(tmp_path / "{scene}.ply")))
     with pytest.raises(InputError, match="--features"):
-        open_scene(data_set, root, "table", Places(features="absent"))
+        protocol.open(root, "table", Places(features="absent"))
     with pytest.raises(UnknownNameError, match="labelled scene"):
-        find_scenes(data_set, root, ["tabel"])
+        protocol.find(root, ["tabel"])
     with pytest.raises(InputError, match="holds no labelled scene"):
-        find_scenes(data_set, tmp_path)
+        protocol.find(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
-        find_scenes(data_set, tmp_path / "absent")
+        protocol.find(tmp_path / "absent")

@@ -7,19 +7,15 @@ import pytest
 import torch
 from scipy.sparse import csr_array
 
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base.errors import UnknownNameError
 from scoup.uplift.rasterise import region_sums
-from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.faults import (
     LevelSums,
     as_region_sums,
     diffuse_noise,
-    gaussians_by_name,
     level_sums,
     missing_masks,
     perturbed,
-    rare_objects,
-    regions_by_name,
     wrong_embeddings,
 )
 from support import small_scene, unit
@@ -110,49 +106,12 @@ def test_missing_masks_lose_their_column() -> None:
     assert np.array_equal(found.views, level.views[kept])
 
 
-def test_rare_objects_keep_three_views() -> None:
-    level = random_level()
-    shown = {"cup": np.arange(400) < 100, "pot": np.arange(400) >= 380, "lamp": np.zeros(400, bool)}
-    found = rare_objects(level, shown, ["cup", "lamp"], draws())
-    kept = (found.embeddings @ level.embeddings.T).argmax(1).numpy()
-    assert len(np.unique(level.views[kept[kept < 100]])) == 3
-    assert np.array_equal(kept[kept >= 100], np.arange(100, 400))
-    for view in np.unique(level.views[kept[kept < 100]]):  # all its regions there
-        assert set(np.flatnonzero(shown["cup"] & (level.views == view))) <= set(kept)
-
-
-def test_names_of_regions_follow_the_gaussians() -> None:
-    matrix = csr_array(np.array([[1, 0, 2], [1, 1, 0], [0, 3, 0], [9, 9, 9]], np.float32))
-    level = LevelSums(matrix, torch.eye(3), np.arange(3))
-    shares = {
-        "cup": np.array([1.0, 0.0, 0.0, np.nan], np.float32),
-        "pot": np.array([0, 1, 1, np.nan], np.float32),
-    }
-    shown = regions_by_name(level, shares)
-    assert shown["cup"].tolist() == [False, False, True]  # half is not most
-    assert shown["pot"].tolist() == [False, True, False]
-
-
-def test_gaussians_are_named_by_where_they_are_seen() -> None:
-    gaussians, cameras, _ = small_scene(60)
-    camera = cameras[0]
-    left = (torch.arange(camera.width) < camera.width // 2).expand(camera.height, -1)
-    frame = LabelledFrame("view_00", camera.width, camera.height, {"left": left, "right": ~left}, {})
-    shares = gaussians_by_name(gaussians, [(frame, camera)])
-    assert list(shares) == ["left", "right"]
-    known = np.isfinite(shares["left"])
-    assert 0 < known.sum() < 60  # some are not in sight
-    assert np.allclose(shares["left"][known] + shares["right"][known], 1)
-    assert np.array_equal(known, np.isfinite(shares["right"]))
-
-
 def test_cases_repeat_and_combine() -> None:
     levels = [random_level(), random_level(300)]
-    shares = {"cup": np.eye(30, dtype=np.float32)[0], "pot": np.ones(30, np.float32)}
-    for case in ("clean", "wrong20", "noise60", "missing40", "rare", "wrong20+noise60+missing40"):
-        first, second = (perturbed(levels, case, 3, shares) for _ in range(2))
+    for case in ("clean", "wrong20", "noise60", "missing40", "wrong20+noise60+missing40"):
+        first, second = (perturbed(levels, case, 3) for _ in range(2))
         assert all(same(a, b) for a, b in zip(first, second, strict=True)), case
-        other = perturbed(levels, case, 4, shares)
+        other = perturbed(levels, case, 4)
         assert (case == "clean") == all(same(a, b) for a, b in zip(first, other, strict=True)), case
     assert all(same(a, b) for a, b in zip(perturbed(levels, "clean"), levels, strict=True))
     # The same regions are wrong with noise and without.
@@ -166,8 +125,3 @@ def test_cases_repeat_and_combine() -> None:
 def test_cases_that_are_none(case: str) -> None:
     with pytest.raises(UnknownNameError):
         perturbed([random_level()], case)
-
-
-def test_rare_needs_to_know_names() -> None:
-    with pytest.raises(InputError, match="Gaussians"):
-        perturbed([random_level()], "rare")

@@ -59,16 +59,6 @@ def test_gaussians_lie_flat_on_their_surfaces():
     assert (up.abs() > 0.999).float().mean() > 0.8
 
 
-def test_orders_hold_the_same_gaussians():
-    random, morton = random_scene_gaussians(800), random_scene_gaussians(800, order="morton")
-    assert torch.equal(random.means.sum(1).sort().values, morton.means.sum(1).sort().values)
-
-    def steps(means: torch.Tensor) -> float:
-        return float((means[1:] - means[:-1]).norm(dim=1).mean())
-
-    assert steps(morton.means) < 0.4 * steps(random.means)
-
-
 def test_every_camera_is_inside_and_sees_the_scene():
     gaussians = random_scene_gaussians(2000)
     for camera in random_scene_cameras(9, 64, 48):

@@ -49,8 +49,8 @@ class Extract(WritesCommon):
     or hub id of such a model; onnx:FOLDER with an encoder and a decoder; or felzenszwalb: regions of even colour from
     scikit-image, no model and no objects. Default: sam-vit-h on a GPU, as LangSplat; mobile-sam without one."""
     embedder: str = CLIP_MODEL
-    """A CLIP or SigLIP model by folder or hub id, open_clip:ARCHITECTURE/PRETRAINED; or colors: no model, and no
-    queries in words."""
+    """A CLIP or SigLIP model by folder or hub id, with dense: before it for one pass over the photograph instead of
+    one for each region; open_clip:ARCHITECTURE/PRETRAINED; or colors: no model, and no queries in words."""
     segmenter_revision: OptionalText = None
     """Branch, tag or commit of the segmenter. The commit found is recorded, and kept when work is resumed."""
     embedder_revision: OptionalText = None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -34,14 +35,13 @@ class Segmenter(Protocol):
         ...
 
 
-class Embedder(Protocol):
-    """Turns crops into unit vectors.
+class Embeds(Protocol):
+    """What all embedders have in common.
 
     Attributes:
         name: id of the model, as ``TextEncoder.open`` takes it.
         dim: D.
-        side: of the crops it takes, in pixels.
-        device: where it wants its crops.
+        device: where it wants its images.
     """
 
     @property
@@ -49,14 +49,35 @@ class Embedder(Protocol):
     @property
     def dim(self) -> int: ...
     @property
-    def side(self) -> int: ...
-    @property
     def device(self) -> torch.device | str: ...
 
     def record(self) -> dict[str, Any]:
         """What decides the result, as plain values for the manifest."""
         ...
 
+
+class CropEmbedder(Embeds, Protocol):
+    """Turns crops into unit vectors.
+
+    Attributes:
+        side: of the crops it takes, in pixels.
+    """
+
+    @property
+    def side(self) -> int: ...
+
     def embed(self, crops: Tensor) -> Tensor:
         """[B, D] float32 unit vectors of crops [B, side, side, 3] uint8."""
         ...
+
+
+@runtime_checkable
+class RegionEmbedder(Embeds, Protocol):
+    """Looks at a photograph once, and turns all of its regions into unit vectors."""
+
+    def embed_regions(self, image: Tensor, masks: Mapping[str, Masks]) -> dict[str, Tensor]:
+        """Level -> [N, D] float32 unit vectors of masks over an image [H, W, 3] uint8."""
+        ...
+
+
+Embedder = CropEmbedder | RegionEmbedder

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from scoup.base.counts import counted, none_of
 from scoup.base.errors import ScoupError, ScoupWarning
 from scoup.base.progress import Progress, no_progress
 from scoup.base.shares import Share
 from scoup.extract.crops import mask_crops
-from scoup.extract.interfaces import Embedder, Segmenter
+from scoup.extract.interfaces import CropEmbedder, Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint
 from scoup.extract.photographs import Photograph, Pixels, digest_of, read_ahead
 from scoup.io.regions.manifest import Layout, RegionManifest
@@ -136,9 +137,8 @@ def describe_masks(
         name: of the photograph.
         masks: level -> masks, in painting order.
     """
-    pixels = torch.from_numpy(photograph.image).to(embedder.device)
     labels: dict[str, NDArray[np.int32]] = {}
-    embeddings: dict[str, NDArray[np.floating]] = {}
+    seen: dict[str, Masks] = {}
     for level, found in masks.items():
         painted = paint(found)
         if segmenter.drop_hidden:
@@ -147,12 +147,23 @@ def describe_masks(
             found = found.select(visible[1:])
             painted = paint(found)
         labels[level] = photograph.as_stored(painted)
-        rows = [
-            embedder.embed(crops).cpu()
-            for crops in mask_crops(pixels, found, embedder.side, segmenter.cut_last)
-        ]
-        embeddings[level] = (torch.cat(rows) if rows else torch.zeros(0, embedder.dim)).numpy()
-    return ViewRegions(name, labels, embeddings, photograph.digest)
+        seen[level] = found
+    pixels = torch.from_numpy(photograph.image).to(embedder.device)
+    if isinstance(embedder, RegionEmbedder):
+        vectors = embedder.embed_regions(pixels, seen)
+    else:
+        vectors = {
+            level: _of_crops(mask_crops(pixels, found, embedder.side, segmenter.cut_last), embedder)
+            for level, found in seen.items()
+        }
+    return ViewRegions(
+        name, labels, {level: rows.numpy() for level, rows in vectors.items()}, photograph.digest
+    )
+
+
+def _of_crops(crops: Iterator[Tensor], embedder: CropEmbedder) -> Tensor:
+    rows = [embedder.embed(some).cpu() for some in crops]
+    return torch.cat(rows) if rows else torch.zeros(0, embedder.dim)
 
 
 def _is_made(store: RegionStore, item: Photograph) -> bool:

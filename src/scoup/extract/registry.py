@@ -54,14 +54,20 @@ def open_embedder(name: str, revision: str | None = None, device: torch.device |
 
     Args:
         name: "colors" (no model), a folder or hub id of a CLIP or SigLIP model that transformers knows, or
-            "open_clip:ARCHITECTURE/PRETRAINED".
+            "open_clip:ARCHITECTURE/PRETRAINED"; or "dense:" and the folder or hub id, for one pass over each
+            photograph.
         revision: branch, tag or commit of a hub model.
 
     Raises:
         ScoupError: the package or the weights that it needs are missing.
     """
+    from scoup.extract.dense import DenseEmbedder
+    from scoup.models import dense
+
     if name == plain_colors.NAME:
         return plain_colors.PlainColors(device)
+    if name.startswith(dense.PREFIX):
+        return DenseEmbedder(dense.open_dense_model(name, revision, device))
     from scoup.models.image import open_image_model
 
     return open_image_model(name, revision, device)
@@ -89,7 +95,7 @@ def open_pair(
     begun = manifest.settings if manifest is not None else {}
 
     def revision_of(role: str, name: str, given: str | None) -> str | None:
-        same = begun.get(role) in (name, _full_name(name))
+        same = begun.get(role) in (name, name.removeprefix("dense:"), _full_name(name))
         return given or (begun.get(f"{role}_revision") or None if same else None)
 
     first = revision_of("segmenter", segmenter, revisions[0])

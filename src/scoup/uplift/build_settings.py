@@ -72,7 +72,7 @@ BUILD_PRESETS: dict[str, BuildSettings] = {
     "default": BuildSettings(),
     "paper": BuildSettings(n_atoms=64, k=4, rounds=1, solver="adam", things=False),
 }
-"""What answers best at little cost (docs/benchmarks.md, "Codes and votes"), and the paper's method as published."""
+"""What answers best at little cost (docs/answers.md), and the paper's method as published."""
 
 
 def build_settings(settings: BuildSettings | str = "default", **changes: Any) -> BuildSettings:

@@ -1,8 +1,7 @@
 """Whether a splat and cameras fit: how much the cameras see of it, and whether that is what is on their photographs.
 
 Some views are rendered small. A render is compared with its own photograph and with those of the other views
-(``scoup.uplift.similarity``). ``benchmarks/fit.py`` measures how often the verdict is right; docs/benchmarks.md has the
-figures.
+(``scoup.uplift.similarity``).
 """
 
 from __future__ import annotations

@@ -22,7 +22,6 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.base.progress import Progress, no_progress
 from scoup.raster.view_sums import ViewSums, merge
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
@@ -114,7 +113,15 @@ class PairRule(ABC):
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
         """See ``PixelRule``."""
-        return gathered_sums(gaussians, cameras, regions, self, raster_preset)
+        sums = RegionSums.of(gaussians, regions.levels, raster_preset)
+        for camera in cameras_with_regions(cameras, regions):
+            labels = regions.load_labels(camera.name, camera.width, camera.height)
+            projection = raster.project(gaussians, camera, raster_preset)
+            centres = centre_pixels(gaussians, camera)
+            kept = PixelWeights.joined([self(pairs, centres) for pairs in pixel_weights(projection)])
+            sums.append(camera.name, _view_sums(self.of_view(kept), labels), camera)
+        sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
+        return sums
 
 
 @dataclass(frozen=True)
@@ -201,30 +208,6 @@ class TopContributors(PairRule):
         chosen = np.zeros(len(order), bool)
         chosen[order] = rank < self.count
         return pairs.kept(chosen)
-
-
-def gathered_sums(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    regions: Regions,
-    rule: PairRule,
-    raster_preset: str = "inria",
-    backend: str | None = None,
-    progress: Progress = no_progress,
-) -> RegionSums:
-    """Region sums of all views that count only the pairs a rule keeps; other arguments as of ``region_sums``."""
-    chosen = cameras_with_regions(cameras, regions)
-    sums = RegionSums.of(gaussians, regions.levels, raster_preset)
-    progress("gather", 0, len(chosen))
-    for camera in chosen:
-        labels = regions.load_labels(camera.name, camera.width, camera.height)
-        projection = raster.project(gaussians, camera, raster_preset, backend)
-        centres = centre_pixels(gaussians, camera)
-        kept = PixelWeights.joined([rule(pairs, centres) for pairs in pixel_weights(projection)])
-        sums.append(camera.name, _view_sums(rule.of_view(kept), labels), camera)
-        progress("gather", len(sums), len(chosen))
-    sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
-    return sums
 
 
 def every_nth_pixel(regions: Regions, stride: int) -> Regions:

@@ -97,9 +97,5 @@ def learn_joint_codes(inputs: UpliftInputs, settings: MethodSettings) -> JointCo
 
 def joint_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedField:
     """``learn_joint_codes``, as a field."""
-    return joint_field(inputs, learn_joint_codes(inputs, settings))
-
-
-def joint_field(inputs: UpliftInputs, found: JointCodes) -> FittedField:
-    """Codes that were learned from these inputs, as a field."""
+    found = learn_joint_codes(inputs, settings)
     return fitted_field(inputs.sums, found.indices, found.weights, found.codebook)

@@ -41,12 +41,6 @@ class ViewWeights:
     weights: csr_array
     labels: Tensor
 
-    @property
-    def bytes(self) -> int:
-        """Of the matrix."""
-        matrix = self.weights
-        return matrix.data.nbytes + matrix.indices.nbytes + matrix.indptr.nbytes
-
 
 def weights_of_views(scene: RasterisedScene, width: int) -> list[ViewWeights]:
     """The blending weights of all views with regions, in the order of the cameras.

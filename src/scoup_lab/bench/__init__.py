@@ -5,13 +5,11 @@
 
 from scoup_lab.bench.environment import describe_environment as describe_environment
 from scoup_lab.bench.measure import DeviceClock as DeviceClock
-from scoup_lab.bench.measure import Slope as Slope
 from scoup_lab.bench.measure import StageClock as StageClock
 from scoup_lab.bench.measure import Stopwatch as Stopwatch
 from scoup_lab.bench.measure import Task as Task
 from scoup_lab.bench.measure import Timing as Timing
 from scoup_lab.bench.measure import Watch as Watch
-from scoup_lab.bench.measure import fit_slope as fit_slope
 from scoup_lab.bench.measure import time_tasks as time_tasks
 from scoup_lab.bench.measure import torch_threads as torch_threads
 from scoup_lab.bench.report import Row as Row

@@ -1,10 +1,10 @@
-"""Times one can compare: interleaved runs, medians, threads set for each; how time grows with size."""
+"""Times one can compare: interleaved runs, medians, threads set for each."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from statistics import median
@@ -12,7 +12,6 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
-from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 
 Key = TypeVar("Key", bound=Hashable)
@@ -213,51 +212,6 @@ class Stopwatch:
         result = run(*arguments, **named)
         self.seconds.setdefault(name, []).append(self._clock() - started)
         return result
-
-
-@dataclass(frozen=True)
-class Slope:
-    """time = constant * size ** slope, fitted by least squares of the logarithms.
-
-    Attributes:
-        slope: 1 where time is proportional to size.
-        spread: standard error of the slope, NaN where two sizes leave none to estimate.
-        constant: in seconds.
-    """
-
-    slope: float
-    spread: float
-    constant: float
-
-    def record(self) -> dict[str, float | None]:
-        """For JSON, which has no NaN."""
-        return {
-            "slope": self.slope,
-            "standard_error": None if math.isnan(self.spread) else self.spread,
-            "constant_s": self.constant,
-        }
-
-
-def fit_slope(sizes: Sequence[float], seconds: Sequence[float]) -> Slope:
-    """Least-squares line through (log size, log seconds).
-
-    Raises:
-        InputError: fewer than two different sizes, or a number that is not positive.
-    """
-    if len(sizes) != len(seconds) or len(set(sizes)) < 2:
-        raise InputError(f"a slope needs two or more different sizes with a time each, got {list(sizes)}")
-    if min(sizes) <= 0 or min(seconds) <= 0:
-        raise InputError("a slope needs positive sizes and times")
-    x, y = [math.log(size) for size in sizes], [math.log(value) for value in seconds]
-    mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
-    squares = sum((a - mean_x) ** 2 for a in x)
-    slope = sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True)) / squares
-    offset = mean_y - slope * mean_x
-    spread = math.nan
-    if len(x) > 2:
-        left = sum((b - offset - slope * a) ** 2 for a, b in zip(x, y, strict=True))
-        spread = math.sqrt(left / (len(x) - 2) / squares)
-    return Slope(slope, spread, math.exp(offset))
 
 
 class StageClock:

@@ -26,7 +26,6 @@ from scoup_lab.synthetic.random_scene import (
     HEIGHT,
     REGIONS,
     WIDTH,
-    Order,
     clip_like,
     random_scene_cameras,
     random_scene_codes,
@@ -121,8 +120,6 @@ def random_workload(
     width: int = WIDTH,
     height: int = HEIGHT,
     regions: Sequence[int] = REGIONS,
-    order: Order = "random",
-    gaussians: Gaussians | None = None,
 ) -> Workload:
     """The first view of the random scene of ``scoup_lab.synthetic.random_scene``.
 
@@ -130,17 +127,13 @@ def random_workload(
         n_gaussians: N.
         width, height: of the view, in pixels.
         regions: how many there are at each level.
-        order: of the Gaussians.
-        gaussians: the scene of that size and order, if it is made already.
     """
-    gaussians = random_scene_gaussians(n_gaussians, order=order) if gaussians is None else gaussians
     labels = voronoi_labels(regions, width, height)
-    return make_workload("room", gaussians, random_scene_cameras(1, width, height)[0], labels)
+    (camera,) = random_scene_cameras(1, width, height)
+    return make_workload("room", random_scene_gaussians(n_gaussians), camera, labels)
 
 
-def stage_runs(
-    work: Workload, backend: str, names: Iterable[str] = tuple(STAGES), prepared: bool = False
-) -> dict[str, Run]:
+def stage_runs(work: Workload, backend: str, names: Iterable[str] = tuple(STAGES)) -> dict[str, Run]:
     """The stages as callables without arguments; each gives what its function gives.
 
     The projection that the later stages share is made here, so that its cost is in ``project`` alone.
@@ -149,24 +142,16 @@ def stage_runs(
         work: what to work on.
         backend: of the rasteriser.
         names: stages, in the order wanted.
-        prepared: on the scene prepared for many views, as in a build; codes and values are reordered with it.
 
     Raises:
         InputError: there is no such stage.
     """
     names = tuple(names)
-    scene = work.gaussians
-    if prepared:
-        scene = raster.prepare_gaussians(work.gaussians, backend)
-        if (order := scene.order) is not None:
-            moved = {name: getattr(work, name)[order] for name in ("indices", "weights", "values")}
-            work = replace(work, **moved)
-    projection = raster.project(scene, work.camera, backend=backend)
+    projection = raster.project(work.gaussians, work.camera, backend=backend)
     ones = torch.ones(len(work.gaussians), 1, device=work.gaussians.device)
-    moved_by = scene.order if isinstance(scene, raster.PreparedGaussians) else None
-    sums = region_sums_of_a_view(work, projection, moved_by) if "vote" in names else None
+    sums = region_sums_of_a_view(work, projection) if "vote" in names else None
     runs: dict[str, Run] = {
-        "project": lambda: raster.project(scene, work.camera, backend=backend),
+        "project": lambda: raster.project(work.gaussians, work.camera, backend=backend),
         "alpha": lambda: raster.render_channels(projection, ones),
         "sums": lambda: raster.region_sums(projection, work.labels),
         "colors": lambda: raster.render_channels(projection, work.values),
@@ -182,13 +167,11 @@ def stage_runs(
     return {name: runs[name] for name in names}
 
 
-def region_sums_of_a_view(
-    work: Workload, projection: raster.Projection, order: Tensor | None = None
-) -> RegionSums:
+def region_sums_of_a_view(work: Workload, projection: raster.Projection) -> RegionSums:
     """The sums of one view, ready for the vote."""
     levels = [str(level) for level in range(len(work.labels))]
     sums = RegionSums("", morton_order(work.gaussians.means), levels)
-    sums.append("view", raster.region_sums(projection, work.labels), order=order)
+    sums.append("view", raster.region_sums(projection, work.labels))
     sums.rows = [{"view": slice(0, len(codes))} for codes in work.codes]
     return sums
 

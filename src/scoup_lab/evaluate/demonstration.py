@@ -26,8 +26,9 @@ from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.baselines.sparse import learn_codes
 from scoup_lab.bench.measuring import timed
-from scoup_lab.evaluate.data_sets import DATA_SETS, LabelledScene
 from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
+from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
+from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.scores import PairScore, SceneScore
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 from scoup_lab.synthetic.art.layout import Layout
@@ -176,7 +177,7 @@ def _fitted(scene: RasterisedScene, field: LanguageField, settings: BuildSetting
 def _labelled(scene: DemoScene, folder: Path) -> LabelledScene:
     """The held-out views with their labels."""
     frames = [(scene.labelled_frame(camera.name, LABELLED_LEVELS), camera) for camera in scene.held_out]
-    return LabelledScene(DATA_SETS["lerf-ovs"], "", folder, folder, folder, scene.held_out, frames)
+    return LabelledScene("", folder, folder, folder, scene.held_out, PROTOCOL, frames)
 
 
 def texts_of(scene: DemoScene, labels: Sequence[str]) -> TextVectors:

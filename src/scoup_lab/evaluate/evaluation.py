@@ -1,147 +1,126 @@
-"""Evaluation of a data set by its own protocol: fields, scores and failure sheets scene by scene, then reports."""
+"""Evaluation of a data set by its protocol: the field of each scene is built, scored, and reported on."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from torch import Tensor
-
+from scoup.base.errors import InputError
+from scoup.base.locks import complete, locked_output
 from scoup.base.progress import Progress, no_progress
-from scoup.io import check_output, save_png
+from scoup.field.language_field import LanguageField
+from scoup.io import check_output, default_preset, load_gaussians, load_regions
+from scoup.scene.gaussians import Gaussians
+from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from scoup_lab.baselines.fitted import FittedField
-from scoup_lab.evaluate.data_sets import DataSet, LabelledScene, data_set_preset
-from scoup_lab.evaluate.failures import failure_sheet
-from scoup_lab.evaluate.label_vectors import encode_labels
-from scoup_lab.evaluate.predictions import PredictionCache, file_digest
-from scoup_lab.evaluate.report import Report, write_report
-from scoup_lab.evaluate.scores import PairScore, SceneScore
-from scoup_lab.evaluate.scoring import build_field, predict, score_maps, score_selection
+from scoup.uplift.checkpoint import checkpoint, continued, save_field
+from scoup_lab.evaluate.report import SUFFIXES, Report
+from scoup_lab.evaluate.scenes import SceneFiles
+
+Scene = TypeVar("Scene", bound=SceneFiles)
+Result = TypeVar("Result")
+Say = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class EvaluationSettings:
-    """How a data set is evaluated.
+def say_nothing(_: str) -> None:
+    """Drop a sentence."""
 
-    Attributes:
-        data_set: its protocol.
-        rules: whose constants turn relevancy into masks and points.
-        build: of the fields.
-        rebuild: build fields again that are there already.
-        selection: score by the 3D-selection protocol too.
-        sheets: draw the worst answers of each scene.
-        device: where tensors live.
-    """
 
-    data_set: DataSet
-    rules: str
-    build: BuildSettings
-    rebuild: bool = False
-    selection: bool = False
-    sheets: bool = True
-    device: str = "cpu"
+@dataclass(frozen=True, kw_only=True)
+class Evaluation(ABC, Generic[Scene, Result]):
+    """How a data set is evaluated."""
+
+    build: BuildSettings  # of the fields
+    rebuild: bool = False  # build fields again that are there already
+    device: str = "cpu"  # where tensors live
 
     @property
-    def stem(self) -> str:
-        """Of the names of the report's files."""
-        return f"{self.data_set.name}_{self.rules}"
+    @abstractmethod
+    def stems(self) -> Sequence[str]:
+        """Of the names of the reports' files."""
+
+    @abstractmethod
+    def scene(
+        self, scene: Scene, source: str, out: Path, progress: Progress = no_progress, say: Say = say_nothing
+    ) -> Result:
+        """Build what is missing of a scene, and score it.
+
+        Args:
+            scene: opened by the protocol.
+            source: table or model that turns texts into vectors.
+            out: folder of the fields and of what else is kept.
+            progress: called while building and predicting.
+            say: is given a sentence where an interrupted build is continued.
+        """
+
+    @abstractmethod
+    def reports(self, results: dict[str, Result], described: dict[str, Any]) -> list[Report]:
+        """Return the reports on scenes by name; ``described`` goes into the records: the data set, the machine."""
 
     def check_outputs(self, out: Path, overwrite: bool) -> None:
         """Refuse reports that are there already.
 
         Raises:
-            UnknownNameError: there are no such rules for the data set.
             OutputExistsError: a report is there and ``overwrite`` is false.
         """
-        data_set_preset(self.data_set, self.rules)
-        for suffix in (".md", ".json", ".tex"):
-            check_output(out / f"{self.stem}{suffix}", overwrite)
+        for stem in self.stems:
+            for suffix in SUFFIXES:
+                check_output(out / f"{stem}{suffix}", overwrite)
+
+    def field(
+        self,
+        scene: SceneFiles,
+        path: Path,
+        model: str,
+        progress: Progress = no_progress,
+        say: Say = say_nothing,
+    ) -> LanguageField:
+        """Return the field of a scene: read where it is built already, else built and saved.
+
+        Raises:
+            InputError: a field is there that was built with other settings, and is not to be built again.
+            OutputInUseError: another process is building it.
+        """
+        gaussians = load_gaussians(scene.splat).to(self.device)
+        # Which constants the rasteriser uses follows from the splat.
+        settings = replace(self.build, raster_preset=default_preset(scene.splat))
+        complete(path)
+        if path.is_file() and not self.rebuild:
+            return _stored(path, gaussians, settings)
+        regions = load_regions(scene.features, scene.cameras)
+        with locked_output(path, overwrite=True) as output:
+            if path.is_file() and not self.rebuild:  # another process has built it meanwhile
+                return _stored(path, gaussians, settings)
+            with checkpoint(path, gaussians, regions, settings.raster_preset) as sums:
+                if message := continued(sums, len(regions)):
+                    say(message)
+                field = build(
+                    gaussians,
+                    scene.cameras,
+                    regions,
+                    settings=settings,
+                    embedding_model=model,
+                    geometry_path=scene.splat,
+                    sums=sums,
+                    progress=progress,
+                )
+                save_field(output, field, sums, keep=False)
+        return _stored(path, gaussians, settings)  # what is scored is what is stored, half precision included
 
 
-@dataclass(frozen=True)
-class SceneEvaluation:
-    """Scores of one scene.
+def _stored(path: Path, gaussians: Gaussians, settings: BuildSettings) -> LanguageField:
+    """Return a field that is built already, on the device of its Gaussians.
 
-    Attributes:
-        score: by the 2D protocol.
-        selected: by the 3D-selection protocol; None if it was not wanted.
-        levels: names of the field's levels.
+    Raises:
+        InputError: it was built with other settings.
     """
-
-    score: SceneScore
-    selected: SceneScore | None
-    levels: tuple[str, ...]
-
-
-def evaluate_scene(
-    scene: LabelledScene,
-    text_source: str,
-    out: Path,
-    settings: EvaluationSettings,
-    progress: Progress = no_progress,
-    say: Callable[[str], None] = lambda _: None,
-) -> SceneEvaluation:
-    """Build what is missing, predict what is not in the cache, score, draw.
-
-    Args:
-        scene: with labels.
-        text_source: table or model that turns labels into vectors.
-        out: folder of the fields, the cache and the failure sheets.
-        settings: see there.
-        progress: called while building and predicting.
-        say: is given a sentence where an interrupted build is continued.
-    """
-    vectors = encode_labels(scene, text_source, settings.device)
-    path = out / "fields" / f"{scene.name}.scoup"
-    rebuild, device = settings.rebuild, settings.device
-    field = build_field(scene, path, settings.build, text_source, rebuild, device, progress, say)
-    cache, digest = PredictionCache(out / "cache"), file_digest(path)
-    preset = data_set_preset(settings.data_set, settings.rules)
-    maps = predict(scene, vectors, field, digest, cache, progress=progress)
-    score = score_maps(settings.data_set, scene.name, maps, preset, field.levels)
-    selected = None
-    if settings.selection:
-        raster_preset = field.info.raster_preset
-        selected = score_selection(scene, vectors, FittedField(field), field.gaussians, raster_preset)
-    if settings.sheets:
-
-        def map_of(pair: PairScore) -> Tensor:
-            ((frame, found),) = predict(scene, vectors, field, digest, cache, [pair.frame])
-            return found[:, frame.labels.index(pair.label)]
-
-        sheet = failure_sheet(score, scene, field, map_of, preset)
-        save_png(sheet, out / "failures" / f"{scene.name}_{settings.rules}.png", overwrite=True)
-    return SceneEvaluation(score, selected, field.levels)
-
-
-def write_reports(
-    evaluations: Sequence[SceneEvaluation],
-    out: Path,
-    described: dict[str, Any],
-    settings: EvaluationSettings,
-    overwrite: bool = False,
-) -> dict[str, dict[str, Any]]:
-    """Write the report of each protocol to ``out``; their records by the stem of the file names.
-
-    Args:
-        evaluations: of the scenes.
-        out: folder.
-        described: what else goes into the records: the data set, the machine.
-        settings: as of the scenes.
-        overwrite: replace what is there.
-    """
-    shared = {**described, "build": asdict(settings.build)}
-    published = settings.data_set.scenes
-    scores = tuple(each.score for each in evaluations)
-    reports = {settings.stem: Report(scores[0].protocol, settings.rules, scores, published, shared)}
-    selected = tuple(each.selected for each in evaluations if each.selected is not None)
-    if selected:
-        note = "Another protocol than the 2D ones: never set the two side by side."
-        reports[f"{settings.data_set.name}_3d-selection"] = Report(
-            selected[0].protocol, selected[0].preset, selected, published, shared, (note,)
+    field = LanguageField.load(path, gaussians).to(gaussians.device)
+    if field.info.provenance.get("settings") != asdict(settings):
+        raise InputError(
+            f"{path}: was built with other settings; name another folder with --out, or pass --rebuild to "
+            "build it again"
         )
-    levels = evaluations[0].levels
-    return {stem: write_report(report, out, stem, levels, overwrite) for stem, report in reports.items()}
+    return field

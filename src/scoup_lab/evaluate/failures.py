@@ -13,15 +13,14 @@ from scoup.query.localize import localize
 from scoup.query.presets import QueryPreset
 from scoup.query.segment import segment
 from scoup.raster import render_colors
-from scoup_lab.evaluate.data_sets import LabelledScene
-from scoup_lab.evaluate.protocols.threed_ovs import LEVELS_QUERIED
+from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.scores import PairScore, SceneScore
 
 TRUTH_COLOR = (70, 200, 110)
 MOST = 6  # queries on a sheet
 
 
-def worst_pairs(score: SceneScore, count: int = MOST) -> list[PairScore]:
+def worst_pairs(score: SceneScore) -> list[PairScore]:
     """The worst answered pair of each of the worst queries (by mean IoU), worst query first; ties by name."""
     by_label: dict[str, list[PairScore]] = {}
     for pair in score.pairs:
@@ -29,7 +28,7 @@ def worst_pairs(score: SceneScore, count: int = MOST) -> list[PairScore]:
     ranked = sorted(
         by_label, key=lambda label: (sum(p.iou for p in by_label[label]) / len(by_label[label]), label)
     )
-    return [min(by_label[label], key=lambda pair: (pair.iou, pair.frame)) for label in ranked[:count]]
+    return [min(by_label[label], key=lambda pair: (pair.iou, pair.frame)) for label in ranked[:MOST]]
 
 
 def failure_sheet(
@@ -48,11 +47,7 @@ def failure_sheet(
         maps: gives the relevancy [S, H, W] of a pair.
         preset: by which masks were made.
     """
-    rows = [
-        position
-        for position, level in enumerate(field.levels)
-        if scene.data_set.name != "3d-ovs" or level in LEVELS_QUERIED
-    ]
+    rows = scene.protocol.rows(field.levels)
     frames = {frame.name: (frame, camera) for frame, camera in scene.frames}
     tiles: list[Picture] = []
     worst = worst_pairs(score)

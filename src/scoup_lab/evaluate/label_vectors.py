@@ -8,7 +8,8 @@ from pathlib import Path
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.models.text import TextEncoder
 from scoup.query.text_vectors import TextVectors
-from scoup_lab.evaluate.data_sets import LabelledScene, SceneFiles
+from scoup_lab.evaluate.protocols.pixels import LabelledScene
+from scoup_lab.evaluate.scenes import SceneFiles
 
 
 def text_source(root: Path, scene: SceneFiles, wanted: str | None, default: str) -> str:

@@ -1,10 +1,9 @@
-"""The report on a point-level data set: tables overall, by scene and by class, and the record of everything."""
+"""The report on classes of points: tables overall, by scene and by class, and the record of everything."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -13,9 +12,9 @@ from torch import Tensor
 from scoup.base.counts import counted, listed
 from scoup.base.errors import InputError
 from scoup_lab.evaluate.metrics import Interval
-from scoup_lab.evaluate.point_scenes import PointDataSet
-from scoup_lab.evaluate.protocols.point_labels import (
+from scoup_lab.evaluate.protocols.points import (
     ClassList,
+    PointProtocol,
     class_accuracies,
     class_ious,
     class_mean,
@@ -25,41 +24,33 @@ from scoup_lab.evaluate.protocols.point_labels import (
     interval_of,
     overall_accuracy,
 )
-from scoup_lab.evaluate.tables import Table, write_tables
+from scoup_lab.evaluate.report import Report
+from scoup_lab.evaluate.tables import Table, number_or_none, percent
 
 Score = Callable[[Tensor], Tensor]
 """From totals [..., 3, C] to a score [...]."""
 
 
 @dataclass(frozen=True, eq=False)
-class PointReport:
-    """Confusion matrices of scenes and systems by one list of classes.
+class PointScores:
+    """Confusion matrices of scenes and systems by one list of classes."""
 
-    Attributes:
-        data_set: whose protocol was followed.
-        classes: the list.
-        scenes: names.
-        matrices: system -> [C, C + 1] of each scene.
-        settings: of this run, for the JSON.
-        notes: for below the overall table.
-    """
-
-    data_set: PointDataSet
+    protocol: PointProtocol  # that was followed
     classes: ClassList
-    scenes: tuple[str, ...]
-    matrices: dict[str, list[Tensor]]
-    settings: dict[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    scenes: tuple[str, ...]  # names
+    matrices: dict[str, list[Tensor]]  # system -> [C, C + 1] of each scene
+    settings: dict[str, Any] = field(default_factory=dict)  # of this run, for the JSON
+    notes: tuple[str, ...] = ()  # for below the overall table
 
     @classmethod
     def of(
         cls,
-        data_set: PointDataSet,
+        protocol: PointProtocol,
         classes: ClassList,
         scenes: Mapping[str, Mapping[str, Mapping[str, Tensor]]],
         settings: dict[str, Any] | None = None,
-    ) -> PointReport:
-        """The report on what ``evaluate_point_scene`` gave for scenes, by name; those without points are left out.
+    ) -> PointScores:
+        """Collect what ``PointEvaluation.scene`` gave for scenes, by name; those without points are left out.
 
         Raises:
             InputError: no scene has points of these classes.
@@ -73,7 +64,12 @@ class PointReport:
         matrices = {system: [of_scene[system] for of_scene in found.values()] for system in systems}
         left = [name for name in scenes if name not in found]
         notes = (f"Left out, without points of these classes: {', '.join(left)}.",) if left else ()
-        return cls(data_set, classes, tuple(found), matrices, settings or {}, notes)
+        return cls(protocol, classes, tuple(found), matrices, settings or {}, notes)
+
+    def report(self, stem: str) -> Report:
+        """Return tables and record."""
+        tables = [overall_table(self), scene_table(self), class_table(self)]
+        return Report(stem, self.protocol.title, tables, report_record(self), shown=1)
 
     @property
     def scores(self) -> dict[str, Score]:
@@ -83,7 +79,7 @@ class PointReport:
             "mIoU": lambda totals: class_mean(class_ious(totals)),
             "mAcc": lambda totals: class_mean(class_accuracies(totals)),
         }
-        if self.data_set.pooled:
+        if self.protocol.pooled:
             means = {
                 "f-mIoU": lambda totals: class_mean(class_ious(totals), foreground),
                 "f-mAcc": lambda totals: class_mean(class_accuracies(totals), foreground),
@@ -98,7 +94,7 @@ class PointReport:
     def interval(self, system: str, score: Score) -> Interval:
         """A score over all scenes with its interval over them; nothing but its value where there is one scene."""
         totals = self.totals(system)
-        if self.data_set.pooled:
+        if self.protocol.pooled:
             return interval_of(score(totals.sum(0)), score(drawn_totals(totals)))
         values = score(totals)
         # A mean over scenes, drawn like them: as totals of one class.
@@ -107,74 +103,73 @@ class PointReport:
         return interval_of(values.mean(), drawn[:, 0] / drawn[:, 1])
 
 
-def overall_table(report: PointReport) -> Table:
+def overall_table(scores: PointScores) -> Table:
     """One row a system, in percent; the leading score with its interval."""
-    headers = ["system", *report.scores]
+    headers = ["system", *scores.scores]
     headers.insert(2, "95 % interval")
     rows = []
-    for system in report.matrices:
-        intervals = [report.interval(system, score) for score in report.scores.values()]
-        cells = [system, *(_percent(each.mean) for each in intervals)]
-        cells.insert(2, intervals[0].percent()[1] if len(report.scenes) > 1 else "-")
+    for system in scores.matrices:
+        intervals = [scores.interval(system, score) for score in scores.scores.values()]
+        cells = [system, *(percent(each.mean) for each in intervals)]
+        cells.insert(2, intervals[0].percent()[1] if len(scores.scenes) > 1 else "-")
         rows.append(tuple(cells))
     counted_as = (
         "Points of all scenes are counted together."
-        if report.data_set.pooled
+        if scores.protocol.pooled
         else "Figures are means over scenes, each counting alike."
     )
     notes = [
-        *report.notes,
+        *scores.notes,
         counted_as,
         "Means are over the classes that have points (of a scene, where scenes are averaged); all classes are queried.",
         "Intervals: 95 %, bootstrap over scenes.",
         "All views with regions are used for building: nothing is held out. Never set beside 2D scores.",
     ]
-    if report.data_set.pooled and report.classes.excluded:
-        notes.insert(0, f"f: foreground, without {', '.join(sorted(report.classes.excluded))}.")
-    points = sum(int(matrix.sum()) for matrix in next(iter(report.matrices.values())))
+    if scores.protocol.pooled and scores.classes.excluded:
+        notes.insert(0, f"f: foreground, without {', '.join(sorted(scores.classes.excluded))}.")
+    points = sum(int(matrix.sum()) for matrix in next(iter(scores.matrices.values())))
     title = (
-        f"{report.data_set.protocol}, {report.classes.name} ({len(report.classes.classes)} classes): "
-        f"{counted(len(report.scenes), 'scene')}, {counted(points, 'point')}"
+        f"{scores.protocol.title}, {scores.classes.name} ({len(scores.classes.classes)} classes): "
+        f"{counted(len(scores.scenes), 'scene')}, {counted(points, 'point')}"
     )
     return Table(title, tuple(headers), tuple(rows), tuple(notes))
 
 
-def scene_table(report: PointReport) -> Table:
+def scene_table(scores: PointScores) -> Table:
     """One row a scene and system, in percent."""
-    scores = list(report.scores.items())
-    headers = ["scene", "system", "points", "classes", *(name for name, _ in scores)]
+    headers = ["scene", "system", "points", "classes", *scores.scores]
     rows = []
-    for number, scene in enumerate(report.scenes):
-        for system in report.matrices:
-            totals = report.totals(system)[number]
+    for number, scene in enumerate(scores.scenes):
+        for system in scores.matrices:
+            totals = scores.totals(system)[number]
             true = totals[1]
-            figures = (_percent(float(score(totals))) for _, score in scores)
+            figures = (percent(float(score(totals))) for score in scores.scores.values())
             rows.append((scene, system, f"{int(true.sum())}", f"{int((true > 0).sum())}", *figures))
-    return Table(f"{report.data_set.protocol}: by scene", tuple(headers), tuple(rows))
+    return Table(f"{scores.protocol.title}: by scene", tuple(headers), tuple(rows))
 
 
-def class_table(report: PointReport) -> Table:
+def class_table(scores: PointScores) -> Table:
     """One row a class that has points, those of all scenes together, most frequent first."""
-    systems = list(report.matrices)
+    systems = list(scores.matrices)
     headers = ["class", "scenes", "share of points"]
     headers += [f"{what}, {system}" for system in systems for what in ("IoU", "accuracy")]
-    records = {system: class_records(report, system) for system in systems}
+    records = {system: class_records(scores, system) for system in systems}
     order = sorted(records[systems[0]], key=lambda record: -record["points"])
     rows = []
     for record in order:
         number = record["number"]
-        cells = [record["class"], str(record["scenes"]), _percent(record["share"])]
+        cells = [record["class"], str(record["scenes"]), percent(record["share"])]
         for system in systems:
             of_system = next(each for each in records[system] if each["number"] == number)
-            cells += [_percent(of_system["iou"]), _percent(of_system["accuracy"])]
+            cells += [percent(of_system["iou"]), percent(of_system["accuracy"])]
         rows.append(tuple(cells))
     notes = ["Points of all scenes together."]
-    return Table(f"{report.data_set.protocol}: by class", tuple(headers), tuple(rows), tuple(notes))
+    return Table(f"{scores.protocol.title}: by class", tuple(headers), tuple(rows), tuple(notes))
 
 
-def class_records(report: PointReport, system: str) -> list[dict[str, Any]]:
+def class_records(scores: PointScores, system: str) -> list[dict[str, Any]]:
     """For each class that has points: its number, scenes, points, share of all points, IoU and accuracy."""
-    by_scene = report.totals(system)
+    by_scene = scores.totals(system)
     totals = by_scene.sum(0)
     ious, accuracies, true = class_ious(totals), class_accuracies(totals), totals[1]
     return [
@@ -187,64 +182,37 @@ def class_records(report: PointReport, system: str) -> list[dict[str, Any]]:
             "iou": float(ious[number]),
             "accuracy": float(accuracies[number]),
         }
-        for number, name in enumerate(report.classes.classes)
+        for number, name in enumerate(scores.classes.classes)
         if true[number] > 0
     ]
 
 
-def report_record(report: PointReport) -> dict[str, Any]:
+def report_record(scores: PointScores) -> dict[str, Any]:
     """Everything, for JSON: scores 0..1 and not rounded; None where there is none."""
     systems = {}
-    for system, matrices in report.matrices.items():
-        intervals = {name: report.interval(system, score) for name, score in report.scores.items()}
-        several = len(report.scenes) > 1
+    for system, matrices in scores.matrices.items():
+        intervals = {name: scores.interval(system, score) for name, score in scores.scores.items()}
+        several = len(scores.scenes) > 1
         systems[system] = {
-            "overall": {name: _number(each.mean) for name, each in intervals.items()},
+            "overall": {name: number_or_none(each.mean) for name, each in intervals.items()},
             "intervals": {
                 name: each.ends if several and each.low == each.low else None
                 for name, each in intervals.items()
             },
             "scenes": {
-                scene: {name: _number(float(score(totals))) for name, score in report.scores.items()}
-                for scene, totals in zip(report.scenes, report.totals(system), strict=True)
+                scene: {name: number_or_none(float(score(totals))) for name, score in scores.scores.items()}
+                for scene, totals in zip(scores.scenes, scores.totals(system), strict=True)
             },
-            "classes": class_records(report, system),
+            "classes": class_records(scores, system),
             "confusion": {
-                scene: matrix.tolist() for scene, matrix in zip(report.scenes, matrices, strict=True)
+                scene: matrix.tolist() for scene, matrix in zip(scores.scenes, matrices, strict=True)
             },
         }
     return {
-        "protocol": report.data_set.protocol,
-        "classes": list(report.classes.classes),
-        "excluded_from_foreground": sorted(report.classes.excluded),
-        "pooled": report.data_set.pooled,
-        "settings": report.settings,
+        "protocol": scores.protocol.title,
+        "classes": list(scores.classes.classes),
+        "excluded_from_foreground": sorted(scores.classes.excluded),
+        "pooled": scores.protocol.pooled,
+        "settings": scores.settings,
         "systems": systems,
     }
-
-
-def write_point_report(
-    report: PointReport, folder: Path, stem: str, overwrite: bool = False
-) -> dict[str, Any]:
-    """Write ``stem.md``, ``stem.json`` and ``stem.tex``; the record of the JSON.
-
-    Raises:
-        OutputExistsError: one is there and ``overwrite`` is false.
-    """
-    record = report_record(report)
-    write_tables(point_tables(report), folder, stem, report.data_set.protocol, record, overwrite)
-    return record
-
-
-def point_tables(report: PointReport) -> Sequence[Table]:
-    """All tables, in order."""
-    return [overall_table(report), scene_table(report), class_table(report)]
-
-
-def _percent(share: float) -> str:
-    return "-" if share != share else f"{100 * share:.1f}"
-
-
-def _number(value: float) -> float | None:
-    """JSON knows no NaN."""
-    return None if value != value else value

@@ -2,7 +2,7 @@
 
 Each row says in which table it stands, whose evaluation that is, where it was read if the paper itself was not at hand,
 and in what its rules are known to differ from those that SCOUP's paper (arXiv 2605.13600) scores by, which are this
-package's. A figure that was read nowhere is not here. Scenes are named as in ``scoup_lab.evaluate.data_sets``.
+package's. A figure that was read nowhere is not here. Scenes are named as in ``scoup_lab.evaluate.protocols``.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from scoup.base.errors import InputError
@@ -114,22 +114,21 @@ def scene_score(scene: str, preset: str, pairs: Iterable[PairScore], protocol: s
 
 
 def miou_interval(scenes: Sequence[SceneScore]) -> Interval:
-    """Of the mean over scenes, each counting alike; queries are drawn scene by scene."""
-    pairs = [(scene.scene, pair) for scene in scenes for pair in scene.pairs]
-    return bootstrap_interval(
-        [pair.iou for _, pair in pairs],
-        [pair.label for _, pair in pairs],
-        scenes=[name for name, _ in pairs],
-    )
+    """Return the mean over scenes, each counting alike; queries are drawn scene by scene."""
+    return _interval(scenes, lambda pair: pair.iou)
 
 
 def accuracy_interval(scenes: Sequence[SceneScore]) -> Interval | None:
-    """The same of the localisation accuracy; None in protocols without it."""
+    """Return the same of the localisation accuracy; None in protocols without it."""
     if not all(scene.localizes for scene in scenes):
         return None
+    return _interval(scenes, lambda pair: float(bool(pair.hit)))
+
+
+def _interval(scenes: Sequence[SceneScore], value: Callable[[PairScore], float]) -> Interval:
     pairs = [(scene.scene, pair) for scene in scenes for pair in scene.pairs]
     return bootstrap_interval(
-        [float(bool(pair.hit)) for _, pair in pairs],
+        [value(pair) for _, pair in pairs],
         [pair.label for _, pair in pairs],
         scenes=[name for name, _ in pairs],
     )

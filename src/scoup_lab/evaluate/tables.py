@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
-
-from scoup.base.atomic import atomic_file
-from scoup.base.records import record_text
-from scoup.base.staging import check_outputs, staged
 
 CAVEATS = (
     "Thresholds are tuned for each data set by the papers.",
@@ -20,19 +14,12 @@ CAVEATS = (
 
 @dataclass(frozen=True)
 class Table:
-    """Text in rows and columns.
+    """Text in rows and columns."""
 
-    Attributes:
-        title: above.
-        headers: of the columns; the first is aligned left, the others right.
-        rows: of cells.
-        notes: below.
-    """
-
-    title: str
-    headers: tuple[str, ...]
+    title: str  # above
+    headers: tuple[str, ...]  # of the columns; the first is aligned left, the others right
     rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # below
 
     def markdown(self) -> str:
         """A GitHub table under a heading."""
@@ -59,44 +46,14 @@ class Table:
         return "\n".join(lines) + "\n"
 
 
-def write_tables(
-    tables: Sequence[Table],
-    folder: Path,
-    stem: str,
-    title: str,
-    record: dict[str, Any],
-    overwrite: bool = False,
-    pictures: Mapping[str, bytes] | None = None,
-) -> list[Path]:
-    """Write tables as ``stem.md`` and ``stem.tex``, a record as ``stem.json``, and pictures: all or none; these files.
+def percent(share: float) -> str:
+    """Return the cell of a share in 0..1; a dash for NaN."""
+    return "-" if share != share else f"{100 * share:.1f}"
 
-    Args:
-        tables: in order.
-        folder: made if it is missing.
-        stem: of the file names.
-        title: of the Markdown page.
-        record: of the JSON; no NaN.
-        overwrite: replace what is there; pictures are always replaced.
-        pictures: contents by file name, to show at the end of the page.
 
-    Raises:
-        OutputExistsError: a table is there and ``overwrite`` is false.
-    """
-    pictures = pictures or {}
-    shown = [f"![{Path(name).stem}]({name})\n" for name in pictures]
-    page = "\n".join([f"# {title}\n", *(table.markdown() for table in tables), *shown])
-    texts = {
-        f"{stem}.md": page,
-        f"{stem}.json": record_text(record) + "\n",
-        f"{stem}.tex": "\n".join(table.latex() for table in tables),
-    }
-    check_outputs(folder, list(texts), overwrite)
-    contents = {name: text.encode() for name, text in texts.items()} | dict(pictures)
-    with staged(folder, list(contents), overwrite=True) as hidden:
-        for name, content in contents.items():
-            with atomic_file(hidden / name) as stream:
-                stream.write(content)
-    return [folder / name for name in contents]
+def number_or_none(value: float) -> float | None:
+    """Return a number for JSON, which has no NaN."""
+    return None if value != value else value
 
 
 def _line(cells: Sequence[str]) -> str:

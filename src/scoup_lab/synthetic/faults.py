@@ -7,7 +7,7 @@ name, such as "wrong20+noise60" (``perturbed``). The same seed gives the same fa
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -15,24 +15,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup import raster
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base.errors import UnknownNameError
 from scoup.raster import ViewSums
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.region_sums import RegionSums
-from scoup_lab.data.labels import LabelledFrame
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 ISOTROPIC, ALONG_DIFFERENCES = 0.8, 0.6  # shares of the noise; their squares sum to 1
-MOSTLY = 0.5  # a region shows a name if more than this share of what it sees belongs to it
-RARE_VIEWS = 3  # views in which a rare object keeps its regions
-
-Shown = Mapping[str, np.ndarray]
-"""Name -> [R] boolean: the regions of one level that show it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,54 +124,6 @@ def missing_masks(level: LevelSums, share: float, rng: np.random.Generator) -> L
     return level.kept(rng.random(len(level.embeddings)) >= share)
 
 
-def rare_objects(
-    level: LevelSums, shown: Shown, names: Iterable[str], rng: np.random.Generator, n_views: int = RARE_VIEWS
-) -> LevelSums:
-    """The named things keep their regions in ``n_views`` views, drawn at random, and lose them in all others."""
-    kept = np.ones(len(level.embeddings), bool)
-    for name in names:
-        seen_from = np.unique(level.views[shown[name]])
-        kept[shown[name] & ~np.isin(level.views, rng.permutation(seen_from)[:n_views])] = False
-    return level.kept(kept)
-
-
-def regions_by_name(level: LevelSums, shares: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Which regions show each name (``Shown``): those with most of their blending weight on its Gaussians.
-
-    Args:
-        level: the regions.
-        shares: name -> [N] float32, how much of each Gaussian belongs to that thing, NaN where unknown
-            (``gaussians_by_name``).
-    """
-    columns = level.matrix.T.tocsr()
-    shown = {}
-    for name, share in shares.items():
-        known = columns @ np.isfinite(share).astype(np.float32)
-        mine = columns @ np.nan_to_num(share).astype(np.float32)
-        shown[name] = mine > MOSTLY * known
-    return shown
-
-
-def gaussians_by_name(
-    gaussians: Gaussians, frames: Sequence[tuple[LabelledFrame, Camera]], raster_preset: str = "inria"
-) -> dict[str, np.ndarray]:
-    """The share of each Gaussian's blending weight in labelled frames that lies on each label: name -> [N] float32,
-    0..1, NaN for Gaussians that no frame shows. Frames must have the size of their cameras."""
-    seen = np.zeros(len(gaussians))
-    on: dict[str, np.ndarray] = {}
-    for frame, camera in frames:
-        projection = raster.project(gaussians, camera, raster_preset)
-        everything = torch.ones(1, camera.height, camera.width, dtype=torch.bool)
-        masks = torch.cat([everything, *(mask[None] for mask in frame.masks.values())])
-        sums = raster.region_sums(projection, masks.int() - 1)
-        for number, name in enumerate(("", *frame.labels)):
-            gaussian, _, weight = (part.cpu().numpy() for part in sums.triplets(number))
-            total = seen if not name else on.setdefault(name, np.zeros(len(gaussians)))
-            total[gaussian] += weight
-    with np.errstate(invalid="ignore"):
-        return {name: (on[name] / np.where(seen > 0, seen, np.nan)).astype(np.float32) for name in sorted(on)}
-
-
 Fault = Callable[[LevelSums, float, np.random.Generator], LevelSums]
 FAULTS: dict[str, Fault] = {
     "wrong": wrong_embeddings,
@@ -190,49 +133,27 @@ FAULTS: dict[str, Fault] = {
 """By name; the number after a name is in hundredths: "wrong20" is 20 % of the regions."""
 
 
-def perturbed(
-    levels: Sequence[LevelSums],
-    case: str,
-    seed: int = 0,
-    shares: Mapping[str, np.ndarray] | None = None,
-) -> list[LevelSums]:
-    """The levels with the faults of a case.
+def perturbed(levels: Sequence[LevelSums], case: str, seed: int = 0) -> list[LevelSums]:
+    """Return the levels with the faults of a case.
 
     Args:
         levels: fine to coarse.
-        case: "clean", or faults joined by "+" and applied from left to right: one of ``FAULTS`` with its number, or
-            "rare", which makes half of the names rare.
+        case: "clean", or faults joined by "+" and applied from left to right: each of ``FAULTS`` with its number.
         seed: of the draws. A fault draws the same with and without other faults, as long as the regions are the same.
-        shares: as for ``regions_by_name``; "rare" needs them.
 
     Raises:
         UnknownNameError: there is no such fault.
-        InputError: "rare" without ``shares``.
     """
     levels = list(levels)
     for part in case.split("+"):
         if part == "clean":
             continue
-        if part == "rare":
-            levels = _with_rare_names(levels, seed, shares)
-            continue
         found = re.fullmatch(r"([a-z]+)(\d+)", part)
         if not found or found[1] not in FAULTS:
-            raise UnknownNameError("fault", part, ["clean", "rare", *(f"{name}20" for name in FAULTS)])
+            raise UnknownNameError("fault", part, ["clean", *(f"{name}20" for name in FAULTS)])
         draw = _draws(seed, found[1])
         levels = [FAULTS[found[1]](level, int(found[2]) / 100, draw) for level in levels]
     return levels
-
-
-def _with_rare_names(
-    levels: list[LevelSums], seed: int, shares: Mapping[str, np.ndarray] | None
-) -> list[LevelSums]:
-    if shares is None:
-        raise InputError('the fault "rare" needs to know which Gaussians belong to each name')
-    draw = _draws(seed, "rare")
-    names = sorted(shares)
-    chosen = [names[i] for i in draw.permutation(len(names))[: (len(names) + 1) // 2]]
-    return [rare_objects(level, regions_by_name(level, shares), chosen, draw) for level in levels]
 
 
 def _draws(seed: int, fault: str) -> np.random.Generator:

@@ -51,7 +51,6 @@ def write_demo_scene(
     scene: DemoScene,
     folder: str | Path,
     overwrite: bool = False,
-    levels: tuple[str, ...] = LABELLED_LEVELS,
     render: Callable[[Camera], Any] | None = None,
     progress: Progress = no_progress,
 ) -> Path:
@@ -61,7 +60,6 @@ def write_demo_scene(
         scene: from ``make_demo_scene``.
         folder: created if absent.
         overwrite: replace existing files.
-        levels: levels whose names are labelled in the held-out views.
         render: ``render(camera)`` gives [H, W, 3] float 0..1 or uint8; by default the colour render.
         progress: called as ``progress("render", done, total)``.
 
@@ -73,14 +71,13 @@ def write_demo_scene(
     """
     folder = Path(folder)
     with staged(folder, [*FILES, *(f"images/{name}" for name in scene.building.names)], overwrite) as hidden:
-        _write_all(scene, hidden, levels, render, progress)
+        _write_all(scene, hidden, render, progress)
     return folder
 
 
 def _write_all(
     scene: DemoScene,
     folder: Path,
-    levels: tuple[str, ...],
     render: Callable[[Camera], Any] | None,
     progress: Progress,
 ) -> None:
@@ -100,7 +97,7 @@ def _write_all(
     if len(scene.held_out):
         write_transforms(scene.held_out, held_out / "transforms.json")
     for camera in scene.held_out:
-        frame = scene.labelled_frame(camera.name, levels)
+        frame = scene.labelled_frame(camera.name, LABELLED_LEVELS)
         content = label_file(frame, camera.name, {name: scene.level_of(name) for name in frame.labels})
         write_text(held_out / "label" / f"{frame.name}.json", json.dumps(content) + "\n")
     note = NOTE.format(title=scene.layout.title, name=scene.layout.favourites[0])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.raster import morton_order
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import SH_C0, Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions
 
 Array: TypeAlias = NDArray[np.float64]
-Order: TypeAlias = Literal["random", "morton"]
 
 SIZE = np.array([6.0, 5.0, 2.8])  # metres: the room along x, y, z; one corner is the origin
 WIDTH, HEIGHT, FOCAL = 988, 731, 700.0  # pixels: a LERF view
@@ -35,13 +33,13 @@ _BOXES, _BALLS = 12, 14
 _HAZE = 0.04  # share of Gaussians that float in the air
 
 
-def random_scene_gaussians(n_gaussians: int, seed: int = 0, order: Order = "random") -> Gaussians:
-    """N Gaussians of spherical-harmonics degree 0 on the surfaces of a furnished room.
+def random_scene_gaussians(n_gaussians: int, seed: int = 0) -> Gaussians:
+    """N Gaussians of spherical-harmonics degree 0 on the surfaces of a furnished room, in random order as in trained
+    scenes.
 
     Args:
         n_gaussians: N, 1 or more.
-        seed: of everything. The same N and seed give the same Gaussians in both orders.
-        order: "random" as in trained scenes, or "morton": neighbours in space are close in memory.
+        seed: of everything.
 
     Raises:
         InputError: N is below 1.
@@ -89,11 +87,9 @@ def random_scene_gaussians(n_gaussians: int, seed: int = 0, order: Order = "rand
     opacities = 1 / (1 + np.exp(-rng.normal(0.3, 2.0, n_gaussians)))
     paint = rng.uniform(0.15, 0.9, (len(share) + 1, 3))[surface] + rng.normal(0, 0.05, (n_gaussians, 3))
 
-    chosen = (
-        morton_order(torch.from_numpy(means)).numpy() if order == "morton" else rng.permutation(n_gaussians)
-    )
+    order = rng.permutation(n_gaussians)
     parts = (means, quats, scales, opacities, ((paint - 0.5) / SH_C0)[:, None])
-    return Gaussians(*(torch.from_numpy(part[chosen].astype(np.float32)) for part in parts))
+    return Gaussians(*(torch.from_numpy(part[order].astype(np.float32)) for part in parts))
 
 
 def _surfaces(rng: np.random.Generator) -> tuple[Array, Array, Array]:
@@ -136,18 +132,15 @@ def _unit(rows: Array) -> Array:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def random_scene_cameras(
-    n_views: int, width: int = WIDTH, height: int = HEIGHT, focal: float | None = None
-) -> Cameras:
+def random_scene_cameras(n_views: int, width: int = WIDTH, height: int = HEIGHT) -> Cameras:
     """Cameras inside the room: the first in a corner, the others on a loop along the walls above the furniture. Each
-    looks down across the middle.
+    looks down across the middle, with the field of view of a LERF view (700 pixels at a width of 988).
 
     Args:
         n_views: how many.
         width, height: in pixels.
-        focal: in pixels; by default the field of view is that of a LERF view (700 pixels at a width of 988).
     """
-    focal = FOCAL * width / WIDTH if focal is None else focal
+    focal = FOCAL * width / WIDTH
     cameras = []
     for number in range(n_views):
         eye, target = (0.35, 0.4, 1.7), (4.2, 3.6, 0.7)

@@ -1,29 +1,27 @@
-"""scoup eval lerf-ovs, 3d-ovs, mipnerf360, ref-lerf: one data set by its own protocol."""
+"""scoup eval lerf-ovs, 3d-ovs, mipnerf360, ref-lerf, scannet, scenesplat: one data set by its own protocol."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalInteger, OptionGroups
-from scoup_lab.cli.evaluate.options import DataSetOptions, Rules
+from scoup.cli.options import Flag, OptionalInteger, OptionalText, OptionGroups
+from scoup_lab.cli.evaluate.options import DataSetOptions, Names, Rules, say_tables
+
+if TYPE_CHECKING:
+    from scoup_lab.evaluate.evaluation import Evaluation
+    from scoup_lab.evaluate.scenes import Places, SceneFiles
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scored(DataSetOptions):
-    """Options of the protocols."""
+class Evaluated(DataSetOptions):
+    """Options of all protocols."""
 
-    option_groups: ClassVar[OptionGroups] = {
-        "scoring": "rules selection",
-        "build": "preset n_atoms k seed rebuild",
-        "output": "sheets",
-    }
+    option_groups: ClassVar[OptionGroups] = {"build": "preset n_atoms k seed rebuild"}
 
-    rules: Rules = "scoup"
-    """Whose constants turn relevancy into masks and points; langsplat names none but for LERF-OVS, whose rules Ref-LERF
-    takes."""
     preset: Literal["default", "paper"] = "default"
     """How fields are built: default answers best, paper is the method as published (Adam, slow)."""
     n_atoms: OptionalInteger = None
@@ -31,49 +29,53 @@ class Scored(DataSetOptions):
     k: OptionalInteger = None
     """Atoms in the code of a region (K). Default: the preset's."""
     seed: int = 0
-    """Seed of the codebook's start."""
+    """Seed of all that is random."""
     rebuild: Flag = False
     """Build anew the fields that are there already."""
-    selection: Flag = False
-    """Also score by the 3D-selection protocol, in tables of its own."""
-    sheets: Literal["worst", "none"] = "worst"
-    """Pictures of the worst answered queries of each scene."""
 
-    data_set_name: ClassVar[str]
+    protocol: ClassVar[str]
+    """Its name."""
+
+    def evaluation(self) -> Evaluation[Any, Any]:
+        """What the options say."""
+        raise NotImplementedError
+
+    def opened(self, console: Console) -> Iterator[SceneFiles]:
+        """The scenes to score, one after another."""
+        raise NotImplementedError
+
+    def made(self) -> str:
+        """What lies in OUT beside the tables."""
+        return "fields"
+
+    def shared(self) -> dict[str, Any]:
+        """What evaluations of all units take."""
+        from scoup.uplift.build_settings import build_settings
+
+        settings = build_settings(self.preset, n_atoms=self.n_atoms, k=self.k, seed=self.seed)
+        return {"build": settings, "rebuild": self.rebuild, "device": self.device}
 
     def run(self, console: Console) -> None:
-        """Build what is missing, predict, score, write."""
-        from scoup.uplift.build_settings import build_settings
+        """Build what is missing, score, write."""
         from scoup_lab.bench.environment import describe_environment
-        from scoup_lab.evaluate.data_sets import find_data_set
-        from scoup_lab.evaluate.evaluation import EvaluationSettings, evaluate_scene, write_reports
 
-        settings = EvaluationSettings(
-            find_data_set(self.data_set_name),
-            self.rules,
-            build_settings(self.preset, n_atoms=self.n_atoms, k=self.k, seed=self.seed),
-            self.rebuild,
-            self.selection,
-            self.sheets == "worst",
-            self.device,
-        )
-        out = self.out or Path(f"eval_{self.data_set_name}")
-        settings.check_outputs(out, self.overwrite)
-        scenes = self.open_scenes(console, self.data_set_name)
+        evaluation = self.evaluation()
+        out = self.out or Path(f"eval_{self.protocol}")
+        evaluation.check_outputs(out, self.overwrite)
+        scenes = self.opened(console)
         console.kept = lambda: _kept(out)
+        results = {}
         with console.progress() as progress:
-            evaluations = [
-                evaluate_scene(scene, self.text_source(scene), out, settings, progress, console.say)
-                for scene in scenes
-            ]
+            for scene in scenes:
+                source = self.text_source(scene)
+                results[scene.name] = evaluation.scene(scene, source, out, progress, console.say)
         described = {"environment": describe_environment(), "root": str(self.root)}
-        records = write_reports(evaluations, out, described, settings, self.overwrite)
-        for stem in records:
-            for table in (out / f"{stem}.md").read_text(encoding="utf-8").split("## ")[1:3]:
-                console.say("\n" + table.strip())
-        drawn = ", failures" if settings.sheets else ""
-        console.say(f"\n{out}: tables (.md, .json, .tex), fields, cache{drawn}")
-        console.result({"out": out, "reports": records})
+        reports = evaluation.reports(results, described)
+        for report in reports:
+            report.write(out, self.overwrite)
+            say_tables(console, report)
+        console.say(f"{out}: tables (.md, .json, .tex), {self.made()}")
+        console.result({"out": out, "reports": {report.stem: report.record for report in reports}})
 
 
 def _kept(out: Path) -> str:
@@ -84,34 +86,144 @@ def _kept(out: Path) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LerfOvs(Scored):
+class OfPixels(Evaluated):
+    """Options of the protocols of labelled frames."""
+
+    option_groups: ClassVar[OptionGroups] = {"scoring": "rules selection", "output": "sheets"}
+
+    rules: Rules = "scoup"
+    """Whose constants turn relevancy into masks and points; langsplat names none but for LERF-OVS, whose rules Ref-LERF
+    takes."""
+    selection: Flag = False
+    """Also score by the 3D-selection protocol, in tables of its own."""
+    sheets: Literal["worst", "none"] = "worst"
+    """Pictures of the worst answered queries of each scene."""
+
+    def evaluation(self) -> Evaluation[Any, Any]:
+        from scoup_lab.evaluate.pixel_evaluation import PixelEvaluation
+        from scoup_lab.evaluate.protocols import PIXELS
+
+        return PixelEvaluation(
+            protocol=PIXELS[self.protocol],
+            rules=self.rules,
+            selection=self.selection,
+            sheets=self.sheets == "worst",
+            **self.shared(),
+        )
+
+    def made(self) -> str:
+        return "fields, cache" + (", failures" if self.sheets == "worst" else "")
+
+    def opened(self, console: Console) -> Iterator[SceneFiles]:
+        from scoup_lab.evaluate.protocols import PIXELS
+
+        # All before the first is built: what is wrong with a label is known at once.
+        return iter(self.open_labelled(console, PIXELS[self.protocol]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LerfOvs(OfPixels):
     """Score LERF-OVS (figurines, ramen, teatime, waldo_kitchen): masks and points, with the rules of its protocol.
 
     Builds the fields that are missing, predicts once into a cache, and writes tables by query, by scene and overall,
     with intervals, published figures marked as such, and the worst answers as pictures.
     """
 
-    data_set_name: ClassVar[str] = "lerf-ovs"
+    protocol: ClassVar[str] = "lerf-ovs"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThreeDOvs(Scored):
+class ThreeDOvs(OfPixels):
     """Score 3D-OVS (bed, bench, room, sofa, lawn): masks, with the rules of its protocol."""
 
-    data_set_name: ClassVar[str] = "3d-ovs"
+    protocol: ClassVar[str] = "3d-ovs"
 
 
 @dataclass(frozen=True, kw_only=True)
-class MipNerf360(Scored):
+class MipNerf360(OfPixels):
     """Score Mip-NeRF 360 with the GAGS annotations (room, counter, garden, bonsai): masks, with the rules of its
     protocol."""
 
-    data_set_name: ClassVar[str] = "mipnerf360"
+    protocol: ClassVar[str] = "mipnerf360"
 
 
 @dataclass(frozen=True, kw_only=True)
-class RefLerf(Scored):
+class RefLerf(OfPixels):
     """Score Ref-LERF (figurines, ramen, teatime, waldo_kitchen): masks of what sentences refer to, with the rules of
     LERF-OVS."""
 
-    data_set_name: ClassVar[str] = "ref-lerf"
+    protocol: ClassVar[str] = "ref-lerf"
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfPoints(Evaluated):
+    """Options of the point-level protocols."""
+
+    option_groups: ClassVar[OptionGroups] = {
+        "data set": "cameras",
+        "scoring": "classes level neighbours methods",
+    }
+
+    cameras: OptionalText = None
+    """The cameras (folder or file), with {scene} for the scene's name. Default: those in each scene's folder."""
+    classes: Names = ()
+    """Lists of classes to score by; repeat it for several. Default: 19, 15 and 10 (scannet), scannet20 (scenesplat)."""
+    level: Literal["best", "s", "m", "l"] = "best"
+    """The level that answers; best takes the one at which a Gaussian is most relevant to any class."""
+    neighbours: int = 1
+    """How many nearest Gaussians vote for a point, where points are not Gaussians."""
+    methods: Names = ()
+    """Methods to score beside the field, as in scoup eval baselines; repeat it for several."""
+
+    def evaluation(self) -> Evaluation[Any, Any]:
+        from scoup_lab.baselines.methods import find_method
+        from scoup_lab.evaluate.point_evaluation import PointEvaluation
+        from scoup_lab.evaluate.protocols import POINTS
+
+        protocol = POINTS[self.protocol]
+        return PointEvaluation(
+            protocol=protocol,
+            class_lists=tuple(
+                protocol.find_class_list(name) for name in self.classes or protocol.default_classes
+            ),
+            methods=tuple(find_method(name) for name in self.methods),
+            level=None if self.level == "best" else self.level,
+            neighbours=self.neighbours,
+            **self.shared(),
+        )
+
+    def opened(self, console: Console) -> Iterator[SceneFiles]:
+        from scoup_lab.evaluate.protocols import POINTS
+
+        protocol = POINTS[self.protocol]
+        names = protocol.find(self.root, self.scenes)
+        return (protocol.open(self.root, name, self.places()) for name in names)
+
+    def places(self) -> Places:
+        from dataclasses import replace
+
+        return replace(super().places(), cameras=self.cameras)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanNet(OfPoints):
+    """Score the Gaussians of ScanNet's scenes against the labels of their points, by OpenGaussian's 19, 15 and 10
+    classes.
+
+    ROOT holds SCENE/SCENE_vh_clean_2.labels.ply; the splat starts from these points, and its Gaussians keep their
+    positions and order.
+    """
+
+    protocol: ClassVar[str] = "scannet"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSplat(OfPoints):
+    """Score by SceneSplat-Bench: labelled points take the class of the nearest Gaussian; f-mIoU is over foreground
+    classes.
+
+    ROOT holds val/SCENE (or test/SCENE) with coord.npy and the classes of its points, for which --classes names the
+    benchmark: scannet20, scannet200, scannetpp, matterport or holicity.
+    """
+
+    protocol: ClassVar[str] = "scenesplat"

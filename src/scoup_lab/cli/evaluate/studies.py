@@ -1,14 +1,108 @@
-"""scoup eval ablations, curves, consistency: studies of the method on the scenes of one data set."""
+"""scoup eval baselines, ablations, curves, consistency: studies on the scenes of one data set."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
 from scoup.cli.console import Console
-from scoup_lab.cli.evaluate.options import Names, StudyOptions
+from scoup.cli.options import Flag, OptionGroups
+from scoup_lab.cli.evaluate.options import DataSetOptions, Names, Rules, say_tables
+
+if TYPE_CHECKING:
+    from scoup.query.presets import QueryPreset
+    from scoup_lab.baselines.method import MethodSettings
+    from scoup_lab.evaluate.studies.study import Study
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions(DataSetOptions):
+    """Options of commands that try several methods or rules on a data set."""
+
+    option_groups: ClassVar[OptionGroups] = {"data set": "data_set"}
+
+    data_set: Literal["lerf-ovs", "3d-ovs", "mipnerf360", "ref-lerf"] = "lerf-ovs"
+    """Layout of ROOT, and whose protocol scores."""
+    rules: Rules = "scoup"
+    """Whose constants turn relevancy into masks and points."""
+
+    recorded: ClassVar[str]
+    """Options that go into the record, between spaces."""
+
+    def study(self) -> Study[Any]:
+        """What the options say."""
+        raise NotImplementedError
+
+    def query_preset(self) -> QueryPreset:
+        """The rules of the protocol."""
+        from scoup_lab.evaluate.protocols import PIXELS
+
+        return PIXELS[self.data_set].preset(self.rules)
+
+    def run(self, console: Console) -> None:
+        """Refuse outputs that are there, run all, write and show tables and plots."""
+        from scoup.io import check_output
+        from scoup_lab.bench.environment import describe_environment
+        from scoup_lab.evaluate.label_vectors import encode_labels
+        from scoup_lab.evaluate.plots import HOW_TO_GET_THEM, can_draw
+        from scoup_lab.evaluate.protocols import PIXELS
+        from scoup_lab.evaluate.report import SUFFIXES
+        from scoup_lab.evaluate.studies.study_scene import open_study_scene
+
+        study, protocol = self.study(), PIXELS[self.data_set]
+        out = self.out or Path(f"eval_{self.data_set}")
+        for suffix in SUFFIXES:
+            check_output(out / f"{study.stem}{suffix}", self.overwrite)
+        labelled = self.open_labelled(console, protocol)
+        scenes = [open_study_scene(each, encode_labels(each, self.text_source(each))) for each in labelled]
+        with console.progress() as progress:
+            results = study.results(scenes, progress)
+        described = {name.removesuffix("_name"): getattr(self, name) for name in self.recorded.split()}
+        described["environment"] = describe_environment()
+        report = study.report(results, protocol.title, described)
+        written = report.write(out, self.overwrite)
+        say_tables(console, report)
+        console.say("written: " + ", ".join(str(path) for path in written))
+        if report.plots and not can_draw():
+            console.say(HOW_TO_GET_THEM)
+        console.result({"out": out, **report.record})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baselines(StudyOptions):
+    """Compare the method with dense uplift, centre pixels (Occam's LGS), visible centre pixels (VALA), top contributors
+    with product quantisation (Dr. Splat), LangSplat's autoencoder and, by name, codes learned through renderings
+    (LangSplatV2), on the same regions and with the same queries.
+
+    Accuracy, time, memory and storage of each; docs/evaluation.md says what each follows and where it departs.
+    """
+
+    methods: Names = ()
+    """Methods to run; repeat it for several. Default: all but sparse-all, autoencoder-lerf and
+    joint-codes; the last two take tens of minutes a scene."""
+    seed: int = 0
+    """Seed of all that is random."""
+    epochs: int = 100
+    """Epochs of the autoencoder; LangSplat's own is 100."""
+    iterations: int = 10_000
+    """Steps of joint-codes at each level; LangSplatV2's own is 10000."""
+    selection: Flag = False
+    """Also score by the 3D-selection protocol, in a table of its own."""
+
+    recorded: ClassVar[str] = "rules seed epochs iterations"
+
+    def study(self) -> Study[Any]:
+        from scoup_lab.baselines.joint_codes import LANGSPLATV2
+        from scoup_lab.baselines.methods import COMPARED, find_method
+        from scoup_lab.evaluate.studies.comparison import Comparison
+
+        methods = [find_method(name) for name in self.methods or COMPARED]
+        joint = replace(LANGSPLATV2, iterations=self.iterations)
+        settings = replace(_settings(self.seed, self.epochs), joint=joint)
+        return Comparison(methods, self.query_preset(), settings, self.selection)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,23 +120,13 @@ class Ablations(StudyOptions):
     epochs: int = 4000
     """Epochs of Adam."""
 
-    def run(self, console: Console) -> None:
-        """Run all, write table and plot."""
-        from scoup_lab.bench.environment import describe_environment
-        from scoup_lab.evaluate.studies.ablation_rows import find_ablations
-        from scoup_lab.evaluate.studies.ablations import ablation_report, run_ablations
+    recorded: ClassVar[str] = "rules seeds epochs"
 
-        chosen = find_ablations(self.groups)
-        scenes = self.open_study(console, "ablations")
-        with console.progress() as progress:
-            results = run_ablations(scenes, chosen, self.preset(), self.seeds, self.epochs, progress)
-        described = {
-            "rules": self.rules,
-            "seeds": list(self.seeds),
-            "epochs": self.epochs,
-            "environment": describe_environment(),
-        }
-        self.write(console, ablation_report(results, scenes[0].labelled.data_set.protocol, described))
+    def study(self) -> Study[Any]:
+        from scoup_lab.evaluate.studies.ablation_rows import find_ablations
+        from scoup_lab.evaluate.studies.ablations import Ablations as AblationStudy
+
+        return AblationStudy(find_ablations(self.groups), self.query_preset(), self.seeds, self.epochs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,26 +146,17 @@ class Curves(StudyOptions):
     epochs: int = 100
     """Epochs of the autoencoder, if it is among the methods."""
 
-    def run(self, console: Console) -> None:
-        """Run all, write tables and plots."""
-        from dataclasses import replace
+    recorded: ClassVar[str] = "seed draw"
 
-        from scoup_lab.baselines.autoencoder import LANGSPLAT
-        from scoup_lab.baselines.method import MethodSettings
+    def study(self) -> Study[Any]:
         from scoup_lab.baselines.methods import COMPARED, SLOW, find_method
-        from scoup_lab.bench.environment import describe_environment
-        from scoup_lab.evaluate.studies.curves import FAULT_SCALES, curve_report, find_fault, run_curves
+        from scoup_lab.evaluate.studies.curves import FAULT_SCALES, find_fault
+        from scoup_lab.evaluate.studies.curves import Curves as CurveStudy
 
         faults = [find_fault(name) for name in self.faults or FAULT_SCALES]
         names = self.methods or tuple(name for name in COMPARED if name not in SLOW)
         methods = [find_method(name) for name in names]
-        settings = MethodSettings(self.seed, autoencoder=replace(LANGSPLAT, epochs=self.epochs))
-        scenes = self.open_study(console, "curves")
-        with console.progress() as progress:
-            points = run_curves(scenes, methods, faults, self.preset(), settings, self.draw, progress)
-        described = {"seed": self.seed, "draw": self.draw, "environment": describe_environment()}
-        protocol = scenes[0].labelled.data_set.protocol
-        self.write(console, curve_report(points, faults, protocol, described))
+        return CurveStudy(methods, faults, self.query_preset(), _settings(self.seed, self.epochs), self.draw)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,24 +175,19 @@ class Consistency(StudyOptions):
     epochs: int = 100
     """Epochs of the autoencoder."""
 
-    def run(self, console: Console) -> None:
-        """Match, compare, write."""
-        from dataclasses import replace
+    recorded: ClassVar[str] = "preset_name seed epochs"
 
+    def study(self) -> Study[Any]:
         from scoup.uplift.build_settings import build_settings
-        from scoup_lab.baselines.autoencoder import LANGSPLAT
-        from scoup_lab.bench.environment import describe_environment
-        from scoup_lab.evaluate.studies.consistency import consistency_report, run_consistency
+        from scoup_lab.evaluate.studies.consistency import Consistency as ConsistencyStudy
 
         settings = build_settings(self.preset_name, seed=self.seed)
-        autoencoder = replace(LANGSPLAT, epochs=self.epochs)
-        scenes = self.open_study(console, "consistency")
-        with console.progress() as progress:
-            results, sources = run_consistency(scenes, settings, autoencoder, self.seed, progress)
-        described = {
-            "preset": self.preset_name,
-            "seed": self.seed,
-            "epochs": self.epochs,
-            "environment": describe_environment(),
-        }
-        self.write(console, consistency_report(results, sources, described))
+        return ConsistencyStudy(settings, _settings(self.seed, self.epochs).autoencoder, self.seed)
+
+
+def _settings(seed: int, epochs: int) -> MethodSettings:
+    """Settings of methods, with the epochs of the autoencoder."""
+    from scoup_lab.baselines.autoencoder import LANGSPLAT
+    from scoup_lab.baselines.method import MethodSettings
+
+    return MethodSettings(seed, autoencoder=replace(LANGSPLAT, epochs=epochs))

@@ -13,7 +13,6 @@ name, all frames are scored. Views of test frames are used for building, as in a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +22,9 @@ from torch import Tensor
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io.images import read_mask
 from scoup.io.reading import read_json
-from scoup.query.presets import QUERY_PRESETS, QueryPreset
-from scoup.query.segment import segment
 from scoup_lab.data.labels import LabelledFrame
-from scoup_lab.evaluate.metrics import iou
-from scoup_lab.evaluate.protocols.lerf_ovs import maps_by_label
-from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
+from scoup_lab.evaluate.protocols.pixels import PixelProtocol
 
-PROTOCOL = "ref-lerf 2D"
 TEST_FRAMES: dict[str, tuple[int, ...]] = {
     "ramen": (6, 24, 60, 65, 81, 119, 128),
     "figurines": (83, 97, 146, 179),
@@ -78,42 +72,14 @@ def read_frames(folder: str | Path) -> list[LabelledFrame]:
     return [frame for frame in frames if frame.labels]
 
 
-def score_frame(
-    frame: LabelledFrame,
-    relevancy: Mapping[str, Tensor] | Tensor,  # each [S, H, W], or [S, Q, H, W]
-    preset: QueryPreset = QUERY_PRESETS["scoup"],
-) -> list[PairScore]:
-    """Score each sentence of a frame; the truth is brought to the size of the maps by nearest neighbour.
-
-    Args:
-        frame: the truth.
-        relevancy: per sentence [S, H, W] in 0..1, or all stacked [S, Q, H, W].
-        preset: how maps become masks.
-
-    Raises:
-        InputError: a sentence has no relevancy map.
-    """
-    pairs = []
-    for label, maps in maps_by_label(frame, relevancy):
-        found = segment(maps, preset)
-        truth = frame.resized(maps.shape[2], maps.shape[1]).masks[label]
-        score = iou(found.mask.cpu(), truth)
-        pairs.append(PairScore(frame.name, label, score, None, found.level, -1, found.score, None))
-    return pairs
-
-
-def score_scene(
-    scene: str,
-    frames: Iterable[tuple[LabelledFrame, Mapping[str, Tensor] | Tensor]],
-    preset: QueryPreset = QUERY_PRESETS["scoup"],
-) -> SceneScore:
-    """Score all frames of a scene, given with their relevancy as for ``score_frame``.
-
-    Raises:
-        InputError: there is not a single sentence.
-    """
-    pairs = [pair for frame, maps in frames for pair in score_frame(frame, maps, preset)]
-    return scene_score(scene, preset.name, pairs, PROTOCOL)
+PROTOCOL = PixelProtocol(
+    "ref-lerf",
+    "ref-lerf 2D",
+    scenes=("ramen", "figurines", "teatime", "waldo_kitchen"),
+    systems=("scoup", "langsplatv2", "langsplat"),
+    labels=lambda root, scene: sentence_folder(root / scene),
+    read=lambda root, scene: read_frames(root / scene),
+)
 
 
 def _number(name: str) -> int | None:

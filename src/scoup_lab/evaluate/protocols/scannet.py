@@ -7,7 +7,7 @@ positions and the order of the scan's points while they are trained, so Gaussian
 
 *Choices* where the script does not apply or is silent: figures are means over scenes; a Gaussian without a code is
 given no class and counts as missed (the script gives clusters without features the first class); see
-``point_labels.label_gaussians`` for the level.
+``points.label_gaussians`` for the level.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.data.class_names import NYU40
-from scoup_lab.data.labelled_points import LabelledPoints
-from scoup_lab.evaluate.protocols.point_labels import NO_CLASS, ClassList
+from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_ply
+from scoup_lab.evaluate.protocols.points import NO_CLASS, ClassList, PointProtocol, PointTruth
 
-PROTOCOL = "ScanNet points"
 SCENES = (
     "scene0000_00", "scene0062_00", "scene0070_00", "scene0097_00", "scene0140_00",
     "scene0200_00", "scene0347_00", "scene0400_00", "scene0590_00", "scene0645_00",
@@ -76,3 +75,23 @@ def gaussian_truth(gaussians: Gaussians, points: LabelledPoints, classes: ClassL
     for position, number in enumerate(NUMBERS[classes.name]):
         truth[points.labels == number] = position
     return truth.masked_fill(gaussians.opacities.cpu() < LEAST_OPACITY, NO_CLASS)
+
+
+def point_truth(folder: Path, classes: ClassList, gaussians: Gaussians) -> PointTruth:
+    """Return the truth of a scene: Gaussian i has the label of point i."""
+    path = labels_path(folder)
+    return PointTruth(gaussian_truth(gaussians, read_labelled_ply(path), classes, str(path)), None)
+
+
+PROTOCOL = PointProtocol(
+    "scannet",
+    "ScanNet points",
+    scenes=SCENES,
+    class_lists=CLASS_LISTS,
+    default_classes=("19", "15", "10"),
+    pooled=False,
+    names=lambda root: sorted(path.name for path in root.iterdir() if labels_path(path).is_file()),
+    expected=str(labels_path(Path("SCENE"))),
+    folder=lambda root, name: root / name,
+    truth=point_truth,
+)

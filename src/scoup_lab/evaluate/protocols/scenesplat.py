@@ -17,16 +17,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-import torch
-from torch import Tensor
-
-from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.scene.gaussians import Gaussians
 from scoup_lab.data.class_names import MATTERPORT21, SCANNET20, SCANNET200, SCANNETPP100
 from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_npy
-from scoup_lab.evaluate.protocols.point_labels import NO_CLASS, ClassList
+from scoup_lab.evaluate.protocols.points import NO_CLASS, ClassList, PointProtocol, PointTruth
 
-PROTOCOL = "SceneSplat-Bench"
 SPLITS = ("val", "test", "")
 """Folders of ROOT that hold scenes, in the order in which a scene is looked for."""
 COORDINATES, SEGMENT = "coord.npy", "segment"
@@ -93,31 +89,21 @@ def read_truth(folder: Path, classes: ClassList) -> LabelledPoints:
     return LabelledPoints(points.positions, points.labels.clamp(min=NO_CLASS))
 
 
-def nearest_classes(
-    means: Tensor, classes: Tensor, positions: Tensor, n_classes: int, neighbours: int = 1
-) -> Tensor:
-    """[P] int64 class of each point, by a vote of the nearest Gaussians that have one; of equals the smallest number.
+def point_truth(folder: Path, classes: ClassList, _: Gaussians) -> PointTruth:
+    """Return the truth of a scene, whose points take the classes of the Gaussians nearest to them."""
+    points = read_truth(folder, classes)
+    return PointTruth(points.labels, points)
 
-    Args:
-        means: [N, 3] of the Gaussians.
-        classes: [N] of the Gaussians; those of ``NO_CLASS``, and those that are nowhere finite, have no vote.
-        positions: [P, 3].
-        n_classes: C.
-        neighbours: how many vote, fewer where there are not so many.
 
-    Raises:
-        InputError: no Gaussian has a class, or nobody is to vote.
-    """
-    from scipy.spatial import KDTree
-
-    voters = (classes.cpu() != NO_CLASS) & torch.isfinite(means.cpu()).all(1)
-    if not voters.any() or neighbours < 1:
-        raise InputError(f"{int(voters.sum())} Gaussians have a class, and {neighbours} of them are to vote")
-    count = min(neighbours, int(voters.sum()))
-    tree = KDTree(means.cpu()[voters].double().numpy())
-    found = np.asarray(tree.query(positions.double().numpy(), k=count, workers=-1)[1]).reshape(-1, count)
-    votes = classes.cpu()[voters][torch.from_numpy(found)]
-    if count == 1:
-        return votes[:, 0]
-    counts = torch.zeros(len(votes), n_classes, dtype=torch.int32)
-    return counts.scatter_add_(1, votes, torch.ones(votes.shape, dtype=torch.int32)).argmax(1)
+PROTOCOL = PointProtocol(
+    "scenesplat",
+    "SceneSplat-Bench",
+    scenes=(),
+    class_lists=CLASS_LISTS,
+    default_classes=("scannet20",),
+    pooled=True,
+    names=scene_names,
+    expected=str(Path(SPLITS[0]) / "SCENE" / COORDINATES),
+    folder=scene_folder,
+    truth=point_truth,
+)

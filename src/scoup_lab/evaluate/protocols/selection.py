@@ -15,10 +15,15 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
+from scoup.query.neighbours import Neighbourhood
+from scoup.query.select import select_by_relevancy
+from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.metrics import iou
+from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 
 PROTOCOL = "3D selection"
@@ -26,19 +31,12 @@ PROTOCOL = "3D selection"
 
 @dataclass(frozen=True)
 class SelectionPreset:
-    """How relevancy of Gaussians becomes a silhouette; the defaults are VALA-3D's.
+    """How relevancy of Gaussians becomes a silhouette; the defaults are VALA-3D's."""
 
-    Attributes:
-        name: for tables.
-        neighbours: blend half and half with the mean of so many nearest neighbours; None: do not.
-        threshold: of the rescaled relevancy.
-        silhouette: a pixel belongs to the silhouette above this opacity.
-    """
-
-    name: str = "vala-3d"
-    neighbours: int | None = 10
-    threshold: float = 0.6
-    silhouette: float = 10 / 255
+    name: str = "vala-3d"  # for tables
+    neighbours: int | None = 10  # blend half and half with the mean of this many neighbours; None: do not
+    threshold: float = 0.6  # of the rescaled relevancy
+    silhouette: float = 10 / 255  # a pixel belongs to the silhouette above this opacity
 
 
 VALA_3D = SelectionPreset()
@@ -95,3 +93,20 @@ def score_scene(
             score = iou(shape, truth.masks[label]) if shape.any() else 0.0
             pairs.append(PairScore(frame.name, label, score, None, -1, -1, float("nan"), None))
     return scene_score(scene, preset.name, pairs, PROTOCOL)
+
+
+def score_method(
+    scene: LabelledScene,
+    vectors: TextVectors,
+    fitted: FittedMethod,
+    gaussians: Gaussians,
+    raster_preset: str,
+) -> SceneScore:
+    """Select Gaussians for every label by what a method made of a scene, and score the scene."""
+    rule, coded = VALA_3D, fitted.coded()
+    around = Neighbourhood.of(gaussians.means, coded.any(0), rule.neighbours) if rule.neighbours else None
+    chosen = {}
+    for label, query in zip(vectors.texts, vectors.queries, strict=True):
+        relevancy = fitted.gaussian_relevancy(query[None], vectors.canonical)[:, 0]
+        chosen[label] = select_by_relevancy(relevancy, coded, around, rule.threshold).mask
+    return score_scene(scene.name, gaussians, scene.frames, chosen, raster_preset, rule)

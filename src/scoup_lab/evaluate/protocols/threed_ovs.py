@@ -6,40 +6,24 @@ Scores are means over all (frame, class) pairs; there is no localisation.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.images import read_mask
-from scoup.query.presets import QueryPreset, query_preset
-from scoup.query.segment import segment
-from scoup.scene.regions import LEVELS
 from scoup_lab.data.labels import LabelledFrame
-from scoup_lab.evaluate.metrics import iou
-from scoup_lab.evaluate.protocols.lerf_ovs import maps_by_label
-from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
+from scoup_lab.evaluate.protocols.pixels import PixelProtocol
 
-PROTOCOL = "3d-ovs 2D"
-LEVELS_QUERIED = ("m", "l")
 WHITE = 127  # a pixel above this belongs to the class
 UNITED = {"room": ("wood table", "wood wall")}
 """Scene -> (class, class whose truth it is added to)."""
 
 _CLASSES = "classes.txt"
 _REMEDY = "give the scene folder of a 3D-OVS data set"
-
-
-def preset(system: str = "scoup") -> QueryPreset:
-    """The constants of a system for this data set; the level whose mask has the highest mean relevancy answers.
-
-    Raises:
-        UnknownNameError: there is no such system, or it names no threshold for 3D-OVS.
-    """
-    return replace(query_preset(system, "3d-ovs"), level_choice="mask")
 
 
 def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
@@ -105,60 +89,22 @@ def united(frames: Iterable[LabelledFrame], scene: str) -> list[LabelledFrame]:
     return changed
 
 
-def score_frame(
-    frame: LabelledFrame,
-    relevancy: Mapping[str, Tensor] | Tensor,  # each [S, H, W], or [S, Q, H, W]
-    preset: QueryPreset | None = None,
-    levels: Sequence[str] = LEVELS,
-) -> list[PairScore]:
-    """Score each class of a frame; the truth is brought to the size of the maps by nearest neighbour.
-
-    Args:
-        frame: the truth, with ``united`` applied.
-        relevancy: per class of the frame [S, H, W] in 0..1, or all stacked [S, Q, H, W].
-        preset: how maps become masks; by default SCOUP's for this data set.
-        levels: names of the S levels, "m" and "l" among them: only these may answer.
-
-    Raises:
-        InputError: a class has no relevancy map, or a level is missing.
-    """
-    chosen = _positions(levels)
-    settings = preset or _DEFAULT
-    pairs = []
-    for label, maps in maps_by_label(frame, relevancy):
-        if len(maps) != len(levels):
-            raise InputError(f"relevancy of {len(maps)} levels, but {len(levels)} are named")
-        found = segment(maps[chosen], settings)
-        truth = frame.resized(maps.shape[2], maps.shape[1]).masks[label]
-        score = iou(found.mask.cpu(), truth)
-        pairs.append(PairScore(frame.name, label, score, None, chosen[found.level], -1, found.score, None))
-    return pairs
+def read_scene(root: Path, scene: str) -> list[LabelledFrame]:
+    """Return the frames of a scene below ``root``, with the rule of some scenes."""
+    return united(read_segmentations(root / scene), scene)
 
 
-def score_scene(
-    scene: str,
-    frames: Iterable[tuple[LabelledFrame, Mapping[str, Tensor] | Tensor]],
-    preset: QueryPreset | None = None,
-    levels: Sequence[str] = LEVELS,
-) -> SceneScore:
-    """Score all frames of a scene, given with their relevancy as for ``score_frame``.
-
-    Raises:
-        InputError: there is not a single class.
-    """
-    settings = preset or _DEFAULT
-    pairs = [pair for frame, maps in frames for pair in score_frame(frame, maps, settings, levels)]
-    return scene_score(scene, settings.name, pairs, PROTOCOL)
-
-
-_DEFAULT = preset()
-
-
-def _positions(levels: Sequence[str]) -> list[int]:
-    missing = [level for level in LEVELS_QUERIED if level not in levels]
-    if missing:
-        raise InputError(f"3D-OVS queries the levels {', '.join(LEVELS_QUERIED)}; there is no {missing[0]!r}")
-    return [list(levels).index(level) for level in LEVELS_QUERIED]
+PROTOCOL = PixelProtocol(
+    "3d-ovs",
+    "3d-ovs 2D",
+    scenes=("bed", "bench", "room", "sofa", "lawn"),
+    systems=("scoup", "langsplatv2"),
+    labels=lambda root, scene: root / scene / "segmentations",
+    read=read_scene,
+    thresholds="3d-ovs",
+    level_choice="mask",
+    levels=("m", "l"),
+)
 
 
 def _read_classes(path: Path) -> list[str]:

@@ -6,12 +6,12 @@ votes with the codes that the codebook was learned with.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import partial
 
 from scoup.base.errors import UnknownNameError
-from scoup.query.presets import QueryPreset
+from scoup.query.presets import LevelChoice, QueryPreset
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.pixel_rules import EveryNthPixel
@@ -22,42 +22,33 @@ from scoup_lab.evaluate.studies.study_scene import ScoringRule
 
 @dataclass(frozen=True)
 class Ablation:
-    """A row of the table.
-
-    Attributes:
-        name, group: for people.
-        method: what is fitted; rows that differ in the rule only share it.
-        rule: how the level is chosen: as the protocol does; by "peak", by "mask"; or only one level may answer; or,
-            with "everyday", everyday words are compared with too and the level is chosen as the protocol does; with
-            "coded", only the Gaussians that have a code are drawn, and the level is chosen as the protocol does.
-        published: name of the paper's row that changes the same, if any.
-    """
+    """A row of the table."""
 
     name: str
     group: str
-    method: Method
-    rule: Literal["protocol", "peak", "mask", "s", "m", "l", "everyday", "coded"] = "protocol"
-    published: str = ""
+    method: Method  # rows that differ in the rule only share it
+    rule: Callable[[QueryPreset], ScoringRule] = ScoringRule  # from the protocol's constants
+    published: str = ""  # name of the paper's row that changes the same, if any
 
     @property
     def is_base(self) -> bool:
         """Whether nothing is changed."""
-        return self.method is BASE and self.rule == "protocol"
-
-    def scoring_rule(self, preset: QueryPreset) -> ScoringRule:
-        """How maps become scores, from the protocol's constants."""
-        if self.rule == "protocol":
-            return ScoringRule(preset)
-        if self.rule == "everyday":
-            return ScoringRule(preset, everyday=True)
-        if self.rule == "coded":
-            return ScoringRule(preset, coded=True)
-        if self.rule in ("peak", "mask"):
-            return ScoringRule(replace(preset, level_choice=self.rule))
-        return ScoringRule(preset, (self.rule,))
+        return self.method is BASE and self.rule is ScoringRule
 
 
 BASE = METHODS["sparse-64"]
+BESIDE_EVERYDAY = partial(ScoringRule, everyday=True)
+CODED_ALONE = partial(ScoringRule, coded=True)
+
+
+def level_by(choice: LevelChoice) -> Callable[[QueryPreset], ScoringRule]:
+    """Return the rule of the protocol with another choice of the level."""
+    return lambda preset: ScoringRule(replace(preset, level_choice=choice))
+
+
+def only_level(name: str) -> Callable[[QueryPreset], ScoringRule]:
+    """Return the rule of the protocol with one level that answers."""
+    return partial(ScoringRule, levels=(name,))
 
 
 def _changed(
@@ -90,18 +81,18 @@ ABLATIONS: tuple[Ablation, ...] = (
     _changed("K=2", "non-zeros", published="K=2", k=2, keep=2),
     _changed("K=8", "non-zeros", published="K=8", k=8, keep=8),
     *_WITHOUT,
-    *(replace(each, name=f"{each.name}, dropped from blending", rule="coded") for each in _WITHOUT),
-    Ablation("none without a code in blending", "entropy", BASE, "coded"),
+    *(replace(each, name=f"{each.name}, dropped from blending", rule=CODED_ALONE) for each in _WITHOUT),
+    Ablation("none without a code in blending", "entropy", BASE, CODED_ALONE),
     _changed("Adam", "solver and start", AdamCoder()),
     _changed("Adam, from random regions", "solver and start", AdamCoder("random regions")),
     _changed("Adam, from random directions", "solver and start", AdamCoder("random directions")),
     _changed("Adam, equal logits", "solver and start", AdamCoder(logit_scale=0.0)),
-    Ablation("only level s", "levels", BASE, "s"),
-    Ablation("only level m", "levels", BASE, "m"),
-    Ablation("only level l", "levels", BASE, "l"),
-    Ablation("level by peak", "levels", BASE, "peak"),
-    Ablation("level by mask", "levels", BASE, "mask"),
-    Ablation("beside everyday words", "phrases", BASE, "everyday"),
+    Ablation("only level s", "levels", BASE, only_level("s")),
+    Ablation("only level m", "levels", BASE, only_level("m")),
+    Ablation("only level l", "levels", BASE, only_level("l")),
+    Ablation("level by peak", "levels", BASE, level_by("peak")),
+    Ablation("level by mask", "levels", BASE, level_by("mask")),
+    Ablation("beside everyday words", "phrases", BASE, BESIDE_EVERYDAY),
     Ablation("1/8 of the views", "views", replace(BASE, views=0.125)),
     Ablation("1/4 of the views", "views", replace(BASE, views=0.25)),
     Ablation("1/2 of the views", "views", replace(BASE, views=0.5)),

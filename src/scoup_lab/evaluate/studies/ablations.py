@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import mean
-from typing import Any
+from typing import Any, ClassVar
 
 from scoup.base.progress import Progress, no_progress
 from scoup.query.presets import QueryPreset
@@ -14,24 +14,20 @@ from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 from scoup_lab.evaluate.plots import IntervalPlot
 from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
+from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scores import SceneScore, kept_ious, kept_pairs
 from scoup_lab.evaluate.studies.ablation_rows import Ablation
-from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.studies.study import Study
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 from scoup_lab.evaluate.tables import CAVEATS, Table
 
 
 @dataclass(frozen=True)
 class AblationResult:
-    """A row, over all scenes and seeds.
-
-    Attributes:
-        ablation: which.
-        scores: by seed, of each scene.
-    """
+    """A row, over all scenes and seeds."""
 
     ablation: Ablation
-    scores: dict[int, list[SceneScore]]
+    scores: dict[int, list[SceneScore]]  # by seed, of each scene
 
     def pair_means(self) -> tuple[list[float], list[float], list[str], list[str]]:
         """IoU and hit of each pair as means over seeds (hits empty without localisation), queries and scenes."""
@@ -61,47 +57,48 @@ class AblationResult:
         return [mean(scene.miou for scene in of_seed) for of_seed in self.scores.values()]
 
 
-def run_ablations(
-    scenes: Sequence[StudyScene],
-    ablations: Sequence[Ablation],
-    preset: QueryPreset,
-    seeds: Sequence[int] = (0, 1, 2),
-    epochs: int = 4000,
-    progress: Progress = no_progress,
-) -> list[AblationResult]:
-    """Run every row on every scene with every seed; methods that know no seed are run once.
+@dataclass(frozen=True)
+class Ablations(Study[AblationResult]):
+    """Rows of the ablation table, over codebook seeds; methods that know no seed are run once."""
 
-    Args:
-        scenes: rasterised once (and once more for each pixel stride).
-        ablations: rows.
-        preset: the protocol's rules.
-        seeds: of the codebook.
-        epochs: of Adam.
-        progress: called after each method, seed and scene.
-    """
-    found: dict[str, dict[int, list[SceneScore]]] = {each.name: {} for each in ablations}
-    methods = list(dict.fromkeys(each.method for each in ablations))
-    total = len(scenes) * len(seeds) * len(methods)
-    done = 0
-    progress("ablations", 0, total)
-    for scene in scenes:
-        for seed in seeds:
-            settings = MethodSettings(seed, BuildSettings(epochs=epochs))
-            for method in methods:
-                if method.random or seed == seeds[0]:
-                    fitted = method.fit(scene.rasterised, settings)
-                    rules = {
-                        each.name: each.scoring_rule(preset) for each in ablations if each.method is method
-                    }
-                    for name, score in scene.scores(fitted, rules).items():
-                        found[name].setdefault(seed, []).append(score)
-                done += 1
-                progress("ablations", done, total)
-            scene.rasterised.forget_codes()  # those of the next seed are others
-    return [AblationResult(each, found[each.name]) for each in ablations]
+    rows: Sequence[Ablation]
+    preset: QueryPreset  # the protocol's rules
+    seeds: Sequence[int] = (0, 1, 2)  # of the codebook
+    epochs: int = 4000  # of Adam
+
+    stem: ClassVar[str] = "ablations"
+
+    def results(self, scenes: Sequence[StudyScene], progress: Progress = no_progress) -> list[AblationResult]:
+        """See ``Study``; scenes are rasterised once, and once more for each pixel stride."""
+        found: dict[str, dict[int, list[SceneScore]]] = {each.name: {} for each in self.rows}
+        methods = list(dict.fromkeys(each.method for each in self.rows))
+        total, done = len(scenes) * len(self.seeds) * len(methods), 0
+        progress("ablations", 0, total)
+        for scene in scenes:
+            for seed in self.seeds:
+                settings = MethodSettings(seed, BuildSettings(epochs=self.epochs))
+                for method in methods:
+                    if method.random or seed == self.seeds[0]:
+                        fitted = method.fit(scene.rasterised, settings)
+                        rules = {
+                            each.name: each.rule(self.preset) for each in self.rows if each.method is method
+                        }
+                        for name, score in scene.scores(fitted, rules).items():
+                            found[name].setdefault(seed, []).append(score)
+                    done += 1
+                    progress("ablations", done, total)
+                scene.rasterised.forget_codes()  # those of the next seed are others
+        return [AblationResult(each, found[each.name]) for each in self.rows]
+
+    def report(self, results: Sequence[AblationResult], protocol: str, described: dict[str, Any]) -> Report:
+        """See ``Study``."""
+        pairs = kept_pairs(next(iter(results[0].scores.values())))
+        record = {"protocol": protocol, **described, "pairs": pairs, "rows": ablation_record(results)}
+        plots = {"ablations.png": ablation_plot(results, protocol)}
+        return Report(self.stem, "Ablations", [ablation_table(results, protocol)], record, plots)
 
 
-def ablation_tables(results: Sequence[AblationResult], protocol: str) -> list[Table]:
+def ablation_table(results: Sequence[AblationResult], protocol: str) -> Table:
     """mIoU with intervals, range over seeds, and the paired difference from the base."""
     base = next(result for result in results if result.ablation.is_base)
     localizes = base.accuracy() is not None
@@ -128,7 +125,7 @@ def ablation_tables(results: Sequence[AblationResult], protocol: str) -> list[Ta
         "Means over codebook seeds; differences are paired over queries, after that mean.",
         "The last column is the paper's, on other data: it says which way a change went there, nothing about this run.",
     )
-    return [Table(f"{protocol}: ablations", tuple(headers), tuple(rows), notes)]
+    return Table(f"{protocol}: ablations", tuple(headers), tuple(rows), notes)
 
 
 def difference(result: AblationResult, base: AblationResult) -> Interval:
@@ -161,13 +158,3 @@ def ablation_record(results: Sequence[AblationResult]) -> dict[str, Any]:
             "seeds": list(result.scores),
         }
     return record
-
-
-def ablation_report(
-    results: Sequence[AblationResult], protocol: str, settings: dict[str, Any]
-) -> StudyReport:
-    """Table, plot and record; ``settings`` go into the record."""
-    pairs = kept_pairs(next(iter(results[0].scores.values())))
-    record = {"protocol": protocol, **settings, "pairs": pairs, "rows": ablation_record(results)}
-    plots = {"ablations.png": ablation_plot(results, protocol)}
-    return StudyReport("ablations", "Ablations", ablation_tables(results, protocol), record, plots)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import mean
-from typing import Any
+from typing import Any, ClassVar
 
 from scoup import raster
 from scoup.base.progress import Progress, no_progress
@@ -15,6 +15,7 @@ from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
 from scoup_lab.bench.measuring import Cost, Meter
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
+from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scores import (
     SceneScore,
     accuracy_interval,
@@ -23,81 +24,85 @@ from scoup_lab.evaluate.scores import (
     miou_interval,
     overall,
 )
-from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.studies.study import Study
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 from scoup_lab.evaluate.tables import CAVEATS, Table
 
 
 @dataclass(frozen=True)
 class MethodResult:
-    """A method on a scene.
+    """A method on a scene."""
 
-    Attributes:
-        method: its name.
-        score: by the 2D protocol.
-        selected: by the 3D-selection protocol; None if it was not wanted.
-        rasterise_seconds: of all views, which methods that count the same pixels share.
-        fit: cost of everything after that.
-        query_seconds: mean over labelled frames, all labels of a frame at once, projected before.
-        bytes_per_gaussian, shared_bytes: stored.
-    """
-
-    method: str
-    score: SceneScore
-    selected: SceneScore | None
-    rasterise_seconds: float
-    fit: Cost
-    query_seconds: float
-    bytes_per_gaussian: float
-    shared_bytes: float
+    method: str  # its name
+    score: SceneScore  # by the 2D protocol
+    selected: SceneScore | None  # by the 3D-selection protocol; None if it was not wanted
+    rasterise_seconds: float  # of all views, which methods that count the same pixels share
+    fit: Cost  # of everything after that
+    query_seconds: float  # mean over labelled frames, all labels of a frame at once, projected before
+    bytes_per_gaussian: float  # stored
+    shared_bytes: float  # stored once
 
 
-def compare(
-    scenes: Sequence[StudyScene],
-    methods: Sequence[Method],
-    preset: QueryPreset,
-    settings: MethodSettings = DEFAULTS,
-    selection: bool = False,
-    progress: Progress = no_progress,
-) -> list[MethodResult]:
-    """Fit and score every method on every scene.
+@dataclass(frozen=True)
+class Comparison(Study[MethodResult]):
+    """Methods fitted to the same scenes; the first is set against the others."""
 
-    Args:
-        scenes: rasterised once for each way of counting pixels.
-        methods: see ``scoup_lab.baselines.methods``.
-        preset: how maps become masks and points, for all of them.
-        settings: for all of them.
-        selection: score by the 3D-selection protocol too.
-        progress: called after each method and scene.
-    """
-    results = []
-    total = len(scenes) * len(methods)
-    progress("compare", 0, total)
-    for scene in scenes:
-        for method in methods:
-            results.append(_result(scene, method, preset, settings, selection))
-            progress("compare", len(results), total)
-    return results
+    methods: Sequence[Method]
+    preset: QueryPreset  # how maps become masks and points, for all of them
+    settings: MethodSettings = DEFAULTS
+    selection: bool = False  # score by the 3D-selection protocol too
 
+    stem: ClassVar[str] = "baselines"
 
-def _result(
-    scene: StudyScene, method: Method, preset: QueryPreset, settings: MethodSettings, selection: bool
-) -> MethodResult:
-    rasterised = scene.rasterised
-    rasterised.inputs(method.pixels, method.views)  # not part of the fit
-    rasterised.forget_codes()  # each method pays for its own
-    with Meter() as meter:
-        fitted = method.fit(rasterised, settings)
-    return MethodResult(
-        method.name,
-        scene.score(fitted, preset),
-        scene.selection_score(fitted) if selection else None,
-        rasterised.seconds(method.pixels),
-        meter.cost,
-        _query_seconds(scene, fitted),
-        fitted.bytes_per_gaussian,
-        fitted.shared_bytes,
-    )
+    def results(self, scenes: Sequence[StudyScene], progress: Progress = no_progress) -> list[MethodResult]:
+        """See ``Study``: every method on every scene, rasterised once for each way of counting pixels."""
+        found = []
+        total = len(scenes) * len(self.methods)
+        progress("compare", 0, total)
+        for scene in scenes:
+            for method in self.methods:
+                found.append(self._result(scene, method))
+                progress("compare", len(found), total)
+        return found
+
+    def report(self, results: Sequence[MethodResult], protocol: str, described: dict[str, Any]) -> Report:
+        """See ``Study``."""
+        scenes = f"{len({result.score.scene for result in results})} scenes"
+        first = self.methods[0].name
+        tables = [
+            comparison_table(results, f"{protocol}, {scenes}: methods compared"),
+            difference_table(results, first, f"{protocol}: {first} against the others"),
+            selection_table(results, f"3D selection, {scenes}: methods compared"),
+        ]
+        record = {
+            "protocol": protocol,
+            **described,
+            "pairs": kept_pairs([result.score for result in by_method(results)[first]]),
+            "methods": comparison_record(results),
+            "follows": {
+                method.name: [method.system, method.follows, method.departs] for method in self.methods
+            },
+        }
+        return Report(
+            self.stem, "Methods compared", [table for table in tables if table and table.rows], record
+        )
+
+    def _result(self, scene: StudyScene, method: Method) -> MethodResult:
+        rasterised = scene.rasterised
+        rasterised.inputs(method.pixels, method.views)  # not part of the fit
+        rasterised.forget_codes()  # each method pays for its own
+        with Meter() as meter:
+            fitted = method.fit(rasterised, self.settings)
+        return MethodResult(
+            method.name,
+            scene.score(fitted, self.preset),
+            scene.selection_score(fitted) if self.selection else None,
+            rasterised.seconds(method.pixels),
+            meter.cost,
+            _query_seconds(scene, fitted),
+            fitted.bytes_per_gaussian,
+            fitted.shared_bytes,
+        )
 
 
 def _query_seconds(scene: StudyScene, fitted: FittedMethod) -> float:
@@ -218,26 +223,3 @@ def comparison_record(results: Sequence[MethodResult]) -> dict[str, Any]:
             "shared_bytes": mean(result.shared_bytes for result in own),
         }
     return record
-
-
-def comparison_report(
-    results: Sequence[MethodResult], methods: Sequence[Method], settings: dict[str, Any]
-) -> StudyReport:
-    """Tables and record; ``settings`` go into the record."""
-    protocol = results[0].score.protocol
-    scenes = f"{len({result.score.scene for result in results})} scenes"
-    first = methods[0].name
-    tables = [
-        comparison_table(results, f"{protocol}, {scenes}: methods compared"),
-        difference_table(results, first, f"{protocol}: {first} against the others"),
-        selection_table(results, f"3D selection, {scenes}: methods compared"),
-    ]
-    record = {
-        "protocol": protocol,
-        **settings,
-        "pairs": kept_pairs([result.score for result in by_method(results)[first]]),
-        "methods": comparison_record(results),
-        "follows": {method.name: [method.system, method.follows, method.departs] for method in methods},
-    }
-    tables = [table for table in tables if table is not None and table.rows]
-    return StudyReport("baselines", "Methods compared", tables, record)

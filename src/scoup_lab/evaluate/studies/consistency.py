@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from statistics import mean
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -24,8 +24,9 @@ from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.autoencoder import LANGSPLAT, AutoencoderSettings, fit_autoencoder
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 from scoup_lab.evaluate.plots import IntervalPlot
+from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.studies.matches import Matches, Observation, matched_points
-from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.studies.study import Study
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 from scoup_lab.evaluate.tables import Table
 
@@ -35,24 +36,16 @@ MOST_PAIRS = 40_000  # of matched observations, drawn at random beyond
 
 @dataclass(frozen=True)
 class ConsistencyResult:
-    """Cosine between matched observations, at one level.
-
-    Attributes:
-        scene, level, features: which.
-        cosines: [P] mean over the pairs of each point.
-        pairs: how many pairs in all.
-        unmatched: mean cosine when the second of each pair is that of another pair drawn at random: features that are
-            all alike have a high cosine between matched observations too, and say nothing.
-        unmatched_cosines: [P] the same, as a mean over the pairs of each point.
-    """
+    """Cosine between matched observations of the points of a scene, at one level."""
 
     scene: str
     level: str
     features: str
-    cosines: tuple[float, ...]
-    pairs: int
-    unmatched: float
-    unmatched_cosines: tuple[float, ...]
+    cosines: tuple[float, ...]  # [P] mean over the pairs of each point
+    pairs: int  # how many in all
+    unmatched: float  # mean cosine when the second of each pair is that of another pair drawn at random
+    unmatched_cosines: tuple[float, ...]  # [P] the same, as a mean over the pairs of each point
+    source: str = ""  # by what the points were matched
 
     def gaps(self) -> np.ndarray:
         """[P] what matters: by how much each point's observations are more alike than those of different points."""
@@ -112,7 +105,9 @@ def consistency(
             unmatched = (a * b[shuffled]).sum(1).double().numpy()
             means, others = (_means_by_point(values, point_of_pair[both]) for values in (cosines, unmatched))
             pairs, mean_unmatched = int(both.sum()), float(unmatched.mean())
-            results.append(ConsistencyResult(scene, level, name, means, pairs, mean_unmatched, others))
+            results.append(
+                ConsistencyResult(scene, level, name, means, pairs, mean_unmatched, others, matches.source)
+            )
     return results
 
 
@@ -121,23 +116,37 @@ def _means_by_point(values: np.ndarray, points: np.ndarray) -> tuple[float, ...]
     return tuple((np.bincount(members, values) / np.bincount(members)).tolist())
 
 
-def run_consistency(
-    scenes: Sequence[StudyScene],
-    settings: BuildSettings,
-    autoencoder: AutoencoderSettings = LANGSPLAT,
-    seed: int = 0,
-    progress: Progress = no_progress,
-) -> tuple[list[ConsistencyResult], dict[str, str]]:
-    """``consistency`` of several scenes, and by what the points of each were matched."""
-    results, sources = [], {}
-    for done, scene in enumerate(scenes):
-        progress("consistency", done, len(scenes))
-        matches = matched_points(scene)
-        sources[scene.name] = matches.source
-        cameras, regions = scene.rasterised.cameras, scene.rasterised.regions
-        results += consistency(scene.name, matches, cameras, regions, settings, autoencoder, seed)
-    progress("consistency", len(scenes), len(scenes))
-    return results, sources
+@dataclass(frozen=True)
+class Consistency(Study[ConsistencyResult]):
+    """``consistency`` of several scenes. Features that are all alike have a high cosine between matched observations
+    too, and say nothing: what counts is the difference from unmatched ones."""
+
+    settings: BuildSettings  # of the sparse codes
+    autoencoder: AutoencoderSettings = LANGSPLAT
+    seed: int = 0
+
+    stem: ClassVar[str] = "consistency"
+
+    def results(
+        self, scenes: Sequence[StudyScene], progress: Progress = no_progress
+    ) -> list[ConsistencyResult]:
+        """See ``Study``."""
+        found = []
+        for done, scene in enumerate(scenes):
+            progress("consistency", done, len(scenes))
+            cameras, regions = scene.rasterised.cameras, scene.rasterised.regions
+            of_scene = (scene.name, matched_points(scene), cameras, regions)
+            found += consistency(*of_scene, self.settings, self.autoencoder, self.seed)
+        progress("consistency", len(scenes), len(scenes))
+        return found
+
+    def report(
+        self, results: Sequence[ConsistencyResult], protocol: str, described: dict[str, Any]
+    ) -> Report:
+        """See ``Study``; what lies in 2D is compared, whatever the protocol."""
+        record = {**described, **consistency_record(results)}
+        plots = {"consistency.png": consistency_plot(results)}
+        return Report(self.stem, "Multi-view consistency", [consistency_table(results)], record, plots)
 
 
 def _pairs(matches: Matches, seed: int) -> tuple[list[Observation], list[Observation], np.ndarray]:
@@ -174,7 +183,7 @@ def _labels_of(
     return labels
 
 
-def consistency_table(results: Sequence[ConsistencyResult], sources: dict[str, str]) -> Table:
+def consistency_table(results: Sequence[ConsistencyResult]) -> Table:
     """Mean cosine by scene, level and kind of feature, with intervals over points; then means over all scenes and
     levels, each counting alike."""
     rows = []
@@ -193,7 +202,7 @@ def consistency_table(results: Sequence[ConsistencyResult], sources: dict[str, s
         cosine, unmatched = (mean(part) for part in zip(*pairs, strict=True))
         cells = (f"{cosine:.3f}", "-", f"{unmatched:.3f}", f"{cosine - unmatched:.3f}")
         rows.append((features, "all", "all", "-", *cells))
-    notes = tuple(f"{scene}: matched by {source}." for scene, source in sources.items())
+    notes = tuple(f"{scene}: matched by {source}." for scene, source in sources_of(results).items())
     return Table(
         "Multi-view consistency: cosine between matched observations",
         (
@@ -245,7 +254,12 @@ def consistency_plot(results: Sequence[ConsistencyResult]) -> IntervalPlot:
     )
 
 
-def consistency_record(results: Sequence[ConsistencyResult], sources: dict[str, str]) -> dict[str, Any]:
+def sources_of(results: Sequence[ConsistencyResult]) -> dict[str, str]:
+    """Return by what the points of each scene were matched."""
+    return {result.scene: result.source for result in results}
+
+
+def consistency_record(results: Sequence[ConsistencyResult]) -> dict[str, Any]:
     """For JSON."""
     rows = [
         {
@@ -259,14 +273,4 @@ def consistency_record(results: Sequence[ConsistencyResult], sources: dict[str, 
         }
         for result in results
     ]
-    return {"matched_by": sources, "results": rows}
-
-
-def consistency_report(
-    results: Sequence[ConsistencyResult], sources: dict[str, str], settings: dict[str, Any]
-) -> StudyReport:
-    """Table, plot and record; ``settings`` go into the record."""
-    record = {**settings, **consistency_record(results, sources)}
-    plots = {"consistency.png": consistency_plot(results)}
-    tables = [consistency_table(results, sources)]
-    return StudyReport("consistency", "Multi-view consistency", tables, record, plots)
+    return {"matched_by": sources_of(results), "results": rows}

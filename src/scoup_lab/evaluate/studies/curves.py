@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import mean
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import ndimage
@@ -18,9 +18,10 @@ from scoup.scene.regions import RegionMap, Regions
 from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 from scoup_lab.evaluate.plots import Curve, CurvePlot
+from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scores import SceneScore, kept_ious, kept_pairs, miou_interval
 from scoup_lab.evaluate.studies.comparison import paired_difference
-from scoup_lab.evaluate.studies.study_report import StudyReport
+from scoup_lab.evaluate.studies.study import Study
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 from scoup_lab.evaluate.tables import CAVEATS, Table
 from scoup_lab.synthetic.faults import as_region_sums, level_sums, perturbed
@@ -30,17 +31,11 @@ SMOOTHNESS = 6.0  # pixels of an image 480 wide: how far displacements of neighb
 
 @dataclass(frozen=True)
 class FaultScale:
-    """A fault, stronger and stronger.
+    """A fault, stronger and stronger."""
 
-    Attributes:
-        name: short, for file names.
-        label: of the plot's axis.
-        strengths: in units of the label; the first is none at all.
-    """
-
-    name: str
-    label: str
-    strengths: tuple[float, ...]
+    name: str  # short, for file names
+    label: str  # of the plot's axis
+    strengths: tuple[float, ...]  # in units of the label; the first is none at all
 
 
 FAULT_SCALES: dict[str, FaultScale] = {
@@ -62,17 +57,12 @@ FAULT_SCALES: dict[str, FaultScale] = {
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """A method under a fault.
-
-    Attributes:
-        fault, strength, method: which.
-        scores: of each scene.
-    """
+    """A method under a fault."""
 
     fault: str
     strength: float
     method: str
-    scores: list[SceneScore]
+    scores: list[SceneScore]  # of each scene
 
 
 def find_fault(name: str) -> FaultScale:
@@ -84,51 +74,59 @@ def find_fault(name: str) -> FaultScale:
     return looked_up("fault", name, FAULT_SCALES)
 
 
-def run_curves(
-    scenes: Sequence[StudyScene],
-    methods: Sequence[Method],
-    faults: Sequence[FaultScale],
-    preset: QueryPreset,
-    settings: MethodSettings = DEFAULTS,
-    draw: int = 0,
-    progress: Progress = no_progress,
-) -> list[CurvePoint]:
-    """Score every method under every strength of every fault; without faults each is scored once.
+@dataclass(frozen=True)
+class Curves(Study[CurvePoint]):
+    """Every method under every strength of every fault; without faults each is scored once."""
 
-    Args:
-        scenes: rasterised once for each way of counting pixels, and again for displaced masks.
-        methods: see ``scoup_lab.baselines.methods``.
-        faults: see ``FAULT_SCALES``.
-        preset: the protocol's rules.
-        settings: of the methods.
-        draw: seed of the faults, the same for all methods.
-        progress: called after each point and scene.
-    """
-    found: dict[tuple[str, float, str], list[SceneScore]] = {}
-    total, done = len(methods) * sum(len(fault.strengths) for fault in faults) * len(scenes), 0
-    progress("curves", 0, total)
-    for scene in scenes:
-        clean = {
-            method.name: scene.score(method.fit(scene.rasterised, settings), preset) for method in methods
+    methods: Sequence[Method]
+    faults: Sequence[FaultScale]
+    preset: QueryPreset  # the protocol's rules
+    settings: MethodSettings = DEFAULTS
+    draw: int = 0  # seed of the faults, the same for all methods
+
+    stem: ClassVar[str] = "curves"
+
+    def results(self, scenes: Sequence[StudyScene], progress: Progress = no_progress) -> list[CurvePoint]:
+        """See ``Study``; scenes are rasterised once for each way of counting pixels, and again for displaced masks."""
+        found: dict[tuple[str, float, str], list[SceneScore]] = {}
+        total = len(self.methods) * sum(len(fault.strengths) for fault in self.faults) * len(scenes)
+        done = 0
+        progress("curves", 0, total)
+        for scene in scenes:
+            clean = {method.name: self._score(scene, method) for method in self.methods}
+            for fault in self.faults:
+                for strength in fault.strengths:
+                    faulty = scene
+                    if fault.name == "masks" and strength != fault.strengths[0]:
+                        moved = displaced_masks(scene.rasterised.regions, strength, self.draw)
+                        faulty = replace(scene, rasterised=scene.rasterised.with_regions(moved))
+                    for method in self.methods:
+                        if strength == fault.strengths[0]:
+                            score = clean[method.name]
+                        elif fault.name == "masks":
+                            score = self._score(faulty, method)
+                        else:
+                            inputs = faulty_inputs(scene, method, fault.name, strength, self.draw)
+                            score = scene.score(method.uplift(inputs, self.settings), self.preset)
+                        found.setdefault((fault.name, strength, method.name), []).append(score)
+                        done += 1
+                        progress("curves", done, total)
+        return [CurvePoint(*key, scores) for key, scores in found.items()]
+
+    def report(self, results: Sequence[CurvePoint], protocol: str, described: dict[str, Any]) -> Report:
+        """See ``Study``."""
+        record = {
+            "protocol": protocol,
+            **described,
+            "pairs": kept_pairs(results[0].scores),
+            "points": curve_record(results),
         }
-        for fault in faults:
-            for strength in fault.strengths:
-                faulty = scene
-                if fault.name == "masks" and strength != fault.strengths[0]:
-                    moved = displaced_masks(scene.rasterised.regions, strength, draw)
-                    faulty = replace(scene, rasterised=scene.rasterised.with_regions(moved))
-                for method in methods:
-                    if strength == fault.strengths[0]:
-                        score = clean[method.name]
-                    elif fault.name == "masks":
-                        score = faulty.score(method.fit(faulty.rasterised, settings), preset)
-                    else:
-                        inputs = faulty_inputs(scene, method, fault.name, strength, draw)
-                        score = scene.score(method.uplift(inputs, settings), preset)
-                    found.setdefault((fault.name, strength, method.name), []).append(score)
-                    done += 1
-                    progress("curves", done, total)
-    return [CurvePoint(*key, scores) for key, scores in found.items()]
+        plots = {f"curve_{fault.name}.png": curve_plot(results, fault, protocol) for fault in self.faults}
+        tables = curve_tables(results, self.faults, protocol)
+        return Report(self.stem, "Accuracy and faults", tables, record, plots)
+
+    def _score(self, scene: StudyScene, method: Method) -> SceneScore:
+        return scene.score(method.fit(scene.rasterised, self.settings), self.preset)
 
 
 def faulty_inputs(scene: StudyScene, method: Method, fault: str, strength: float, draw: int) -> UpliftInputs:
@@ -231,17 +229,3 @@ def curve_record(points: Sequence[CurvePoint]) -> list[dict[str, Any]]:
             }
         )
     return record
-
-
-def curve_report(
-    points: Sequence[CurvePoint], faults: Sequence[FaultScale], protocol: str, settings: dict[str, Any]
-) -> StudyReport:
-    """Tables, plots and record; ``settings`` go into the record."""
-    record = {
-        "protocol": protocol,
-        **settings,
-        "pairs": kept_pairs(points[0].scores),
-        "points": curve_record(points),
-    }
-    plots = {f"curve_{fault.name}.png": curve_plot(points, fault, protocol) for fault in faults}
-    return StudyReport("curves", "Accuracy and faults", curve_tables(points, faults, protocol), record, plots)

@@ -16,9 +16,9 @@ from scoup.query.text_vectors import TextVectors
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.data.labels import LabelledFrame
-from scoup_lab.evaluate.data_sets import LabelledScene
+from scoup_lab.evaluate.protocols import selection
+from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.scores import SceneScore
-from scoup_lab.evaluate.scoring import score_maps, score_selection
 from scoup_lab.evaluate.studies.coded_gaussians import relevancy_of_coded
 
 
@@ -107,14 +107,16 @@ class StudyScene:
     def selection_score(self, fitted: FittedMethod) -> SceneScore:
         """The score by the 3D-selection protocol."""
         scene = self.rasterised
-        return score_selection(self.labelled, self.vectors, fitted, scene.gaussians, scene.raster_preset)
+        return selection.score_method(
+            self.labelled, self.vectors, fitted, scene.gaussians, scene.raster_preset
+        )
 
     def _score(self, frame: LabelledFrame, maps: Tensor, rule: ScoringRule) -> SceneScore:
         levels = tuple(self.rasterised.regions.levels)
         if rule.levels is not None:
             # Other levels get the maps of one that may answer: protocols expect all levels.
             maps = maps[[levels.index(name if name in rule.levels else rule.levels[0]) for name in levels]]
-        return score_maps(self.labelled.data_set, self.name, [(frame, maps)], rule.preset, levels)
+        return self.labelled.protocol.score(self.name, [(frame, maps)], rule.preset, levels)
 
 
 def open_study_scene(labelled: LabelledScene, vectors: TextVectors) -> StudyScene:

@@ -1,0 +1,52 @@
+"""``python -m benchmarks``: one command for all studies."""
+
+from __future__ import annotations
+
+import sys
+
+from benchmarks.study import Study, run
+from scoup.base.errors import ScoupError
+from scoup.cli.parsing import Family, parse
+
+STUDIES = Family(
+    """Measure what the documents say. Each study prints a table and, with --out FILE.json, writes its figures with the
+    machine and the commit; docs/benchmarks has those that the documents cite, `python -m benchmarks.documents` makes
+    their tables.
+
+    Programs of their own: `python -m benchmarks.gpu` (parity and times on a GPU) and `python -m benchmarks.scenes`
+    (writes the synthetic scenes as a data set).
+    """,
+    {
+        "answers": "benchmarks.answers:Answers",
+        "absence": "benchmarks.absence:Absence",
+        "selection": "benchmarks.selection:Selections",
+        "labels": "benchmarks.labels:Labels",
+        "locate": "benchmarks.locate:Locate",
+        "draws": "benchmarks.likeness:Draws",
+        "coding": "benchmarks.coding:Coding",
+        "claims": "benchmarks.claims:Claims",
+        "lerf-sized": "benchmarks.lerf_sized:LerfSized",
+        "query": "benchmarks.query:Query",
+        "viewer": "benchmarks.viewer:ViewerCost",
+        "city": "benchmarks.city:Cities",
+        "endurance": "benchmarks.endurance:Endurance",
+        "server-load": "benchmarks.server_load:ServerLoad",
+        "hostile": "benchmarks.hostile.study:Hostile",
+        "hostile-guided": "benchmarks.hostile.study:Guided",
+    },
+)
+
+
+def main(words: list[str]) -> int:
+    """Run the study that the words name; the exit code."""
+    try:
+        study = parse(words, STUDIES, "python -m benchmarks")
+        assert isinstance(study, Study)
+        return int(study.failed(run(study, words[0])))
+    except ScoupError as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,195 @@
+"""CLIP and SigLIP image models as dense encoders: a map of features of a photograph, pooled for any region.
+
+CLIP: of the last layer's attention only values and output projection are used, without residual and perceptron, so that
+each token keeps to its place (Zhou et al., "Extract Free Dense Labels from CLIP", ECCV 2022, called MaskCLIP there).
+A region is the mean of its tokens' unit vectors. SigLIP: the pooling head that makes the vector of an image attends to
+the tokens of the region alone (Xiao et al., "TextRegion", 2025).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from scoup.base.errors import ScoupError
+from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
+from scoup.models.normalization import CLIP, HALF, Normalization
+from scoup.models.towers import Tower, load_tower
+
+PREFIX = "dense:"
+"""Before the model in an embedder's name."""
+_WINDOWS_AT_ONCE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class DenseModel:
+    """An image tower that describes places.
+
+    Attributes:
+        name: id of the model, as ``TextEncoder.open`` takes it.
+        revision: commit it was loaded from, "" if there is none.
+        tower: of CLIP or SigLIP.
+        normalization: of its images.
+        device, dtype: of the model.
+    """
+
+    name: str
+    revision: str
+    tower: Tower
+    normalization: Normalization
+    device: torch.device | str
+    dtype: torch.dtype
+
+    @property
+    def side(self) -> int:
+        """Of a window, in pixels."""
+        return int(self.tower.config.image_size)
+
+    @property
+    def patch(self) -> int:
+        """Side of the square that one token describes, in pixels."""
+        return int(self.tower.config.patch_size)
+
+    @property
+    def dim(self) -> int:
+        """D, the size of a vector."""
+        config = self.tower.config
+        return int(config.projection_dim if self.tower.is_clip else config.hidden_size)
+
+    def record(self) -> dict[str, Any]:
+        """What decides the result, as plain values for the manifest."""
+        return {"embedder": self.name, "embedder_revision": self.revision, "embedder_pooling": "dense"}
+
+    def tokens(self, image: Tensor) -> Tensor:
+        """The features of all places of an image.
+
+        Args:
+            image: [3, h, w] in 0..1; h and w are multiples of ``patch``, at least ``side``. It is covered by windows of
+                the model's size, as few as do, evenly placed; where they overlap, the mean is taken.
+
+        Returns:
+            [h / patch, w / patch, C] float32: CLIP's in the text space, unit vectors; SigLIP's before its head.
+        """
+        patch, window = self.patch, self.side // self.patch
+        rows, columns = image.shape[1] // patch, image.shape[2] // patch
+        places = [(y, x) for y in _starts(rows, window) for x in _starts(columns, window)]
+        pixels = self.normalization(image.to(self.device)).to(self.dtype)
+        cuts = [
+            pixels[:, y * patch : (y + window) * patch, x * patch : (x + window) * patch] for y, x in places
+        ]
+        with torch.inference_mode():
+            found = torch.cat(
+                [self._window_tokens(part) for part in torch.stack(cuts).split(_WINDOWS_AT_ONCE)]
+            )
+        total = found.new_zeros(rows, columns, found.shape[-1])
+        count = found.new_zeros(rows, columns, 1)
+        for (y, x), of_window in zip(places, found, strict=True):
+            total[y : y + window, x : x + window] += of_window
+            count[y : y + window, x : x + window] += 1
+        mean = total / count
+        return functional.normalize(mean, dim=2) if self.tower.is_clip else mean
+
+    def pool(self, tokens: Tensor, shares: Tensor) -> Tensor:
+        """The vectors of regions.
+
+        Args:
+            tokens: [h, w, C] from ``tokens``.
+            shares: [N, h, w] of each place's area that is in the region; a region has some.
+
+        Returns:
+            [N, D] float32 unit vectors.
+        """
+        with torch.inference_mode():
+            flat, weights = tokens.flatten(0, 1), shares.flatten(1).to(tokens)
+            if self.tower.is_clip:
+                return functional.normalize(weights @ flat, dim=1)
+            pooled = _pooled_by_head(_vision(self.tower).head, flat, weights, self.dtype)
+            return functional.normalize(pooled.float(), dim=1)
+
+    def _window_tokens(self, pixels: Tensor) -> Tensor:
+        """[B, window, window, C] float32 of windows [B, 3, side, side]."""
+        vision = _vision(self.tower)
+        window = self.side // self.patch
+        states = vision.embeddings(pixels)
+        if self.tower.is_clip:
+            states = vision.pre_layrnorm(states)
+            *before, last = vision.encoder.layers
+            for layer in before:
+                states = _first(layer(states, None))
+            attention = last.self_attn
+            states = attention.out_proj(attention.v_proj(last.layer_norm1(states)))
+            features = self.tower.model.visual_projection(vision.post_layernorm(states[:, 1:])).float()
+            features = functional.normalize(features, dim=2)
+        else:
+            for layer in vision.encoder.layers:
+                states = _first(layer(states, None))
+            features = vision.post_layernorm(states).float()
+        return features.unflatten(1, (window, window))
+
+
+def open_dense_model(
+    name: str, revision: str | None = None, device: torch.device | str = "cpu"
+) -> DenseModel:
+    """Load an image model as a dense encoder; in 16 bits on a GPU.
+
+    Args:
+        name: "dense:MODEL", where MODEL is a folder or hub id of a CLIP or SigLIP model.
+        revision: branch, tag or commit of a hub model; the commit found is recorded.
+
+    Raises:
+        ScoupError: the package, the weights (safetensors) or a part of them are missing, or the model has no head.
+    """
+    model_id = name.removeprefix(PREFIX)
+    alternative = "use the embedder colors, which needs no model"
+    request = ModelRequest("embedder", name, alternative, model_id, revision)
+    dtype = torch.float16 if torch.device(device).type == "cuda" else torch.float32
+
+    def load(files: Pretrained) -> DenseModel:
+        tower = load_tower(files, "image")
+        if not tower.is_clip and not hasattr(_vision(tower), "head"):
+            raise ScoupError("its image model has no pooling head; use another SigLIP, or a CLIP")
+        tower.model.to(device=device, dtype=dtype)
+        normalization = files.normalization() or (CLIP if tower.is_clip else HALF)
+        return DenseModel(model_id, files.commit, tower, normalization, device, dtype)
+
+    return load_pretrained(request, load)
+
+
+def _vision(tower: Tower) -> Any:
+    return tower.model.vision_model
+
+
+def _first(output: Any) -> Tensor:
+    """Layers of older versions of transformers return tuples."""
+    return output[0] if isinstance(output, tuple) else output
+
+
+def _starts(length: int, window: int) -> list[int]:
+    """First places of as few windows as cover a length, evenly placed."""
+    count = -(-length // window)
+    if count == 1:
+        return [0]
+    return [(length - window) * number // (count - 1) for number in range(count)]
+
+
+def _pooled_by_head(head: Any, tokens: Tensor, weights: Tensor, dtype: torch.dtype) -> Tensor:
+    """SigLIP's attention pooling over tokens [T, C] for weights [N, T] -> [N, C].
+
+    A token's weight multiplies its exponential in the softmax: 0 leaves it out, 1 is the head as it is.
+    """
+    attention = head.attention
+    heads = attention.num_heads
+    query_weight, key_weight, value_weight = attention.in_proj_weight.float().chunk(3)
+    query_bias, key_bias, value_bias = attention.in_proj_bias.float().chunk(3)
+    query = (head.probe.float()[0, 0] @ query_weight.T + query_bias).view(heads, -1)
+    keys = (tokens @ key_weight.T + key_bias).unflatten(1, (heads, -1))
+    values = (tokens @ value_weight.T + value_bias).unflatten(1, (heads, -1))
+    scores = torch.einsum("hc,thc->ht", query, keys) / query.shape[1] ** 0.5
+    shares = (scores + weights.log()[:, None]).softmax(2)  # [N, h, T]
+    mixed = torch.einsum("nht,thc->nhc", shares, values).flatten(1).to(dtype)
+    pooled = attention.out_proj(mixed)[:, None]
+    return (pooled + head.mlp(head.layernorm(pooled)))[:, 0]

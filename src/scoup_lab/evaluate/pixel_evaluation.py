@@ -1,0 +1,134 @@
+"""Evaluation of labelled frames: maps are predicted into a cache, scored, and the worst answers drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from scoup.base.progress import Progress, no_progress
+from scoup.field.language_field import LanguageField
+from scoup.io import save_png
+from scoup.query.text_vectors import TextVectors
+from scoup_lab.baselines.fitted import FittedField
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate.evaluation import Evaluation, Say, say_nothing
+from scoup_lab.evaluate.failures import failure_sheet
+from scoup_lab.evaluate.label_vectors import encode_labels
+from scoup_lab.evaluate.pixel_report import PixelScores
+from scoup_lab.evaluate.predictions import PredictionCache, file_digest, prediction_key
+from scoup_lab.evaluate.protocols import selection
+from scoup_lab.evaluate.protocols.pixels import LabelledScene, PixelProtocol
+from scoup_lab.evaluate.report import Report
+from scoup_lab.evaluate.scores import PairScore, SceneScore
+
+
+@dataclass(frozen=True)
+class PixelResult:
+    """Scores of one scene."""
+
+    score: SceneScore  # by the 2D protocol
+    selected: SceneScore | None  # by the 3D-selection protocol; None if it was not wanted
+    levels: tuple[str, ...]  # names of the field's levels
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
+    """How a data set of labelled frames is evaluated."""
+
+    protocol: PixelProtocol
+    rules: str = "scoup"  # whose constants turn relevancy into masks and points
+    selection: bool = False  # score by the 3D-selection protocol too
+    sheets: bool = True  # draw the worst answers of each scene
+
+    @property
+    def stems(self) -> Sequence[str]:
+        self.protocol.preset(self.rules)  # rules that the data set has not are refused at once
+        return (f"{self.protocol.name}_{self.rules}",)
+
+    def scene(
+        self,
+        scene: LabelledScene,
+        source: str,
+        out: Path,
+        progress: Progress = no_progress,
+        say: Say = say_nothing,
+    ) -> PixelResult:
+        """See ``Evaluation``."""
+        vectors = encode_labels(scene, source, self.device)
+        path = out / "fields" / f"{scene.name}.scoup"
+        field = self.field(scene, path, source, progress, say)
+        cache, digest = PredictionCache(out / "cache"), file_digest(path)
+        preset = self.protocol.preset(self.rules)
+        maps = predict(scene, vectors, field, digest, cache, progress=progress)
+        score = self.protocol.score(scene.name, maps, preset, field.levels)
+        selected = None
+        if self.selection:
+            raster_preset = field.info.raster_preset
+            selected = selection.score_method(
+                scene, vectors, FittedField(field), field.gaussians, raster_preset
+            )
+        if self.sheets:
+
+            def map_of(pair: PairScore) -> Tensor:
+                ((frame, found),) = predict(scene, vectors, field, digest, cache, [pair.frame])
+                return found[:, frame.labels.index(pair.label)]
+
+            sheet = failure_sheet(score, scene, field, map_of, preset)
+            save_png(sheet, out / "failures" / f"{scene.name}_{self.rules}.png", overwrite=True)
+        return PixelResult(score, selected, field.levels)
+
+    def reports(self, results: dict[str, PixelResult], described: dict[str, Any]) -> list[Report]:
+        """See ``Evaluation``: one by each protocol."""
+        found = list(results.values())
+        shared = {**described, "build": asdict(self.build)}
+        published, levels = self.protocol.scenes, found[0].levels
+        scores = tuple(each.score for each in found)
+        (stem,) = self.stems
+        of_frames = PixelScores(self.protocol.title, self.rules, scores, published, shared)
+        reports = [of_frames.report(stem, levels)]
+        selected = tuple(each.selected for each in found if each.selected is not None)
+        if selected:
+            note = "Another protocol than the 2D ones: never set the two side by side."
+            rules = selected[0].preset
+            of_gaussians = PixelScores(selection.PROTOCOL, rules, selected, published, shared, (note,))
+            reports.append(of_gaussians.report(f"{self.protocol.name}_3d-selection", levels))
+        return reports
+
+
+def predict(
+    scene: LabelledScene,
+    vectors: TextVectors,
+    field: LanguageField,
+    digest: str,
+    cache: PredictionCache,
+    frames: Sequence[str] | None = None,
+    progress: Progress = no_progress,
+) -> Iterator[tuple[LabelledFrame, Tensor]]:
+    """Yield each labelled frame with its relevancy [S, Q, H, W], labels in its order.
+
+    Args:
+        scene: its frames.
+        vectors: of the labels.
+        field: of the scene.
+        digest: of the field, for the cache.
+        cache: where maps are kept.
+        frames: names of the frames wanted; None for all.
+        progress: called after each frame.
+    """
+    fitted = FittedField(field)
+    wanted = [pair for pair in scene.frames if frames is None or pair[0].name in frames]
+    progress(f"predict {scene.name}", 0, len(wanted))
+    for done, (frame, camera) in enumerate(wanted, start=1):
+        queries = vectors.of(frame.labels)
+        size = scene.map_size(frame, camera)
+        key = prediction_key(digest, camera, frame.labels, queries, vectors.canonical, size)
+
+        def relevancy(camera=camera, queries=queries, size=size) -> Tensor:
+            return fitted.relevancy(field.project(camera), queries, vectors.canonical, size)
+
+        yield frame, cache.get(f"{scene.name}/{frame.name}", key, relevancy)
+        progress(f"predict {scene.name}", done, len(wanted))

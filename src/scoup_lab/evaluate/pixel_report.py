@@ -1,0 +1,194 @@
+"""The report on labelled frames: tables overall, by scene and by query, and the record of everything."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from statistics import mean
+from typing import Any
+
+from scoup.base.counts import counted
+from scoup_lab.evaluate.published import PUBLISHED, Published
+from scoup_lab.evaluate.report import OURS, Report
+from scoup_lab.evaluate.scores import SceneScore, accuracy_interval, miou_interval, overall
+from scoup_lab.evaluate.tables import CAVEATS, Table, number_or_none, percent
+
+
+@dataclass(frozen=True)
+class PixelScores:
+    """Scores of one protocol and one system's rules over scenes."""
+
+    protocol: str  # its title
+    system: str  # whose constants
+    scenes: tuple[SceneScore, ...]
+    published_scenes: tuple[str, ...] = ()  # published rows are shown only if these contain all of ours
+    settings: dict[str, Any] = field(default_factory=dict)  # of this run, for the JSON
+    notes: tuple[str, ...] = ()  # for below the overall table
+
+    def report(self, stem: str, levels: Sequence[str] = ()) -> Report:
+        """Return tables and record; ``levels`` name those that answered."""
+        of_papers = [published_table(self)] if self.published else []
+        tables = [overall_table(self), scene_table(self), *of_papers, query_table(self, levels)]
+        title = f"{self.protocol}, rules of {self.system}"
+        return Report(stem, title, tables, report_record(self), shown=2)
+
+    @property
+    def localizes(self) -> bool:
+        """Whether points were scored too."""
+        return all(scene.localizes for scene in self.scenes)
+
+    @property
+    def comparable(self) -> bool:
+        """Whether the scenes are those of the published data set, by name."""
+        return {scene.scene for scene in self.scenes} <= set(self.published_scenes)
+
+    @property
+    def published(self) -> tuple[Published, ...]:
+        """Rows that may stand beside ours: those of a protocol, where some tell of every scene here."""
+        rows = PUBLISHED.get(self.protocol, ())
+        known = {scene for row in rows for scene in row.by_scene}
+        return rows if self.comparable and {scene.scene for scene in self.scenes} <= known else ()
+
+    @property
+    def footnotes(self) -> dict[str, int]:
+        """Where the published rows are from, and their protocol where it differs -> number of the footnote."""
+        return {note: n for n, note in enumerate(dict.fromkeys(row.note for row in self.published), 1)}
+
+
+def overall_table(scores: PixelScores) -> Table:
+    """Ours with its intervals, then the published rows, marked as such and by a footnote each. Scores in percent."""
+    localizes = scores.localizes
+    headers = ["system", "source", "mIoU", "95 % interval"]
+    headers += ["localisation", "95 % interval"] if localizes else []
+    row = [f"{OURS} ({scores.system} rules)", "measured", *miou_interval(scores.scenes).percent()]
+    found = accuracy_interval(scores.scenes)
+    row += found.percent() if found is not None else []
+    rows = [tuple(row)]
+    for other in scores.published:
+        cells = [other.system, _mark(scores, other), _figure(other.miou), "-"]
+        cells += [_figure(other.accuracy), "-"] if localizes else []
+        rows.append(tuple(cells))
+    notes = [*scores.notes, *CAVEATS]
+    if scores.published:
+        notes.append("Published rows are as the papers report them; none was measured here.")
+        notes += [f"[{number}] {note}." for note, number in scores.footnotes.items()]
+    elif PUBLISHED.get(scores.protocol):
+        notes.append("The scenes are not those of the published data set: published figures are left out.")
+    count = sum(len(scene.pairs) for scene in scores.scenes)
+    title = (
+        f"{scores.protocol}: {counted(len(scores.scenes), 'scene')}, {counted(count, '(frame, label) pair')}"
+    )
+    return Table(title, tuple(headers), tuple(rows), tuple(notes))
+
+
+def scene_table(scores: PixelScores) -> Table:
+    """One row a scene."""
+    localizes = scores.localizes
+    headers = ["scene", "pairs", "mIoU", "95 % interval"]
+    headers += ["localisation", "95 % interval"] if localizes else []
+    rows = []
+    for scene in scores.scenes:
+        cells = [scene.scene, str(len(scene.pairs)), *miou_interval([scene]).percent()]
+        found = accuracy_interval([scene])
+        cells += found.percent() if found is not None else []
+        rows.append(tuple(cells))
+    return Table(f"{scores.protocol}: by scene", tuple(headers), tuple(rows))
+
+
+def published_table(scores: PixelScores) -> Table:
+    """What the papers report for the scenes here, below our own; footnotes as in the overall table."""
+    localizes = scores.localizes
+    ours = [
+        " / ".join(percent(share) for share in (scene.miou, *([scene.accuracy] if localizes else [])))
+        for scene in scores.scenes
+    ]
+    rows = [(OURS, "measured", *ours)]
+    for other in scores.published:
+        if other.by_scene:
+            found = [other.by_scene.get(scene.scene, (None, None)) for scene in scores.scenes]
+            rows.append((other.system, _mark(scores, other), *(_figures(each, localizes) for each in found)))
+    title = f"{scores.protocol}: published, by scene, mIoU" + (" / localisation" if localizes else "")
+    return Table(title, ("system", "source", *(scene.scene for scene in scores.scenes)), tuple(rows))
+
+
+def _mark(scores: PixelScores, row: Published) -> str:
+    return f"published [{scores.footnotes[row.note]}]"
+
+
+def _figures(both: tuple[float | None, float | None], localizes: bool) -> str:
+    return " / ".join(_figure(value) for value in (both if localizes else both[:1]))
+
+
+def query_table(scores: PixelScores, levels: Sequence[str] = ()) -> Table:
+    """One row for each query of each scene, worst first within a scene.
+
+    Args:
+        scores: of the scenes.
+        levels: names of the levels, to name those that answered.
+    """
+    localizes = scores.localizes
+    headers = ["query", "scene", "frames", "mIoU"]
+    headers += ["localisation"] if localizes else []
+    headers += ["levels"] if levels else []
+    rows = []
+    for scene in scores.scenes:
+        for record in query_records(scene):
+            cells = [record["query"], scene.scene, str(record["frames"]), percent(record["miou"])]
+            cells += [percent(record["accuracy"])] if localizes else []
+            counts = [(levels[level] if levels and level >= 0 else "-", n) for level, n in record["levels"]]
+            cells += [" ".join(f"{name}{n}" for name, n in counts)] if levels else []
+            rows.append(tuple(cells))
+    return Table(f"{scores.protocol}: by query", tuple(headers), tuple(rows))
+
+
+def query_records(scene: SceneScore) -> list[dict[str, Any]]:
+    """For each query of a scene: frames, mean IoU, share of hits, how often each level answered; worst first."""
+    by_label: dict[str, list] = {}
+    for pair in scene.pairs:
+        by_label.setdefault(pair.label, []).append(pair)
+    records = [
+        {
+            "query": label,
+            "frames": len(pairs),
+            "miou": mean(pair.iou for pair in pairs),
+            "accuracy": mean(bool(pair.hit) for pair in pairs) if scene.localizes else None,
+            "levels": Counter(pair.level for pair in pairs).most_common(),
+        }
+        for label, pairs in by_label.items()
+    ]
+    return sorted(records, key=lambda record: (record["miou"], record["query"]))
+
+
+def report_record(scores: PixelScores) -> dict[str, Any]:
+    """Everything, for JSON: scores 0..1 and not rounded, published figures apart and in percent."""
+    miou, accuracy = overall(scores.scenes)
+    found = accuracy_interval(scores.scenes)
+    return {
+        "protocol": scores.protocol,
+        "system": scores.system,
+        "settings": scores.settings,
+        "overall": {
+            "miou": miou,
+            "miou_interval": miou_interval(scores.scenes).ends,
+            "accuracy": accuracy,
+            "accuracy_interval": None if found is None else found.ends,
+            "pairs": sum(len(scene.pairs) for scene in scores.scenes),
+        },
+        "scenes": {
+            scene.scene: {
+                "miou": scene.miou,
+                "miou_interval": miou_interval([scene]).ends,
+                "accuracy": scene.accuracy if scene.localizes else None,
+                "queries": query_records(scene),
+                "pairs": [asdict(pair) | {"score": number_or_none(pair.score)} for pair in scene.pairs],
+            }
+            for scene in scores.scenes
+        },
+        "published_percent": [asdict(other) | {"footnote": other.note} for other in scores.published],
+        "caveats": list(CAVEATS),
+    }
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}" if round(value, 1) == value else f"{value:.2f}"

@@ -1,0 +1,208 @@
+"""Protocols whose unit is the pixel: masks, and points, from relevancy maps against labelled frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from torch import Tensor
+
+from scoup.base.counts import counted
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.query.presets import LevelChoice, QueryPreset, query_preset
+from scoup.query.segment import localize_and_segment, segment
+from scoup.scene.cameras import Camera
+from scoup.scene.regions import LEVELS
+from scoup_lab.data.labels import LabelledFrame, match_frames
+from scoup_lab.evaluate.metrics import any_inside, iou
+from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, chosen_scenes
+from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
+
+Maps = Mapping[str, Tensor] | Tensor
+"""Relevancy of a frame in 0..1: label -> [S, H, W] (a mapping may make them on access), or all stacked in the order of
+its labels, [S, Q, H, W]."""
+
+
+@dataclass(frozen=True)
+class PixelProtocol:
+    """A data set of labelled frames, and its rules."""
+
+    name: str  # as on the command line
+    title: str  # in tables
+    scenes: tuple[str, ...]  # of the published data set
+    systems: tuple[str, ...]  # whose constants are known for it
+    labels: Callable[[Path, str], Path]  # where the labels of a scene lie below ROOT
+    read: Callable[[Path, str], list[LabelledFrame]]  # the labelled frames of a scene below ROOT
+    thresholds: str = "lerf-ovs"  # the data set under which ``query_preset`` has its thresholds
+    level_choice: LevelChoice | None = None  # in place of the preset's
+    levels: tuple[str, ...] | None = None  # those that may answer; None for all
+    localizes: bool = False  # whether points are scored too
+    at_label_size: bool = False  # bring features to the size of the label; else labels to that of the render
+
+    def preset(self, system: str = "scoup") -> QueryPreset:
+        """Return the constants of a system for this data set.
+
+        Raises:
+            UnknownNameError: the system names none for it.
+        """
+        if system not in self.systems:
+            raise UnknownNameError(f"system with a rule for {self.name}", system, self.systems)
+        found = query_preset(system, self.thresholds)
+        return found if self.level_choice is None else replace(found, level_choice=self.level_choice)
+
+    def find(self, root: Path, wanted: Sequence[str] = ()) -> list[str]:
+        """Return the scenes below ``root`` that have labels: those wanted, or all, the published ones first.
+
+        Raises:
+            MissingFileError: there is no such folder, or no labelled scene in it.
+            UnknownNameError: a scene wanted is not there.
+        """
+        check_root(root, self.name)
+        names = sorted(
+            path.name for path in root.iterdir() if path.is_dir() and self.labels(root, path.name).is_dir()
+        )
+        expected = f"folder SCENE with {self.labels(root, 'SCENE').relative_to(root)}"
+        return chosen_scenes(root, names, wanted, self.scenes, expected)
+
+    def open(self, root: Path, name: str, places: Places = USUAL) -> LabelledScene:
+        """Read cameras and labels of a scene, and find its splat and features.
+
+        Raises:
+            MissingFileError: something is not there.
+            InputError: labels and cameras are of different scenes, or no label is in sight.
+        """
+        files = places.open(root / name, name)
+        frames = self.read(root, name)
+        if not frames:
+            raise InputError(f"{self.labels(root, name)}: there are no labels to score")
+        matched = match_frames(frames, files.cameras)
+        return LabelledScene(**vars(files), protocol=self, frames=matched)
+
+    def score_frame(
+        self,
+        frame: LabelledFrame,
+        maps: Maps,
+        preset: QueryPreset | None = None,
+        levels: Sequence[str] = LEVELS,
+    ) -> list[PairScore]:
+        """Score each label of a frame; the truth is brought to the size of the maps by nearest neighbour.
+
+        Args:
+            frame: the truth.
+            maps: its relevancy.
+            preset: how maps become masks and points; by default SCOUP's for this data set.
+            levels: names of the S levels, where only some may answer.
+
+        Raises:
+            InputError: a label has no map, a level is missing, or maps are not of the size that the protocol has.
+        """
+        settings = preset or self.preset()
+        pairs = []
+        for label, of_label in maps_by_label(frame, maps):
+            if self.at_label_size and tuple(of_label.shape[1:]) != (frame.height, frame.width):
+                raise InputError(
+                    f"frame {frame.name!r} is {frame.width} x {frame.height}, its relevancy {of_label.shape[2]} x "
+                    f"{of_label.shape[1]}; features are resized to the label, never the label"
+                )
+            pairs.append(self._score_pair(frame, label, of_label, settings, levels))
+        return pairs
+
+    def score(
+        self,
+        scene: str,
+        frames: Iterable[tuple[LabelledFrame, Maps]],
+        preset: QueryPreset | None = None,
+        levels: Sequence[str] = LEVELS,
+    ) -> SceneScore:
+        """Score all frames of a scene, given with their relevancy (a generator is fine).
+
+        Raises:
+            InputError: there is not a single label.
+        """
+        settings = preset or self.preset()
+        pairs = [pair for frame, maps in frames for pair in self.score_frame(frame, maps, settings, levels)]
+        return scene_score(scene, settings.name, pairs, self.title)
+
+    def rows(self, levels: Sequence[str]) -> list[int]:
+        """Return the positions of the levels that may answer.
+
+        Raises:
+            InputError: one is missing.
+        """
+        if self.levels is None:
+            return list(range(len(levels)))
+        for level in self.levels:
+            if level not in levels:
+                wanted = ", ".join(self.levels)
+                raise InputError(f"{self.title} queries the levels {wanted}; there is no {level!r}")
+        return [list(levels).index(level) for level in self.levels]
+
+    def _score_pair(
+        self, frame: LabelledFrame, label: str, maps: Tensor, preset: QueryPreset, levels: Sequence[str]
+    ) -> PairScore:
+        rows = list(range(len(maps)))
+        if self.levels is not None:
+            rows = self.rows(levels)
+            if len(maps) != len(levels):
+                raise InputError(f"relevancy of {len(maps)} levels, but {len(levels)} are named")
+        height, width = maps.shape[1:]
+        if not self.localizes:
+            found = segment(maps[rows], preset)
+            score = iou(found.mask.cpu(), frame.resized(width, height).masks[label])
+            return PairScore(frame.name, label, score, None, rows[found.level], -1, found.score, None)
+        point, found = localize_and_segment(maps[rows], preset)
+        truth = frame.only(label).resized(width, height)
+        return PairScore(
+            frame.name,
+            label,
+            iou(found.mask.cpu(), truth.masks[label]),
+            any_inside(point.pixels.cpu(), truth.boxes[label]),
+            rows[found.level],
+            rows[point.level],
+            found.score,
+            point.pixel,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledScene(SceneFiles):
+    """A scene of a data set, ready to be built and scored."""
+
+    protocol: PixelProtocol  # that scores it
+    frames: list[tuple[LabelledFrame, Camera]]
+
+    @property
+    def labels(self) -> list[str]:
+        """All labels of all frames, in alphabetic order."""
+        return sorted({label for frame, _ in self.frames for label in frame.labels})
+
+    @property
+    def n_pairs(self) -> int:
+        """(frame, label) pairs."""
+        return sum(len(frame.labels) for frame, _ in self.frames)
+
+    def map_size(self, frame: LabelledFrame, camera: Camera) -> tuple[int, int]:
+        """(width, height) of the maps a frame is scored at."""
+        of_label = self.protocol.at_label_size
+        return (frame.width, frame.height) if of_label else (camera.width, camera.height)
+
+
+def maps_by_label(frame: LabelledFrame, maps: Maps) -> Iterator[tuple[str, Tensor]]:
+    """Yield each label of a frame with its relevancy maps [S, H, W].
+
+    Raises:
+        InputError: a label has no relevancy map.
+    """
+    if isinstance(maps, Tensor) and (maps.dim() != 4 or maps.shape[1] != len(frame.labels)):
+        raise InputError(
+            f"frame {frame.name!r} has {counted(len(frame.labels), 'label')}, its relevancy is "
+            f"{list(maps.shape)}; expected [S, labels, H, W]"
+        )
+    for position, label in enumerate(frame.labels):
+        if isinstance(maps, Tensor):
+            yield label, maps[:, position]
+        elif label in maps:
+            yield label, maps[label]
+        else:
+            raise InputError(f"frame {frame.name!r}: there is no relevancy map for the label {label!r}")

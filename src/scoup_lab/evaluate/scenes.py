@@ -1,0 +1,94 @@
+"""Scenes of a data set on disk: what a field is built from, and where it lies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from scoup.base.errors import MissingFileError, UnknownNameError
+from scoup.io import find_gaussians, load_cameras
+from scoup.io.regions.views import FOLDER_NAME
+from scoup.scene.cameras import Cameras
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFiles:
+    """What a field is built from; the splat and the features are not read yet."""
+
+    name: str  # of its folder
+    folder: Path
+    splat: Path  # file or folder of the trained Gaussians
+    features: Path  # folder of the region features
+    cameras: Cameras  # all of them
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the parts of a scene lie, if not where they usually do; ``{scene}`` is replaced by its name."""
+
+    gaussians: str | None = None  # the trained splat; default: the one in the scene's folder
+    features: str | None = None  # region features; default: ``language_features`` in the scene's folder
+    images: str | None = None  # photographs; default: as ``load_cameras`` finds them
+    cameras: str | None = None  # what ``load_cameras`` takes; default: the scene's folder
+    undistort: bool = False  # accept cameras with lens distortion
+
+    def open(self, folder: Path, name: str) -> SceneFiles:
+        """Find the splat and the features of a scene, and read its cameras.
+
+        Raises:
+            MissingFileError: one is not there.
+        """
+        splat = _placed(self.gaussians, name) or folder
+        try:
+            splat = find_gaussians(splat)
+        except MissingFileError as error:
+            remedy = 'name the trained splats with --gaussians, for example "splats/{scene}/point_cloud.ply"'
+            raise MissingFileError(error.path, error.problem, remedy) from error
+        features = _placed(self.features, name) or folder / FOLDER_NAME
+        if not features.is_dir():
+            problem = "there is no such folder (the region features were expected here)"
+            raise MissingFileError(
+                features, problem, 'say where they are with --features, for example "f/{scene}"'
+            )
+        home, lenses = _placed(self.cameras, name) or folder, "undistort" if self.undistort else "refuse"
+        cameras = load_cameras(home, _placed(self.images, name), None, lenses)
+        return SceneFiles(name, folder, splat, features, cameras)
+
+
+USUAL = Places()
+"""Everything where it usually lies."""
+
+
+def check_root(root: Path, data_set: str) -> None:
+    """Refuse a root that is not a folder.
+
+    Raises:
+        MissingFileError: it is not.
+    """
+    if not root.is_dir():
+        raise MissingFileError(
+            root, f"there is no such folder (a {data_set} data set was expected)", "check the path"
+        )
+
+
+def chosen_scenes(
+    root: Path, names: Sequence[str], wanted: Sequence[str], published: Sequence[str], expected: str
+) -> list[str]:
+    """Return the scenes wanted of those found below ``root``, or all, the published ones first.
+
+    Raises:
+        MissingFileError: none was found; says what was ``expected``.
+        UnknownNameError: a scene wanted is not there.
+    """
+    if not names:
+        raise MissingFileError(root, f"holds no labelled scene: no {expected}", "check the path")
+    for name in wanted:
+        if name not in names:
+            raise UnknownNameError("labelled scene", name, names, str(root))
+    known = [name for name in published if name in names]
+    return list(dict.fromkeys(wanted or [*known, *names]))
+
+
+def _placed(pattern: str | None, scene: str) -> Path | None:
+    return None if pattern is None else Path(pattern.replace("{scene}", scene))

@@ -1,0 +1,34 @@
+"""What all studies have in common: results on scenes, and a report on them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar, Generic, TypeVar
+
+from scoup.base.progress import Progress, no_progress
+from scoup_lab.evaluate.report import Report
+from scoup_lab.evaluate.studies.study_scene import StudyScene
+
+Result = TypeVar("Result")
+
+
+class Study(ABC, Generic[Result]):
+    """Several methods or rules tried on the scenes of one data set. Its fields are what is tried."""
+
+    stem: ClassVar[str]
+    """Of the names of the report's files."""
+
+    @abstractmethod
+    def results(self, scenes: Sequence[StudyScene], progress: Progress = no_progress) -> list[Result]:
+        """Return what was found on each scene; ``progress`` is called after each piece of work."""
+
+    @abstractmethod
+    def report(self, results: Sequence[Result], protocol: str, described: dict[str, Any]) -> Report:
+        """Return tables, plots and record.
+
+        Args:
+            results: of all scenes.
+            protocol: title of the one that scored.
+            described: goes into the record: rules, the machine.
+        """

@@ -1,0 +1,161 @@
+"""Every study, tiny, from its options to a record that its table can be made of."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+import torch
+from benchmarks import labels, locate
+from benchmarks.absence import Absence, auc
+from benchmarks.answer_scenes import SceneSize
+from benchmarks.claims import Claims
+from benchmarks.claims_scenes import as_glass, members
+from benchmarks.coding import GRAM, PAPER_EPOCHS, PLAIN, Coding
+from benchmarks.documents import STUDIES, record
+from benchmarks.lerf_sized import LerfSized
+from benchmarks.query import STAGES, Query
+from benchmarks.selection import RULES, Selections
+from benchmarks.study import Record, Study, run
+
+from scoup.coding.exact import EFFORTS
+from scoup.query.label import NONE
+from scoup_lab.bench import usable_backends
+from scoup_lab.synthetic.scene import make_demo_scene
+from synthetic.small_scenes import one_light
+
+SMALL: dict[str, Any] = {"width": 30, "height": 20}
+OF_SCENES: dict[str, Any] = {"scenes": ("table-0",), "size": SceneSize(4000, 160, 120, 6, 2)}
+
+
+def ran(study: Study) -> Record:
+    """The record of a study, as JSON has it; its table can be made."""
+    with one_light():
+        found = run(study, "test")
+    assert json.loads(json.dumps(found)) == found
+    return found
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_tables_are_made_of_the_records_that_are_kept(name: str) -> None:
+    study, of_record = STUDIES[name]
+    assert study.table(record(of_record)).startswith(("|", "1"))
+
+
+@pytest.mark.parametrize("backend", usable_backends()[0])
+def test_a_whole_build(backend: str) -> None:
+    found = ran(LerfSized(n_gaussians=80, views=3, regions=(6, 4, 2), preset="paper", epochs=3, n_atoms=8,
+                          backend=backend, threads=1, **SMALL))  # fmt: skip
+    assert {"coding s", "coding m", "coding l", "region sums", "after vote"} <= set(found["seconds"])
+    assert sum(found["seconds"].values()) == pytest.approx(found["total_s"], abs=0.1)
+    assert found["coded_gaussians"] > 0
+
+
+def test_what_it_costs_to_ask() -> None:
+    least = ran(Query(n_gaussians=200, n_atoms=8, repeats=2, **SMALL))["least"]
+    assert set(least) == set(STAGES)
+    parts = ("project", "first relevancy", "place and mask")
+    assert least["query, new camera"] == pytest.approx(sum(least[part] for part in parts))
+
+
+@pytest.mark.slow
+def test_every_form_of_coding() -> None:
+    found = ran(Coding(regions=(90, 150), repeats=2, dim=24, n_atoms=8, k=3, adam_epochs=20, adam_up_to=100))
+    small, large = found["sizes"]
+    assert (small["adam"]["epochs"], "adam" in large) == (20, False)
+    for size in found["sizes"]:
+        assert set(size["exact"]) == set(EFFORTS)
+        assert set(size["epoch_s"]) == {GRAM, PLAIN}
+        epochs = PAPER_EPOCHS * size["epoch_s"][PLAIN]["median"]
+        assert size["whole_adam_s"][PLAIN] == pytest.approx(size["kmeans_s"] + epochs)
+        steps = 100 * -(-size["regions"] // 64)
+        assert size["autoencoder"]["all_epochs_s"] == pytest.approx(
+            steps * size["autoencoder"]["step_s"]["median"]
+        )
+    assert small["exact"]["best"]["loss"] < small["adam"]["loss"]
+
+
+@pytest.mark.slow
+def test_claims() -> None:
+    found = ran(Claims(n_gaussians=2500, width=48, height=36, views=4, repeats=1, dims=(4, 8),
+                       entropy_gaussians=2500, glass_things=1))  # fmt: skip
+    uplift = found["uplift"]
+    median = {name: timing["median_s"] for name, timing in uplift["timings"].items()}
+    for row in uplift["dense"]:
+        parts = median["rasterise"] + median["matrices"] + median[f"dense {row['dim']}"]
+        assert row["dense_s"] == pytest.approx(parts)
+        assert row["ratio"] == pytest.approx(row["dense_s"] / uplift["sparse_s"])
+        assert row["by_pixel_s"] == pytest.approx(median[f"pixels {row['dim']}"] * 4 * 3)
+    assert list(found["views"]) == ["colours", "codes, three levels", "8 numbers, three levels"]
+    assert len(found["entropy"]) == 6
+    (row,) = found["glass"]
+    assert set(row["before"]) == set(row["after"]) == {"miou", "accuracy", "others_miou", "others_accuracy"}
+
+
+def test_glass_changes_the_opacity_of_the_thing_alone() -> None:
+    demo = make_demo_scene(0, 2500, 48, 36, 2, 1)
+    name = demo.parts.names("m")[0]
+    chosen = members(demo, name)
+    assert 0 < int(chosen.sum()) < 2500
+    parts = demo.part_of_gaussian[chosen].unique().tolist()
+    assert {demo.parts.objects[demo.parts.object_of_part[part]] for part in parts} == {name}
+    changed = as_glass(demo.gaussians, chosen, 0.1)
+    ratio = changed.opacities / demo.gaussians.opacities
+    torch.testing.assert_close(ratio, torch.where(chosen, 0.1, 1.0))
+    assert changed.means is demo.gaussians.means
+
+
+@pytest.mark.slow
+def test_words_of_gaussians() -> None:
+    found = ran(labels.Labels(ways=("default", "dense"), **OF_SCENES))
+    for way in ("default", "dense"):
+        of_words = found["scores"][way]["table-0"]
+        for words in labels.WORDS:
+            assert of_words[words]["words"]["absent"] == (8 if words == "half the words" else 0)
+            assert all(0 < of_words[words][rule]["miou"] < 1 for rule in labels.RULES)
+        # Argmax has no "none of these".
+        half = of_words["half the words"]
+        assert half["as labelled"]["accuracy"] > half["argmax"]["accuracy"]
+
+
+def test_agreement_counts_by_word() -> None:
+    truth = torch.tensor([0, 0, 0, 1, 1, NONE, NONE, NONE])
+    given = torch.tensor([0, 0, 1, 1, NONE, NONE, NONE, 0])
+    found = labels.agreement(truth, given, ["mug", "cup", "pot"])
+    assert found["accuracy"] == 5 / 8
+    assert found["ious"] == {"mug": 2 / 4, "cup": 1 / 3}
+    assert found["none"] == 2 / 4
+    assert found["miou"] == pytest.approx((1 / 2 + 1 / 3) / 2)
+
+
+@pytest.mark.slow
+def test_selections_and_presence() -> None:
+    scores = ran(Selections(**OF_SCENES))["scores"]
+    assert {way: set(of["table-0"]) for way, of in scores.items()} == {way: set(RULES) for way in scores}
+    assert all(0 <= each <= 1 for of in scores.values() for rule in of["table-0"].values() for each in rule)
+    (found,) = ran(Absence(**OF_SCENES))["scenes"].values()
+    assert all(count > 0 for count in found["questions"].values())
+    shares = [of["present"] for of in found["from"].values()]
+    assert shares == sorted(shares, reverse=True)
+
+
+def test_the_area_under_the_curve_counts_ties_half() -> None:
+    tensor = torch.tensor([1.0, 2.0]).numpy()
+    assert auc(tensor, tensor) == 0.5
+    assert auc(tensor + 1, tensor) == 0.875
+    assert auc(tensor, tensor[:0]) is None
+
+
+@pytest.mark.slow
+def test_positions_and_boxes() -> None:
+    in_space, in_views = ran(locate.Locate(scenes=("table-0",), n_gaussians=4000))["rows"]
+    assert 0 < in_space["iou"] < 1
+    assert in_space["median_error"] < 0.25
+    assert 0 < in_views["iou"] < 1
+
+
+def test_boxes_overlap() -> None:
+    assert locate.box_overlap((0, 0, 4, 4), (0, 0, 4, 4)) == 1
+    assert locate.box_overlap((0, 0, 4, 4), (2, 0, 6, 4)) == pytest.approx(1 / 3)
+    assert locate.box_overlap((0, 0, 4, 4), (4, 4, 6, 6)) == 0

@@ -1,0 +1,106 @@
+"""Dense encoders: real loading of tiny random models, against the formulas through transformers' own modules."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from scoup.base.errors import ScoupError
+from scoup.models.dense import DenseModel, _starts, open_dense_model
+from scoup.models.normalization import CLIP, HALF
+from tiny_models import saved, tiny_clip, tiny_sam, tiny_siglip
+
+SIDE, PATCH, GRID = 32, 8, 4
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory) -> DenseModel:
+    return open_dense_model(f"dense:{saved(tiny_clip(), tmp_path_factory.mktemp('clip'))}")
+
+
+@pytest.fixture(scope="module")
+def siglip(tmp_path_factory) -> DenseModel:
+    return open_dense_model(f"dense:{saved(tiny_siglip(), tmp_path_factory.mktemp('siglip'))}")
+
+
+def photograph(height: int = SIDE, width: int = SIDE, seed: int = 0) -> Tensor:
+    return torch.rand(3, height, width, generator=torch.Generator().manual_seed(seed))
+
+
+@torch.inference_mode()
+def test_clip_is_the_value_path_of_its_last_layer(clip: DenseModel) -> None:
+    model, image = tiny_clip(), photograph()
+    states = model.vision_model(CLIP(image)[None], output_hidden_states=True).hidden_states
+    last = model.vision_model.encoder.layers[-1]
+    values = functional.linear(
+        last.layer_norm1(states[-2]), last.self_attn.v_proj.weight, last.self_attn.v_proj.bias
+    )
+    out = last.self_attn.out_proj(values)
+    wanted = model.visual_projection(model.vision_model.post_layernorm(out))[0, 1:]
+    wanted = functional.normalize(wanted, dim=1).view(GRID, GRID, -1)
+    tokens = clip.tokens(image)
+    torch.testing.assert_close(tokens, wanted, atol=1e-5, rtol=1e-5)
+    assert tokens.shape[2] == clip.dim == 12
+    shares = torch.zeros(2, GRID, GRID)
+    shares[0, 1, 2], shares[1, 0, 0], shares[1, 3, 3] = 0.25, 0.5, 1.0
+    vectors = clip.pool(tokens, shares)
+    mixed = functional.normalize(0.5 * tokens[0, 0] + tokens[3, 3], dim=0)
+    torch.testing.assert_close(vectors, torch.stack([tokens[1, 2], mixed]), atol=1e-5, rtol=1e-5)
+
+
+@torch.inference_mode()
+def test_siglips_head_over_all_places_gives_the_vector_of_the_image(siglip: DenseModel) -> None:
+    model, image = tiny_siglip(), photograph()
+    features = model.get_image_features(pixel_values=HALF(image)[None])
+    wanted = functional.normalize(getattr(features, "pooler_output", features), dim=1)
+    tokens = siglip.tokens(image)
+    for share in (1.0, 0.3):  # alike everywhere
+        found = siglip.pool(tokens, torch.full((1, GRID, GRID), share))
+        torch.testing.assert_close(found, wanted, atol=1e-5, rtol=1e-5)
+
+
+@torch.inference_mode()
+def test_siglips_head_attends_to_the_region_alone(siglip: DenseModel) -> None:
+    head = tiny_siglip().vision_model.head
+    tokens = siglip.tokens(photograph())
+    shares = (torch.rand(5, GRID, GRID, generator=torch.Generator().manual_seed(1)) > 0.6).float()
+    flat = tokens.flatten(0, 1)[None]
+    for number, share in enumerate(shares):
+        mixed = head.attention(head.probe, flat, flat, key_padding_mask=share.flatten()[None] == 0)[0]
+        wanted = functional.normalize((mixed + head.mlp(head.layernorm(mixed)))[0, 0], dim=0)
+        found = siglip.pool(tokens, shares[number : number + 1])[0]
+        torch.testing.assert_close(found, wanted, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["clip", "siglip"])
+def test_windows_cover_a_photograph_and_are_averaged_where_they_overlap(kind: str, request) -> None:
+    model: DenseModel = request.getfixturevalue(kind)
+    image = photograph(SIDE, 48)  # windows begin at columns 0 and 2
+    tokens = model.tokens(image)
+    assert tokens.shape[:2] == (4, 6)
+    first, second = model.tokens(image[..., :32]), model.tokens(image[..., 16:])
+    mean = (first[:, 2:] + second[:, :2]) / 2
+    if kind == "clip":
+        mean = functional.normalize(mean, dim=2)
+    torch.testing.assert_close(tokens[:, :2], first[:, :2], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(tokens[:, 4:], second[:, 2:], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(tokens[:, 2:4], mean, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("length", "window"), [(4, 4), (5, 4), (8, 4), (9, 4), (31, 7)])
+def test_as_few_windows_as_cover_a_length(length: int, window: int) -> None:
+    starts = _starts(length, window)
+    assert len(starts) == -(-length // window)
+    covered = {place for start in starts for place in range(start, start + window)}
+    assert covered == set(range(length))
+
+
+def test_other_models_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ScoupError, match="no image features; use CLIP or SigLIP"):
+        open_dense_model(f"dense:{saved(tiny_sam(), tmp_path)}")
+    with pytest.raises(ScoupError, match="embedder 'dense:nobody/nothing' cannot be loaded"):
+        open_dense_model("dense:nobody/nothing")
