@@ -9,7 +9,6 @@ import tempfile
 import time
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -121,19 +120,17 @@ def build_here(folder: Path, threads: int) -> Record:
         marks.setdefault(stage.split()[0], []).append(time.perf_counter())
 
     seconds: dict[str, float] = {}
-    scene, sums_file = folder / "scene", folder / "city.sums"
+    scene, kept = folder / "scene", folder / "city.sums"
     splat = scene / "point_cloud.ply"
-    sums_file.unlink(missing_ok=True)
+    shutil.rmtree(kept, ignore_errors=True)
     with timed(seconds, "total"):
         with timed(seconds, "load"):
             gaussians = scoup.load_gaussians(splat)
             cameras = scoup.load_cameras(scene)
             regions = scoup.load_regions(scene / "language_features", cameras)
-        with closing(RegionSums.of(gaussians, regions.levels, path=sums_file)) as sums:
-            field = scoup.build(
-                gaussians, cameras, regions, sums=sums, geometry_path=splat, progress=progress
-            )
-            size = sums.bytes
+        sums = RegionSums.of(gaussians, regions.levels, path=kept)
+        field = scoup.build(gaussians, cameras, regions, sums=sums, geometry_path=splat, progress=progress)
+        size = sums.bytes
         with timed(seconds, "save"):
             field.save(folder / "city.scoup", overwrite=True)
     named = {"coding": "coding", "region": "region sums", "vote": "vote"}

@@ -32,7 +32,7 @@ class Endurance(Study):
 
     Each verb runs as a process of its own (`benchmarks/endurance_child.py`) on a small synthetic scene. Half of the
     kills come from outside, after a random part of the time that an undisturbed run takes; half come at a random point:
-    before one of the changes of files, within a record of region sums, around a view. After some kills the run that
+    before one of the changes of files, within a file of region sums, around a view. After some kills the run that
     continues is killed again. Then the same command runs to its end, and the folder is compared with that of an
     undisturbed run. Kills that come too late, after the end of a run, are counted apart.
 

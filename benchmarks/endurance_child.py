@@ -2,7 +2,7 @@
 
     python benchmarks/endurance_child.py LOG FOLDER POINT VERB ...
 
-LOG gets a line for each point: each change of a file below FOLDER, each part of a record of region sums (half of it is
+LOG gets a line for each point: each change of a file below FOLDER, each part of a file of region sums (half of it is
 written), each view that is begun, done and kept, and each stage. At the POINT-th of them (1 for the first, 0 for
 never) the process kills itself. Nothing of the verb is changed.
 """
@@ -62,15 +62,15 @@ class Points:
 
 
 def observe(points: Points) -> None:
-    """Note stages and views, and count the parts of records."""
+    """Note stages and views, and count the parts of files of region sums."""
     from scoup import raster
+    from scoup.base import atomic
     from scoup.cli.console import Console
     from scoup.extract import pipeline
     from scoup.extract.felzenszwalb import Felzenszwalb
     from scoup.field.language_field import LanguageField
     from scoup.io.regions.store import RegionStore
-    from scoup.uplift.region_sums import RegionSums
-    from scoup.uplift.storage.record_file import RecordFile
+    from scoup.uplift.region_sums import ENDING, RegionSums
 
     @contextmanager
     def progress(self: Console) -> Iterator[Callable[[str, int, int], None]]:
@@ -90,13 +90,14 @@ def observe(points: Points) -> None:
     _noted(points, pipeline, "describe_masks", "", "done")
     _noted(points, RegionStore, "write", "", "kept")
     _noted(points, LanguageField, "save", "stage outputs", "stage end")
-    write = RecordFile._write  # pyright: ignore[reportPrivateUsage]
+    write = atomic._Output.write  # pyright: ignore[reportPrivateUsage]
 
-    def torn(self: RecordFile, part: bytes | memoryview) -> None:
-        points.pass_by("half a part", lambda: self._stream.write(part[: len(part) // 2]))
-        write(self, part)
+    def torn(self: Any, part: bytes | memoryview) -> int:
+        if self._path.suffix == ENDING:
+            points.pass_by("half a part", lambda: self._stream.write(part[: len(part) // 2]))
+        return write(self, part)
 
-    RecordFile._write = torn
+    atomic._Output.write = torn  # pyright: ignore[reportPrivateUsage]
 
 
 def _noted(points: Points, owner: Any, name: str, before: str, after: str) -> None:

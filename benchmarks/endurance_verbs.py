@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,15 +94,19 @@ class Verb:
 
     def is_new(self, files: dict[str, bytes], wanted: dict[str, bytes]) -> bool:
         """Whether all outputs that belong together are in their places, as of an undisturbed run."""
-        return bool(self.new) and all(files.get(name) == wanted[name] for name in self.new)
+        return bool(self.new) and self._of_outputs(files) == self._of_outputs(wanted)
 
     def is_as_before(self, files: dict[str, bytes], before: dict[str, bytes]) -> bool:
         """Whether none of them is."""
-        return all(files.get(name) == before.get(name) for name in self.new)
+        return self._of_outputs(files) == self._of_outputs(before)
+
+    def _of_outputs(self, files: dict[str, bytes]) -> dict[str, bytes]:
+        """Those of files that are outputs, or in folders that are."""
+        return {path: content for path, content in files.items() if path.split("/")[0] in self.new}
 
     def says_how_to_go_on(self, files: dict[str, bytes]) -> bool:
-        """Whether the lock says which files are still to be put in their places."""
-        return bool(self.new) and b'"last_steps"' in files.get(f"{self.new[0]}.lock", b"")
+        """Whether marks say which files are still to be put in their places."""
+        return any(path.split("/")[0].endswith((".ready", ".unwanted")) for path in files)
 
 
 def views_of_build(work: Path) -> int:
@@ -136,8 +139,7 @@ def views_extracted(work: Path) -> int:
 
 def _n_views(path: Path) -> int:
     try:
-        with closing(RegionSums.open(path)) as sums:
-            return len(sums)
+        return len(RegionSums.open(path))
     except ScoupError:  # nothing was complete
         return 0
 

@@ -19,7 +19,7 @@ scene, words = str(Path(scene).absolute()), str(Path(words).absolute()) if Path(
 
 def make_shard(number: int) -> str:
     path = f"{field}.{number}-of-{count}.sums"
-    if not Path(path).exists():  # a file of this name is whole
+    if not Path(path).exists():  # a folder of this name is whole
         command = ["scoup", "build", scene, "--out", field, "--model", words, "--shard", f"{number}/{count}"]
         subprocess.run(command, check=True)
     return path

@@ -58,7 +58,6 @@ def together(
     ranks: Sequence[dict[str, str]],
     *arguments: object,
     program: str = RUN,
-    prefixes: Sequence[Sequence[str]] = ((),) * 8,
 ) -> list[subprocess.CompletedProcess[str]]:
     """A verb in several processes at a time, and how each ended.
 
@@ -66,18 +65,17 @@ def together(
         ranks: variables of each, from ``support.environments``.
         arguments: of the command line.
         program: in Python, which runs it.
-        prefixes: commands that start each of them, such as those that lead to another network.
     """
     command = [sys.executable, "-c", program, *map(str, arguments)]
     started = [
         subprocess.Popen(
-            [*prefix, *command],
+            command,
             env={**os.environ, "OMP_NUM_THREADS": "1", **rank},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
-        for rank, prefix in zip(ranks, prefixes, strict=False)
+        for rank in ranks
     ]
     ended = [(process, process.communicate(timeout=HANGS)) for process in started]
     return [subprocess.CompletedProcess(command, one.returncode, *streams) for one, streams in ended]

@@ -28,7 +28,6 @@ from typing import Literal
 
 MODULES = (
     "torch",
-    "torch.distributed",
     "scipy.ndimage",
     "scipy.sparse",
     "scipy.spatial",

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.context import BaseContext
 
@@ -32,28 +30,13 @@ def ready_processes() -> BaseContext:
         return get_context("spawn")
     context = get_context("forkserver")
     # One server serves all tests of this process, among them those that try readers.
-    context.set_forkserver_preload(["torch.distributed", "scoup.uplift.build", "benchmarks.hostile.worker"])
+    context.set_forkserver_preload(["scoup.uplift.build", "benchmarks.hostile.worker"])
     return context
 
 
-@contextmanager
-def environments(world: int) -> Iterator[list[dict[str, str]]]:
-    """Variables as torchrun gives them to each of several processes, which meet at a store of this process.
-
-    So nobody else can take the port meanwhile.
-    """
-    store = torch.distributed.TCPStore(  # pyright: ignore[reportPrivateImportUsage]
-        "localhost", 0, is_master=True, wait_for_workers=False
-    )
-    shared = {
-        "WORLD_SIZE": str(world),
-        "MASTER_ADDR": "localhost",
-        "MASTER_PORT": str(store.port),
-        "TORCHELASTIC_USE_AGENT_STORE": "True",
-        "TORCHELASTIC_RESTART_COUNT": "0",
-    }
-    yield [{"RANK": str(rank), **shared} for rank in range(world)]
-    del store
+def environments(world: int) -> list[dict[str, str]]:
+    """Variables as torchrun gives them to each of several processes."""
+    return [{"RANK": str(rank), "WORLD_SIZE": str(world)} for rank in range(world)]
 
 
 KINDS = (

@@ -19,7 +19,7 @@ from scoup.base.errors import FieldVersionError, FileFormatError
 from scoup.field.artefact import METADATA_KEY
 from scoup.field.language_field import LanguageField
 from scoup.uplift.region_sums import VERSION, RegionSums
-from scoup.uplift.storage.record_file import RecordFile
+from scoup.uplift.storage.array_file import read_arrays, write_arrays
 
 FIELDS = sorted(FORMATS.glob("*.scoup"))
 ALLOWED = 1e-2  # votes of other processors and backends differ in the last bit of some float16 weights
@@ -117,20 +117,18 @@ def test_a_scene_is_written_as_it_was(made_now: Path) -> None:
 
 @pytest.mark.parametrize("version", [VERSION + 1, 0, "2", None, True])
 def test_versions_of_sums_that_are_not_known_are_refused(tmp_path: Path, version: object) -> None:
-    with (FORMATS / "kept.scoup.sums").open("rb") as stream:
-        stream.seek(24)
-        header = json.loads(stream.read(int.from_bytes(stream.read(8), "little")))["header"]
-    path, file = tmp_path / "a.sums", RecordFile.create(tmp_path / "a.sums")
-    file.append("region sums", {**header, "version": version}, {"order": np.arange(3, dtype=np.int32)})
-    file.close()
+    path = Path(shutil.copytree(FORMATS / "kept.scoup.sums", tmp_path / "a.sums"))
+    scene = path / "scene.safetensors"
+    stored = read_arrays(scene)
+    write_arrays(scene, {**stored.header, "version": version}, stored.arrays)
     with pytest.raises(FileFormatError) as caught:
         RegionSums.open(path)
     if version == VERSION + 1:
         assert isinstance(caught.value, FieldVersionError)
         assert str(caught.value) == (
-            f"{path}: was written by a newer SCOUP (format version {VERSION + 1}, this one reads up to {VERSION}); "
+            f"{scene}: was written by a newer SCOUP (format version {VERSION + 1}, this one reads up to {VERSION}); "
             "update it: pip install -U scoup"
         )
     else:
-        sentence = f"{path}: makes no sense (its format version is {version!r}); make it again"
+        sentence = f"{scene}: makes no sense (its format version is {version!r}); make it again"
         assert str(caught.value) == sentence

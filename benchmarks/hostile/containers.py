@@ -15,8 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from scoup.field.artefact import NO_CHECKSUM, tensor_checksum, text_checksum
+from scoup.uplift.storage.array_file import with_checksum
 
-_RECORD = struct.Struct("<8sIQI")
 _BASE64 = re.compile(rb"base64,([A-Za-z0-9+/=]*)")
 _CHUNKS_OF_PIXELS = b"IDAT"
 
@@ -186,25 +186,13 @@ def _join_npy(data: bytes, parts: Sequence[bytes]) -> bytes:
     return data[:8] + struct.pack("<H", len(text)) + text + parts[1]
 
 
-def _split_records(data: bytes) -> list[bytes]:
-    """JSON and arrays of each record of region sums, by turns."""
-    parts, place = [], 0
-    while place < len(data):
-        length = _RECORD.unpack_from(data, place)[2]
-        start = place + _RECORD.size
-        (size,) = struct.unpack_from("<Q", data, start)
-        parts += [data[start + 8 : start + 8 + size], data[start + 8 + size : start + length]]
-        place = start + length
-    return parts
-
-
-def _join_records(data: bytes, parts: Sequence[bytes]) -> bytes:
-    made = []
-    for text, body in zip(parts[::2], parts[1::2], strict=True):
-        content = struct.pack("<Q", len(text)) + text + body
-        head = [data[:8], zlib.crc32(content), len(content)]
-        made += [_RECORD.pack(*head, zlib.crc32(_RECORD.pack(*head, 0))), content]
-    return b"".join(made)
+def _join_sums(data: bytes, parts: Sequence[bytes]) -> bytes:
+    """A file of region sums whose checksum agrees."""
+    made = _join_safetensors(data, parts)
+    end = 8 + int.from_bytes(made[:8], "little")
+    head = made[8:end]
+    checksum = zlib.crc32(made[end:], zlib.crc32(with_checksum(head, NO_CHECKSUM)))
+    return made[:8] + with_checksum(head, f"{checksum:08x}") + made[end:]
 
 
 def _split_ply(data: bytes) -> list[bytes]:
@@ -237,5 +225,5 @@ SAFETENSORS = Container(_split_safetensors, _join_safetensors)
 FIELD = Container(_split_field, _join_field)
 LABELS = Container(_split_labels, _join_labels)
 NPY = Container(_split_npy, _join_npy)
-RECORDS = Container(_split_records, _join_records)
+SUMS = Container(_split_safetensors, _join_sums)
 PLY = Container(_split_ply, _rejoined)

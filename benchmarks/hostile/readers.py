@@ -36,7 +36,7 @@ from scoup.models.word_table import load_table
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.region_sums import RegionSums, view_file
 from scoup.uplift.shards import Shard, merge
 from scoup.uplift.vote import vote
 from scoup_lab.data.labelled_points import read_labelled_npy, read_labelled_ply
@@ -170,15 +170,12 @@ def _shard(folder: Path) -> None:
 
 @contextmanager
 def _opened_sums(path: Path) -> Iterator[RegionSums]:
-    sums = RegionSums.open(path)
     try:
-        yield sums
+        yield RegionSums.open(path)
     except FileFormatError:
         raise
-    except InputError as error:  # whoever uses the sums knows their file
+    except InputError as error:  # whoever uses the sums knows their folder
         raise FileFormatError(path, str(error)) from error
-    finally:
-        sums.close()
 
 
 def _vote(sums: RegionSums) -> None:
@@ -252,8 +249,10 @@ READERS: Mapping[str, Reader] = {
     "regions.json": Reader("packed/regions.json", lambda folder: _regions(folder / "packed")),
     "field": _field("a.scoup", "bytes.scoup"),
     "field with a splat beside it": _field("linked.scoup"),
-    "region sums": Reader("a.sums", _sums, (), (of.RECORDS,)),
-    "shards": Reader("a.1-of-2.sums", _shard, (), (of.RECORDS,)),
+    "region sums": Reader(f"a.sums/{view_file('view_00.png')}", _sums, (), (of.SUMS,)),
+    "scene of region sums": Reader("a.sums/scene.safetensors", _sums, (), (of.SUMS,)),
+    "codes of region sums": Reader("a.sums/codes.safetensors", _sums, (), (of.SUMS,)),
+    "shards": Reader("a.1-of-2.sums/inputs.safetensors", _shard, (), (of.SUMS,)),
     "words.npz": _words("words.npz", "single.npz", "alike.npz", containers=(of.ZIP,), memory=TABLES),
     "words.json": _words("words.json"),
     "words.safetensors": _words("words.safetensors", "joined.safetensors", containers=(of.SAFETENSORS,)),

@@ -28,7 +28,7 @@ from tests.io_samples import (
 )
 from tests.support import small_scene
 
-from scoup.base.processes import Processes
+from scoup.base.shares import Share
 from scoup.field.language_field import LanguageField
 from scoup.io import (
     as_stored,
@@ -171,10 +171,8 @@ def _write_fields(folder: Path) -> None:
     gaussians, cameras, regions = small_scene(count=40, views=2, width=16, height=12)
     sums = region_sums(gaussians, cameras, regions, path=folder / "a.sums")
     sums.keep_codes({"step": 1}, {"codebook": torch.ones(3, 4)})
-    sums.close()
     sums = RegionSums.of(gaussians, regions.levels, path=folder / "a.1-of-2.sums")
-    add_shard(sums, gaussians, cameras, regions, Processes(0, 2), check_fit=False)
-    sums.close()
+    add_shard(sums, gaussians, cameras, regions, Share(0, 2), check_fit=False)
 
 
 def _write_linked_field(field: LanguageField, folder: Path) -> None:

@@ -18,18 +18,18 @@ import pytest
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import InputError, OutputExistsError, OutputInUseError
-from scoup.base.locks import locked_file, locked_folder
-from scoup.base.processes import Processes
+from scoup.base.locks import locked_folder, locked_output
+from scoup.base.shares import Share
 from scoup.base.staging import staged
 
 HOLD = """
 import sys
 from pathlib import Path
 from scoup.base.atomic import atomic_path
-from scoup.base.locks import locked_file, locked_folder
+from scoup.base.locks import locked_output, locked_folder
 from scoup.base.staging import staged
 path = Path(sys.argv[2])
-kinds = {"file": locked_file, "folder": locked_folder, "staged": staged, "nothing": atomic_path}
+kinds = {"file": locked_output, "folder": locked_folder, "staged": staged, "nothing": atomic_path}
 with kinds[sys.argv[1]](path) as made:
     if sys.argv[1] == "staged":
         (made / "half").write_text("half")
@@ -53,7 +53,7 @@ def another_process(what: str, path: Path) -> Iterator[subprocess.Popen[str]]:
 def test_the_second_is_refused_with_the_name_of_the_holder(tmp_path: Path) -> None:
     path = tmp_path / "a.scoup"
     with another_process("file", path) as other:
-        with pytest.raises(OutputInUseError) as refused, locked_file(path):
+        with pytest.raises(OutputInUseError) as refused, locked_output(path):
             pass
         message = str(refused.value)
         start = f"{path}: is being written by process {other.pid} on {socket.gethostname()} since "
@@ -62,10 +62,10 @@ def test_the_second_is_refused_with_the_name_of_the_holder(tmp_path: Path) -> No
         assert re.fullmatch(r"(\d{4}-\d\d-\d\d )?\d\d:\d\d", since)  # the date where midnight has passed
         assert message.endswith("; wait for it or give another --out")
         assert str(pickle.loads(pickle.dumps(refused.value))) == message
-        with locked_file(tmp_path / "b.scoup"):  # another output
+        with locked_output(tmp_path / "b.scoup"):  # another output
             pass
     assert not list(tmp_path.iterdir())  # it was removed by the other at its end
-    with locked_file(path):
+    with locked_output(path):
         assert json.loads((tmp_path / "a.scoup.lock").read_text())["process"] == os.getpid()
     assert not list(tmp_path.iterdir())
 
@@ -76,7 +76,7 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path) -> None:
         other.kill()
         other.wait()
     assert (tmp_path / "a.scoup.lock").exists()
-    with locked_file(path):
+    with locked_output(path):
         assert json.loads((tmp_path / "a.scoup.lock").read_text())["process"] == os.getpid()
     assert not list(tmp_path.iterdir())
 
@@ -84,7 +84,7 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path) -> None:
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
 def test_it_is_given_up_after_an_error(tmp_path: Path, error: type[BaseException]) -> None:
     def work() -> None:
-        with locked_file(tmp_path / "new" / "a.scoup"):
+        with locked_output(tmp_path / "new" / "a.scoup"):
             assert (tmp_path / "new" / "a.scoup.lock").exists()
             raise error
 
@@ -96,9 +96,9 @@ def test_it_is_given_up_after_an_error(tmp_path: Path, error: type[BaseException
 def test_what_another_process_has_just_finished_is_not_made_again(tmp_path: Path) -> None:
     path = tmp_path / "a.scoup"
     path.write_text("precious")
-    with pytest.raises(OutputExistsError), locked_file(path):
+    with pytest.raises(OutputExistsError), locked_output(path):
         pass
-    with locked_file(path, overwrite=True):
+    with locked_output(path, overwrite=True):
         pass
     assert path.read_text() == "precious"
     assert [item.name for item in tmp_path.iterdir()] == ["a.scoup"]
@@ -131,7 +131,7 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     for name in precious:
         (tmp_path / name).write_text("x")
     assert len(list(tmp_path.iterdir())) == 3 + len(precious)
-    with locked_file(path):
+    with locked_output(path):
         pass
     left = {item.name for item in tmp_path.iterdir()} - set(precious)
     (other_output,) = left
@@ -141,7 +141,7 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
 def test_what_a_living_process_writes_by_itself_stays(tmp_path: Path) -> None:
     path = tmp_path / "a.scoup"
     with another_process("nothing", path) as other:
-        for lock in (locked_file(path), locked_folder(tmp_path)):
+        for lock in (locked_output(path), locked_folder(tmp_path)):
             with lock:
                 pass
         other.communicate("")
@@ -218,28 +218,28 @@ def test_files_move_together_though_interrupted(
 
 def test_processes_at_work_in_one_folder(tmp_path: Path) -> None:
     """They keep a lone process out, to the last, and a lone one keeps each of them out."""
-    first, second = Processes(0, 2), Processes(1, 2)
+    first, second = Share(0, 2), Share(1, 2)
     with another_process("folder", tmp_path) as other:
-        for processes in (first, second):
+        for share in (first, second):
             with pytest.raises(OutputInUseError, match=f"by process {other.pid} "), \
-                    locked_folder(tmp_path, processes):  # fmt: skip
+                    locked_folder(tmp_path, share):  # fmt: skip
                 pass
     with locked_folder(tmp_path, second):
         with locked_folder(tmp_path, first), pytest.raises(OutputInUseError), locked_folder(tmp_path, first):
             pass
         with pytest.raises(OutputInUseError, match=f"by process {os.getpid()} "), locked_folder(tmp_path):
             pass
-        assert [item.name for item in tmp_path.iterdir()] == ["scoup.lock.1"]
+        assert [item.name for item in tmp_path.iterdir()] == ["scoup.lock.2-of-2"]
     assert not list(tmp_path.iterdir())
 
 
 def test_locks_of_dead_processes_at_work_in_one_folder_are_removed(tmp_path: Path) -> None:
-    with locked_folder(tmp_path, Processes(0, 2)):
-        record = (tmp_path / "scoup.lock.0").read_text()
-    for name in ("scoup.lock", "scoup.lock.0", "scoup.lock.1"):
+    with locked_folder(tmp_path, Share(0, 2)):
+        record = (tmp_path / "scoup.lock.1-of-2").read_text()
+    for name in ("scoup.lock", "scoup.lock.1-of-2", "scoup.lock.2-of-2"):
         (tmp_path / name).write_text(record)
     (tmp_path / "scoup.lock.txt").write_text("precious")
-    with locked_folder(tmp_path, Processes(0, 2)):
+    with locked_folder(tmp_path, Share(0, 2)):
         pass
     with locked_folder(tmp_path):
         pass
@@ -268,24 +268,6 @@ def test_hidden_folders_of_killed_processes_are_removed(tmp_path: Path) -> None:
     assert (tmp_path / "b" / "half").read_text() == "half"  # the living one was not disturbed
 
 
-def test_of_several_processes_the_first_holds_it_and_all_are_refused(tmp_path: Path) -> None:
-    said = []
-
-    class Others(Processes):
-        def from_rank(self, item, rank):
-            said.append(item)
-            return item
-
-    path = tmp_path / "a.scoup"
-    with locked_file(path, processes=Others(1, 2)):
-        assert not list(tmp_path.iterdir())  # the second writes no lock
-    path.write_text("x")
-    with pytest.raises(OutputExistsError), locked_file(path, processes=Others(0, 2)):
-        pass
-    assert said[0] == (None, None)
-    assert isinstance(said[1][1], OutputExistsError)  # which every process would raise
-
-
 @pytest.mark.parametrize(
     "contents", ["not JSON", "{}", "[1]", '{"process": 1, "host": "a", "since": 5}', "x" * 9000]
 )
@@ -293,14 +275,14 @@ def test_a_file_of_other_contents_is_no_lock(tmp_path: Path, contents: str) -> N
     path = tmp_path / "a.scoup.lock"
     path.write_text(contents)
     with pytest.raises(InputError, match=f"^{path}: is no lock that scoup has written; move it"), \
-            locked_file(tmp_path / "a.scoup"):  # fmt: skip
+            locked_output(tmp_path / "a.scoup"):  # fmt: skip
         pass
     assert path.read_text() == contents
 
 
 def test_an_empty_file_is_a_lock(tmp_path: Path) -> None:
     (tmp_path / "a.scoup.lock").touch()  # of a process that was killed before it wrote its name
-    with locked_file(tmp_path / "a.scoup"):
+    with locked_output(tmp_path / "a.scoup"):
         pass
     assert not list(tmp_path.iterdir())
 
@@ -310,7 +292,7 @@ def test_a_link_is_no_lock(tmp_path: Path, contents: str) -> None:
     (tmp_path / "target").write_text(contents)
     (tmp_path / "a.scoup.lock").symlink_to("target")
     with pytest.raises(InputError, match="is no lock that scoup has written"), \
-            locked_file(tmp_path / "a.scoup"):  # fmt: skip
+            locked_output(tmp_path / "a.scoup"):  # fmt: skip
         pass
     assert (tmp_path / "target").read_text() == contents
     assert (tmp_path / "a.scoup.lock").is_symlink()

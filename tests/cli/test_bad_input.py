@@ -26,6 +26,7 @@ from scoup.io import (
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Cameras
+from scoup.uplift.region_sums import view_file
 from support import make_camera, random_gaussians
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -272,19 +273,18 @@ def test_region_sums_that_do_not_fit():
     write_scene(Path("second"), seed=4)
     build = ("build", "second", *QUICK, "--out", "b.scoup")
     assert "a.scoup.sums: made with other Gaussians" in refused(*build, "--sums", "a.scoup.sums")
-    assert "no.sums: there is no such file" in refused(*build, "--sums", "no.sums")
-    assert "a.scoup: is not a file of region sums" in refused(*build, "--sums", "a.scoup")
+    assert "no.sums: there is no such folder" in refused(*build, "--sums", "no.sums")
+    assert "a.scoup: is not a folder of region sums" in refused(*build, "--sums", "a.scoup")
     assert "do not go together" in refused(*build, "--sums", "a.scoup.sums", "--keep-sums")
     assert run(*build, "--keep-sums")[0] == 0
     update = ("update", "a.scoup", "--overwrite", "--remove", "view_00.png")
     assert "another scene" in refused(*update, "--sums", "b.scoup.sums")
-    damaged = bytearray(Path("a.scoup.sums").read_bytes())
+    view = Path("a.scoup.sums") / view_file("view_01.png")
+    damaged = bytearray(view.read_bytes())
     damaged[len(damaged) // 2] ^= 1
-    Path("a.scoup.sums").write_bytes(damaged)
-    assert "a.scoup.sums: is damaged" in refused(
-        *BUILD[:2], *QUICK, "--out", "c.scoup", "--sums", "a.scoup.sums"
-    )
-    Path("a.scoup.sums").unlink()
+    view.write_bytes(damaged)
+    assert f"{view}: is damaged" in refused(*BUILD[:2], *QUICK, "--out", "c.scoup", "--sums", "a.scoup.sums")
+    shutil.rmtree("a.scoup.sums")
     assert "a.scoup.sums: is not there" in refused(*update)
 
 

@@ -11,39 +11,19 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import QUICK, refused, run, run_json, snapshot, together
-from scoup.base.locks import locked_file, locked_folder
-from scoup.base.processes import Processes
+from cli_support import QUICK, refused, run, run_json, snapshot
+from scoup.base.locks import locked_folder, locked_output
+from scoup.base.shares import Share
 from scoup.io import save_png
 from scoup.io.regions.store import RegionStore
-from scoup.uplift.checkpoint import checkpoint
 from scoup.uplift.region_sums import RegionSums
-from support import HANGS, environments, small_scene
+from support import HANGS
 
 pytestmark = pytest.mark.usefixtures("here")
 
 BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
-# Of two processes at a build, the first finds the disk full where it writes the field.
-FULL = """
-import errno
-import safetensors.torch
-from scoup.cli.app import entry
-def full(tensors, path, *_):
-    raise OSError(errno.ENOSPC, "No space left on device", str(path))
-safetensors.torch.save_file = full
-entry()
-"""
-# ... or fails where it compares renders with photographs.
-FAILS = """
-from scoup.cli.app import entry
-from scoup.uplift import fit
-def fails(*_):
-    raise ValueError("of the first")
-fit.measure_fit = fails
-entry()
-"""
 # A build in a process of its own that rasterises no third view: it waits, once two are in the file.
 STUCK = """
 import time
@@ -69,6 +49,10 @@ entry()
 """
 
 
+def names() -> set[str]:
+    return {path.name for path in Path().iterdir()}
+
+
 def stuck(*arguments: object) -> subprocess.Popen[str]:
     """The build, stuck after two views."""
     command = [sys.executable, "-c", STUCK, *map(str, arguments)]
@@ -83,7 +67,7 @@ def stuck(*arguments: object) -> subprocess.Popen[str]:
     ("number", "word", "code"), [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)]
 )
 def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word: str, code: int) -> None:
-    before = set(snapshot(Path()))
+    before = names()
     with stuck(*BUILD) as build:
         message = refused(*BUILD)
         assert message.startswith(f"a.scoup: is being written by process {build.pid} on ")
@@ -91,45 +75,32 @@ def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word:
         _, err = build.communicate(timeout=HANGS)
     assert build.returncode == code
     assert err == f"error: {word}; 2 of 4 views are kept, run the same command again to continue\n"
-    assert set(snapshot(Path())) - before == {"a.scoup.partial"}  # neither lock nor temporary files
+    assert names() - before == {"a.scoup.partial"}  # neither lock nor temporary files
     code, out, err = run(*BUILD)
     assert (code, err) == (0, "")
     assert "continues an interrupted build: 2 of 4 views are there" in out
-    assert set(snapshot(Path())) - before == {"a.scoup"}
+    assert names() - before == {"a.scoup"}
 
 
 def test_a_build_that_is_killed_leaves_nothing_in_the_way() -> None:
-    before = set(snapshot(Path()))
+    before = names()
     with stuck(*BUILD) as build:
         build.kill()
         build.communicate(timeout=HANGS)
     Path(".a.0123456789ab.scoup").write_text("half a field")
-    assert set(snapshot(Path())) - before == {"a.scoup.partial", "a.scoup.lock", ".a.0123456789ab.scoup"}
+    assert names() - before == {"a.scoup.partial", "a.scoup.lock", ".a.0123456789ab.scoup"}
     code, out, err = run(*BUILD)
     assert (code, err) == (0, "")
     assert "continues an interrupted build: 2 of 4 views are there" in out
-    assert set(snapshot(Path())) - before == {"a.scoup"}
-
-
-def test_checkpoints_of_another_number_of_processes_are_removed() -> None:
-    for name in ("a.scoup.partial.0", "a.scoup.partial.1", "a.scoup.partial.txt", "b.scoup.partial.0"):
-        Path(name).write_text("x")
-    code, _, err = run(*BUILD)
-    assert code == 0
-    assert err == (
-        "warning: a.scoup: removed what a build by another number of processes has left (a.scoup.partial.0, "
-        "a.scoup.partial.1)\n"
-    )
-    left = {path.name for path in Path().glob("*.partial*")}
-    assert left == {"a.scoup.partial.txt", "b.scoup.partial.0"}
+    assert names() - before == {"a.scoup"}
 
 
 def test_verbs_that_find_their_output_in_use() -> None:
     run_json("build", "scene", *QUICK, "--out", "kept.scoup", "--keep-sums")
     update = ("update", "kept.scoup", "--remove", "view_00.png", "--overwrite")
     with (
-        locked_file(Path("a.scoup")),
-        locked_file(Path("kept.scoup"), overwrite=True),
+        locked_output(Path("a.scoup")),
+        locked_output(Path("kept.scoup"), overwrite=True),
         locked_folder(Path("regions")),
     ):
         for verb, output in ((BUILD, "a.scoup"), (update, "kept.scoup"), (EXTRACT, "regions")):
@@ -209,48 +180,6 @@ def test_codes_are_kept_before_there_is_any_view(monkeypatch: pytest.MonkeyPatch
     assert "0 of 4 views are there, the codes are kept" in run(*BUILD)[1]
 
 
-def by_two(*arguments: str, **how: str) -> list[subprocess.CompletedProcess[str]]:
-    with environments(2) as ranks:
-        return together(ranks, *arguments, **how)
-
-
-@pytest.mark.usefixtures("quick_python")
-def test_of_several_processes_one_locks_and_none_waits_for_ever() -> None:
-    before = set(snapshot(Path()))
-    with locked_file(Path("a.scoup")):
-        for done in by_two(*BUILD):
-            assert done.returncode == 2, done.stderr
-            assert f"error: a.scoup: is being written by process {os.getpid()} on " in done.stderr
-    assert set(snapshot(Path())) == before
-    for done in by_two(*BUILD):
-        assert done.returncode == 0, done.stderr
-    assert set(snapshot(Path())) - before == {"a.scoup"}
-    assert run(*BUILD[:-1], "b.scoup")[0] == 0
-    assert Path("a.scoup").read_bytes() == Path("b.scoup").read_bytes()
-
-
-@pytest.mark.usefixtures("quick_python")
-def test_of_several_processes_none_gives_up_its_views_before_the_field_is_there() -> None:
-    before = set(snapshot(Path()))
-    for done in by_two(*BUILD, program=FULL):
-        assert done.returncode == 2, done.stderr
-        assert done.stderr.startswith("error: a.scoup: cannot be written (No space left on device)")
-    assert set(snapshot(Path())) - before == {"a.scoup.partial.0", "a.scoup.partial.1"}
-    for name in ("a.scoup.partial.0", "a.scoup.partial.1"):
-        assert len(RegionSums.open(Path(name))) == 2
-    for done in by_two(*BUILD):
-        assert done.returncode == 0, done.stderr
-    assert set(snapshot(Path())) - before == {"a.scoup"}
-
-
-@pytest.mark.usefixtures("quick_python")
-def test_of_several_processes_all_end_with_the_error_of_the_first() -> None:
-    for done in by_two(*BUILD, program=FAILS):
-        assert done.returncode != 0
-        assert "of the first" in done.stderr
-        assert "Connection" not in done.stderr
-
-
 def test_of_several_processes_none_extracts_into_a_folder_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WORLD_SIZE", "2")
     with locked_folder(Path("regions")):
@@ -262,23 +191,6 @@ def test_of_several_processes_none_extracts_into_a_folder_in_use(monkeypatch: py
     monkeypatch.delenv("RANK")
     monkeypatch.delenv("WORLD_SIZE")
     before = snapshot(Path("regions"))
-    with locked_folder(Path("regions"), Processes(1, 2)):  # the first has ended already
+    with locked_folder(Path("regions"), Share(1, 2)):  # the first has ended already
         assert f"by process {os.getpid()} on " in refused(*EXTRACT)
     assert snapshot(Path("regions")) == before
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_sums_are_closed_after_any_error(error: type[BaseException]) -> None:
-    gaussians, _, regions = small_scene(count=40, views=3)
-    kept: list[RegionSums] = []
-
-    def work() -> None:
-        with checkpoint(Path("a.scoup"), gaussians, regions) as sums:
-            kept.append(sums)
-            sums.keep_codes({}, {})
-            raise error
-
-    with pytest.raises(error):
-        work()
-    with pytest.raises(ValueError, match="closed"):
-        kept[0].keep_codes({}, {})

@@ -140,7 +140,7 @@ def test_convert_into_a_folder_that_extract_has_made(here) -> None:
     run_json("extract", "scene", *FREE, "--out", "compact")
     assert Path("regions/view_00_made.json").exists()
     Path("regions/scoup.lock").touch()  # of an extraction that was killed
-    Path("regions/scoup.lock.1").touch()
+    Path("regions/scoup.lock.2-of-3").touch()
     run_json("convert", "compact", "regions", "--overwrite")
     assert not list(Path("regions").glob("*_made.json"))  # they are not what extract has made any more
     Path("regions/scoup.lock.txt").touch()
@@ -156,7 +156,7 @@ def test_processes_of_torchrun_take_their_share(here, monkeypatch) -> None:
     for rank in range(3):
         monkeypatch.setenv("RANK", str(rank))
         record = run_json("extract", "scene", *FREE)
-        assert (record["rank"], record["world_size"]) == (rank, 3)
+        assert (record["shard"], record["of_shards"]) == (rank + 1, 3)
         made.append(record["made"])
     assert made == [2, 1, 1]
     assert len(load_regions("scene", load_cameras("scene"))) == 4

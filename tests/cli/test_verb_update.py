@@ -39,11 +39,11 @@ def arrive() -> None:
 
 def test_a_view_is_added_and_removed_again():
     arrive()
-    before = snapshot(Path())
+    before, sums = snapshot(Path()), snapshot(Path("a.scoup.sums"))
     added = run_json("update", "a.scoup", "--scene", "scene", "--add", "view_03", "--out", "b.scoup")
     assert (added["added"], added["removed"], added["views"]) == (["view_03.png"], [], 4)
     assert snapshot(Path())["a.scoup"] == before["a.scoup"]
-    assert snapshot(Path())["a.scoup.sums"] == before["a.scoup.sums"]
+    assert snapshot(Path("a.scoup.sums")) == sums
     field = LanguageField.load("b.scoup")
     assert field.info.provenance["views"] == VIEWS
     assert list(RegionSums.open("b.scoup.sums").views) == VIEWS
@@ -197,5 +197,5 @@ def test_an_interrupted_update_leaves_both_files(monkeypatch):
     assert code == 130
     after = snapshot(Path())
     assert len(RegionSums.open("a.scoup.update.partial")) == 4  # for the same command to continue
-    del after["a.scoup.update.partial"]
-    assert after == before
+    assert {name: after[name] for name in before} == before
+    assert all(name.startswith("a.scoup.update.partial/") for name in after.keys() - before.keys())

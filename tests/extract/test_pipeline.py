@@ -19,7 +19,7 @@ import scoup
 from cli_support import snapshot
 from mask_samples import smooth_image
 from scoup.base.errors import InputError, ScoupError, ScoupWarning
-from scoup.base.processes import Processes
+from scoup.base.shares import Share
 from scoup.extract import (
     Masks,
     MaskSettings,
@@ -277,9 +277,7 @@ def test_shards_make_together_what_one_makes_alone(tmp_path: Path) -> None:
     photographs = find_photographs(folder)
     extract(photographs, tmp_path / "one", Blocks(), PlainColors())
     for rank in (2, 0, 1):
-        report = extract(
-            photographs, tmp_path / "three", Blocks(), PlainColors(), processes=Processes(rank, 3)
-        )
+        report = extract(photographs, tmp_path / "three", Blocks(), PlainColors(), share=Share(rank, 3))
         assert report.made == [item.name for item in photographs[rank::3]]
     assert snapshot(tmp_path / "one") == snapshot(tmp_path / "three")
 
@@ -290,7 +288,7 @@ from pathlib import Path
 sys.path[:0] = [{tests!r}, {own!r}]
 from test_pipeline import Blocks
 from scoup.extract import extract, find_photographs
-from scoup.base.processes import of_environment
+from scoup.base.shares import Share
 from scoup.extract.plain_colors import PlainColors
 
 class Hangs(Blocks):
@@ -300,8 +298,8 @@ class Hangs(Blocks):
             sys.stdin.read()  # until it is killed
         return super().segment(image)
 
-kind = Hangs if of_environment().rank else Blocks
-extract(find_photographs({scene!r}), Path({out!r}), kind(), PlainColors(), processes=of_environment())
+kind = Hangs if Share.of_environment().number else Blocks
+extract(find_photographs({scene!r}), Path({out!r}), kind(), PlainColors(), share=Share.of_environment())
 """
 
 

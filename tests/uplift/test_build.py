@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -79,7 +80,6 @@ def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, tmp_path, 
     sums = resumed(path, gaussians, regions)
     with pytest.raises(KeyboardInterrupt):
         build(*scene, settings=QUICK, sums=sums, progress=Stages(at))
-    sums.close()
     taken = {"region sums": 2, "vote": 4, "coding m": 0}[at[0]]
     sums = resumed(path, gaussians, regions)
     assert len(sums) == taken
@@ -111,10 +111,11 @@ def test_what_changed_during_an_interruption_is_rasterised_again(scene, tmp_path
     assert fresh.info.provenance["label_maps"] != build(*scene, settings=QUICK).info.provenance["label_maps"]
 
 
-def test_a_file_that_cannot_be_gone_on_from_is_replaced(scene, tmp_path):
+def test_a_folder_that_cannot_be_gone_on_from_is_replaced(scene, tmp_path):
     gaussians, _, regions = scene
     path = tmp_path / "f.partial"
-    path.write_bytes(b"damaged" * 100)
+    path.mkdir()
+    (path / "scene.safetensors").write_bytes(b"damaged" * 100)
     with pytest.warns(ScoupWarning, match=r"f\.partial.*starting over"):
         sums = resumed(path, gaussians, regions)
     build(*scene, settings=QUICK, sums=sums)
@@ -134,7 +135,7 @@ def test_a_file_that_cannot_be_gone_on_from_is_replaced(scene, tmp_path):
 )  # fmt: skip
 def test_other_settings_from_kept_sums_equal_a_whole_build(scene, tmp_path, change):
     gaussians, cameras, regions = scene
-    region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums").close()
+    region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")
     sums = RegionSums.open(tmp_path / "f.sums")
     settings = dataclasses.replace(QUICK, **change)
     kept = build(*scene, settings=settings, sums=sums)
@@ -163,7 +164,7 @@ def test_fewer_views_from_kept_sums_equal_a_whole_build(scene, tmp_path):
 
 def test_more_views_than_kept_sums_have(scene, tmp_path):
     gaussians, cameras, regions = scene
-    region_sums(gaussians, cameras[:2], regions, path=tmp_path / "f.sums").close()
+    region_sums(gaussians, cameras[:2], regions, path=tmp_path / "f.sums")
     with pytest.raises(InputError, match=r"f\.sums: lacks the view 'view_02.png'"):
         build(*scene, settings=QUICK, sums=RegionSums.open(tmp_path / "f.sums"))
     grown = build(*scene, settings=QUICK, sums=RegionSums.open(tmp_path / "f.sums", writable=True))
@@ -214,13 +215,21 @@ def test_backends_build_the_same_field(scene):
     torch.testing.assert_close(fields[0].code_weights[same], fields[1].code_weights[same], atol=1e-3, rtol=0)
 
 
-def test_nothing_grows_with_the_number_of_views_but_the_sums(scene, tmp_path):
-    """Beyond its limit a build keeps region sums on disk."""
+def test_nothing_grows_with_the_number_of_views_but_the_sums(scene, tmp_path, monkeypatch):
+    """A build of its own keeps region sums in a temporary folder, which is gone then."""
     gaussians, _, regions = scene
-    small = RegionSums.of(gaussians, regions.levels, most_in_memory=1)
-    spilled = build(*scene, settings=QUICK, sums=small)
-    assert small.path is None
-    assert saved(spilled, tmp_path / "a.scoup") == saved(build(*scene, settings=QUICK), tmp_path / "b.scoup")
+    folders = []
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with monkeypatch.context() as patch:
+        append = RegionSums.append
+        patch.setattr(
+            RegionSums, "append", lambda self, *view: folders.append(self.path) or append(self, *view)
+        )
+        alone = build(*scene, settings=QUICK)
+    assert {path.parent.parent for path in folders} == {tmp_path}
+    assert not list(tmp_path.iterdir())
+    in_memory = build(*scene, settings=QUICK, sums=RegionSums.of(gaussians, regions.levels))
+    assert saved(in_memory, tmp_path / "a.scoup") == saved(alone, tmp_path / "b.scoup")
 
 
 def test_presets():

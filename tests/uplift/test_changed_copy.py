@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
+from cli_support import snapshot
 from scoup import raster
 from scoup.base.errors import ScoupWarning
-from scoup.base.locks import locked_file
+from scoup.base.locks import locked_output
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
-from scoup.uplift.checkpoint import changed_copy, moved_with_sums
+from scoup.uplift.checkpoint import changed_copy
 from scoup.uplift.rasterise import add_views, region_sums
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.region_sums import RegionSums, view_file
 from support import small_scene
 
 PARTIAL = Path("a.scoup.update.partial")
@@ -30,7 +32,7 @@ class Updated:
 
     def __init__(self) -> None:
         self.gaussians, self.cameras, self.regions = small_scene(count=60, views=4)
-        region_sums(self.gaussians, Cameras(list(self.cameras)[:2]), self.regions, path=SOURCE).close()
+        region_sums(self.gaussians, Cameras(list(self.cameras)[:2]), self.regions, path=SOURCE)
         self.add = list(self.cameras)[2:]
 
     def run(self, stop_at: str = "", add: Sequence[Camera] = (), regions: Regions | None = None) -> list[str]:
@@ -43,7 +45,7 @@ class Updated:
         """
         add, regions, rasterised = add or self.add, regions or self.regions, []
         with (
-            locked_file(Path("a.scoup")) as lock,
+            locked_output(Path("a.scoup")) as output,
             changed_copy(SOURCE, Path("a.scoup"), add, regions) as copied,
         ):
             for camera in add:
@@ -57,8 +59,8 @@ class Updated:
             copied.sums.keep_codes({"key": ""}, {})
             if stop_at:
                 raise Interrupted
-            Path("a.scoup.new").write_text("field")
-            moved_with_sums(lock, copied.sums, keep=True)(Path("a.scoup.new"), Path("a.scoup"))
+            with output.appearing(copied.sums.path, Path("a.scoup.sums")) as temporary:
+                temporary.write_text("field")
         return rasterised
 
 
@@ -68,11 +70,11 @@ def updated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Updated:
     return Updated()
 
 
-def whole(updated: Updated) -> bytes:
+def whole(updated: Updated) -> dict[str, bytes]:
     """The sums of an update that nobody interrupts."""
     updated.run()
-    content = Path("a.scoup.sums").read_bytes()
-    Path("a.scoup.sums").unlink()
+    content = snapshot(Path("a.scoup.sums"))
+    shutil.rmtree("a.scoup.sums")
     Path("a.scoup").unlink()
     return content
 
@@ -84,22 +86,45 @@ def test_it_goes_on_where_it_stopped(updated: Updated, stop_at: str, again: int)
         updated.run(stop_at)
     assert PARTIAL.exists() == (again < 2)  # nothing is left where nothing was added
     assert len(updated.run()) == again
-    assert Path("a.scoup.sums").read_bytes() == wanted
+    assert snapshot(Path("a.scoup.sums")) == wanted
     assert not PARTIAL.exists()
 
 
-@pytest.mark.parametrize("length", [-1, -70, 1, 40])
-def test_a_copy_that_was_cut_short(updated: Updated, length: int) -> None:
+@pytest.mark.parametrize("file", ["scene.safetensors", "codes.safetensors", view_file("view_02.png")])
+def test_a_damaged_copy(updated: Updated, file: str) -> None:
+    """Files of a copy appear whole, so that somebody else must have cut it."""
+    wanted, kept = whole(updated), snapshot(SOURCE)
+    with pytest.raises(Interrupted):
+        updated.run("codes")
+    content = (PARTIAL / file).read_bytes()
+    (PARTIAL / file).unlink()  # it may be a link to what is kept
+    (PARTIAL / file).write_bytes(content[:-1])
+    with pytest.warns(ScoupWarning, match="is not of this update; starting over"):
+        updated.run()
+    assert snapshot(Path("a.scoup.sums")) == wanted
+    assert snapshot(SOURCE) == kept
+
+
+@pytest.mark.parametrize("file", ["codes.safetensors", view_file("view_00.png")])
+def test_a_copy_that_lacks_a_file(updated: Updated, file: str) -> None:
+    """As after a kill, wherever it comes: what is kept is taken from there again."""
     wanted = whole(updated)
     with pytest.raises(Interrupted):
         updated.run("codes")
-    PARTIAL.write_bytes(PARTIAL.read_bytes()[:length])
-    if length > 0:  # a copy appears whole, so that somebody else must have cut it
-        with pytest.warns(ScoupWarning, match="is not of this update; starting over"):
-            updated.run()
-    else:
-        assert len(updated.run()) == 0  # only the codes were cut
-    assert Path("a.scoup.sums").read_bytes() == wanted
+    (PARTIAL / file).unlink()
+    assert len(updated.run()) == 0
+    assert snapshot(Path("a.scoup.sums")) == wanted
+
+
+def test_where_the_file_system_knows_no_links(updated: Updated, monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted = whole(updated)
+
+    def refuse(*_) -> None:
+        raise OSError(1, "Operation not permitted")
+
+    monkeypatch.setattr("os.link", refuse)
+    updated.run()
+    assert snapshot(Path("a.scoup.sums")) == wanted
 
 
 def test_views_that_have_changed_meanwhile_are_made_again(updated: Updated) -> None:
@@ -119,19 +144,30 @@ def others_digest(updated: Updated, regions: Regions, name: str) -> str:
     return raster.combine(regions.load_labels(name, camera.width, camera.height)).digest()
 
 
-def test_an_update_of_other_views_starts_over(updated: Updated) -> None:
+def test_an_update_of_other_views_keeps_only_its_own(updated: Updated) -> None:
     with pytest.raises(Interrupted):
         updated.run("codes")
     second = updated.add[1]
-    assert updated.run(add=[second]) == [second.name]
+    assert updated.run(add=[second]) == []
     assert list(RegionSums.open("a.scoup.sums").views) == [*RegionSums.open(SOURCE).views, second.name]
 
 
-def test_other_sums_are_not_continued(updated: Updated) -> None:
+def test_other_sums_of_the_scene_are_continued(updated: Updated) -> None:
+    """Views are the same, whichever others there are."""
     with pytest.raises(Interrupted):
         updated.run("codes")
-    SOURCE.unlink()
-    region_sums(updated.gaussians, Cameras([updated.cameras[1]]), updated.regions, path=SOURCE).close()
+    shutil.rmtree(SOURCE)
+    region_sums(updated.gaussians, Cameras([updated.cameras[1]]), updated.regions, path=SOURCE)
+    assert len(updated.run()) == 0
+    assert len(RegionSums.open("a.scoup.sums")) == 3
+
+
+def test_sums_of_another_scene_are_not_continued(updated: Updated) -> None:
+    with pytest.raises(Interrupted):
+        updated.run("codes")
+    shutil.rmtree(SOURCE)
+    updated.gaussians, _, _ = small_scene(count=61, views=4)
+    region_sums(updated.gaussians, Cameras([updated.cameras[1]]), updated.regions, path=SOURCE)
     with pytest.warns(ScoupWarning, match="^a.scoup.update.partial: is not of this update; starting over"):
         assert len(updated.run()) == 2
     assert len(RegionSums.open("a.scoup.sums")) == 3

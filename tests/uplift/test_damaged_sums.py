@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import json
+import shutil
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from benchmarks.hostile.containers import RECORDS
+from benchmarks.hostile.containers import SUMS
 from numpy.typing import NDArray
 
 from scoup.base.errors import FileFormatError, InputError
 from scoup.base.native import missing_reason
 from scoup.coding.codebook import SparseCodes
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.storage.record_file import RecordFile
+from scoup.uplift.region_sums import RegionSums, view_file
+from scoup.uplift.storage.array_file import read_arrays, write_arrays
 from scoup.uplift.vote import vote
 from support import small_scene
 
@@ -30,21 +29,19 @@ Arrays = dict[str, NDArray[Any]]
 def path(tmp_path: Path) -> Path:
     """The sums of one view."""
     gaussians, cameras, regions = small_scene(count=300, views=1, width=16, height=12)
-    region_sums(gaussians, cameras, regions, path=tmp_path / "a.sums").close()
+    region_sums(gaussians, cameras, regions, path=tmp_path / "a.sums")
     return tmp_path / "a.sums"
 
 
 def changed(path: Path, change: Callable[[Arrays], None]) -> Path:
-    """A copy with other arrays in the record of its view."""
-    file, copy = RecordFile.open(path), RecordFile.create(path.with_name("b.sums"))
-    file.close()
-    for record in file.records:
-        arrays = {name: array.copy() for name, array in record.arrays.items()}
-        if record.kind == "view":
-            change(arrays)
-        copy.append(record.kind, record.header, arrays)
-    copy.close()
-    return path.with_name("b.sums")
+    """A copy with other arrays in the file of its view."""
+    copy = Path(shutil.copytree(path, path.with_name("b.sums")))
+    file = copy / view_file("view_00.png")
+    stored = read_arrays(file)
+    arrays = {name: array.copy() for name, array in stored.arrays.items()}
+    change(arrays)
+    write_arrays(file, stored.header, arrays)
+    return copy
 
 
 def beyond_combinations(arrays: Arrays) -> None:
@@ -91,7 +88,6 @@ def test_a_weight_that_is_no_number(path: Path) -> None:
 
     sums = RegionSums.open(changed(path, signalling))
     found = [sums.triplets(next(iter(sums.views)), level)[2] for level in range(3)]
-    sums.close()
     assert any(np.isnan(weights).any() for weights in found)
 
 
@@ -101,8 +97,8 @@ def test_weights_whose_sum_is_too_large_for_a_float(path: Path) -> None:
         arrays["weights.0"][:] = np.finfo(np.float32).max
         arrays["table.0"][:] = 0
 
-    with closing(RegionSums.open(changed(path, large))) as sums:
-        assert np.isinf(sums.triplets(next(iter(sums.views)), 0)[2]).any()
+    sums = RegionSums.open(changed(path, large))
+    assert np.isinf(sums.triplets(next(iter(sums.views)), 0)[2]).any()
 
 
 @pytest.mark.parametrize("backend", ["reference", "native"])
@@ -113,28 +109,36 @@ def test_regions_that_have_no_code(path: Path, backend: str) -> None:
     def beyond(arrays: Arrays) -> None:
         arrays["table.0"][0, 0] = 2**31 - 1
 
-    with closing(RegionSums.open(changed(path, beyond))) as sums:
-        rows = [{name: slice(0, 16) for name in sums.views} for _ in sums.levels]
-        codes = [
-            SparseCodes(torch.zeros(16, 1, dtype=torch.uint8), torch.ones(16, 1), 2) for _ in sums.levels
-        ]
-        with pytest.raises(InputError, match=r"region sums are damaged: region \d+ has no code"):
-            vote(sums.of_views(sums.views, rows), codes, torch.ones(3, 2, 4), keep=1, backend=backend)
+    sums = RegionSums.open(changed(path, beyond))
+    rows = [{name: slice(0, 16) for name in sums.views} for _ in sums.levels]
+    codes = [SparseCodes(torch.zeros(16, 1, dtype=torch.uint8), torch.ones(16, 1), 2) for _ in sums.levels]
+    with pytest.raises(InputError, match=r"region sums are damaged: region \d+ has no code"):
+        vote(sums.of_views(sums.views, rows), codes, torch.ones(3, 2, 4), keep=1, backend=backend)
 
 
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ('"version": 1', '"version": Infinity'),
-        ('"kind"', '"deep": ' + "[" * 100_000 + ', "kind"'),
+        (r"\"version\": 1", r"\"version\": Infinity"),
+        ('"order"', '"deep": ' + "[" * 100_000 + ', "order"'),
         ('"shape": [300]', '"shape": [1099511627776, 0]'),
+        ('"shape": [300]', '"shape": [301]'),
+        ("1200]", "1204]"),
+        ('"I32"', '"BOOL"'),
     ],
 )
 def test_headers_that_make_no_sense(path: Path, old: str, new: str) -> None:
-    whole = path.read_bytes()
-    parts = RECORDS.split(whole)
-    assert json.loads(parts[0])["header"]["version"] == 1
+    file = path / "scene.safetensors"
+    whole = file.read_bytes()
+    parts = SUMS.split(whole)
+    assert old.encode() in parts[0]
     parts[0] = parts[0].replace(old.encode(), new.encode(), 1)
-    path.write_bytes(RECORDS.join(whole, parts))
-    with pytest.raises(FileFormatError, match=r"makes? no sense"):
+    file.write_bytes(SUMS.join(whole, parts))
+    with pytest.raises(FileFormatError, match=r"scene.safetensors: makes no sense"):
+        RegionSums.open(path)
+
+
+def test_a_file_of_another_view(path: Path) -> None:
+    (path / view_file("view_00.png")).rename(path / view_file("view_01.png"))
+    with pytest.raises(FileFormatError, match=r"view_01-png.*makes no sense"):
         RegionSums.open(path)

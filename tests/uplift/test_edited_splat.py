@@ -233,7 +233,6 @@ def test_the_sums_that_follow_can_be_updated_and_followed_again(scene, tmp_path)
     edited = scene.gaussians.select(torch.arange(400) % 7 > 0)
     once = follow(scene.field, edited, replace(scene.kept, path=tmp_path / "once.sums"))
     assert once.sums is not None
-    once.sums.close()
     sums = RegionSums.open(tmp_path / "once.sums", writable=True)
     fewer = update(once.field, sums, remove=["view_02.png"])
     further = edited.select(torch.arange(len(edited)) % 5 > 0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from scipy.sparse import csr_array
 
 from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
 from scoup.base.counts import spread
-from scoup.base.processes import Item, Processes, shard
+from scoup.base.shares import Share
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
@@ -401,55 +400,27 @@ def test_the_order_of_views_does_not_matter(wall: Wall, things: Things) -> None:
     torch.testing.assert_close(of_field(found).agreement, things.agreement)
 
 
-def test_kept_in_memory_in_files_or_spilled_they_are_the_same(wall: Wall, tmp_path: Path) -> None:
+def test_kept_in_memory_or_in_files_they_are_the_same(wall: Wall, tmp_path: Path) -> None:
     expected = saved(built(wall), tmp_path / "a.scoup")
-    ways: list[dict[str, Any]] = [{"most_in_memory": 1}, {"path": tmp_path / "b.sums"}]
+    ways: list[dict[str, Any]] = [{}, {"path": tmp_path / "b.sums"}]
     for number, how in enumerate(ways):
-        with closing(RegionSums.of(wall.gaussians, LEVELS, **how)) as sums:
-            assert saved(built(wall, sums=sums), tmp_path / f"{number}.scoup") == expected
-    with closing(RegionSums.open(tmp_path / "b.sums")) as sums:
-        assert saved(built(wall, sums=sums), tmp_path / "again.scoup") == expected
-        coded = RegionCodes.kept(sums)
-        assert coded is not None
-        assert [part.dtype for part in coded.embeddings] == [torch.float16] * 2
-        assert_same(things_of(sums, coded), of_field(built(wall)))
-
-
-@dataclass(frozen=True)
-class Together(Processes):
-    """Stands for several processes that each hold some of the Gaussians: all are given to ``gather`` at once."""
-
-    def gather(self, item: Item) -> list[Item]:
-        entries: list[Item] = []
-        count = len(item.total)  # pyright: ignore[reportAttributeAccessIssue]
-        for rank in range(self.world):
-            mine = np.zeros(count, bool)
-            part = Processes(rank, self.world).share_range(count)
-            mine[part.start : part.stop] = True
-            own = mine[item.gaussians]  # pyright: ignore[reportAttributeAccessIssue]
-            held = {name: getattr(item, name)[own] for name in ("gaussians", "regions", "weights")}
-            total = np.where(mine, item.total, 0.0)  # pyright: ignore[reportAttributeAccessIssue]
-            entries.append(replace(item, total=total, **held))  # pyright: ignore[reportArgumentType]
-        return entries
-
-
-@pytest.mark.parametrize("world", [2, 3, 1000])
-def test_how_gaussians_are_shared_does_not_matter(wall: Wall, things: Things, world: int) -> None:
-    sums = region_sums(wall.gaussians, wall.cameras, wall.regions)
-    embeddings = [wall.regions.embeddings(level)[0] for level in LEVELS]
-    assert_same(find_things(sums, embeddings), things)
-    assert_same(find_things(sums, embeddings, Together(0, world)), things)
+        sums = RegionSums.of(wall.gaussians, LEVELS, **how)
+        assert saved(built(wall, sums=sums), tmp_path / f"{number}.scoup") == expected
+    sums = RegionSums.open(tmp_path / "b.sums")
+    assert saved(built(wall, sums=sums), tmp_path / "again.scoup") == expected
+    coded = RegionCodes.kept(sums)
+    assert coded is not None
+    assert [part.dtype for part in coded.embeddings] == [torch.float16] * 2
+    assert_same(things_of(sums, coded), of_field(built(wall)))
 
 
 @pytest.mark.parametrize("share_out", [("1/1",), ("2/3", "3/3", "1/3")])
 def test_shards_merge_to_the_things_of_a_build(wall: Wall, tmp_path: Path, share_out: Sequence[str]) -> None:
-    with ExitStack() as stack:
-        shards = []
-        for number, share in enumerate(share_out):
-            path = tmp_path / f"{number}.sums"
-            shards.append(stack.enter_context(closing(RegionSums.of(wall.gaussians, LEVELS, path=path))))
-            add_shard(shards[-1], wall.gaussians, wall.cameras, wall.regions, shard(share), check_fit=False)
-        found = merge(shards, SETTINGS)
+    shards = []
+    for number, share in enumerate(share_out):
+        shards.append(RegionSums.of(wall.gaussians, LEVELS, path=tmp_path / f"{number}.sums"))
+        add_shard(shards[-1], wall.gaussians, wall.cameras, wall.regions, Share.parse(share), check_fit=False)
+    found = merge(shards, SETTINGS)
     assert saved(found, tmp_path / "a.scoup") == saved(built(wall), tmp_path / "b.scoup")
     assert len(of_field(found)) == 3 * COUNT
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +12,16 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from safetensors.numpy import load_file
 from scipy.sparse import coo_array, csr_array
 
 import scoup
+from cli_support import snapshot
 from scoup import raster
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError
 from scoup.raster import RASTER_PRESETS, ViewSums, reference
 from scoup.uplift.rasterise import read_labels, region_sums
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.region_sums import RegionSums, bytes_of, view_file
 from scoup.uplift.storage import entries
 from support import KINDS, examples, random_gaussians, small_scene
 
@@ -135,14 +139,11 @@ def test_a_file_gives_back_what_it_was_given(scene, kept, tmp_path):
     gaussians, cameras, regions = scene
     made = region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")
     assert_same(made, kept)
-    made.close()
     back = RegionSums.open(tmp_path / "f.sums")
     assert_same(back, kept)
     assert torch.equal(back.order, kept.order)
     assert (back.fingerprint, back.levels, back.raster_preset) == (kept.fingerprint, kept.levels, "inria")
-    assert back.bytes == (tmp_path / "f.sums").stat().st_size
-    back.forget_pages()
-    assert_same(back, kept)  # read again
+    assert back.bytes == made.bytes == bytes_of(tmp_path / "f.sums")
     assert RegionSums.open(tmp_path / "f.sums").matrix(0, kept.rows[0]).nnz == kept.matrix(0).nnz
     with pytest.raises(InputError, match="reading only"):
         back.remove(cameras.names[0])
@@ -151,8 +152,8 @@ def test_a_file_gives_back_what_it_was_given(scene, kept, tmp_path):
 def test_same_input_same_bytes(scene, tmp_path):
     gaussians, cameras, regions = scene
     for name in ("a", "b"):
-        region_sums(gaussians, cameras, regions, path=tmp_path / name).close()
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+        region_sums(gaussians, cameras, regions, path=tmp_path / name)
+    assert snapshot(tmp_path / "a") == snapshot(tmp_path / "b")
 
 
 def test_views_come_and_go(scene, kept, tmp_path):
@@ -163,32 +164,15 @@ def test_views_come_and_go(scene, kept, tmp_path):
     assert list(sums.views) == [second]
     with pytest.raises(InputError, match="no region sums of the view"):
         sums.remove(first)
-    sums.close()
     sums = RegionSums.open(tmp_path / "f.sums", writable=True)
     assert list(sums.views) == [second]
     none = torch.zeros(0, dtype=torch.int32)
     sums.append(second, ViewSums(none, none, torch.zeros(0), torch.zeros(0, 3, dtype=torch.int32)))
     assert len(sums.views[second].parts[0].places) == 0  # the last one counts
-    sums.close()
     again = region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")
     assert set(again.views) == set(kept.views)
     for name in kept.views:
         np.testing.assert_array_equal(again.views[name].parts[0].weights, kept.views[name].parts[0].weights)
-
-
-def test_beyond_the_limit_views_go_to_a_temporary_file(scene, kept):
-    gaussians, cameras, regions = scene
-    half = sum(
-        part.nbytes for view in list(kept.views.values())[:2] for part in view.parts[0].arrays().values()
-    )
-    sums = region_sums(gaussians, cameras, regions, most_in_memory=half)
-    assert sums.path is None
-    assert_same(sums, kept)
-    sums.forget_pages()
-    assert_same(sums, kept)
-    assert sums.bytes_in_memory <= half < sums.bytes
-    sums.remove(cameras.names[0])
-    assert len(sums) == 3
 
 
 def test_many_combinations_are_kept_in_parts(scene, kept, monkeypatch):
@@ -214,7 +198,6 @@ def test_half_precision_and_least_weight(scene, kept, tmp_path):
     half = region_sums(gaussians, cameras, regions, path=tmp_path / "h", weights="float16")
     assert half.views[cameras.names[0]].parts[0].weights.dtype == np.float16
     np.testing.assert_allclose(half.matrix(0).toarray(), kept.matrix(0).toarray(), rtol=2e-3, atol=1e-6)
-    half.close()
     assert RegionSums.open(tmp_path / "h").weights == "float16"
     fewer = region_sums(gaussians, cameras, regions, least_weight=0.1)
     every = [view.parts[0].weights for view in kept.views.values()]
@@ -238,58 +221,91 @@ def test_gaussians_that_cannot_be_drawn_have_no_entries(scene):
         assert not matrix[~torch.isfinite(gaussians.means).all(1).numpy()].any()
 
 
-def test_what_was_complete_stays_when_the_file_is_cut(scene, kept, tmp_path):
-    gaussians, cameras, regions = scene
-    region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums").close()
-    whole = (tmp_path / "f.sums").read_bytes()
-    path = tmp_path / "cut.sums"
-    for cut in range(1, 12):
-        path.write_bytes(whole[: len(whole) - cut * len(whole) // 16])
-        sums = RegionSums.open(path, writable=True)
-        names = list(sums.views)
-        assert names == list(kept.views)[: len(names)]
-        assert path.stat().st_size == sums.bytes  # the rest is cut off
-        sums.close()
-    again = region_sums(gaussians, cameras, regions, path=path)
-    assert_same(again, kept)
-    again.close()
-    assert path.read_bytes() == whole
-
-
-def test_zeros_behind_the_last_record_are_not_a_record(scene, kept, tmp_path):
+def test_what_was_complete_stays(scene, kept, tmp_path):
+    """Whichever files are there, and whatever a killed process was writing."""
     gaussians, cameras, regions = scene
     path = tmp_path / "f.sums"
-    region_sums(gaussians, cameras, regions, path=path).close()
-    path.write_bytes(path.read_bytes() + bytes(5000))
-    assert_same(RegionSums.open(path), kept)
+    region_sums(gaussians, cameras, regions, path=path)
+    whole = snapshot(path)
+    for count in range(len(kept)):
+        for name in cameras.names[count:]:
+            (path / view_file(name)).unlink()
+        (path / ".view.0123456789ab.safetensors").write_bytes(b"half a view")
+        assert list(RegionSums.open(path).views) == list(cameras.names[:count])
+        assert (path / ".view.0123456789ab.safetensors").exists()  # somebody may be writing it
+        RegionSums.open(path, writable=True)
+        assert not (path / ".view.0123456789ab.safetensors").exists()
+        assert_same(region_sums(gaussians, cameras, regions, path=path), kept)
+        assert snapshot(path) == whole
 
 
-def test_damage_is_reported(scene, tmp_path):
+def test_views_of_any_name(scene, tmp_path):
+    gaussians, _, regions = scene
+    none = torch.zeros(0, dtype=torch.int32)
+    nothing = ViewSums(none, none, torch.zeros(0), torch.zeros(0, 3, dtype=torch.int32))
+    names = ["a/b.png", "A/b.png", "a-b.png", "..", "", "x" * 300, "ü\n", '"checksum": "00000000"']
+    sums = RegionSums.of(gaussians, regions.levels, path=tmp_path / "f.sums")
+    for name in names:
+        sums.append(name, nothing)
+    assert list(RegionSums.open(tmp_path / "f.sums").views) == sorted(names)
+
+
+def test_they_are_safetensors(scene, kept, tmp_path):
+    """For other programs; of few and of many views, none of whose files is held open."""
+    gaussians, cameras, regions = scene
+    sums = region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")
+    view = kept.views[cameras.names[0]]
+    found = load_file(tmp_path / "f.sums" / view_file(cameras.names[0]))
+    assert {name: array.dtype for name, array in found.items()} == {
+        name: array.dtype for name, array in view.arrays().items()
+    }
+    assert all((found[name] == array).all() for name, array in view.arrays().items())
+    before = len(os.listdir("/dev/fd")) if os.path.isdir("/dev/fd") else 0
+    opened = [RegionSums.open(tmp_path / "f.sums") for _ in range(9)]
+    assert (len(os.listdir("/dev/fd")) if os.path.isdir("/dev/fd") else 0) == before
+    assert all(one.bytes == sums.bytes for one in opened)
+
+
+@pytest.mark.parametrize("file", ["scene.safetensors", view_file("view_01.png"), "codes.safetensors"])
+def test_a_flipped_bit_is_refused_with_the_name_of_the_file(scene, tmp_path, file):
     gaussians, cameras, regions = scene
     path = tmp_path / "f.sums"
-    region_sums(gaussians, cameras, regions, path=path).close()
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 3] + b"?" + whole[len(whole) // 3 + 1 :])
-    with pytest.raises(FileFormatError, match=r"f\.sums.*damaged"):
-        RegionSums.open(path)
-    path.write_bytes(b"a picture, or the like" * 9)
+    sums = region_sums(gaussians, cameras, regions, path=path)
+    sums.keep_codes({"key": ""}, {"codebook": torch.ones(2, 3)})
+    whole = (path / file).read_bytes()
+    for place in (40, len(whole) // 3, len(whole) - 1):
+        damaged = bytearray(whole)
+        damaged[place] ^= 4
+        (path / file).write_bytes(damaged)
+        with pytest.raises(FileFormatError, match=rf"f\.sums.{re.escape(file)}: is (damaged|not)"):
+            RegionSums.open(path)
+
+
+def test_what_is_something_else_is_refused(scene, tmp_path):
+    gaussians, cameras, regions = scene
+    path = tmp_path / "f.sums"
+    region_sums(gaussians, cameras, regions, path=path)
+    (path / view_file(cameras.names[0])).write_bytes(b"a picture, or the like" * 9)
     with pytest.raises(FileFormatError, match="not a file of region sums"):
         RegionSums.open(path)
-    path.write_bytes(whole[:10])
-    with pytest.raises(FileFormatError, match="no complete record"):
+    (path / view_file(cameras.names[0])).write_bytes(b"")
+    with pytest.raises(FileFormatError, match="not a file of region sums"):
         RegionSums.open(path)
-    with pytest.raises(MissingFileError, match="no such file"):
+    (path / "scene.safetensors").unlink()
+    with pytest.raises(MissingFileError, match="is not a folder of region sums"):
+        RegionSums.open(path)
+    with pytest.raises(MissingFileError, match="no such folder"):
         RegionSums.open(tmp_path / "g.sums")
     with pytest.raises(InputError, match="there already"):
         RegionSums.of(gaussians, regions.levels, path=path)
 
 
 @pytest.fixture(scope="module")
-def sums_bytes(tmp_path_factory) -> bytes:
+def sums_files(tmp_path_factory) -> dict[str, bytes]:
     gaussians, cameras, regions = small_scene(count=40, views=2)
     path = tmp_path_factory.mktemp("sums") / "f.sums"
-    region_sums(gaussians, cameras, regions, path=path).close()
-    return path.read_bytes()
+    region_sums(gaussians, cameras, regions, path=path)
+    return snapshot(path)
 
 
 @settings(
@@ -297,21 +313,23 @@ def sums_bytes(tmp_path_factory) -> bytes:
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(data=st.data())
-def test_damaged_files_never_crash(sums_bytes: bytes, tmp_path: Path, data):
-    """Whatever the bytes: an error that names the file, or what was complete."""
-    damaged = bytearray(sums_bytes)
+def test_damaged_files_never_crash(sums_files: dict[str, bytes], tmp_path: Path, data):
+    """Whatever the bytes: an error that names the file."""
+    path = tmp_path / "damaged.sums"
+    path.mkdir(exist_ok=True)
+    for name, content in sums_files.items():
+        (path / name).write_bytes(content)
+    name = data.draw(st.sampled_from(sorted(sums_files)))
+    damaged = bytearray(sums_files[name])
     for _ in range(data.draw(st.integers(1, 6))):
         damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
     if data.draw(st.booleans()):
         del damaged[data.draw(st.integers(0, len(damaged))) :]
-    path = tmp_path / "damaged.sums"
-    path.write_bytes(damaged)
-    message = "damaged.sums"
-    try:
-        RegionSums.open(path).close()
-    except ScoupError as error:
-        message = str(error)
-    assert "damaged.sums" in message
+    (path / name).write_bytes(damaged)
+    if damaged == sums_files[name]:
+        return
+    with pytest.raises(ScoupError, match=re.escape(name)):
+        RegionSums.open(path)
 
 
 @settings(
@@ -352,15 +370,9 @@ def test_views_are_read_ahead_in_order(scene):
     views.close()  # the rest is given up
 
 
-@pytest.mark.parametrize("where", ["memory", "file", "temporary file"])
-def test_compacted_sums_are_as_if_nothing_had_been_replaced(scene, kept, tmp_path, where):
+def test_sums_are_as_if_nothing_had_been_replaced(scene, kept, tmp_path):
     gaussians, _, regions = scene
-    path = tmp_path / "a.sums" if where == "file" else None
-    most = 0 if where == "temporary file" else 1 << 30
-    sums, fresh = (
-        RegionSums.of(gaussians, regions.levels, path=path, most_in_memory=most),
-        RegionSums.of(gaussians, regions.levels, path=tmp_path / "b.sums"),
-    )
+    sums, fresh = (RegionSums.of(gaussians, regions.levels, path=tmp_path / name) for name in "ab")
     first, *others = kept.views
     atoms = {"codebook": torch.ones(3, 4, 5)}
     for number in range(4):
@@ -371,44 +383,13 @@ def test_compacted_sums_are_as_if_nothing_had_been_replaced(scene, kept, tmp_pat
     for name in others:
         fresh.append_record(name, kept.views[name])
     fresh.keep_codes({"key": 3}, atoms)
-    assert sums.bytes_unused > 3 * (sums.bytes - sums.bytes_unused)
-    sums.compact()
     assert_same(sums, fresh)
     assert sums.codes is not None
-    assert sums.codes["header"] == {"key": 3}
-    assert 0 <= sums.bytes_unused < 10_000
-    if path is not None:
-        assert path.read_bytes() == (tmp_path / "b.sums").read_bytes()
-        assert sorted(file.name for file in tmp_path.iterdir()) == ["a.sums", "b.sums"]
+    assert sums.codes["header"]["key"] == 3
+    assert sums.bytes == fresh.bytes
+    assert snapshot(tmp_path / "a") == snapshot(tmp_path / "b")
     sums.append_record(first, kept.views[first])
-    if path is not None:
-        sums.close()
-        sums = RegionSums.open(path)
-        with pytest.raises(InputError, match="reading only"):
-            sums.compact()
-    assert list(sums.views) == [*others, first]
-
-
-def test_a_file_that_cannot_be_written_anew_stays_as_it_was(scene, kept, tmp_path, monkeypatch):
-    gaussians, _, regions = scene
-    path = tmp_path / "a.sums"
-    sums = RegionSums.of(gaussians, regions.levels, path=path)
-    for name, view in [*kept.views.items()] * 2:
-        sums.append_record(name, view)
-    before = path.read_bytes()
-
-    def refuse(*_):
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as full:
-        full.setattr("scoup.uplift.storage.record_file.RecordFile._write", refuse)
-        with pytest.raises(InputError, match=r"a\.sums.*space"):
-            sums.compact()
-    assert path.read_bytes() == before
-    assert [file.name for file in tmp_path.iterdir()] == ["a.sums"]
-    assert_same(sums, kept)
-    sums.remove(next(iter(kept.views)))
-    assert len(sums) == len(kept) - 1
+    assert set(RegionSums.open(tmp_path / "a").views) == {*others, first}
 
 
 def test_a_view_takes_no_space_for_buckets_that_it_does_not_see(scene):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import os
 import secrets
-from collections.abc import Callable, Iterator
+import shutil
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -13,25 +14,29 @@ from typing import Any, BinaryIO, cast
 from scoup.base.errors import NO_SPACE, InputError, OutputExistsError, ScoupError, WriteError
 from scoup.base.holding import LONGEST_STEM, held_temporary
 
-Move = Callable[[Path, Path], object]
-"""``move(temporary, path)``: gives a finished file its name."""
 
-
-def check_output(path: str | Path, overwrite: bool = False) -> Path:
+def check_output(path: str | Path, overwrite: bool = False, is_folder: bool = False) -> Path:
     """Check that ``path`` may be written, before long work starts. Creates nothing.
+
+    Args:
+        path: the output.
+        overwrite: replace what is there.
+        is_folder: the output is a folder that is replaced as a whole, not a file.
 
     Returns:
         The path.
 
     Raises:
-        OutputExistsError: there is a file already and ``overwrite`` is false.
-        InputError: the path is a folder or a special file, or its folder is a file or cannot be written to.
+        OutputExistsError: it is there already and ``overwrite`` is false.
+        InputError: the path is of the other kind or special, or its folder is a file or cannot be written to.
     """
     path = Path(path)
-    if os.path.isdir(path):
+    if os.path.isdir(path) and not is_folder:
         raise InputError(f"{path}: is a folder; give the name of a file to write")
+    if os.path.isfile(path) and is_folder:
+        raise InputError(f"{path}: is a file; move it, as a folder of this name is written")
     if os.path.lexists(path):
-        if os.path.exists(path) and not os.path.isfile(path):
+        if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
             raise InputError(f"{path}: is not a regular file; give another name")
         if not overwrite:
             raise OutputExistsError(path)
@@ -69,7 +74,7 @@ def folder_made(folder: Path, output: Path) -> Iterator[None]:
 
 
 @contextmanager
-def atomic_path(path: str | Path, overwrite: bool = False, move: Move = os.replace) -> Iterator[Path]:
+def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     """A path of the same name, in a hidden folder beside ``path``, that becomes ``path`` at the end.
 
     The parent folder is made if it is missing. On any error, interruption included, the hidden folder is removed with
@@ -78,25 +83,94 @@ def atomic_path(path: str | Path, overwrite: bool = False, move: Move = os.repla
     Args:
         path: the output.
         overwrite: replace what is there.
-        move: gives the finished file its name; ``base.locks.Lock.finish`` moves others with it.
 
     Raises:
         OutputExistsError, InputError: as ``check_output``.
         WriteError: the system refuses to write the temporary file; names ``path``.
     """
     # A folder, as libraries may write files of other names first, which nobody holds.
-    with _appearing(path, overwrite, in_folder=True, move=move) as temporary:
+    with _appearing(path, overwrite, in_folder=True) as temporary:
         yield temporary
 
 
 @contextmanager
-def atomic_file(path: str | Path, overwrite: bool = False) -> Iterator[BinaryIO]:
+def atomic_file(path: str | Path, overwrite: bool = False, flush: bool = True) -> Iterator[BinaryIO]:
     """A binary file that becomes ``path`` when the block ends without an error. See ``atomic_path``.
 
     It has no ``fileno``.
+
+    Args:
+        path: the output.
+        overwrite: replace what is there.
+        flush: have it on the disk before it gets its name; else whoever writes many files calls ``flush_to_disk``.
     """
-    with _appearing(path, overwrite, in_folder=False) as temporary, _Output(temporary) as stream:
+    with _appearing(path, overwrite, in_folder=False, flush=flush) as temporary, _Output(temporary) as stream:
         yield cast(BinaryIO, stream)
+
+
+def flush_to_disk(path: Path) -> None:
+    """Have the system write a file, or a folder with its files, to the disk: else a rename may get there first.
+
+    Raises:
+        WriteError: the disk refuses a file. (That a file system cannot flush folders is not an error.)
+    """
+    if path.is_dir():
+        for file in path.iterdir():
+            flush_to_disk(file)
+        with suppress(OSError):
+            _flush(path)
+        return
+    try:
+        _flush(path)
+    except OSError as error:
+        raise WriteError.of(path, error) from error
+
+
+def flush_names(folder: Path) -> None:
+    """Have the system write to the disk which files are in a folder, where the file system can."""
+    with suppress(OSError):
+        _flush(folder)
+
+
+def _flush(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def replace(source: Path, target: Path) -> None:
+    """Rename a file or a folder, in place of what is there. A folder is moved aside first, and then removed.
+
+    Raises:
+        OSError: the system refuses.
+    """
+    if not target.is_dir():
+        os.replace(source, target)
+        return
+    aside = hidden_path(target)
+    os.replace(target, aside)
+    try:
+        os.replace(source, target)
+    except OSError:
+        os.replace(aside, target)
+        raise
+    remove(aside)
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder; what is not there, or cannot be removed, is left."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            path.unlink()
+
+
+def hidden_path(path: Path) -> Path:
+    """Return a new name for a temporary file or folder beside an output."""
+    return path.with_name(f".{path.stem[:LONGEST_STEM]}.{secrets.token_hex(6)}{path.suffix}")
 
 
 def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
@@ -106,10 +180,10 @@ def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
 
 
 @contextmanager
-def _appearing(path: str | Path, overwrite: bool, in_folder: bool, move: Move = os.replace) -> Iterator[Path]:
+def _appearing(path: str | Path, overwrite: bool, in_folder: bool, flush: bool = True) -> Iterator[Path]:
     """The path of a temporary file that is held (``base.holding``), or is in a folder that is."""
     path = check_output(path, overwrite)
-    hidden = path.with_name(f".{path.stem[:LONGEST_STEM]}.{secrets.token_hex(6)}{path.suffix}")
+    hidden = hidden_path(path)
     temporary = hidden / path.name if in_folder else hidden
     with (
         folder_made(path.parent, path),
@@ -119,7 +193,11 @@ def _appearing(path: str | Path, overwrite: bool, in_folder: bool, move: Move = 
     ):
         yield temporary
         check_output(path, overwrite)  # somebody else may have written the file meanwhile
-        move(temporary, path)
+        if flush:
+            flush_to_disk(temporary)
+        os.replace(temporary, path)
+        if flush:
+            flush_names(path.parent)
 
 
 class _Output(io.BufferedIOBase):

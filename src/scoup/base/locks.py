@@ -7,79 +7,131 @@ import json
 import os
 import re
 import socket
+import threading
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import Any
 
-from scoup.base.atomic import check_output, folder_made
+from scoup.base.atomic import (
+    check_output,
+    flush_names,
+    flush_to_disk,
+    folder_made,
+    refusals_named,
+    remove,
+    replace,
+)
 from scoup.base.errors import InputError, OutputInUseError, ScoupError, ScoupWarning, WriteError
 from scoup.base.holding import HEX, LONGEST_STEM, NO_LINK, is_same, remove_abandoned, try_hold
-from scoup.base.last_steps import LastSteps
-from scoup.base.staging import stops_held_back
-
-if TYPE_CHECKING:
-    from scoup.base.processes import Processes
+from scoup.base.shares import Share
+from scoup.base.staging import defer_stops
 
 LOCK = ".lock"
 FOLDER_LOCK = "scoup.lock"
 _MOST_BYTES = 65_536  # of the contents of a lock
-_LAST_STEPS = "last_steps"  # of the contents of a lock: what its process was about to do
+READY, UNWANTED = "ready", "unwanted"  # marks of what gets its name, or goes, with an output
 
 
 @dataclass(frozen=True)
-class Lock:
-    """The lock of an output, while this process, or the first of several, holds it.
+class Output:
+    """An output that takes long to make, while this process holds its lock.
+
+    It is made under another name first, and may have something beside it, such as region sums, that appears with it.
+    Then the latter is marked by its name, the output gets its name, and what is marked gets its own, or goes. Killed
+    amid that, the process leaves the rest to the next one that locks the output, or calls ``complete``: something is
+    marked only where all is complete.
 
     Attributes:
-        output: the file.
-        descriptor: of the lock file; None in the other processes.
+        path: the file or folder.
+        descriptor: of the lock file.
+        notes: entries of the lock file, beside who holds it and since when.
     """
 
-    output: Path
-    descriptor: int | None = None
+    path: Path
+    descriptor: int
+    notes: dict[str, Any] = field(default_factory=dict)
+    _writing: threading.Lock = field(default_factory=threading.Lock)
 
-    def finish(self, moves: Mapping[Path, Path], removed: Iterable[Path] = ()) -> None:
-        """Give finished files their names and remove others: all of it or, where nothing was begun, nothing.
-
-        The steps are written into the lock first. Killed, or refused by the system, in the midst of them, the process
-        leaves the lock, and with it the rest to the next one that locks the output, or calls ``complete``.
-        Interruptions and terminations wait.
-
-        Args:
-            moves: files beside the output, or in hidden folders there -> their names beside it.
-            removed: files beside the output that are not needed then; they may be missing.
+    def note(self, **notes: Any) -> None:
+        """Write entries into the lock file; those of None are removed from it.
 
         Raises:
             WriteError: the system refuses.
         """
-        steps = LastSteps.of(self.output, moves, removed)
-        with stops_held_back():
-            if self.descriptor is not None:
-                _write_holder(self.output, self.descriptor, steps)
+        with self._writing:
+            self.notes.update(notes)
+            known = {name: value for name, value in self.notes.items() if value is not None}
+            _write_holder(self.path, self.descriptor, known)
+
+    @contextmanager
+    def appearing(self, beside: Path | None = None, name: Path | None = None) -> Iterator[Path]:
+        """A path to write the file to. At the end of the block it appears: with what belongs to it, or not at all.
+
+        Args:
+            beside: a finished file or folder beside the output. Its name begins with the output's, as does the next.
+            name: the name that it gets then; None if it is not needed then.
+
+        Raises:
+            WriteError: the system refuses; names the output.
+        """
+        temporary = _temporary(self.path)
+        try:
+            with refusals_named(self.path, temporary):
+                yield temporary
+            self._commit(temporary, beside, name)
+        except BaseException:
+            remove(temporary)
+            raise
+
+    def take(self, finished: Path) -> None:
+        """Give a finished file or folder the name of the output.
+
+        Raises:
+            WriteError: the system refuses.
+        """
+        self._commit(finished, None, None)
+
+    def _commit(self, finished: Path, beside: Path | None, name: Path | None) -> None:
+        marked = (
+            None
+            if beside is None
+            else _marked(self.path, name or beside, UNWANTED if name is None else READY)
+        )
+        with defer_stops():
+            for path in (finished, beside if name is not None else None):
+                if path is not None:
+                    flush_to_disk(path)
             try:
-                steps.take()
-            except WriteError:
-                if self.descriptor is not None and not steps.is_begun:
-                    _write_holder(self.output, self.descriptor)
-                raise
+                if beside is not None and marked is not None:
+                    replace(beside, marked)  # from here on the rest follows, whoever does it
+                    flush_names(self.path.parent)
+                replace(finished, self.path)
+                flush_names(self.path.parent)
+            except OSError as error:
+                if beside is not None and marked is not None:
+                    with suppress(OSError):
+                        os.replace(marked, beside)
+                raise WriteError.of(self.path, error) from error
+            _finish(self.path)
 
 
 @contextmanager
-def locked_file(path: Path, overwrite: bool = False, processes: Processes | None = None) -> Iterator[Lock]:
+def locked_output(path: Path, overwrite: bool = False, is_folder: bool = False) -> Iterator[Output]:
     """Keep other processes from writing a file, and what goes beside it, meanwhile.
 
     ``PATH.lock`` says who writes. It is removed at the end, after an interruption too. One whose process has died
-    counts no more; what that process had begun to put in its place is put there (``Lock.finish``). Temporary files
+    counts no more; what that process had begun to put in its place is put there (``Output``). Temporary files
     that a dead process has left of this output are removed.
 
     Args:
         path: the file. It is checked once more, as another process may just have finished it.
         overwrite: replace what is there.
-        processes: at one task; the first holds the lock for all, and all are refused together.
+        is_folder: it is a folder, which appears as a whole.
 
     Raises:
         OutputInUseError: another process is writing it.
@@ -89,52 +141,103 @@ def locked_file(path: Path, overwrite: bool = False, processes: Processes | None
         ScoupWarning: a killed process had not put all of its finished files in their place.
     """
     own = re.escape(path.stem[:LONGEST_STEM]), re.escape(path.suffix), re.escape(path.name[:LONGEST_STEM])
-    temporary = re.compile(rf"\.({own[0]}\.{HEX}{own[1]}|{own[2]}\.{HEX}\.\w+)")
-    with ExitStack() as stack:
-
-        def acquire() -> None:
-            held.append(stack.enter_context(_held(path, path.with_name(path.name + LOCK), temporary)))
-            check_output(path, overwrite)
-
-        held: list[int] = []
-        if processes is None:
-            acquire()
-        else:
-            processes.of_first(acquire)
-        yield Lock(path, *held)
+    unnamed = re.escape(_temporary(path).name[: -len(".temporary")][:LONGEST_STEM])
+    temporary = re.compile(rf"\.({own[0]}\.{HEX}{own[1]}|{own[2]}\.{HEX}\.\w+|{unnamed}\.{HEX}\.temporary)")
+    with _held(path, lock_path(path), temporary) as descriptor:
+        if moved := _finish(path):
+            warnings.warn(
+                f"{path}: put in place what a killed process had finished ({', '.join(moved)})",
+                ScoupWarning,
+                stacklevel=3,
+            )
+        remove(_temporary(path))
+        check_output(path, overwrite, is_folder)
+        yield Output(path, descriptor)
 
 
 def complete(path: Path) -> None:
     """Put in its place what a killed process had finished of a file, and of what goes beside it, and remove its lock.
 
-    Nothing happens where there is no lock, where its process lives, or where the system refuses.
+    Nothing happens where a process has left nothing, where it lives, or where the system refuses.
 
     Warns:
         ScoupWarning: something was put in its place.
     """
-    if path.with_name(path.name + LOCK).is_file():
-        with suppress(ScoupError), locked_file(path, overwrite=True):
+    if lock_path(path).is_file() or _unfinished(path):
+        with suppress(ScoupError), locked_output(path, overwrite=True, is_folder=path.is_dir()):
             pass
 
 
+def _temporary(path: Path) -> Path:
+    """Where an output is made: its holder alone writes there."""
+    return path.with_name(f".{path.name}.temporary")
+
+
+def _marked(path: Path, name: Path, mark: str) -> Path:
+    """The name that a file has until the output has appeared."""
+    if name.parent != path.parent or not re.fullmatch(_own(path), name.name):
+        raise ValueError(f"{name} does not belong to the output {path}")
+    return name.with_name(f".{name.name}.{mark}")
+
+
+def _own(path: Path) -> str:
+    return rf"{re.escape(path.name)}(\.\w+)+"
+
+
+def _unfinished(path: Path) -> list[Path]:
+    """What has got its mark and not its name."""
+    marked = re.compile(rf"\.{_own(path)}\.({READY}|{UNWANTED})")
+    with suppress(OSError):
+        return sorted(item for item in path.parent.iterdir() if marked.fullmatch(item.name))
+    return []
+
+
+def _finish(path: Path) -> list[str]:
+    """Take the steps that are left of a commit that has begun; returns the names that were given.
+
+    Raises:
+        WriteError: the system refuses.
+    """
+    names = []
+    left = _unfinished(path)
+    steps = [(_temporary(path), path)] if left and _temporary(path).exists() else []
+    steps += [
+        (item, item.with_name(item.name[1:].removesuffix(f".{READY}")))
+        for item in left
+        if item.suffix == f".{READY}"
+    ]
+    for source, final in steps:
+        try:
+            replace(source, final)
+        except OSError as error:
+            raise WriteError.of(final, error) from error
+        names.append(final.name)
+    for item in left:
+        if item.suffix == f".{UNWANTED}":
+            remove(item)
+    if left:
+        flush_names(path.parent)
+    return names
+
+
 @contextmanager
-def locked_folder(path: Path, processes: Processes | None = None) -> Iterator[None]:
+def locked_folder(path: Path, share: Share = Share()) -> Iterator[None]:  # noqa: B008 - frozen
     """The same for a folder of results, by a file ``scoup.lock`` in it; the folder is made if it is missing.
 
     Args:
         path: the folder.
-        processes: at work in it together, which need not communicate. Each of several holds ``scoup.lock.RANK``: a lone
-            process is kept out while any of them is at work, and they are while a lone one is.
+        share: of the work that this process does. Each of several holds ``scoup.lock.I-of-N``: one that does
+            everything is kept out while any of them works, and they are while it does.
 
     Raises:
-        InputError: it is a file; or as ``locked_file``.
+        InputError: it is a file; or as ``locked_output``.
     """
     if path.is_file():
         raise InputError(f"{path}: is a file; give the name of a folder")
     temporary = re.compile(rf"\..+\.{HEX}(\.\w+)?")
     # Whoever has taken its own lock looks for others': of two that begin together, one at least is refused.
-    if processes is not None and processes.world > 1:
-        with _held(path, path / f"{FOLDER_LOCK}.{processes.rank}", temporary):
+    if not share.is_everything:
+        with _held(path, path / f"{FOLDER_LOCK}.{share}", temporary):
             _check_free(path, path / FOLDER_LOCK)
             yield
         return
@@ -146,9 +249,14 @@ def locked_folder(path: Path, processes: Processes | None = None) -> Iterator[No
         yield
 
 
+def lock_path(output: Path) -> Path:
+    """Return the place of the lock file of an output."""
+    return output.with_name(output.name + LOCK)
+
+
 def is_folder_lock(name: str) -> bool:
     """Whether a file of this name in a folder is a lock of ``locked_folder``."""
-    return re.fullmatch(re.escape(FOLDER_LOCK) + r"(\.\d+)?", name) is not None
+    return re.fullmatch(re.escape(FOLDER_LOCK) + r"(\.\d+-of-\d+)?", name) is not None
 
 
 @contextmanager
@@ -162,28 +270,20 @@ def _held(output: Path, lock: Path, temporary: re.Pattern[str]) -> Iterator[int]
         except OSError as error:
             raise WriteError.of(output, error) from error
         try:
-            _complete(output, descriptor, lock)
-        except BaseException:
-            os.close(descriptor)
-            raise
-        try:
             _write_holder(output, descriptor)
             remove_abandoned(lock.parent, temporary)
             yield descriptor
         finally:
-            _release(output, descriptor, lock)
+            _release(descriptor, lock)
 
 
-def _release(output: Path, descriptor: int, lock: Path) -> None:
-    """Close a lock and remove it, unless it says what is still to be done."""
-    steps = _last_steps(output, descriptor)
-    done = steps is None or not steps.is_left
+def _release(descriptor: int, lock: Path) -> None:
+    """Remove a lock, and close it."""
     with suppress(OSError):
-        if done:
-            lock.unlink()  # before it is free: nobody else holds this very file
+        lock.unlink()  # before it is free: nobody else holds this very file
     os.close(descriptor)
     with suppress(OSError):
-        if done and os.name == "nt":  # where an open file cannot be removed
+        if os.name == "nt":  # where an open file cannot be removed
             lock.unlink()
 
 
@@ -230,49 +330,38 @@ def _foreign(lock: Path) -> InputError:
     return InputError(f"{lock}: is no lock that scoup has written; move it away, or give another --out")
 
 
-def _complete(output: Path, descriptor: int, lock: Path) -> None:
-    """Take the last steps that the holder before was about to take when it died."""
-    try:
-        steps = _last_steps(output, descriptor)
-    except (ValueError, KeyError, TypeError) as error:
-        raise _foreign(lock) from error
-    moved = [] if steps is None else steps.take()
-    if moved:
-        warnings.warn(
-            f"{output}: put in place what a killed process had finished ({', '.join(moved)})",
-            ScoupWarning,
-            stacklevel=2,
-        )
-
-
-def _last_steps(output: Path, descriptor: int) -> LastSteps | None:
-    """Those in a lock.
-
-    Raises:
-        ValueError, KeyError, TypeError: they make no sense.
-    """
-    contents = _contents(descriptor)
-    if not isinstance(contents, dict) or _LAST_STEPS not in contents:
-        return None
-    return LastSteps.of_record(output, contents[_LAST_STEPS])
-
-
-def _write_holder(output: Path, descriptor: int, steps: LastSteps | None = None) -> None:
+def _write_holder(output: Path, descriptor: int, notes: Mapping[str, Any] = MappingProxyType({})) -> None:
     record: dict[str, Any] = {
         "host": socket.gethostname(),
         "process": os.getpid(),
         "since": datetime.now().isoformat(timespec="seconds"),
+        **notes,
     }
-    if steps is not None:
-        record[_LAST_STEPS] = steps.record()
-    text = (json.dumps(record) + "\n").encode()
+    # In one write and never shorter than before: others may read it at any moment.
+    text = json.dumps(record).encode().ljust(os.fstat(descriptor).st_size - 1) + b"\n"
     try:
-        os.ftruncate(descriptor, 0)
         os.lseek(descriptor, 0, os.SEEK_SET)
         if os.write(descriptor, text) < len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     except OSError as error:
         raise WriteError.of(output, error) from error
+
+
+def read_record(lock: Path) -> dict[str, Any] | None:
+    """Return the record in a lock file; None where there is no such file.
+
+    Raises:
+        ValueError: it is being written at this moment, or something else.
+    """
+    try:
+        record = json.loads(lock.read_bytes()[:_MOST_BYTES])
+    except FileNotFoundError:
+        return None
+    except (OSError, RecursionError) as error:
+        raise ValueError from error
+    if not isinstance(record, dict):
+        raise ValueError("not a record")
+    return record
 
 
 def _record(descriptor: int) -> tuple[str, datetime] | None:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
@@ -26,6 +30,27 @@ def temporary_file() -> IO[bytes]:
         return tempfile.TemporaryFile(prefix="scoup-", buffering=0)
     except OSError as error:
         raise refused_temporary(error) from error
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """A new folder in the system's folder for such (TMPDIR); gone at the end of the block.
+
+    Raises:
+        WriteError: it cannot be made, or a write into it was refused.
+    """
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="scoup-"))
+    except OSError as error:
+        raise refused_temporary(error) from error
+    try:
+        yield folder
+    except WriteError as error:
+        if not Path(error.path).is_relative_to(folder):
+            raise
+        raise refused_temporary(OSError(error.reason)) from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def scratch_array(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from scoup.base.atomic import check_output, folder_made, refusals_named
+from scoup.base.atomic import check_output, flush_names, flush_to_disk, folder_made, refusals_named
 from scoup.base.holding import HEX, held_temporary, remove_abandoned
 
 _HIDDEN = ".scoup-"
@@ -48,7 +48,7 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
         yield hidden
         found = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
         first = [file for file in files if file in found]
-        with stops_held_back():
+        with defer_stops():
             _move(hidden, folder, [*first, *(file for file in found if file not in files)], overwrite)
 
 
@@ -61,8 +61,12 @@ def check_outputs(folder: Path, files: Sequence[str], overwrite: bool) -> None:
 def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> None:
     check_outputs(folder, files, overwrite)  # another process may have written meanwhile
     for file in files:
+        flush_to_disk(hidden / file)
+    for file in files:
         with folder_made((folder / file).parent, folder / file):
             os.replace(hidden / file, folder / file)
+    for parent in {(folder / file).parent for file in files}:
+        flush_names(parent)
 
 
 @functools.cache
@@ -72,8 +76,8 @@ def _remove_abandoned_once(home: Path) -> None:
 
 
 @contextmanager
-def stops_held_back() -> Iterator[None]:
-    """Interruptions and terminations that come in the block take effect after it, in the main thread."""
+def defer_stops() -> Iterator[None]:
+    """Defer SIGINT and SIGTERM until the block ends, in the main thread."""
     if threading.current_thread() is not threading.main_thread():  # no signal interrupts the others
         yield
         return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -17,11 +17,13 @@ from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.scene_options import ViewOptions
 
 if TYPE_CHECKING:
-    from scoup.base.processes import Processes
+    from scoup.base.locks import Output
+    from scoup.base.shares import Share
     from scoup.scene.cameras import Cameras
     from scoup.scene.gaussians import Gaussians
     from scoup.scene.regions import Regions
     from scoup.uplift.region_sums import RegionSums
+    from scoup.uplift.shards import Shard
 
 CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 CLIP_DIM = 512
@@ -69,7 +71,7 @@ class Build(BuildOptions, ViewOptions):
     """Also keep the region sums, in <out>.sums: with them scoup update adds and removes views, and --sums builds again
     (other embeddings, codes or rounds) without rasterising."""
     sums: OptionalPath = None
-    """Take the region sums from this file, as --keep-sums has left it; nothing is rasterised. It is not changed."""
+    """Take the region sums from this folder, as --keep-sums has left it; nothing is rasterised. It is not changed."""
     sums_weights: Literal["float32", "float16"] = "float32"
     """How region sums are kept: float16 takes 5 bytes an entry instead of 7."""
     least_weight: float = 0.0
@@ -82,60 +84,43 @@ class Build(BuildOptions, ViewOptions):
 
     def run(self, console: Console) -> None:
         """Build, save and report."""
-        from scoup.base.locks import locked_file
-        from scoup.base.processes import device_of_process, process_group
+        from scoup.base.locks import locked_output
+        from scoup.base.shares import Share, device_of_process
         from scoup.uplift.build import build
-        from scoup.uplift.checkpoint import moved_with_sums
+        from scoup.uplift.checkpoint import save_field
 
-        device, out = device_of_process(self.device), self._output()
+        share, device = Share.of_environment(), device_of_process(self.device)
+        out = self._output(share)
         loaded = self._load(console, device, out)
         if self.shard is not None:
-            return self._rasterise_share(console, out, loaded)
-        settings = self.settings(loaded.raster_preset)
+            return self._write_shard(console, out, loaded)
+        if not share.is_everything:
+            return self._build_together(console, out, loaded, share, device)
         started = time.perf_counter()
-        with (
-            process_group(device) as processes,
-            locked_file(out, self.overwrite, processes) as lock,
-            self._region_sums(out, loaded, processes, self.keep_sums) as sums,
-        ):
-            self._announce(console, sums, len(loaded.regions), processes)
+        with locked_output(out, self.overwrite) as output, self._region_sums(out, loaded) as sums:
+            self._announce(console, sums, len(loaded.regions))
             with console.progress() as progress:
                 field = build(
-                    loaded.gaussians, loaded.cameras, loaded.regions, settings, embedding_model=loaded.model,
-                    geometry_path=loaded.source, sums=sums, check_fit=not self.no_check_fit, progress=progress,
+                    loaded.gaussians, loaded.cameras, loaded.regions, self.settings(loaded.raster_preset),
+                    embedding_model=loaded.model, geometry_path=loaded.source, sums=sums,
+                    check_fit=not self.no_check_fit, progress=progress,
                 )  # fmt: skip
-            # Nobody gives up its sums before the field is there.
-            move = moved_with_sums(lock, sums, self.keep_sums)
-            how = (self.overwrite, self.embed_geometry, self.weight_bits, move)
-            processes.of_first(lambda: field.save(out, *how))
+            save_field(output, field, sums, self.keep_sums, self.embed_geometry, self.weight_bits)
             bytes_of_sums = sums.bytes if self.keep_sums else None
-        if processes.first:
-            report_field(console, field, out, bytes_of_sums, device, time.perf_counter() - started)
+        report_field(console, field, out, bytes_of_sums, device, time.perf_counter() - started)
         return None
 
-    def _rasterise_share(self, console: Console, out: Path, loaded: _Loaded) -> None:
+    def _write_shard(self, console: Console, out: Path, loaded: _Loaded) -> None:
         """Rasterise a share of the views, keep it and report."""
-        from scoup.base.locks import locked_file
-        from scoup.base.processes import ALONE, shard
-        from scoup.uplift.checkpoint import moved_alone
+        from scoup.base.locks import locked_output
+        from scoup.base.shares import Share
         from scoup.uplift.region_sums import shard_path
-        from scoup.uplift.shards import add_shard
 
-        share = shard(self.shard or "")
+        share = Share.parse(self.shard or "")
         path = shard_path(out, share)
         started = time.perf_counter()
-        with (
-            locked_file(path, self.overwrite) as lock,
-            self._region_sums(path, loaded, ALONE, False) as sums,
-            console.progress() as progress,
-        ):
-            self._announce(console, sums, len(loaded.regions), share)
-            made = add_shard(
-                sums, loaded.gaussians, loaded.cameras, loaded.regions, share, embedding_model=loaded.model,
-                geometry_path=loaded.source, check_fit=not self.no_check_fit, progress=progress,
-            )  # fmt: skip
-            size = sums.bytes
-            moved_alone(lock, sums)
+        with locked_output(path, self.overwrite, is_folder=True) as output:
+            made, size = self._make_shard(console, output, loaded, share, not self.no_check_fit)
         seconds = time.perf_counter() - started
         views = len(made.sources.views)
         console.say(
@@ -144,6 +129,54 @@ class Build(BuildOptions, ViewOptions):
         )
         record = {"shard": path, "bytes": size, "views": views, "of_views": made.n_views}
         console.result({**record, "seconds": round(seconds, 2)})
+
+    def _make_shard(
+        self, console: Console, output: Output, loaded: _Loaded, share: Share, check_fit: bool
+    ) -> tuple[Shard, int]:
+        """Make the shard of an output; returns it, and its bytes."""
+        from scoup.uplift.shards import add_shard
+
+        with self._region_sums(output.path, loaded) as sums, console.progress() as progress:
+            self._announce(console, sums, len(share.of(range(len(loaded.regions)))))
+            made = add_shard(
+                sums, loaded.gaussians, loaded.cameras, loaded.regions, share, embedding_model=loaded.model,
+                geometry_path=loaded.source, check_fit=check_fit, progress=progress,
+            )  # fmt: skip
+            size = sums.bytes
+            assert sums.path is not None
+            output.take(sums.path)
+        return made, size
+
+    def _build_together(
+        self, console: Console, out: Path, loaded: _Loaded, share: Share, device: str
+    ) -> None:
+        """Make the shard of one of several processes; the first of them merges all."""
+        from scoup.base.atomic import remove
+        from scoup.base.heartbeats import heartbeats, reported_once, wait_for_parts, wait_until_taken
+        from scoup.base.locks import lock_path, locked_output
+        from scoup.base.shares import Share
+        from scoup.cli.merge import save_merged
+        from scoup.uplift.checkpoint import take_up
+        from scoup.uplift.region_sums import shard_path
+
+        shards = [shard_path(out, Share(number, share.count)) for number in range(share.count)]
+        path, started = shards[share.number], time.perf_counter()
+        if not share.is_first:
+            part_lock = locked_output(path, overwrite=True, is_folder=True)
+            with reported_once(share), part_lock as part, heartbeats(part):
+                take_up(path)  # of an earlier run, which may have been of another scene
+                self._make_shard(console, part, loaded, share, check_fit=False)
+                wait_until_taken(part, path, lock_path(out))
+            return
+        with reported_once(share), locked_output(out, self.overwrite) as whole, heartbeats(whole):
+            with locked_output(path, overwrite=True, is_folder=True) as part:
+                take_up(path)
+                self._make_shard(console, part, loaded, share, not self.no_check_fit)
+            wait_for_parts(whole, [lock_path(path) for path in shards[1:]])
+            found = save_merged(console, self, whole, shards, device, self.keep_sums, loaded.source)
+            for path in shards:
+                remove(path)
+        report_field(console, found.field, out, found.bytes_of_sums, device, time.perf_counter() - started)
 
     def _load(self, console: Console, device: str, out: Path) -> _Loaded:
         """The scene."""
@@ -163,11 +196,11 @@ class Build(BuildOptions, ViewOptions):
         )
         return _Loaded(gaussians, cameras, regions, source, raster_preset, model)
 
-    def _output(self) -> Path:
+    def _output(self, share: Share) -> Path:
         """The field to write, after checking that what is written now may be written."""
         from scoup.base.errors import InputError
         from scoup.base.locks import complete
-        from scoup.base.processes import of_environment, shard
+        from scoup.base.shares import Share
         from scoup.io import check_output
         from scoup.io.camera_sources import scene_folder
         from scoup.uplift.region_sums import shard_path, sums_path
@@ -176,21 +209,23 @@ class Build(BuildOptions, ViewOptions):
         if out.suffix.lower() != ".scoup":
             raise InputError(f"{out}: give a name that ends in .scoup")
         if self.shard is not None:
-            self._check_alone_with_shard()
-            if of_environment().world > 1:
+            if not share.is_everything:
                 raise InputError(
-                    "--shard and torchrun do not go together: torchrun shares the views out by itself"
+                    "pass --shard, or run under torchrun, which shares out views itself; not both"
                 )
-            path = shard_path(out, shard(self.shard))
+            self._check_alone_with_shard()
+            path = shard_path(out, Share.parse(self.shard))
             complete(path)
-            check_output(path, self.overwrite)
+            check_output(path, self.overwrite, is_folder=True)
             return out
+        if self.sums is not None and not share.is_everything:
+            raise InputError("--sums needs one process: nothing is rasterised; run without torchrun")
         complete(out)
         check_output(out, self.overwrite)
         if self.keep_sums:
             if self.sums is not None:
                 raise InputError("--sums and --keep-sums do not go together: the sums are kept already")
-            check_output(sums_path(out), self.overwrite)
+            check_output(sums_path(out), self.overwrite, is_folder=True)
         return out
 
     def _check_alone_with_shard(self) -> None:
@@ -204,27 +239,23 @@ class Build(BuildOptions, ViewOptions):
         if later:
             raise InputError(f"--shard makes region sums only; give {listed(later, 9)} to scoup merge")
 
-    def _region_sums(
-        self, out: Path, loaded: _Loaded, processes: Processes, keep: bool
-    ) -> AbstractContextManager[RegionSums]:
-        """The sums named, or those in the file beside the output in which a build keeps what it has done."""
+    def _region_sums(self, out: Path, loaded: _Loaded) -> AbstractContextManager[RegionSums]:
+        """The sums named, or those in the folder beside the output in which a build keeps what it has done."""
         from scoup.uplift.checkpoint import checkpoint
         from scoup.uplift.region_sums import RegionSums
 
         if self.sums is not None:
-            return closing(RegionSums.open(self.sums))
+            return nullcontext(RegionSums.open(self.sums))
         how = {"weights": self.sums_weights, "least_weight": self.least_weight}
-        return checkpoint(out, loaded.gaussians, loaded.regions, loaded.raster_preset, keep, processes, **how)
+        return checkpoint(out, loaded.gaussians, loaded.regions, loaded.raster_preset, **how)
 
-    def _announce(self, console: Console, sums: RegionSums, views: int, processes: Processes) -> None:
+    def _announce(self, console: Console, sums: RegionSums, views: int) -> None:
         """Say what is continued, now, and what is kept, should the build be interrupted."""
         from scoup.uplift.checkpoint import continued
 
         if self.sums is None:
-            share = len(processes.share(range(views)))
-            console.kept = lambda: kept(len(sums), share, "views", "codes" if sums.codes else "")
-        message = continued(sums, views)
-        if processes.first and message:
+            console.kept = lambda: kept(len(sums), views, "views", "codes" if sums.codes else "")
+        if message := continued(sums, views):
             console.say(message)
 
 

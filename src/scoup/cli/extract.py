@@ -17,8 +17,8 @@ from scoup.cli.console import Console, kept
 from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
-    from scoup.base.processes import Processes
     from scoup.base.progress import Progress
+    from scoup.base.shares import Share
     from scoup.extract import ExtractReport, MaskSettings
 
 
@@ -35,7 +35,7 @@ class Extract(WritesCommon):
         "photograph": "images max_height",
         "model": "segmenter embedder segmenter_revision embedder_revision",
         "mask": "preset points_per_side points_per_batch with_default",
-        "output": "out layout bits",
+        "output": "out layout bits shard",
     }
 
     scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
@@ -72,11 +72,14 @@ class Extract(WritesCommon):
     """Also make LangSplat's level "default", which holds all masks in one list; SCOUP does not use it."""
     max_height: int = 1080
     """Higher photographs are reduced to this height first; 0 for never."""
+    shard: OptionalText = None
+    """I/N, such as 1/4: extract only this share of the photographs. Run each of 1/N to N/N, at any time, anywhere,
+    with the same OUT."""
 
     def run(self, console: Console) -> None:
         """Extract and report."""
         from scoup.base.errors import InputError
-        from scoup.base.processes import device_of_process, of_environment
+        from scoup.base.shares import device_of_process
         from scoup.extract import Output, extract, find_photographs
         from scoup.extract.registry import open_pair
         from scoup.io.scene_parts import usual_features
@@ -86,7 +89,7 @@ class Extract(WritesCommon):
         device = device_of_process(self.device)
         segmenter_name, settings = self._masks(console, str(device))
         photographs = find_photographs(self.scene, self.images)
-        processes = of_environment()
+        share = self._share()
         out = self.out or usual_features(self.scene)
         started = time.perf_counter()
         segmenter, embedder = open_pair(
@@ -99,20 +102,32 @@ class Extract(WritesCommon):
             self.with_default,
         )
         output = Output(self.layout, self.bits, self.max_height or None)
-        with _at_work(console, out, processes) as progress:
-            report = extract(
-                photographs, out, segmenter, embedder, output, self.overwrite, processes, progress
-            )
+        with _at_work(console, out, share) as progress:
+            report = extract(photographs, out, segmenter, embedder, output, self.overwrite, share, progress)
         seconds = time.perf_counter() - started
-        _say(console, report, out, seconds, processes)
+        _say(console, report, out, seconds, share)
         record = {
             "out": out,
             "photographs": len(photographs),
             **_record(report),
             "seconds": round(seconds, 2),
         }
-        shares = {"rank": processes.rank, "world_size": processes.world} if processes.world > 1 else {}
+        shares = {} if share.is_everything else {"shard": share.number + 1, "of_shards": share.count}
         console.result({**record, "embedding_model": embedder.name, **shares})
+
+    def _share(self) -> Share:
+        """The photographs to do: by torchrun's rank, or as named."""
+        from scoup.base.errors import InputError
+        from scoup.base.shares import Share
+
+        share = Share.of_environment()
+        if self.shard is None:
+            return share
+        if not share.is_everything:
+            raise InputError(
+                "pass --shard, or run under torchrun, which shares out photographs itself; not both"
+            )
+        return Share.parse(self.shard)
 
     def _masks(self, console: Console, device: str) -> tuple[str, MaskSettings]:
         """Segmenter and settings, which are printed: LangSplat's on a GPU, the fastest that are good without one."""
@@ -127,7 +142,7 @@ class Extract(WritesCommon):
 
 
 @contextmanager
-def _at_work(console: Console, out: Path, processes: Processes) -> Iterator[Progress]:
+def _at_work(console: Console, out: Path, share: Share) -> Iterator[Progress]:
     """A progress callback that also says what is continued, and what an interruption leaves; ``out`` is locked."""
     from scoup.base.locks import locked_folder
 
@@ -141,7 +156,7 @@ def _at_work(console: Console, out: Path, processes: Processes) -> Iterator[Prog
         console.kept = lambda: kept(done, total, "views")
         progress(stage, done, total)
 
-    with locked_folder(out, processes), console.progress() as progress:
+    with locked_folder(out, share), console.progress() as progress:
         yield report
 
 
@@ -156,11 +171,11 @@ def _record(report: ExtractReport) -> dict[str, Any]:
     }
 
 
-def _say(console: Console, report: ExtractReport, out: Path, seconds: float, processes: Processes) -> None:
+def _say(console: Console, report: ExtractReport, out: Path, seconds: float, share: Share) -> None:
     made = len(report.made)
     there = f", {report.kept:,} already there" if report.kept else ""
-    share = f" (process {processes.rank} of {processes.world})" if processes.world > 1 else ""
-    console.say(f"{out}: {counted(made, 'view')} made{there}{share}, in {seconds:.0f} s")
+    of = "" if share.is_everything else f" (shard {share.number + 1} of {share.count})"
+    console.say(f"{out}: {counted(made, 'view')} made{there}{of}, in {seconds:.0f} s")
     if made:
         stages = ", ".join(f"{stage} {value / made:.2f}" for stage, value in report.seconds.items())
         console.say(

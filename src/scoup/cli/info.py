@@ -35,7 +35,8 @@ class Info(Common):
         if not self.path.is_dir() and suffix not in _KINDS:
             problem, remedy = other_format(self.path) or ("is not a kind of file known here", _READ)
             raise FileFormatError(self.path, problem, remedy)
-        record = (_folder if self.path.is_dir() else _KINDS[suffix])(self.path)
+        is_scene = self.path.is_dir() and suffix != ".sums"
+        record = (_folder if is_scene else _KINDS[suffix])(self.path)
         for line in _lines(record):
             console.say(line)
         console.result(record)
@@ -95,35 +96,32 @@ def _json(path: Path) -> dict[str, Any]:
 
 
 def _region_sums(path: Path) -> dict[str, Any]:
-    from contextlib import closing
-
     from scoup.uplift.region_sums import RegionSums
     from scoup.uplift.shards import Shard
 
-    with closing(RegionSums.open(path)) as sums:
-        shard = None if sums.inputs is None else Shard.kept(sums)
-        return {
-            "kind": "region sums" if shard is None else "shard",
-            "gaussians": sums.n_gaussians,
-            "levels": list(sums.levels),
-            "raster_preset": sums.raster_preset,
-            "weights": sums.weights,
-            "views": len(sums),
-            **(
-                {}
-                if shard is None
-                else {"of_views": shard.n_views, "embedding_model": shard.sources.embedding_model}
-            ),
-            "codes": "kept" if sums.codes else "none",
-            "bytes": sums.bytes,
-            "fingerprint": sums.fingerprint,
-        }
+    sums = RegionSums.open(path)
+    shard = None if sums.inputs is None else Shard.kept(sums)
+    of_shard = (
+        {} if shard is None else {"of_views": shard.n_views, "embedding_model": shard.sources.embedding_model}
+    )
+    return {
+        "kind": "region sums" if shard is None else "shard",
+        "gaussians": sums.n_gaussians,
+        "levels": list(sums.levels),
+        "raster_preset": sums.raster_preset,
+        "weights": sums.weights,
+        "views": len(sums),
+        **of_shard,
+        "codes": "kept" if sums.codes else "none",
+        "bytes": sums.bytes,
+        "fingerprint": sums.fingerprint,
+    }
 
 
 def _field(path: Path) -> dict[str, Any]:
     from scoup.field.language_field import LanguageField
     from scoup.field.part_sizes import part_sizes
-    from scoup.uplift.region_sums import sums_path
+    from scoup.uplift.region_sums import bytes_of, sums_path
 
     field = LanguageField.load(path)
     sizes = part_sizes(path)
@@ -143,7 +141,7 @@ def _field(path: Path) -> dict[str, Any]:
         "cameras": 0 if field.cameras is None else len(field.cameras),
         "geometry": _geometry(field),
         "fingerprint": field.info.fingerprint,
-        "region_sums": sums.stat().st_size if (sums := sums_path(path)).is_file() else None,
+        "region_sums": bytes_of(sums) if (sums := sums_path(path)).is_dir() else None,
         "provenance": field.info.provenance,
     }
 

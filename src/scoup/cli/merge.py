@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -19,7 +18,8 @@ from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, OptionGroups
 
 if TYPE_CHECKING:
-    from scoup.base.processes import Processes
+    from scoup.base.locks import Output
+    from scoup.field.language_field import LanguageField
     from scoup.uplift.region_sums import RegionSums
 
 
@@ -46,33 +46,22 @@ class Merge(BuildOptions):
 
     def run(self, console: Console) -> None:
         """Merge, save and report."""
-        from scoup.base.locks import locked_file
-        from scoup.base.processes import device_of_process, process_group
-        from scoup.uplift.checkpoint import moved_with_sums
-        from scoup.uplift.shards import merge
+        from scoup.base.errors import InputError
+        from scoup.base.locks import locked_output
+        from scoup.base.shares import Share
 
-        device, out = device_of_process(self.device), self._output()
-        settings = self.settings("inria")  # a mistake shows now; the rasteriser preset is that of the shards
+        if not Share.of_environment().is_everything:
+            raise InputError("scoup merge works in one process; run it without torchrun")
+        out = self._output()
+        self.settings("inria")  # a mistake shows now; the rasteriser preset is that of the shards
         started = time.perf_counter()
-        with (
-            process_group(device) as processes,
-            locked_file(out, self.overwrite, processes) as lock,
-            _opened(self.shards) as shards,
-            self._kept(out, shards, processes) as keep,
-            console.progress() as progress,
-        ):
-            field = merge(
-                shards, settings, keep=keep, geometry_path=self.gaussians, field_path=out,
-                device=device, progress=progress,
-            )  # fmt: skip
-            bytes_of_sums = None if keep is None else keep.bytes
-            # Field and sums appear together.
-            move = os.replace if keep is None else moved_with_sums(lock, keep, keep=True)
-            how = (self.overwrite, self.embed_geometry, self.weight_bits, move)
-            processes.of_first(lambda: field.save(out, *how))
-        if processes.first:
-            console.say(f"{counted(len(self.shards), 'shard')} merged")
-            report_field(console, field, out, bytes_of_sums, device, time.perf_counter() - started)
+        with locked_output(out, self.overwrite) as output:
+            found = save_merged(
+                console, self, output, self.shards, self.device, self.keep_sums, self.gaussians
+            )
+        console.say(f"{counted(len(self.shards), 'shard')} merged")
+        seconds = time.perf_counter() - started
+        report_field(console, found.field, out, found.bytes_of_sums, self.device, seconds)
 
     def _output(self) -> Path:
         """The file to write, after checking that it and what goes beside it may be written."""
@@ -94,28 +83,51 @@ class Merge(BuildOptions):
         complete(out)
         check_output(out, self.overwrite)
         if self.keep_sums:
-            check_output(sums_path(out), self.overwrite)
+            check_output(sums_path(out), self.overwrite, is_folder=True)
         return out
 
-    @contextmanager
-    def _kept(self, out: Path, shards: list[RegionSums], processes: Processes) -> Iterator[RegionSums | None]:
-        """New region sums in a file beside the field; None where none are to be kept."""
-        from scoup.base.errors import InputError
-        from scoup.uplift.checkpoint import new_sums
-        from scoup.uplift.region_sums import RegionSums
 
-        if not self.keep_sums:
-            yield None
-            return
-        if processes.world > 1:
-            raise InputError("--keep-sums works in one process; run without torchrun")
-        with new_sums(out, "merge") as path, closing(RegionSums.like(shards[0], path)) as keep:
-            yield keep
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """A field of shards, and the bytes of its region sums where they are kept."""
+
+    field: LanguageField
+    bytes_of_sums: int | None
+
+
+def save_merged(
+    console: Console,
+    options: BuildOptions,
+    output: Output,
+    paths: Sequence[Path],
+    device: str,
+    keep_sums: bool,
+    geometry: Path | None,
+) -> Merged:
+    """Merge shards and write the field of an output, and its region sums if they are to be kept."""
+    from scoup.uplift.checkpoint import save_field
+    from scoup.uplift.region_sums import RegionSums
+    from scoup.uplift.shards import merge
+
+    shards = [RegionSums.open(path) for path in paths]
+    with _kept(output.path, shards, keep_sums) as keep, console.progress() as progress:
+        field = merge(
+            shards, options.settings("inria"), keep=keep, geometry_path=geometry, field_path=output.path,
+            device=device, progress=progress,
+        )  # fmt: skip
+        bytes_of_sums = None if keep is None else keep.bytes
+        save_field(output, field, keep, True, options.embed_geometry, options.weight_bits)
+    return Merged(field, bytes_of_sums)
 
 
 @contextmanager
-def _opened(paths: tuple[Path, ...]) -> Iterator[list[RegionSums]]:
+def _kept(out: Path, shards: list[RegionSums], wanted: bool) -> Iterator[RegionSums | None]:
+    """New region sums in a folder beside the field; None where none are to be kept."""
+    from scoup.uplift.checkpoint import new_sums
     from scoup.uplift.region_sums import RegionSums
 
-    with ExitStack() as stack:
-        yield [stack.enter_context(closing(RegionSums.open(path))) for path in paths]
+    if not wanted:
+        yield None
+        return
+    with new_sums(out, "merge") as path:
+        yield RegionSums.like(shards[0], path)

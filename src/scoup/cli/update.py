@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -83,14 +82,13 @@ class Update(FieldOptions, ViewOptions):
 
     def _change_views(self, console: Console) -> None:
         """Add and remove views."""
-        from scoup.base.locks import locked_file
-        from scoup.uplift.checkpoint import changed_copy, moved_with_sums
+        from scoup.base.locks import locked_output
+        from scoup.uplift.checkpoint import changed_copy, save_field
         from scoup.uplift.update import update
 
         out, source = self._output(also_sums=True), self._source()
-        with locked_file(
-            out, self.overwrite
-        ) as lock:  # before reading: nobody else changes the field meanwhile
+        # Before reading: nobody else changes the field meanwhile.
+        with locked_output(out, self.overwrite) as output:
             field = self.open_field()
             cameras, regions = self._changed_views(field, source)
             with changed_copy(source, out, cameras, regions) as copied, console.progress() as progress:
@@ -99,9 +97,7 @@ class Update(FieldOptions, ViewOptions):
                     field, copied.sums, cameras, regions, self.remove, self.new_atoms,
                     check_fit=not self.no_check_fit and not copied.n_added, progress=progress,
                 )  # fmt: skip
-                # Field and sums change together or not at all.
-                move = moved_with_sums(lock, copied.sums, keep=True)
-                updated.save(out, self.overwrite, field.geometry_path is None, self.weight_bits, move)
+                save_field(output, updated, copied.sums, True, field.geometry_path is None, self.weight_bits)
         total = len(updated.info.provenance["views"])
         console.say(
             f"{out}: {counted(len(cameras), 'view')} added, {len(self.remove)} removed, {total:,} in all; "
@@ -120,9 +116,9 @@ class Update(FieldOptions, ViewOptions):
     def _follow(self, console: Console, edited: Path) -> None:
         """Let the field follow its splat, save and report."""
         from scoup.base.errors import InputError
-        from scoup.base.locks import locked_file
+        from scoup.base.locks import locked_output
         from scoup.io import load_gaussians
-        from scoup.uplift.checkpoint import moved_with_sums
+        from scoup.uplift.checkpoint import save_field
         from scoup.uplift.edited_splat import follow
         from scoup.uplift.matching import Tolerance
         from scoup.uplift.region_sums import sums_path
@@ -131,7 +127,7 @@ class Update(FieldOptions, ViewOptions):
             raise InputError("--edited is an update of its own; add or remove views before or after it")
         out = self._output(also_sums=self.scene is not None)
         tolerance = None if self.tolerance is None else Tolerance(self.tolerance)
-        with locked_file(out, self.overwrite) as lock:
+        with locked_output(out, self.overwrite) as output:
             field, gaussians = self.open_field(), load_gaussians(edited)
             if gaussians.fingerprint() == field.fingerprint:
                 raise InputError(f"nothing to do: {edited} is the splat of {self.field} already")
@@ -141,9 +137,8 @@ class Update(FieldOptions, ViewOptions):
                     field, gaussians, kept, tolerance,
                     geometry_path=None if embed else edited, progress=progress,
                 )  # fmt: skip
-                move = os.replace if found.sums is None else moved_with_sums(lock, found.sums, keep=True)
-                found.field.save(out, self.overwrite, embed, self.weight_bits, move)
-        if kept is None and sums_path(out).is_file():
+                save_field(output, found.field, found.sums, True, embed, self.weight_bits)
+        if kept is None and sums_path(out).is_dir():
             console.warn(f"{sums_path(out)}: are region sums of another splat than {out}; remove them")
         self._report(console, out, found)
 
@@ -175,7 +170,7 @@ class Update(FieldOptions, ViewOptions):
 
     @contextmanager
     def _kept_sums(self, out: Path) -> Iterator[KeptSums | None]:
-        """The field's region sums and views, and a file for those of the edited splat, where a scene is named."""
+        """The field's region sums and views, and a folder for those of the edited splat, where a scene is named."""
         from scoup.uplift.checkpoint import new_sums
         from scoup.uplift.edited_splat import KeptSums
         from scoup.uplift.region_sums import RegionSums
@@ -185,8 +180,8 @@ class Update(FieldOptions, ViewOptions):
             return
         source = self._source()
         cameras, regions, _ = self.load_views(self.scene)
-        with new_sums(out, "update") as path, closing(RegionSums.open(source)) as sums:
-            yield KeptSums(sums, cameras, regions, path)
+        with new_sums(out, "update") as path:
+            yield KeptSums(RegionSums.open(source), cameras, regions, path)
 
     def _output(self, also_sums: bool) -> Path:
         """The field to write, after checking that it, and its region sums, may be written."""
@@ -197,17 +192,18 @@ class Update(FieldOptions, ViewOptions):
         out = self.out or self.field
         for path in dict.fromkeys((self.field, out)):
             complete(path)
-        for path in (out, sums_path(out)) if also_sums else (out,):
-            check_output(path, self.overwrite)
+        check_output(out, self.overwrite)
+        if also_sums:
+            check_output(sums_path(out), self.overwrite, is_folder=True)
         return out
 
     def _source(self) -> Path:
-        """The file of the field's region sums."""
+        """The folder of the field's region sums."""
         from scoup.base.errors import MissingFileError
         from scoup.uplift.region_sums import sums_path
 
         source = self.sums or sums_path(self.field)
-        if not source.is_file():
+        if not source.is_dir():
             problem = "is not there: the region sums of the field are needed"
             remedy = "build the field with --keep-sums, or name them with --sums"
             raise MissingFileError(source, problem, remedy)
@@ -220,15 +216,15 @@ class Update(FieldOptions, ViewOptions):
         from scoup.uplift.region_sums import RegionSums
         from scoup.uplift.update import codes_of
 
-        with closing(RegionSums.open(source)) as sums:
-            codes_of(field, sums)
-            if not self.add:
-                return [], None
-            if self.scene is None:
-                raise InputError("name the folder with the cameras of the views to add: --scene SCENE")
-            cameras, regions, _ = self.load_views(self.scene)
-            chosen = self._chosen(cameras, regions)
-            changed = changed_views(sums, chosen, regions, field.gaussians.device)
+        sums = RegionSums.open(source)
+        codes_of(field, sums)
+        if not self.add:
+            return [], None
+        if self.scene is None:
+            raise InputError("name the folder with the cameras of the views to add: --scene SCENE")
+        cameras, regions, _ = self.load_views(self.scene)
+        chosen = self._chosen(cameras, regions)
+        changed = changed_views(sums, chosen, regions, field.gaussians.device)
         if not changed and not self.remove:
             raise InputError("nothing to do: these views are in the field, and have not changed")
         return changed, regions

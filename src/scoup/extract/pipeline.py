@@ -15,8 +15,8 @@ from torch import Tensor
 
 from scoup.base.counts import counted, none_of
 from scoup.base.errors import ScoupError, ScoupWarning
-from scoup.base.processes import Processes
 from scoup.base.progress import Progress, no_progress
+from scoup.base.shares import Share
 from scoup.extract.crops import mask_crops
 from scoup.extract.interfaces import CropEmbedder, Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint
@@ -77,7 +77,7 @@ def extract(
     embedder: Embedder,
     output: Output = Output(),
     overwrite: bool = False,
-    processes: Processes = Processes(),  # noqa: B008 - frozen
+    share: Share = Share(),  # noqa: B008 - frozen
     progress: Progress = no_progress,
 ) -> ExtractReport:
     """Make region maps and embeddings of photographs. Interrupted, the same call continues where it stopped.
@@ -86,8 +86,8 @@ def extract(
         photographs: from ``find_photographs``.
         folder: of the results; ``load_regions`` reads it.
         overwrite: make views anew that are there already.
-        processes: of several at work on one folder, each takes every world-th photograph. They do not communicate; if
-            one dies, its current view is lost.
+        share: of the photographs that this process extracts. Several processes may work on one folder; if one dies,
+            its current view is lost.
 
     Raises:
         InputError: the folder was made with other settings, or two photographs share a stem.
@@ -101,7 +101,7 @@ def extract(
     settings = {**segmenter.record(), **embedder.record(), "max_height": output.max_height}
     manifest = RegionManifest.of(output.layout, embedder.name, settings, output.bits)
     store = RegionStore.create(folder, manifest, overwrite)
-    mine = processes.share(photographs)
+    mine = share.of(photographs)
     report = ExtractReport()
     waiting = mine if overwrite else [item for item in mine if not _is_made(store, item)]
     report.kept = done = len(mine) - len(waiting)

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.atomic import Move, atomic_path, check_output
+from scoup.base.atomic import atomic_path, check_output
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, WriteError, check_format_version
 from scoup.io.reading import safetensors_damage_named
 from scoup.scene.cameras import Camera, Cameras
@@ -48,9 +48,7 @@ class FieldParts:
     things: Things | None = None
 
 
-def write_field(
-    parts: FieldParts, path: Path, overwrite: bool, weight_bits: int, move: Move = os.replace
-) -> None:
+def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int) -> None:
     """Write a field; see ``LanguageField.save``."""
     if weight_bits not in (8, 16):
         raise InputError(f"weights are stored with 8 or 16 bits, not {weight_bits}")
@@ -85,7 +83,7 @@ def write_field(
     }
     # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
     metadata = {METADATA_KEY: _with_checksum(header)}
-    with atomic_path(path, overwrite, move) as temporary:
+    with atomic_path(path, overwrite) as temporary:
         _write(temporary, tensors, metadata)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,6 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base.arguments import PATH, check_arguments
-from scoup.base.atomic import Move
 from scoup.base.errors import InputError
 from scoup.field.artefact import FieldParts, field_damage_named, read_field, write_field
 from scoup.query.methods import Encoder, FieldQueries
@@ -145,7 +143,6 @@ class LanguageField(FieldQueries):
         overwrite: bool = False,
         embed_geometry: bool | None = None,
         weight_bits: int = 16,
-        move: Move = os.replace,
     ) -> None:
         """Write the field to one ``.scoup`` file (docs/formats.md), atomically.
 
@@ -155,7 +152,6 @@ class LanguageField(FieldQueries):
             embed_geometry: put the Gaussians into the file too. By default, only if they are in memory and the field
                 names no file that holds them: such a field could not be queried after loading.
             weight_bits: 16 (float16) or 8 (255 steps of each code's largest weight).
-            move: gives the finished file its name; see ``base.atomic.atomic_path``.
 
         Raises:
             OutputExistsError: the file is there and ``overwrite`` is false.
@@ -173,7 +169,7 @@ class LanguageField(FieldQueries):
             self.cameras,
             self.things,
         )
-        write_field(parts, Path(path), overwrite, weight_bits, move)
+        write_field(parts, Path(path), overwrite, weight_bits)
         self.path = Path(path)
         self.tables_folder = self.path.parent
 

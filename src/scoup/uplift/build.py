@@ -10,8 +10,8 @@ import torch
 
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import ScoupWarning
-from scoup.base.processes import ALONE, Processes, at_work
 from scoup.base.progress import Progress, no_progress
+from scoup.base.scratch import temporary_folder
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
@@ -22,7 +22,7 @@ from scoup.scene.things import Things
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import build_record
-from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums, exchanged
+from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums
 from scoup.uplift.region_codes import RegionCodes, RegionEmbeddings, inputs_digest, learn_region_codes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.things import find_things
@@ -47,9 +47,6 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     The parts can be called one by one: ``fit_codes``, ``region_sums``, ``vote``, ``LanguageField``. Beyond the
     embeddings and codes of all regions, memory does not grow with the number of views.
 
-    Where torch's process group is set up (torchrun), each process learns the codes of some levels, rasterises its share
-    of the views and votes for its share of the Gaussians; all of them return the field that one process makes.
-
     Args:
         gaussians: the trained scene; never changed.
         cameras: posed cameras; those without regions are passed over.
@@ -59,7 +56,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         geometry_path: file of the Gaussians, kept in the field as a reference.
         backend: of rasteriser and vote, by name.
         sums: region sums of these Gaussians, to continue from and to keep: views that are in them are not rasterised,
-            the others are appended, and the codes are kept beside them. By default they are made and forgotten.
+            the others are appended, and the codes are kept beside them. By default they are in a temporary folder.
         check_fit: compare small renders of some views with their photographs first (``uplift/fit.py``), unless the
             sums hold views already.
         progress: called as ``progress(stage, done, total)``.
@@ -74,26 +71,28 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)
     )
     settings = build_settings(settings)
+    if sums is None:
+        with temporary_folder() as folder:
+            sums = RegionSums.of(gaussians, regions.levels, settings.raster_preset, path=folder / "sums")
+            return build(
+                gaussians, cameras, regions, settings, embedding_model=embedding_model, geometry_path=geometry_path,
+                backend=backend, sums=sums, check_fit=check_fit, progress=progress,
+            )  # fmt: skip
+    check_sums(sums, gaussians, regions, settings.raster_preset)
     for oddity in oddities(gaussians):
         warnings.warn(oddity, ScoupWarning, stacklevel=2)
     views = cameras_with_regions(cameras, regions)
-    names = [camera.name for camera in views]
-    regions = regions.select(names)
+    regions = regions.select([camera.name for camera in views])
     embeddings = RegionEmbeddings.of(regions)
-    if sums is None:
-        sums = RegionSums.of(gaussians, regions.levels, settings.raster_preset)
-    else:
-        check_sums(sums, gaussians, regions, settings.raster_preset)
-    processes, device = at_work(), gaussians.device
-    if check_fit and not any(processes.gather(len(sums))):
-        fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path, processes)
+    device = gaussians.device
+    if check_fit and not len(sums):
+        fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path)
 
-    codes = learn_region_codes(sums, embeddings, settings, device, processes, progress)
+    codes = learn_region_codes(sums, embeddings, settings, device, progress)
     digest = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
     del embeddings  # codes, and rounded embeddings, are enough from here on
-    add_views(sums, gaussians, views, regions, backend, progress, processes)
-    sums = exchanged(sums, names, processes)
-    things = things_of(sums, codes, processes, progress)
+    add_views(sums, gaussians, views, regions, backend, progress)
+    things = things_of(sums, codes, progress)
     path = None if geometry_path is None else Path(geometry_path)
     sources = Sources(tuple(views), embedding_model, path, digest)
     field = voted(sums, codes, things, sources, settings, device, backend, progress)
@@ -121,22 +120,18 @@ class Sources:
 def things_of(
     sums: RegionSums,
     codes: RegionCodes,
-    processes: Processes = ALONE,
     progress: Progress = no_progress,
 ) -> Things | None:
     """The things of the views of ``codes``; None where their embeddings are not known.
 
     Args:
-        sums: of these views; on each of several processes those of some of the Gaussians.
+        sums: of these views.
         codes: of the regions.
-        processes: all that hold a part of the sums.
         progress: called for the stage "things".
     """
     if not codes.embeddings:
         return None
-    return find_things(
-        sums.of_views(codes.rows[0], codes.rows), codes.embeddings, processes, progress=progress
-    )
+    return find_things(sums.of_views(codes.rows[0], codes.rows), codes.embeddings, progress)
 
 
 def voted(
@@ -152,7 +147,7 @@ def voted(
     """The last step of a build: all views vote. Its field has no Gaussians attached.
 
     Args:
-        sums: of the views of ``sources``, on each process those of the Gaussians that it votes for.
+        sums: of the views of ``sources``.
         codes: of the regions of these views.
         things: of these views.
         sources, settings: of the build.

@@ -1,31 +1,28 @@
-"""Region sums in files: of a build that may be interrupted, and of a field that is updated."""
+"""Region sums in folders beside a field: of a build that may be interrupted, and of a field that is updated."""
 
 from __future__ import annotations
 
-import re
+import os
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from scoup.base.atomic import Move, atomic_path
+from scoup.base.atomic import remove, replace
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning, WriteError, refused_read
-from scoup.base.locks import Lock
-from scoup.base.processes import ALONE, Processes
+from scoup.base.locks import Output
+from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.rasterise import changed_views, resumed
-from scoup.uplift.region_sums import VIEW, RegionSums, sums_path
+from scoup.uplift.region_sums import ENDING, RegionSums, sums_path
 from scoup.uplift.storage.entries import ViewRecord
-from scoup.uplift.storage.record_file import RecordFile
-
-_AT_A_TIME = 1 << 24  # bytes compared
 
 
 @contextmanager
@@ -34,75 +31,49 @@ def checkpoint(
     gaussians: Gaussians,
     regions: Regions,
     raster_preset: str = "inria",
-    keep: bool = False,
-    processes: Processes = ALONE,
     **how: Any,
 ) -> Iterator[RegionSums]:
-    """The region sums of a build, in the file FIELD.partial; what an interrupted build has left there is continued.
+    """The region sums of a build, in the folder FIELD.partial; what an interrupted build has left there is continued.
 
-    At the end of the block the file is removed, unless ``moved_with_sums`` has made it the field's ``sums_path``. After
-    an error it stays for the next build, but for an ``InputError`` before there was anything in it.
-
-    Files of sums that builds by another number of processes have left are removed.
+    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``.
+    After an error it stays for the next build, but for an ``InputError`` before there was a Gaussian in it.
 
     Args:
         field: the file that is built; the caller has locked it (``base.locks``).
         gaussians, regions, raster_preset: of the build.
-        keep: the sums after the build.
-        processes: each has a file of its own. None may end the block before the field is written.
         how: further arguments of ``RegionSums``.
-
-    Raises:
-        InputError: several processes cannot keep sums.
-        WriteError: files of other builds cannot be removed.
     """
-    if keep and processes.world > 1:
-        raise InputError("--keep-sums works in one process; run without torchrun")
-    path = field.with_name(_partial_name(field, processes.rank, processes.world))
-    processes.of_first(lambda: _remove_others(field, processes.world))
+    path = partial_path(field)
     sums = resumed(path, gaussians, regions, raster_preset, **how)
     try:
-        with closing(sums):  # before its file is removed
-            yield sums
+        yield sums
     except InputError:
         if sums.is_empty:
-            path.unlink(missing_ok=True)
+            remove(path)
         raise
-    path.unlink(missing_ok=True)
+    remove(path)
 
 
-def moved_with_sums(lock: Lock, sums: RegionSums, keep: bool) -> Move:
-    """What gives a finished field its name (``LanguageField.save(move=)``) while its region sums get theirs, or go.
+def save_field(
+    output: Output,
+    field: LanguageField,
+    sums: RegionSums | None,
+    keep: bool,
+    embed_geometry: bool | None = None,
+    weight_bits: int = 16,
+) -> None:
+    """Save a field as an output; its region sums get their name with it, or go.
 
     Args:
-        lock: of the field.
-        sums: of ``checkpoint`` or ``changed_copy``; closed when the field is moved. Others are left as they are.
+        output: the field's.
+        field: see ``LanguageField.save`` for the rest.
+        sums: of ``checkpoint``, ``changed_copy`` or ``new_sums``. Others are left as they are.
         keep: as ``sums_path`` of the field.
     """
-
-    def move(temporary: Path, field: Path) -> None:
-        moves, removed = {temporary: field}, []
-        if sums.writable and sums.path is not None:
-            sums.close()  # before its file is moved
-            if keep:
-                moves[sums.path] = sums_path(field)
-            else:
-                removed.append(sums.path)
-        lock.finish(moves, removed)
-
-    return move
-
-
-def moved_alone(lock: Lock, sums: RegionSums) -> None:
-    """Give region sums of ``checkpoint`` that are an output of their own, a shard, their name.
-
-    Args:
-        lock: of the output.
-        sums: closed here.
-    """
-    assert sums.path is not None
-    sums.close()
-    lock.finish({sums.path: lock.output})
+    mine = sums.path if sums is not None and sums.writable else None
+    with output.appearing(mine, sums_path(output.path) if keep else None) as temporary:
+        field.save(temporary, False, embed_geometry, weight_bits)
+    field.path = output.path
 
 
 def continued(sums: RegionSums, views: int) -> str | None:
@@ -113,27 +84,15 @@ def continued(sums: RegionSums, views: int) -> str | None:
     return f"{sums.path}: continues an interrupted build: {len(sums)} of {views} views are there, {codes}"
 
 
-def _partial_name(field: Path, rank: int, world: int) -> str:
-    return f"{field.name}.partial" + (f".{rank}" if world > 1 else "")
+def take_up(output: Path) -> None:
+    """Continue a finished shard, if it is there, as one in progress; the caller has locked it."""
+    if output.exists():
+        replace(output, partial_path(output))
 
 
-def _remove_others(field: Path, world: int) -> None:
-    """Remove the checkpoints of another number of processes, which nobody would continue."""
-    own = {_partial_name(field, rank, world) for rank in range(world)}
-    pattern = re.compile(re.escape(f"{field.name}.partial") + r"(\.\d+)?")
-    try:
-        names = (path.name for path in field.parent.iterdir() if pattern.fullmatch(path.name))
-        others = sorted(set(names) - own)
-        for name in others:
-            field.with_name(name).unlink(missing_ok=True)
-    except OSError as error:
-        raise WriteError.of(error.filename or field, error) from error
-    if others:
-        warnings.warn(
-            f"{field}: removed what a build by another number of processes has left ({', '.join(others)})",
-            ScoupWarning,
-            stacklevel=6,
-        )
+def partial_path(field: Path) -> Path:
+    """Where a build keeps what it has done, until the field is there."""
+    return field.with_name(f"{field.name}.partial")
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,14 +120,14 @@ class ChangedCopy:
 def changed_copy(
     source: Path, field: Path, add: Sequence[Camera] = (), regions: Regions | None = None
 ) -> Iterator[ChangedCopy]:
-    """A writable copy of kept region sums, in the file FIELD.update.partial; what an interrupted update of the same
-    sums has left there is continued, as far as it is what this one would do.
+    """A writable copy of kept region sums, in the folder FIELD.update.partial; views that an interrupted update has
+    added there are not made again.
 
-    At the end of the block the file is removed, unless ``moved_with_sums`` has made it the field's ``sums_path``. After
-    an error it stays for the next update if views were added.
+    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``.
+    After an error it stays for the next update if views were added.
 
     Args:
-        source: the file of kept sums; not changed.
+        source: the folder of kept sums; not changed.
         field: the file that is written; the caller has locked it (``base.locks``).
         add: cameras of views that the sums lack, or hold otherwise; they will be added in this order.
         regions: of these views.
@@ -178,92 +137,78 @@ def changed_copy(
         WriteError: the system refuses the copy.
     """
     path = field.with_name(f"{field.name}.update.partial")
-    with closing(RegionSums.open(source)) as kept:
-        before = kept.views
-    if path.exists() and not _cut_back(path, source, add, regions):
+    kept = RegionSums.open(source)
+    if path.exists() and not _cut_back(path, kept, add, regions):
         warnings.warn(f"{path}: is not of this update; starting over", ScoupWarning, stacklevel=3)
-        path.unlink()
-    if not path.exists():
-        with atomic_path(path) as temporary:
-            _copy(source, temporary)
-    copied = ChangedCopy(RegionSums.open(path, writable=True), before, add)
+        remove(path)
     try:
-        with closing(copied.sums):
-            yield copied
+        _copy_files(source, path)
+        copied = ChangedCopy(RegionSums.open(path, writable=True), kept.views, add)
+    except BaseException:
+        remove(path)
+        raise
+    try:
+        yield copied
     except BaseException:
         if not copied.n_added:
-            path.unlink(missing_ok=True)
+            remove(path)
         raise
-    path.unlink(missing_ok=True)
+    remove(path)
 
 
-def _copy(source: Path, target: Path) -> None:
+def _copy_files(source: Path, target: Path) -> None:
+    """Copy the files that are not there already. They are never changed, so that a link to each is enough."""
     try:
-        shutil.copyfile(source, target)
+        target.mkdir(parents=True, exist_ok=True)
+        for file in source.glob(f"[!.]*{ENDING}"):
+            if not (target / file.name).exists():
+                with suppress(OSError):  # not every file system knows links
+                    os.link(file, target / file.name)
+                    continue
+                shutil.copyfile(file, target / file.name)
     except FileNotFoundError as error:
         raise refused_read(source, error) from error
+    except OSError as error:
+        raise WriteError.of(target, error) from error
 
 
 def _digests(view: ViewRecord | None) -> tuple[str, str] | None:
     return None if view is None else (view.camera_digest, view.labels_digest)
 
 
-def _cut_back(path: Path, source: Path, add: Sequence[Camera], regions: Regions | None) -> bool:
-    """Leave in a copy of region sums only what ``source`` holds, and the first of the views to add.
+def _cut_back(path: Path, kept: RegionSums, add: Sequence[Camera], regions: Regions | None) -> bool:
+    """Leave only views to add in the copy of an interrupted update, as far as they have not changed since.
 
     Returns:
-        False if it is no copy of them.
+        False if it is not of the same scene, or damaged.
     """
     try:
-        with closing(RegionSums.open(path)) as sums:
-            changed = [] if regions is None else changed_views(sums, add, regions, torch.device("cpu"))
-        there = {camera.name for camera in add} - {camera.name for camera in changed}
-        with (
-            closing(RecordFile.open(source)) as kept,
-            closing(RecordFile.open(path, writable=True)) as copied,
-        ):
-            if not _begins_like(path, source, kept.size):
-                return False
-            more = [
-                (record.kind, record.header.get("name")) for record in copied.records[len(kept.records) :]
-            ]
-            wanted = [(VIEW, camera.name) for camera in add]
-            count = 0
-            while (
-                count < min(len(more), len(wanted))
-                and more[count] == wanted[count]
-                and more[count][1] in there
-            ):
-                count += 1
-            copied.cut(len(kept.records) + count)
+        sums = RegionSums.open(path, writable=True)
     except FileFormatError:
         return False
-    return True
-
-
-def _begins_like(path: Path, other: Path, size: int) -> bool:
-    """Whether the first bytes of two files are the same."""
-    with path.open("rb") as first, other.open("rb") as second:
-        for start in range(0, size, _AT_A_TIME):
-            length = min(_AT_A_TIME, size - start)
-            if first.read(length) != second.read(length):
-                return False
+    if not sums.is_like(kept):
+        return False
+    changed = [] if regions is None else changed_views(sums, add, regions, torch.device("cpu"))
+    mine = {camera.name for camera in add} - {camera.name for camera in changed}
+    for name in [name for name in sums.views if name not in mine]:
+        sums.remove(name)
+    sums.remove_codes()
     return True
 
 
 @contextmanager
 def new_sums(field: Path, verb: str) -> Iterator[Path]:
-    """The path of a new file of region sums, FIELD.VERB.partial; what a killed process has left there is removed.
+    """The path of a new folder of region sums, FIELD.VERB.partial; what a killed process has left there is removed.
 
-    At the end of the block the file is removed, unless ``moved_with_sums`` has made it the field's ``sums_path``.
+    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``.
 
     Args:
         field: the file that is written; the caller has locked it (``base.locks``).
         verb: what makes the sums.
     """
     path = field.with_name(f"{field.name}.{verb}.partial")
-    path.unlink(missing_ok=True)
+    remove(path)
     try:
         yield path
     finally:
-        path.unlink(missing_ok=True)
+        remove(path)

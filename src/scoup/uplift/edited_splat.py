@@ -63,7 +63,7 @@ class KeptSums:
         sums: of the field, with the codes of its regions; not changed.
         cameras: of the views in them.
         regions: of these views, as they were.
-        path: a new file for the sums of the edited splat; None keeps them in memory.
+        path: a new folder for the sums of the edited splat; None keeps them in memory.
     """
 
     sums: RegionSums

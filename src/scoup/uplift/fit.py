@@ -19,7 +19,6 @@ from torch import Tensor
 
 from scoup.base.counts import listed, share_of, verb
 from scoup.base.errors import InputError, ScoupWarning
-from scoup.base.processes import ALONE, Processes
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.similarity import Array, photographs_of, renders_of, similarities, small_views
@@ -159,9 +158,8 @@ def check_fit(
     raster_preset: str = "inria",
     backend: str | None = None,
     splat: str | Path | None = None,
-    processes: Processes = ALONE,
 ) -> None:
-    """Refuse cameras that do not fit the splat; one process measures, and all of them end alike.
+    """Refuse cameras that do not fit the splat.
 
     Args:
         gaussians, cameras, raster_preset, backend: see ``measure_fit``.
@@ -173,12 +171,12 @@ def check_fit(
     Warns:
         ScoupWarning: the fit is doubtful.
     """
-    fit = processes.of_first(lambda: measure_fit(gaussians, cameras, raster_preset, backend))
+    fit = measure_fit(gaussians, cameras, raster_preset, backend)
     where = "the splat " if splat is None else f"{splat}: "
     if fit.verdict is Verdict.HOPELESS:
         said = f"{where}does not fit the cameras: {fit.reason()}; {fit.remedies()}; {OVERRIDE}"
         raise InputError(said)
-    if fit.verdict is Verdict.DOUBTFUL and processes.first:
+    if fit.verdict is Verdict.DOUBTFUL:
         message = f"{where}may not fit the cameras: {fit.reason()}; {fit.remedies()}"
         warnings.warn(message, ScoupWarning, stacklevel=3)
 

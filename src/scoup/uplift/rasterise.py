@@ -15,9 +15,9 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.arguments import check_arguments
+from scoup.base.atomic import remove
 from scoup.base.counts import listed, none_of
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
-from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene.cameras import Camera, Cameras
@@ -46,13 +46,13 @@ def region_sums(
         cameras: posed views; those without regions are passed over.
         regions: their label maps; they are brought to the size of the camera.
         raster_preset, backend: see ``raster.project``.
-        path: keep the sums in this file. Views that it holds already, of the same scene and with the same label maps
+        path: keep the sums in this folder. Views that it holds already, of the same scene and with the same label maps
             and cameras, are not rasterised again.
         progress: called for the stage "region sums".
         more: further arguments of ``RegionSums``.
 
     Raises:
-        InputError: no camera has regions, the file holds sums of another scene, or an argument is of a wrong type.
+        InputError: no camera has regions, the folder holds sums of another scene, or an argument is of a wrong type.
     """
     check_arguments(
         "region_sums",
@@ -75,10 +75,10 @@ def region_sums(
 def resumed(
     path: Path, gaussians: Gaussians, regions: Regions, raster_preset: str = "inria", **more: Any
 ) -> RegionSums:
-    """Region sums in a file: those an interrupted build has left there, or new ones.
+    """Region sums in a folder: those an interrupted build has left there, or new ones.
 
     Args:
-        path: the file; what is there and cannot be continued is replaced, with a warning.
+        path: the folder; what is there and cannot be continued is replaced, with a warning.
         gaussians, regions, raster_preset: of the build.
         more: further arguments of ``RegionSums``.
     """
@@ -92,7 +92,7 @@ def resumed(
             return sums
         except (InputError, FileFormatError) as error:
             warnings.warn(f"{path}: cannot be continued ({error}); starting over", ScoupWarning, stacklevel=2)
-            path.unlink()
+            remove(path)
     return RegionSums.of(gaussians, regions.levels, raster_preset, path=path, **more)
 
 
@@ -103,7 +103,6 @@ def add_views(
     regions: Regions,
     backend: str | None = None,
     progress: Progress = no_progress,
-    processes: Processes = ALONE,
 ) -> None:
     """Bring sums up to date with views: those that are not there, or have changed, are rasterised and appended.
 
@@ -112,20 +111,18 @@ def add_views(
     Args:
         sums: of the same Gaussians.
         cameras: views with regions.
-        processes: each adds its share.
     """
-    mine = processes.share(cameras)
     prepared: raster.PreparedGaussians | None = None
-    progress(STAGE, 0, len(mine))
+    progress(STAGE, 0, len(cameras))
 
     def append(camera: Camera, combined: CombinedLabels, found: ViewSums, order: Tensor | None) -> None:
         sums.append(camera.name, replace(found, labels_digest=combined.digest()), camera, order)
 
     with ThreadPoolExecutor(1) as writer:  # a view is appended while the next one is projected
         written: Future[None] | None = None
-        for done, (camera, combined) in enumerate(read_labels(regions, mine, gaussians.device), start=1):
+        for done, (camera, combined) in enumerate(read_labels(regions, cameras, gaussians.device), start=1):
             if holds_view(sums, camera, combined):
-                progress(STAGE, done, len(mine))
+                progress(STAGE, done, len(cameras))
                 continue
             if not sums.writable:
                 raise InputError(
@@ -138,7 +135,7 @@ def add_views(
                 written.result()  # before the next one is begun: killed, one view at most is done again
             found = raster.region_sums(projection, combined)
             written = writer.submit(append, camera, combined, found, prepared.order)
-            progress(STAGE, done, len(mine))
+            progress(STAGE, done, len(cameras))
         if written is not None:
             written.result()
 
@@ -199,25 +196,6 @@ def _ahead(
         finally:
             for _, future in waiting:
                 future.cancel()
-
-
-def exchanged(sums: RegionSums, view_names: Sequence[str], processes: Processes) -> RegionSums:
-    """What each process has added (``add_views``), brought to all: to each what the Gaussians need that it votes for.
-
-    Args:
-        sums: this process's.
-        view_names: all views, in the order in which they were shared out.
-        processes: all of them.
-    """
-    if processes.world == 1:
-        return sums
-    buckets = processes.share_range(sums.n_buckets)
-    mine = RegionSums.like(sums)
-    for position, name in enumerate(view_names):
-        view = processes.from_rank(sums.views.get(name), processes.owner(position))
-        parts = tuple(part.of_buckets(buckets.start, buckets.stop) for part in view.parts)
-        mine.views[name] = replace(view, parts=parts)
-    return mine
 
 
 def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_preset: str) -> None:

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
 from scoup.base.version import VERSION
 from scoup.coding import fit_codes
@@ -219,34 +218,31 @@ def learn_region_codes(
     embeddings: RegionEmbeddings,
     settings: BuildSettings,
     device: torch.device,
-    processes: Processes = ALONE,
     progress: Progress = no_progress,
 ) -> RegionCodes:
-    """Codes of every level, each learned by one of the processes; kept beside the sums as soon as they are known.
+    """Codes of every level; kept beside the sums as soon as they are known.
 
     Codes that are there already, of these embeddings and settings, are used as they are.
     """
     key = inputs_digest("", [], embeddings, settings.of_codes)
-    kept = processes.gather(RegionCodes.kept(sums, key) if processes.first else None)[0]
+    kept = RegionCodes.kept(sums, key)
     if kept is not None:
         return kept
-    learned: dict[str, tuple[Tensor, SparseCodes, dict[str, Any]]] = {}
-    by_level = dict(zip(embeddings.levels, embeddings.of_levels, strict=True))
-    for level in processes.share(embeddings.levels):
+    learned: list[tuple[Tensor, SparseCodes, dict[str, Any]]] = []
+    for level, rows in zip(embeddings.levels, embeddings.of_levels, strict=True):
         stage = f"coding {level}"
         book = fit_codes(
-            by_level[level].to(device),
+            rows.to(device),
             **settings.of_fit,
             progress=lambda _, done, total, stage=stage: progress(stage, done, total),
         )
         # Seconds would make two equal builds write different bytes.
         report = {name: value for name, value in asdict(book.report).items() if name != "seconds"}
-        learned[level] = book.atoms.cpu(), book.codes.to("cpu"), report
-    everything = {level: found for part in processes.gather(learned) for level, found in part.items()}
-    atoms, codes, reports = zip(*(everything[level] for level in embeddings.levels), strict=True)
+        learned.append((book.atoms.cpu(), book.codes.to("cpu"), report))
+    atoms, codes, reports = zip(*learned, strict=True)
     known = [rows.cpu().half() for rows in embeddings.of_levels] if settings.things else []
     coded = RegionCodes(torch.stack(atoms), codes, embeddings.rows, reports, known)
-    if processes.first and sums.writable:
+    if sums.writable:
         coded.keep(sums, key)
     return coded
 

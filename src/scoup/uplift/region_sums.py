@@ -1,13 +1,15 @@
 """The region sums of all views: how much each Gaussian paints of each region, made once (method.md, stage 2).
 
 Everything after rasterising reads only these: codes, rounds of the vote, other embeddings, more or fewer views. They
-grow view by view, in memory or in a file, and a view that was added stays: a file is the checkpoint of a build.
+grow view by view, in memory or in a folder with one file per view: a checkpoint of a build, kept sums, a shard.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,29 +18,32 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.errors import FileFormatError, InputError, check_format_version
-from scoup.base.processes import Processes
+from scoup.base.atomic import remove
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, WriteError, check_format_version
+from scoup.base.file_names import slug
+from scoup.base.shares import Share
 from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup.uplift.storage.array_file import StoredArrays, read_arrays, write_arrays
 from scoup.uplift.storage.entries import BUCKET, ViewRecord
 from scoup.uplift.storage.matrices import csr_matrix, triplets_of
 from scoup.uplift.storage.packing import Packer
-from scoup.uplift.storage.record_file import Record, RecordFile, bytes_of
-from scoup.uplift.storage.store import MOST_IN_MEMORY, Store, Stores
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 VERSION = 1
-SUMS, VIEW, REMOVED, CODES, INPUTS = "region sums", "view", "removed", "codes", "inputs"
+ENDING = ".safetensors"
+SCENE, CODES, INPUTS = "scene", "codes", "inputs"  # files that are no views
+_VIEW = "view."  # the names of the others begin with it
 
 Rows = Sequence[Mapping[str, slice]]
 """Per level, the rows of each view in the stacked embeddings (``Regions.embeddings``)."""
 
 
 class RegionSums:
-    """The region sums of views of one scene, appended one after another.
+    """The region sums of views of one scene, added one by one.
 
     Gaussians are kept in Morton order, whatever backend made the sums.
 
@@ -47,13 +52,15 @@ class RegionSums:
         order: [N] int64, the row of the scene that each Gaussian here is.
         levels: level names.
         raster_preset: rasteriser constants.
-        path: keep them in this new file, which must not exist; None keeps them in memory, beyond ``most_in_memory``
-            bytes in a temporary file.
+        path: keep them in this new folder, which must not exist and is made with the first view; None keeps them in
+            memory.
         weights: "float32", or "float16" for less space.
         least_weight: entries below are left out; 0 keeps all.
 
     Attributes:
-        views: by name, in the order in which they were added.
+        path: the folder they are, or will be, kept in; None in memory.
+        writable: whether views can be added.
+        views: by name.
         rows: see ``Rows``; known where ``region_sums`` made them. ``matrix`` needs them.
         codes: what ``keep_codes`` was given last, None before.
         inputs: the same of ``keep_inputs``.
@@ -68,16 +75,19 @@ class RegionSums:
         path: Path | None = None,
         weights: str = "float32",
         least_weight: float = 0.0,
-        most_in_memory: int = MOST_IN_MEMORY,
     ) -> None:
         if weights not in ("float32", "float16"):
             raise InputError(f"weights of region sums are float32 or float16, not {weights!r}")
         if not 0 <= least_weight < 1:
             raise InputError(f"the least weight of an entry must be 0 to 1, got {least_weight}")
+        if path is not None and path.exists():
+            raise InputError(f"{path}: is there already; open it, or name another folder")
         self.fingerprint = fingerprint
         self.order = order.cpu()
         self.levels = tuple(levels)
         self.raster_preset = raster_preset
+        self.path = path
+        self.writable = True
         self.weights = weights
         self.least_weight = least_weight
         self.views: dict[str, ViewRecord] = {}
@@ -85,10 +95,7 @@ class RegionSums:
         self.codes: dict[str, Any] | None = None
         self.inputs: dict[str, Any] | None = None
         self._packer = Packer(self.order, weights, least_weight)
-        if path is not None and path.exists():
-            raise InputError(f"{path}: is there already; open it, or name another file")
-        head = Record(SUMS, self._header(), {"order": self.order.int().numpy()})
-        self._store: Store | Stores = Store(path, head, most_in_memory)
+        self._bytes: dict[str, int] = {}  # of each file
 
     @classmethod
     def of(
@@ -105,42 +112,42 @@ class RegionSums:
 
     @classmethod
     def open(cls, path: str | Path, writable: bool = False) -> RegionSums:
-        """Sums that were kept in a file. All of it is read once, to compare checksums.
+        """Open kept sums, with their views in the order of their names. All is read once, to compare checksums.
 
         Args:
-            path: the file.
-            writable: views can be appended to the file; what an interruption had cut short is cut off.
+            path: the folder.
+            writable: views can be added, by one process at a time: what a killed one was writing is removed.
 
         Raises:
-            MissingFileError, FileFormatError: there is no such file, it is another one, damaged, or of a newer version.
+            MissingFileError, FileFormatError: it is not there, is something else, damaged, or of a newer version.
         """
         path = Path(path)
-        file = RecordFile.open(path, writable)
-        first = file.records[0]
-        try:
-            if first.kind != SUMS:
-                raise ValueError(f"it begins with {first.kind!r}")
-            check_format_version(path, first.header["version"], VERSION)
-            order = torch.from_numpy(first.arrays["order"].astype(np.int64))
+        if not (path / _file(SCENE)).is_file():
+            problem = "is not a folder of region sums" if path.exists() else "there is no such folder"
+            raise MissingFileError(path, problem, "check the path")
+        scene = path / _file(SCENE)
+        head = read_arrays(scene)
+        with _nonsense_named(scene):
+            check_format_version(scene, head.header["version"], VERSION)
+            order = torch.from_numpy(head.arrays["order"].astype(np.int64))
             if order.dim() != 1 or not torch.equal(order.sort().values, torch.arange(len(order))):
                 raise ValueError("an order that lacks Gaussians")
             sums = cls(
-                str(first.header["fingerprint"]),
+                str(head.header["fingerprint"]),
                 order,
-                [str(level) for level in first.header["levels"]],
-                str(first.header["raster_preset"]),
-                weights=str(first.header["weights"]),
-                least_weight=float(first.header["least_weight"]),
+                [str(level) for level in head.header["levels"]],
+                str(head.header["raster_preset"]),
+                weights=str(head.header["weights"]),
+                least_weight=float(head.header["least_weight"]),
             )
-            sums._store = Store.of_file(file)
-            for record in file.records[1:]:
-                sums._apply(record)
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            file.close()
-            if isinstance(error, FileFormatError):
-                raise
-            reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
-            raise FileFormatError(path, f"makes no sense ({reason})", "make the region sums again") from error
+        sums.path, sums.writable, sums._bytes[SCENE] = path, writable, head.bytes
+        for file in sorted(path.glob(f"*{ENDING}")):
+            if file.name.startswith("."):
+                if writable:
+                    remove(file)
+            elif file != scene:
+                sums._take(file.name.removesuffix(ENDING), file)
+        sums.views = dict(sorted(sums.views.items()))
         return sums
 
     # ---- what they are
@@ -154,30 +161,9 @@ class RegionSums:
         return -(-self.n_gaussians // BUCKET)
 
     @property
-    def path(self) -> Path | None:
-        """The file they are, or will be, kept in; None in memory."""
-        return self._store.path
-
-    @property
-    def writable(self) -> bool:
-        """Whether views can be appended."""
-        return self._store.writable
-
-    @property
     def bytes(self) -> int:
-        """What they take, in memory and on disk."""
-        return self._store.bytes
-
-    @property
-    def bytes_in_memory(self) -> int:
-        """What they take in memory alone."""
-        return self._store.bytes_in_memory
-
-    @property
-    def bytes_unused(self) -> int:
-        """About how many of ``bytes`` are of replaced and removed views and of earlier codes, until ``compact``."""
-        used = sum(bytes_of(record.arrays.values()) for record in self._living())
-        return self.bytes - used - (0 if self.path is None else 4 * self.n_gaussians)
+        """What they take, in memory or on disk."""
+        return sum(self._bytes.values())
 
     @property
     def is_empty(self) -> bool:
@@ -217,9 +203,8 @@ class RegionSums:
                 f"{view_name!r}: sums of {sums.table.shape[1]} levels, not of {list(self.levels)}"
             )
         digest = "" if camera is None else camera.fingerprint()
-        self.append_record(
-            view_name, ViewRecord(digest, sums.labels_digest, tuple(self._packer.entries(sums, order)))
-        )
+        view = ViewRecord(digest, sums.labels_digest, tuple(self._packer.entries(sums, order)))
+        self.append_record(view_name, view)
 
     def append_record(self, view_name: str, view: ViewRecord) -> None:
         """Add or replace a view by entries of these Gaussians that are known, in the order of these sums.
@@ -227,24 +212,32 @@ class RegionSums:
         Raises:
             InputError: the file cannot be written.
         """
-        self._apply(self._store.append(VIEW, _view_header(view_name, view), view.arrays()))
+        header = {"name": view_name, "camera": view.camera_digest, "labels": view.labels_digest}
+        self._keep(_view_stem(view_name), header, view.arrays())
 
     def remove(self, view_name: str) -> None:
-        """Forget a view.
+        """Remove a view.
 
         Raises:
-            InputError: there is none of this name, or the file cannot be written.
+            InputError: there is none of this name, or its file cannot be removed.
         """
         self._require(view_name)
-        self._apply(self._store.append(REMOVED, {"name": view_name}, {}))
+        self._unlink(_view_stem(view_name))
+        del self.views[view_name]
+
+    def remove_codes(self) -> None:
+        """Remove the codes that are kept beside the sums."""
+        if self.codes is not None:
+            self._unlink(CODES)
+            self.codes = None
 
     def keep_codes(self, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
         """Keep the codes of the regions beside the sums, as JSON values and tensors."""
-        self._keep(CODES, header, tensors)
+        self._keep(CODES, header, _arrays(tensors))
 
     def keep_inputs(self, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
         """Keep what a merge has to know of the views beside the sums, as JSON values and tensors."""
-        self._keep(INPUTS, header, tensors)
+        self._keep(INPUTS, header, _arrays(tensors))
 
     def is_like(self, other: RegionSums) -> bool:
         """Whether others are of the same Gaussians and levels, made and kept in the same way."""
@@ -261,22 +254,9 @@ class RegionSums:
         whole = copy.copy(parts[0])
         whole.views = {name: part._require(name) for name, part in holders.items()}
         whole.rows = whole.codes = whole.inputs = None
-        whole._store = Stores([part._store for part in parts])
+        whole.path, whole.writable = None, False
+        whole._bytes = {str(number): part.bytes for number, part in enumerate(parts)}
         return whole
-
-    def compact(self) -> None:
-        """Give back what replaced and removed views, and earlier codes, still take. A file of a name is written anew,
-        as one that never held them would be, and replaced as a whole.
-
-        Raises:
-            InputError: the file cannot be written, or was opened for reading only.
-        """
-        if not isinstance(self._store, Store) or not self.writable:
-            raise InputError(f"{self.path}: was opened for reading only")
-        self._store, records = self._store.with_only(self._living())
-        self.views = {}
-        for record in records:
-            self._apply(record)
 
     def of_views(self, view_names: Iterable[str], rows: Rows) -> RegionSums:
         """The same sums of some views only, sharing memory, with the rows of these views.
@@ -288,14 +268,6 @@ class RegionSums:
         part.views = {name: self._require(name) for name in view_names}
         part.rows = rows
         return part
-
-    def forget_pages(self) -> None:
-        """See ``RecordFile.forget_pages``."""
-        self._store.forget_pages()
-
-    def close(self) -> None:
-        """Close the file, if there is one."""
-        self._store.close()
 
     def matrix(self, level: int, rows: Mapping[str, slice] | None = None) -> csr_array:
         """A [N, R] of one level as a scipy CSR matrix, float32; R counts the regions of all views.
@@ -330,33 +302,56 @@ class RegionSums:
             "least_weight": self.least_weight,
         }
 
-    def _keep(self, kind: str, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        self._apply(self._store.append(kind, header, _arrays(tensors)))
+    def _check_writable(self) -> None:
+        if not self.writable:
+            raise InputError(f"{self.path or 'region sums of several folders'}: was opened for reading only")
 
-    def _living(self) -> list[Record]:
-        """The records that say all that counts: the views in the order in which they were added, what was kept."""
-        records = [Record(VIEW, _view_header(name, view), view.arrays()) for name, view in self.views.items()]
-        for kind, kept in ((CODES, self.codes), (INPUTS, self.inputs)):
-            if kept is not None:
-                records.append(Record(kind, kept["header"], _arrays(kept["tensors"])))
-        return records
+    def _unlink(self, stem: str) -> None:
+        self._check_writable()
+        if self.path is not None:
+            file = self.path / _file(stem)
+            try:
+                file.unlink()
+            except OSError as error:
+                raise WriteError.of(file, error) from error
+        del self._bytes[stem]
 
-    def _apply(self, record: Record) -> None:
-        """What a record changes."""
-        if record.kind == VIEW:
-            view = ViewRecord.of_arrays(record.header, record.arrays)
+    def _keep(self, stem: str, header: dict[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Write a file, or keep its contents in memory, and take it up."""
+        self._check_writable()
+        if self.path is None:
+            kept = {name: np.array(array) for name, array in arrays.items()}
+            self._apply(stem, StoredArrays(header, kept, sum(array.nbytes for array in kept.values())))
+            return
+        if not self._bytes:
+            try:
+                self.path.mkdir(parents=True)
+            except OSError as error:
+                raise WriteError.of(self.path, error) from error
+            order = {"order": self.order.int().numpy()}
+            self._bytes[SCENE] = write_arrays(self.path / _file(SCENE), self._header(), order)
+        write_arrays(self.path / _file(stem), header, arrays)
+        self._take(stem, self.path / _file(stem))
+
+    def _take(self, stem: str, file: Path) -> None:
+        stored = read_arrays(file)
+        with _nonsense_named(file):
+            self._apply(stem, stored)
+
+    def _apply(self, stem: str, stored: StoredArrays) -> None:
+        """Take up what is in a file."""
+        if stem in (CODES, INPUTS):
+            tensors = {name: torch.from_numpy(np.array(part)) for name, part in stored.arrays.items()}
+            setattr(self, stem, {"header": stored.header, "tensors": tensors})
+        else:
+            view, name = ViewRecord.of_arrays(stored.header, stored.arrays), str(stored.header["name"])
             for part in view.parts:
                 part.check(len(self.levels), np.dtype(self.weights))
-            name = str(record.header["name"])
+            if stem != _view_stem(name):
+                raise ValueError(f"it is of the view {name!r}, which has another file")
             self.views.pop(name, None)  # the order is that in which they were added
             self.views[name] = view
-        elif record.kind == REMOVED:
-            self.views.pop(str(record.header["name"]), None)
-        elif record.kind in (CODES, INPUTS):
-            tensors = {name: torch.from_numpy(np.array(part)) for name, part in record.arrays.items()}
-            setattr(self, record.kind, {"header": record.header, "tensors": tensors})
-        else:
-            raise ValueError(f"a record of the kind {record.kind!r}")
+        self._bytes[stem] = stored.bytes
 
     def _require(self, view_name: str) -> ViewRecord:
         if view_name not in self.views:
@@ -364,17 +359,44 @@ class RegionSums:
         return self.views[view_name]
 
 
-def _view_header(view_name: str, view: ViewRecord) -> dict[str, Any]:
-    return {"name": view_name, "camera": view.camera_digest, "labels": view.labels_digest}
+@contextmanager
+def _nonsense_named(file: Path) -> Iterator[None]:
+    """Failures to make something of a file become a FileFormatError that names it."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        if isinstance(error, (FileFormatError, WriteError)):
+            raise
+        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise FileFormatError(file, f"makes no sense ({reason})", "make the region sums again") from error
+
+
+def _file(stem: str) -> str:
+    return stem + ENDING
+
+
+def view_file(view_name: str) -> str:
+    """Return the name of a view's file in the folder."""
+    return _file(_view_stem(view_name))
+
+
+def _view_stem(view_name: str) -> str:
+    """The name without its ending: readable, and of this view alone."""
+    return f"{_VIEW}{slug(view_name)}.{hashlib.sha256(view_name.encode()).hexdigest()[:12]}"
 
 
 def _arrays(tensors: Mapping[str, Tensor]) -> dict[str, NDArray[Any]]:
     return {name: tensor.cpu().contiguous().numpy() for name, tensor in tensors.items()}
 
 
-def shard_path(field: Path, share: Processes) -> Path:
+def bytes_of(path: Path) -> int:
+    """Return how many bytes kept sums take on the disk."""
+    return sum(file.stat().st_size for file in path.glob(f"[!.]*{ENDING}"))
+
+
+def shard_path(field: Path, share: Share) -> Path:
     """Where a shard of a field's views is kept: beside it."""
-    return field.with_name(f"{field.name}.{share.rank + 1}-of-{share.world}.sums")
+    return field.with_name(f"{field.name}.{share}.sums")
 
 
 def sums_path(field: Path) -> Path:

@@ -1,4 +1,4 @@
-"""Shards: the region sums of a share of the views, each in a file with all that a merge needs to know of these views.
+"""Shards: the region sums of a share of the views, each in a folder with all that a merge needs to know of these views.
 
 Views are independent and sums add up, so any processes may make shards, in any order and on any machines: a Slurm
 array, make, Ray, or a batch of a cloud. A merge reads them, learns the codes of all regions and votes
@@ -24,8 +24,8 @@ from torch import Tensor
 from scoup.base.arguments import check_arguments
 from scoup.base.counts import counted, listed, verb
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
-from scoup.base.processes import Processes, at_work
 from scoup.base.progress import Progress, no_progress
+from scoup.base.shares import Share
 from scoup.field.language_field import LanguageField
 from scoup.models.word_table import is_table
 from scoup.scene.cameras import Camera, Cameras
@@ -37,7 +37,7 @@ from scoup.uplift.build import Sources, things_of, voted
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums
 from scoup.uplift.region_codes import RegionEmbeddings, inputs_digest, learn_region_codes
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.region_sums import ENDING, INPUTS, RegionSums
 
 _REMEDY = "make it again with scoup build --shard"
 
@@ -90,7 +90,8 @@ class Shard:
         try:
             shard = cls._of_record(sums.levels, sums.inputs["header"], sums.inputs["tensors"])
         except (KeyError, TypeError, ValueError, AttributeError, IndexError, InputError) as error:
-            raise FileFormatError(path, f"makes no sense as a shard ({error})", _REMEDY) from error
+            file = path if sums.path is None else path / f"{INPUTS}{ENDING}"
+            raise FileFormatError(file, f"makes no sense as a shard ({error})", _REMEDY) from error
         lacking = [view.name for view in shard.sources.views if view.name not in sums]
         if lacking:
             raise FileFormatError(path, f"lacks the region sums of {listed(lacking, 3)}", _REMEDY)
@@ -122,7 +123,7 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
     gaussians: Gaussians,
     cameras: Cameras,
     regions: Regions,
-    share: Processes,
+    share: Share,
     *,
     embedding_model: str = "",
     geometry_path: str | Path | None = None,
@@ -133,9 +134,9 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
     """Rasterise a share of the views, and keep beside their region sums what ``merge`` needs to know of them.
 
     Args:
-        sums: of these Gaussians, in a file; views that are in them already are not rasterised again.
+        sums: of these Gaussians, in a folder; views that are in them already are not rasterised again.
         gaussians, cameras, regions: as for ``build``; all shares of a scene must be given the same.
-        share: which share: of ``Processes(rank, world)`` it is every world-th view, from number ``rank`` on.
+        share: which of the views with regions (``Share.of``).
         embedding_model, geometry_path, backend, check_fit, progress: as for ``build``.
 
     Raises:
@@ -151,11 +152,11 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
         warnings.warn(oddity, ScoupWarning, stacklevel=2)
     check_sums(sums, gaussians, regions, sums.raster_preset)
     everything = cameras_with_regions(cameras, regions)
-    views = share.share(everything)
+    views = share.of(everything)
     path = None if geometry_path is None else Path(geometry_path)
     shard = Shard(
         Sources(tuple(views), embedding_model, path),
-        tuple(share.share(range(len(everything)))),
+        tuple(share.of(range(len(everything)))),
         len(everything),
         _digest(everything),
         RegionEmbeddings.unchecked(regions.select([view.name for view in views])),
@@ -179,9 +180,6 @@ def merge(
     progress: Progress = no_progress,
 ) -> LanguageField:
     """The language field of the views of some shards: of all of them, the one that ``build`` makes of the scene.
-
-    Where torch's process group is set up, each process learns the codes of some levels and votes for its share of the
-    Gaussians.
 
     Args:
         shards: what ``add_shard`` has made, in any order; a view may be in several.
@@ -213,16 +211,14 @@ def merge(
     model = _moved(parts[0].sources.embedding_model, shards[0].path, field_path)
     path = parts[0].sources.geometry_path if geometry_path is None else Path(geometry_path)
 
-    device, processes = torch.device(device), at_work()
-    codes = learn_region_codes(
-        sums if keep is None else keep, embeddings, settings, device, processes, progress
-    )
+    device = torch.device(device)
+    codes = learn_region_codes(sums if keep is None else keep, embeddings, settings, device, progress)
     digest = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
     del embeddings, parts  # the vote needs the codes only
     if keep is not None:
         for name in holders:
             keep.append_record(name, sums.views[name])
-    things = things_of(sums, codes, progress=progress)  # every process has all sums
+    things = things_of(sums, codes, progress)
     sources = Sources(tuple(views), model, path, digest)
     return voted(sums, codes, things, sources, settings, device, backend, progress)
 

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.counts import spread
-from scoup.base.processes import ALONE, Processes
 from scoup.base.progress import Progress, no_progress
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.directions import normalise_embeddings
@@ -58,21 +57,18 @@ INSIDE = 0.5
 def find_things(
     sums: RegionSums,
     embeddings: Sequence[Tensor],
-    processes: Processes = ALONE,
     progress: Progress = no_progress,
 ) -> Things:
     """Merge the regions of all views into things.
 
     Args:
-        sums: of the views, with the rows of their regions among the embeddings (``RegionSums.of_views``); on each of
-            several processes those of some of the Gaussians.
+        sums: of the views, with the rows of their regions among the embeddings (``RegionSums.of_views``).
         embeddings: per level [R, D], of the regions of all views. They do not decide what is merged.
-        processes: all that hold a part of the sums.
         progress: called for the stage "things".
     """
     assert sums.rows is not None
     names = spread(sorted(sums.rows[0]), MOST_VIEWS)
-    entries = _gathered(_strong_entries(sums, names), processes)
+    entries = _of_large_gaussians(_strong_entries(sums, names))
     found: list[_LevelThings] = []
     for number, (rows, of_level) in enumerate(zip(sums.rows, embeddings, strict=True)):
         progress("things", number, len(embeddings))
@@ -123,7 +119,6 @@ def _strong_entries(sums: RegionSums, names: Sequence[str]) -> _StrongEntries:
             strong = np.flatnonzero((weights >= LEAST_SHARE * largest[gaussians]) & (weights > 0))
             table = np.where(part.table >= 0, part.table + firsts, -1).astype(np.int32)
             kept.append((gaussians[strong].astype(np.int32), table[combinations[strong]], weights[strong]))
-        sums.forget_pages()
     gaussians, regions, weights = (np.concatenate(parts) for parts in zip(*kept, strict=True))
     return _StrongEntries(gaussians, regions, weights, total)
 
@@ -139,21 +134,17 @@ def _deciding(
     return gaussians[chosen], part.weights[chosen].astype(np.float32), part.combinations[chosen]
 
 
-def _gathered(entries: _StrongEntries, processes: Processes) -> _StrongEntries:
-    """The entries of all processes, each of which has those of some Gaussians; without those of small Gaussians."""
-    parts = processes.gather(entries)
-    total = sum((part.total for part in parts[1:]), parts[0].total)
-    order = np.argsort(-total, kind="stable")
-    mass = np.cumsum(total[order])
-    decides = np.zeros(len(total), bool)
+def _of_large_gaussians(entries: _StrongEntries) -> _StrongEntries:
+    """Return the entries without those of Gaussians that contribute little."""
+    order = np.argsort(-entries.total, kind="stable")
+    mass = np.cumsum(entries.total[order])
+    decides = np.zeros(len(entries.total), bool)
     if len(mass) and mass[-1] > 0:
         decides[order[: int(np.searchsorted(mass, MASS * mass[-1])) + 1]] = True
-    gaussians = np.concatenate([part.gaussians for part in parts])
-    mine = decides[gaussians]
-    regions, weights = (
-        np.concatenate([getattr(part, name) for part in parts])[mine] for name in ("regions", "weights")
+    mine = decides[entries.gaussians]
+    return _StrongEntries(
+        entries.gaussians[mine], entries.regions[mine], entries.weights[mine], entries.total
     )
-    return _StrongEntries(gaussians[mine], regions, weights, total)
 
 
 def _by_region(entries: _StrongEntries, level: int, n_regions: int) -> Matrix:

@@ -25,8 +25,6 @@ from scoup.uplift.vote import GaussianCodes, vote
 
 MOST_UPDATES = 100
 """Updates that a field records; of those before them, their number."""
-UNUSED = 1 << 20
-"""Bytes that replaced and removed views may take in region sums, whatever the others take."""
 
 
 def update(  # noqa: PLR0913  the public face: each keyword is one choice of the user
@@ -50,7 +48,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
 
     Args:
         field: built with these sums; not changed. Its geometry is read only if a view is added.
-        sums: kept region sums of the field; changed, and compacted where more of their bytes are unused than used.
+        sums: kept region sums of the field; changed.
         add: cameras of new views, and of views whose regions have changed since.
         regions: ``Regions`` that hold the names of these cameras, with the field's levels.
         remove: names of views to leave out from now on.
@@ -91,7 +89,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
     device = field.codebook.device
     found = vote_again(field, sums, coded, backend, progress)
     things = things_of(sums, coded, progress=progress)
-    _keep(coded, sums)
+    coded.compacted().keep(sums, "")  # without codes that are not used any more, where these are many
     provenance = dict(field.info.provenance)
     provenance["views"] = list(coded.rows[0])
     provenance |= with_update(provenance, _record(add, changed, remove, field.levels))
@@ -137,13 +135,6 @@ def with_update(provenance: Mapping[str, Any], record: dict[str, Any]) -> dict[s
     known = {"updates": updates[left_out:]}
     earlier = provenance.get("earlier_updates", 0) + left_out
     return {**known, "earlier_updates": earlier} if earlier else known
-
-
-def _keep(coded: RegionCodes, sums: RegionSums) -> None:
-    """Keep the codes beside the sums; what takes more than half of either, and is used no more, is given back."""
-    coded.compacted().keep(sums, "")
-    if sums.bytes_unused > max(UNUSED, sums.bytes // 2):
-        sums.compact()
 
 
 @dataclass(frozen=True)

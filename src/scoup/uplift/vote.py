@@ -1,7 +1,7 @@
 """The vote: region sums and the codes of the regions to one code a Gaussian (method.md, stage 2).
 
 It goes bucket by bucket of Gaussians through all views, so that what is summed up, [N, S, L] numbers, is never in
-memory as a whole. The order of all additions is fixed: the same bytes for any number of threads or processes.
+memory as a whole. The order of all additions is fixed: the same bytes for any number of threads.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from torch import Tensor
 from scoup.base.backends import load_backend
 from scoup.base.counts import spread
 from scoup.base.errors import InputError
-from scoup.base.processes import at_work
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import restored
 from scoup.scene.codes import SparseCodes, index_dtype, stable_products
@@ -103,9 +102,6 @@ def vote(
     In the first round all regions count by their blending weights alone (method.md, stage 2); see
     ``scoup.uplift.reweighting`` for the others. The work is done on the device of the codebook.
 
-    Where torch's process group is set up, each process votes for its share of the Gaussians; all of them must have the
-    same sums, and get the same codes.
-
     Args:
         sums: of the views that vote, with the rows of their regions among the codes (``RegionSums.of_views``).
         codes: per level, of the regions of all views.
@@ -133,36 +129,28 @@ def vote(
         parts = [part for name in names for part in views[name]]
         return module.Vote(sums.n_gaussians, parts, codes, grams, codebook.device)
 
-    everybody, processes = prepare(list(views)), at_work()
-    share = processes.share_range(sums.n_buckets)
-    done, total = 0, rounds * len(_batches(share))
+    everybody, batches = prepare(list(views)), _batches(sums.n_buckets)
+    done, total = 0, rounds * len(batches)
 
     def one_round(kept: int, earlier: EarlierRound | None, last: bool) -> tuple[Tensor, Tensor]:
         nonlocal done
-        n_rows = min(share.stop * BUCKET, sums.n_gaussians) - share.start * BUCKET
-        shape = (max(0, n_rows), len(codes), kept)  # a process may have no share
+        shape = (sums.n_gaussians, len(codes), kept)
         indices, weights = torch.empty(shape, dtype=index_dtype(codes[0].n_atoms)), torch.empty(shape)
-        for batch in _batches(share):
+        for batch in batches:
             progress("vote", done, total)
-            rows = slice((batch.start - share.start) * BUCKET, (batch.stop - share.start) * BUCKET)
+            rows = slice(batch.start * BUCKET, batch.stop * BUCKET)
             indices[rows], weights[rows] = everybody.round(kept, earlier, not last, batch)
-            sums.forget_pages()
             done += 1
-        if processes.world == 1:
-            return indices, weights
-        parts = processes.gather((indices, weights))
-        return torch.cat([found for found, _ in parts]), torch.cat([found for _, found in parts])
+        return indices, weights
 
     earlier = None
     for _ in range(1, rounds):
         indices, weights = one_round(keep_between or keep or codes[0].k, earlier, last=False)
         if earlier is None:
             earlier = EarlierRound(indices, weights, torch.zeros(len(codes)))
-            deviations = processes.gather(
-                prepare(spread(list(views), SAMPLED_VIEWS)).deviations(earlier, share)
-            )
-            sharpness = sharpness_from([torch.cat(of_level) for of_level in zip(*deviations, strict=True)])
-            earlier = replace(earlier, sharpness=sharpness)
+            sample = prepare(spread(list(views), SAMPLED_VIEWS))
+            deviations = sample.deviations(earlier, range(sums.n_buckets))
+            earlier = replace(earlier, sharpness=sharpness_from(deviations))
         earlier = replace(earlier, indices=indices, weights=weights)
     indices, weights = one_round(codes[0].n_atoms if keep is None else keep, earlier, last=True)
     progress("vote", done, total)
@@ -186,9 +174,10 @@ def _views_of(sums: RegionSums) -> dict[str, list[VotedEntries]]:
     return views
 
 
-def _batches(buckets: range) -> list[range]:
-    size = -(-len(buckets) // BATCHES) or 1
-    return [buckets[first : first + size] for first in range(0, len(buckets), size)] or [buckets]
+def _batches(n_buckets: int) -> list[range]:
+    buckets = range(n_buckets)
+    size = -(-n_buckets // BATCHES) or 1
+    return [buckets[first : first + size] for first in range(0, n_buckets, size)] or [buckets]
 
 
 def _check_numbers(rounds: int, keep: int | None) -> None:

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from scoup.base.errors import InputError
-from scoup.base.locks import complete, locked_file
+from scoup.base.locks import complete, locked_output
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output, default_preset, load_gaussians, load_regions
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.checkpoint import checkpoint, continued, moved_with_sums
+from scoup.uplift.checkpoint import checkpoint, continued, save_field
 from scoup_lab.evaluate.report import SUFFIXES, Report
 from scoup_lab.evaluate.scenes import SceneFiles
 
@@ -91,7 +91,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
         if path.is_file() and not self.rebuild:
             return _stored(path, gaussians, settings)
         regions = load_regions(scene.features, scene.cameras)
-        with locked_file(path, overwrite=True) as lock:
+        with locked_output(path, overwrite=True) as output:
             if path.is_file() and not self.rebuild:  # another process has built it meanwhile
                 return _stored(path, gaussians, settings)
             with checkpoint(path, gaussians, regions, settings.raster_preset) as sums:
@@ -107,7 +107,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
                     sums=sums,
                     progress=progress,
                 )
-                field.save(path, overwrite=True, move=moved_with_sums(lock, sums, keep=False))
+                save_field(output, field, sums, keep=False)
         return _stored(path, gaussians, settings)  # what is scored is what is stored, half precision included
 
 

@@ -1,0 +1,132 @@
+"""Arrays with a JSON header in one safetensors file: checked when read, and mapped into memory (docs/formats.md)."""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from scoup.base.atomic import atomic_file
+from scoup.base.errors import FileFormatError, InputError, refused_read
+
+_TYPES = {
+    "U8": "uint8", "U16": "uint16", "U32": "uint32", "I32": "int32", "I64": "int64", "F16": "float16", "F32": "float32"
+}  # fmt: skip
+_NAMES = {np.dtype(kind): name for name, kind in _TYPES.items()}
+_KEY = "scoup"  # of the header in the metadata
+_CHECKSUM = re.compile(rb'\\"checksum\\": \\"([0-9a-f]{8})\\"')
+NO_CHECKSUM = "0" * 8
+_AT_A_TIME = 1 << 24  # bytes read for a checksum
+_REMEDY = "copy it again, or make the region sums again"
+
+
+@dataclass(frozen=True, eq=False)
+class StoredArrays:
+    """What one file holds.
+
+    Attributes:
+        header: its JSON values.
+        arrays: read-only; backed by the file, or in memory.
+        bytes: of the file.
+    """
+
+    header: dict[str, Any]
+    arrays: dict[str, NDArray[Any]]
+    bytes: int
+
+
+def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> int:
+    """Write a file, in place of what is there; it appears whole, but is not flushed. Returns its bytes.
+
+    Raises:
+        WriteError: the system refuses.
+    """
+    # As safetensors orders them: then each begins at a multiple of its size.
+    names = sorted(arrays, key=lambda name: (-arrays[name].dtype.itemsize, name))
+    layout, end = {}, 0
+    for name in names:
+        kind, first, end = _NAMES[arrays[name].dtype], end, end + arrays[name].nbytes
+        layout[name] = {"dtype": kind, "shape": list(arrays[name].shape), "data_offsets": [first, end]}
+    parts = [np.ascontiguousarray(arrays[name]).reshape(-1).view(np.uint8).data for name in names]
+    text = json.dumps({**header, "checksum": NO_CHECKSUM}, sort_keys=True)
+    head = json.dumps({"__metadata__": {_KEY: text}, **layout}).encode()
+    head += b" " * (-len(head) % 8)
+    checksum = zlib.crc32(head)
+    for part in parts:
+        checksum = zlib.crc32(part, checksum)
+    # Not flushed one by one: ``base.locks.Output`` flushes the folder before it gets its name, and a checksum tells.
+    with atomic_file(path, overwrite=True, flush=False) as stream:
+        stream.write(len(head).to_bytes(8, "little"))
+        stream.write(with_checksum(head, f"{checksum:08x}"))
+        for part in parts:
+            stream.write(part)
+    return 8 + len(head) + end
+
+
+def read_arrays(path: Path) -> StoredArrays:
+    """Read a file. All of it is read once, to compare its checksum.
+
+    Raises:
+        FileFormatError: it is of another kind, or damaged.
+        InputError: the system refuses.
+    """
+    data = _mapped(path)
+    length = int.from_bytes(data[:8].tobytes(), "little")
+    head = data[8 : 8 + length].tobytes() if length < len(data) else b""
+    found = _CHECKSUM.search(head)
+    if found is None:
+        raise FileFormatError(path, "is not a file of region sums", "check the path")
+    checksum = zlib.crc32(with_checksum(head, NO_CHECKSUM))
+    for first in range(8 + length, len(data), _AT_A_TIME):
+        checksum = zlib.crc32(data[first : first + _AT_A_TIME].data, checksum)
+    if f"{checksum:08x}".encode() != found[1]:
+        raise FileFormatError(path, "is damaged (checksum)", _REMEDY)
+    try:
+        layout = json.loads(head)
+        header = json.loads(layout.pop("__metadata__")[_KEY])
+        arrays = {name: _array(data[8 + length :], **item) for name, item in layout.items()}
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise FileFormatError(path, f"makes no sense ({error})", "make the region sums again") from error
+    return StoredArrays(header, arrays, len(data))
+
+
+def with_checksum(head: bytes, checksum: str) -> bytes:
+    """Return the head of a file with another checksum in it; the file's own is taken with ``NO_CHECKSUM`` there."""
+    return _CHECKSUM.sub(rb'\\"checksum\\": \\"%s\\"' % checksum.encode(), head, count=1)
+
+
+def _mapped(path: Path) -> NDArray[np.uint8]:
+    """The bytes of a file, which is not held open: there may be more views than a process may have open files."""
+    try:
+        size = path.stat().st_size
+        data = (
+            torch.from_file(str(path), False, size, dtype=torch.uint8)
+            if size
+            else torch.zeros(0, dtype=torch.uint8)
+        )
+    except OSError as error:
+        raise InputError(str(refused_read(path, error))) from error
+    except RuntimeError as error:  # of torch, which was refused the file
+        reason = FileNotFoundError() if not path.exists() else OSError(str(error).splitlines()[0])
+        raise InputError(str(refused_read(path, reason))) from error
+    return data.numpy()
+
+
+def _array(data: NDArray[np.uint8], dtype: str, shape: list[int], data_offsets: list[int]) -> NDArray[Any]:
+    """One array; a ValueError where its place is outside or has another size."""
+    kind, (first, end) = np.dtype(_TYPES[dtype]), data_offsets
+    if min([first, *shape], default=0) < 0 or not first <= end <= len(data):
+        raise ValueError("an array beyond the file")
+    if int(np.prod(shape, dtype=object)) * kind.itemsize != end - first or first % kind.itemsize:
+        raise ValueError("an array of another size than it says")
+    array = data[first:end].view(kind).reshape(shape)
+    array.setflags(write=False)
+    return array

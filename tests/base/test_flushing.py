@@ -1,0 +1,95 @@
+"""Files are on the disk before they get their names, and the names after that: a power cut leaves all or nothing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from scoup.base.atomic import atomic_file, atomic_path
+from scoup.base.errors import WriteError
+from scoup.base.locks import locked_output
+from scoup.base.staging import staged
+
+
+@pytest.fixture
+def events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
+    """What was flushed and renamed, in this order, by the contents of files and the names of folders."""
+    monkeypatch.chdir(tmp_path)
+    flush, rename, found = os.fsync, os.replace, []
+    names = {}
+
+    def flushed(descriptor: int) -> None:
+        flush(descriptor)
+        found.append(("flush", names.get(os.fstat(descriptor).st_ino, "folder")))
+
+    def renamed(source: Path, target: Path) -> None:
+        rename(source, target)
+        found.append(("rename", Path(target).name))
+
+    opened = os.open
+
+    def named(path: object, *how: int) -> int:
+        descriptor = opened(path, *how)  # pyright: ignore[reportArgumentType]
+        if os.path.isfile(path):  # pyright: ignore[reportArgumentType]
+            names[os.fstat(descriptor).st_ino] = Path(str(path)).read_text()
+        return descriptor
+
+    monkeypatch.setattr(os, "fsync", flushed)
+    monkeypatch.setattr(os, "replace", renamed)
+    monkeypatch.setattr(os, "open", named)
+    return found
+
+
+def test_a_file(events: list[tuple[str, str]]) -> None:
+    with atomic_file("a") as stream:
+        stream.write(b"content")
+    assert events == [("flush", "content"), ("rename", "a"), ("flush", "folder")]
+
+
+def test_a_path(events: list[tuple[str, str]]) -> None:
+    with atomic_path("a") as path:
+        path.write_text("content")
+    assert events == [("flush", "content"), ("rename", "a"), ("flush", "folder")]
+
+
+def test_files_that_appear_together(events: list[tuple[str, str]], tmp_path: Path) -> None:
+    with staged(tmp_path / "new") as hidden:
+        (hidden / "a").write_text("first")
+        (hidden / "b").write_text("second")
+    assert events == [
+        ("flush", "first"), ("flush", "second"), ("rename", "a"), ("rename", "b"), ("flush", "folder")
+    ]  # fmt: skip
+
+
+def test_a_field_and_its_sums(events: list[tuple[str, str]]) -> None:
+    Path("a.scoup.partial").mkdir()
+    Path("a.scoup.partial/view").write_text("sums")
+    with locked_output(Path("a.scoup")) as output:
+        events.clear()
+        with output.appearing(Path("a.scoup.partial"), Path("a.scoup.sums")) as temporary:
+            temporary.write_text("field")
+    folder = ("flush", "folder")
+    assert events == [
+        ("flush", "field"), ("flush", "sums"), folder, ("rename", ".a.scoup.sums.ready"), folder,
+        ("rename", "a.scoup"), folder, ("rename", "a.scoup.sums"), folder,
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("write", [atomic_file, atomic_path])
+def test_a_disk_that_refuses(write: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    path = tmp_path / "a"
+
+    def work() -> None:
+        with write(path) as target:
+            target.write_text("x") if isinstance(target, Path) else target.write(b"x")
+
+    with pytest.raises(WriteError, match=rf"^{path}: cannot be written \(Input/output error\)"):
+        work()
+    assert not list(tmp_path.iterdir())
