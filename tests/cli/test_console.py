@@ -186,3 +186,19 @@ def test_the_help_does_not_wait_for_torch():
     code = "import sys; from scoup.cli.app import run; run(['--help']); print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "False", done.stderr
+
+
+def test_control_characters_out_of_files_are_escaped(capsys) -> None:
+    """They could move the cursor, or hide what a terminal shows."""
+    hostile = "a\x1b[2Jb\x07\x9bc\rd\x7f"
+    shown = r"a\x1b[2Jb\x07\x9bc\x0dd\x7f"
+
+    def speak(console: Console) -> None:
+        console.say(f"{hostile}\tone\ntwo: é 水")
+        warnings.warn(hostile, ScoupWarning, stacklevel=1)
+        raise InputError(hostile.replace("\r", ""))
+
+    assert run_verb(Common(), speak) == 2
+    out, err = capsys.readouterr()
+    assert out == f"{shown}\tone\ntwo: é 水\n"
+    assert err == f"warning: {shown}\nerror: {shown.replace(chr(92) + 'x0d', '')}\n"

@@ -16,6 +16,8 @@ from scoup.base.errors import ScoupError, ScoupWarning, WriteError, is_said_else
 from scoup.base.progress import Progress, no_progress
 from scoup.cli.options import Common
 
+_ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
+"""Control characters, which names out of files may hold, and which could change what a terminal shows."""
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
 
 
@@ -45,7 +47,7 @@ class Console:
             with _printing():
                 # Not by rich: file names and texts may contain what it takes for markup. At once, also into a pipe: a
                 # server goes on for hours.
-                print(*parts, flush=True)
+                print(*(part.translate(_ESCAPES) for part in parts), flush=True)
             return
         from rich.console import Console as RichConsole
 
@@ -65,7 +67,7 @@ class Console:
         if message not in self.warnings:
             self.warnings.append(message)
             with _printing(sys.stderr):
-                print(f"warning: {message}", file=sys.stderr, flush=True)
+                print(f"warning: {message.translate(_ESCAPES)}", file=sys.stderr, flush=True)
 
     def fail(
         self,
@@ -80,7 +82,7 @@ class Console:
         """
         if is_said_elsewhere(error):
             return code
-        message = " ".join(message.splitlines())
+        message = " ".join(message.splitlines()).translate(_ESCAPES)
         with _printing(sys.stderr):
             print(f"error: {message}", file=sys.stderr, flush=True)
         self.result({**record, "error": message})

@@ -32,7 +32,7 @@ class Guard:
 
     Attributes:
         host: that the server is bound to.
-        token: first part of every path; empty on loopback.
+        token: first part of every path. Others who work on this machine reach its loopback too.
         names: by which the server may be called: a page of another site, whose name leads to this machine, calls it by
             its own (DNS rebinding).
     """
@@ -43,10 +43,10 @@ class Guard:
 
     @classmethod
     def of(cls, host: str) -> Guard:
-        """For a server that is bound to a host; beyond loopback with a new token."""
-        if is_loopback(host):
-            return cls(host, "", _OWN_NAMES | {host.lower()})
-        own = {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
+        """For a server that is bound to a host, with a new token."""
+        own = {host.lower()}
+        if not is_loopback(host):
+            own |= {socket.gethostname().lower(), socket.getfqdn().lower()}
         return cls(host, secrets.token_urlsafe(24), _OWN_NAMES | own)
 
     @property
@@ -57,7 +57,7 @@ class Guard:
     def refuses(self, method: str, host: str | None, origin: str | None, site: str | None) -> str | None:
         """Why a request is refused, by its headers Host, Origin and Sec-Fetch-Site; None if it may pass."""
         name = urlsplit(f"//{host}").hostname if host and _is_host(host) else None
-        if name is None or not (name in self.names or (self.token and _is_address(name))):
+        if name is None or not (name in self.names or (not is_loopback(self.host) and _is_address(name))):
             return "this name of the server is not known; open the address that scoup view printed"
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return "requests from other sites are refused"

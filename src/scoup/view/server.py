@@ -48,7 +48,7 @@ def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool
         Route("/scene.bin", desk.scene),
         Route("/api/scene", desk.metadata),
         Route("/api/vocabulary", desk.vocabulary),
-        Route("/api/thumbnail/{number:int}", desk.thumbnail),
+        Route("/api/thumbnail/{number}", desk.thumbnail),
         Route("/api/alive", desk.alive),
         *(
             Route(f"/api/{name}", partial(_answered, answer), methods=["POST"])
@@ -115,9 +115,10 @@ class _Answers:
         return JSONResponse(await self.work.run(lambda: self._words))
 
     async def thumbnail(self, request: Request) -> Response:
-        number = request.path_params["number"]
-        cameras = self.viewed.field.cameras
-        if cameras is None or number >= len(cameras):
+        digits, cameras = request.path_params["number"], self.viewed.field.cameras
+        # Not by starlette's int: a number of thousands of digits is a fault to Python.
+        number = int(digits) if digits.isascii() and digits.isdecimal() and len(digits) < 10 else -1
+        if cameras is None or not 0 <= number < len(cameras):
             raise HTTPException(404)
         if number not in self._thumbnails:
             picture = await self.work.run(lambda: jpeg(self.viewed.thumbnail(cameras[number])))
