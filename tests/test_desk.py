@@ -1,0 +1,75 @@
+"""The whole way on the real scene: photographs' regions, splat and words, of which nothing is simulated."""
+
+from __future__ import annotations
+
+import json
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scoup
+from cli_support import run, run_json
+from scoup_lab.data.labels import match_frames, read_labels
+
+NAMES = ("kettle", "laptop computer", "penguin")
+pytestmark = pytest.mark.data
+
+
+@pytest.fixture(scope="module")
+def desk(data_folder: Path) -> Path:
+    folder = data_folder / "desk"
+    if not folder.is_dir():
+        pytest.skip(f"no desk in {data_folder}")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def built(desk: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("desk") / "desk.scoup"
+    code, _, error = run("build", desk, "--gaussians", desk / "point_cloud.splat", "--out", out)
+    assert code == 0, error
+    return out
+
+
+def test_the_kettle_the_laptop_and_the_penguin_are_found(desk: Path, built: Path) -> None:
+    field = scoup.LanguageField.load(built)
+    assert field.cameras is not None
+    assert field.things is not None
+    question = field.question(list(NAMES), encoder=desk / "desk_words.npz")
+    overlaps: dict[str, list[float]] = {name: [] for name in NAMES}
+    for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
+        frame = frame.resized(camera.width, camera.height)
+        for name, answer in zip(NAMES, field.answer(question, camera), strict=True):
+            assert answer.mask is not None
+            truth = frame.masks[name]
+            overlaps[name].append(float((answer.mask & truth).sum() / (answer.mask | truth).sum()))
+    assert all(np.mean(found) > 0.5 for found in overlaps.values()), overlaps
+    places = field.location(question)
+    positions = [place.position for place in places]
+    assert all(position is not None for position in positions)
+
+
+def test_every_verb_answers(desk: Path, built: Path, tmp_path: Path) -> None:
+    words = ("--text", desk / "desk_words.npz")
+    record = run_json("query", built, *NAMES, *words, "--camera", "input_0001", "--out", tmp_path / "query")
+    assert [answer["text"] for answer in record["answers"]] == list(NAMES)
+    assert all(answer["present"] for answer in record["answers"])
+    for name in NAMES:
+        splat = tmp_path / f"{name}.ply"
+        record = run_json("select", built, name, *words, "--out", splat)
+        assert 50 < len(scoup.load_gaussians(splat)) < record["gaussians"] // 4
+    record = run_json("label", built, *NAMES, *words, "--out", tmp_path / "labels")
+    labels = np.load(tmp_path / "labels" / "labels.npy")
+    assert set(np.unique(labels)) == {-1, 0, 1, 2}
+
+
+def test_the_viewer_answers(desk: Path, built: Path) -> None:
+    pytest.importorskip("starlette")
+    field = scoup.LanguageField.load(built)
+    with field.view(encoder=desk / "desk_words.npz") as viewer:
+        body = json.dumps({"texts": list(NAMES)}).encode()
+        with urllib.request.urlopen(urllib.request.Request(f"{viewer.address}api/query", body)) as answer:
+            answers = json.load(answer)["answers"]
+    assert [answer["text"] for answer in answers] == list(NAMES)
