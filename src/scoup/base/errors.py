@@ -17,7 +17,15 @@ NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.
 
 
 class ScoupError(Exception):
-    """Base of every error that a user can cause and mend. The command line prints it as one line."""
+    """Base of every error that a user can cause and mend. The command line prints it as one line.
+
+    Example:
+        >>> try:
+        ...     scoup.load_gaussians("nothing.ply")
+        ... except scoup.ScoupError as error:
+        ...     print(error)
+        nothing.ply: there is no such file or folder (a trained splat was expected); check the path
+    """
 
     exit_code = 2
 
@@ -234,7 +242,13 @@ def looked_up(kind: str, name: str, table: Mapping[str, Entry]) -> Entry:
 
 
 class ScoupWarning(UserWarning):
-    """Something was skipped, dropped or guessed, and the result may differ from what was expected."""
+    """Something was skipped, dropped or guessed, and the result may differ from what was expected.
+
+    Example:
+        >>> import warnings
+        >>> with warnings.catch_warnings():
+        ...     warnings.simplefilter("error", scoup.ScoupWarning)  # what is doubtful is an error from here on
+    """
 
 
 @functools.cache

@@ -104,6 +104,12 @@ def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of 
 
     Raises:
         InputError: if the embeddings are not [R, D] or not finite, or a setting is out of range.
+
+    Example:
+        >>> embeddings = torch.randn(50, 16, generator=torch.Generator().manual_seed(0))
+        >>> codebook = scoup.fit_codes(embeddings, n_atoms=8, k=2)
+        >>> codebook.codes.indices.shape  # two atoms for each embedding
+        torch.Size([50, 2])
     """
     if solver not in SOLVERS:
         raise InputError(f"there is no solver {solver!r}; solvers: {', '.join(map(repr, SOLVERS))}")

@@ -45,6 +45,12 @@ class Codebook:
             values than there are atoms), not with "adam".
         codes: of the rows given to ``fit_codes``, in their order, and then of those given to ``extended``.
         report: quality and cost.
+
+    Example:
+        >>> embeddings = torch.randn(50, 16, generator=torch.Generator().manual_seed(0))
+        >>> codebook = scoup.fit_codes(embeddings, n_atoms=8, k=2)
+        >>> codebook.atoms.shape
+        torch.Size([8, 16])
     """
 
     atoms: Tensor  # [L, D]

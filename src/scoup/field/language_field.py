@@ -27,6 +27,11 @@ class LanguageField(FieldQueries):
     """Sparse codes of every Gaussian at every level, their codebook, and the geometry they belong to, as one file.
 
     ``load`` reads one and ``scoup.build`` makes one; arguments of its own are those of ``CodedScene``.
+
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> field.answer("kettle", "view_00").level in field.levels
+        True
     """
 
     def __repr__(self) -> str:

@@ -93,6 +93,11 @@ def load_image(camera: Camera) -> Tensor:
     Raises:
         MissingFileError: the camera has no image, or it is gone.
         FileFormatError: the file is not an image or is damaged.
+
+    Example:
+        >>> camera = scoup.load_cameras("scene")["view_00"]
+        >>> scoup.load_image(camera).shape == (camera.height, camera.width, 3)
+        True
     """
     if camera.image_path is None:
         raise MissingFileError(

@@ -48,6 +48,11 @@ def load_gaussians(path: str | Path) -> Gaussians:
 
     Warns:
         ScoupWarning: rows were dropped because they are not finite, or the file is longer than it says.
+
+    Example:
+        >>> gaussians = scoup.load_gaussians("scene/point_cloud.ply")
+        >>> gaussians.means.shape[1], gaussians.quats.shape[1]
+        (3, 4)
     """
     check_arguments("load_gaussians", path=(path, PATH))
     path = find_gaussians(path)
@@ -72,6 +77,10 @@ def save_gaussians(gaussians: Gaussians, path: str | Path, overwrite: bool = Fal
         InputError: another suffix, or values that the format has no place for.
         OutputExistsError: the file exists and ``overwrite`` is false.
         ScoupError: the format needs a package that is not there.
+
+    Example:
+        >>> gaussians = scoup.load_gaussians("scene/point_cloud.ply")
+        >>> scoup.save_gaussians(gaussians.select(gaussians.opacities > 0.5), "opaque.ply")
     """
     check_arguments("save_gaussians", gaussians=(gaussians, Gaussians), path=(path, PATH))
     check_splat_name(path)
@@ -160,6 +169,10 @@ def load_cameras(
     Warns:
         ScoupWarning: cameras were skipped because their image is missing or cannot be read, no image was found at all
             and the cameras stand alone, or there are other models of COLMAP.
+
+    Example:
+        >>> [camera.name for camera in scoup.load_cameras("scene")]
+        ['view_00.png', 'view_01.png', 'view_02.png', 'view_03.png']
     """
     check_arguments("load_cameras", path=(path, PATH))
     if downscale not in (None, 1, 2, 4, 8):

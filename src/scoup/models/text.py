@@ -45,6 +45,11 @@ class TextEncoder:
             that embedded its regions.
         dim: D, the size of a vector.
         names: those in a table or dict; None for a model, which takes any phrase.
+
+    Example:
+        >>> encoder = scoup.TextEncoder.open("scene/words.npz")
+        >>> encoder.encode(["kettle"]).shape == (1, encoder.dim)
+        True
     """
 
     def __init__(

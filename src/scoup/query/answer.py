@@ -45,6 +45,12 @@ class Answer:
             It is lost with pickling.
         depth: gives how far away things in the view are, for ``position``; the same.
         threshold: of the mask, on the relevancy rescaled over the view; None if that is not known.
+
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> answer = field.answer("kettle", "view_00")
+        >>> answer.mask.dtype, answer.mask.shape == answer.heat.shape
+        (torch.bool, True)
     """
 
     mask: Tensor  # [H, W]
@@ -159,6 +165,12 @@ class SceneAnswer:
         threshold: the Gaussians that answer are above it, on the relevancy rescaled over the Gaussians with a code at
             that level, or on the relevancy itself if that was wanted; None if that is not known.
         parts: of an answer to an expression, those to its texts.
+
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> answer = field.select(field.question("kettle", always=True))
+        >>> answer.mask.shape == (len(field.gaussians),)
+        True
     """
 
     mask: Tensor  # [N]

@@ -22,6 +22,12 @@ class Finding:
         text: of the query.
         answers: one a camera, in their order; as `scoup query` finds them.
         location: where the thing is, by the Gaussians' own codes.
+
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> finding = field.finding(field.question("kettle", always=True))
+        >>> finding.text, len(finding.answers)
+        ('kettle', 4)
     """
 
     text: str

@@ -31,6 +31,12 @@ class GaussianLabels:
         z_scores: per word, as in ``Answer``; None if presence was not judged.
         presence: per word, whether the thing is in the scene; true if that was not judged.
         levels: per word, the name of the level that answers it.
+
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> labels = field.label(field.question(["kettle", "wooden table"], always=True))
+        >>> labels.names
+        ('kettle', 'wooden table')
     """
 
     ids: Tensor  # [N]

@@ -50,6 +50,13 @@ def localize(
 
     Raises:
         InputError: relevancy has another shape, or is empty.
+
+    Example:
+        >>> relevancy = torch.zeros(3, 20, 30)  # levels, rows, columns
+        >>> relevancy[1, 4:9, 10:15] = 0.9
+        >>> found = scoup.localize(relevancy)
+        >>> found.level
+        1
     """
     relevancy = torch.as_tensor(relevancy)
     averaged = averaged_relevancy(relevancy, preset) if averaged is None else averaged

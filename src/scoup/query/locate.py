@@ -67,6 +67,12 @@ class Location:
             thing is not there.
         gaussians: [M] int64, the thing: of the Gaussians that answer, those connected in space that weigh most.
         answer: all Gaussians that answer, with level, score and presence.
+
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> place = field.location(field.question("kettle", always=True))
+        >>> place.position.shape
+        torch.Size([3])
     """
 
     position: Tensor | None  # [3]

@@ -149,7 +149,7 @@ class FieldQueries(CodedScene):
             MissingFileError, FileFormatError, ScoupError: the encoder cannot be opened (``TextEncoder.open``).
 
         Example:
-            >>> field.question("word 1", level="m", always=True).level
+            >>> field.question("kettle", level="m", always=True).level
             1
         """
         check_arguments("question", preset=(preset, (str, QueryPreset)))
@@ -242,7 +242,7 @@ class FieldQueries(CodedScene):
             InputError, UnknownNameError: as ``question``, or there is no such camera.
 
         Example:
-            >>> answer = field.answer(field.question("word 1", always=True), "view_00.png")
+            >>> answer = field.answer(field.question("kettle", always=True), "view_00.png")
             >>> answer.presence, answer.mask.shape
             (True, torch.Size([30, 40]))
         """
@@ -269,7 +269,7 @@ class FieldQueries(CodedScene):
             InputError, UnknownNameError: as ``question``.
 
         Example:
-            >>> field.location(field.question("word 1", always=True)).position.shape
+            >>> field.location(field.question("kettle", always=True)).position.shape
             torch.Size([3])
         """
         if isinstance(question, SceneAnswer):
@@ -300,7 +300,7 @@ class FieldQueries(CodedScene):
             InputError, UnknownNameError: as ``answer``.
 
         Example:
-            >>> found = field.finding(field.question("word 1", always=True), ["view_00.png"])
+            >>> found = field.finding(field.question("kettle", always=True), ["view_00.png"])
             >>> found.presence, found.best.view
             (True, 'view_00.png')
         """
@@ -330,9 +330,9 @@ class FieldQueries(CodedScene):
             InputError, UnknownNameError: it is not an expression, or as ``question``.
 
         Example:
-            >>> found = field.select("word 1 and not word 2")
+            >>> found = field.select("kettle and not wooden table")
             >>> found.mask.shape, [part.text for part in found.parts]
-            (torch.Size([80]), ['word 1', 'word 2'])
+            (torch.Size([150]), ['kettle', 'wooden table'])
         """
         check_arguments("select", reshaping=(reshaping, Reshaping))
         if not isinstance(question, Question):
@@ -358,8 +358,8 @@ class FieldQueries(CodedScene):
             InputError, UnknownNameError: as ``question``, or a word is given twice or is "none".
 
         Example:
-            >>> sorted(field.label(["word 1", "word 2"]).counts())
-            ['none', 'word 1', 'word 2']
+            >>> sorted(field.label(["kettle", "wooden table"]).counts())
+            ['kettle', 'none', 'wooden table']
         """
         return label(self, self._asked(question))
 

@@ -33,9 +33,9 @@ class Question(TextVectors):
         expression: of the texts, for ``field.select``; None: any of them may answer.
 
     Example:
-        >>> question = field.question(["word 1", "word 2"], threshold=0.6)
+        >>> question = field.question(["kettle", "wooden table"], threshold=0.6)
         >>> question.texts, question.threshold, question.queries.shape
-        (('word 1', 'word 2'), 0.6, torch.Size([2, 16]))
+        (('kettle', 'wooden table'), 0.6, torch.Size([2, 16]))
     """
 
     preset: QueryPreset = QUERY_PRESETS["default"]

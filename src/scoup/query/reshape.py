@@ -29,6 +29,13 @@ class Reshaping:
 
     Raises:
         InputError: a number is negative, not finite or beyond ``MOST_STEPS``.
+
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> question = field.question("kettle", always=True)
+        >>> whole, largest = field.select(question), field.select(question, scoup.Reshaping(largest=True))
+        >>> bool(largest.mask.sum() <= whole.mask.sum())
+        True
     """
 
     largest: bool = False

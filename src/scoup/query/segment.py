@@ -71,6 +71,13 @@ def segment(
 
     Raises:
         InputError: relevancy has another shape, or is empty.
+
+    Example:
+        >>> relevancy = torch.zeros(3, 20, 30)  # levels, rows, columns
+        >>> relevancy[1, 4:9, 10:15] = 0.9
+        >>> found = scoup.segment(relevancy)
+        >>> found.mask.shape
+        torch.Size([20, 30])
     """
     found = level_masks(torch.as_tensor(relevancy), preset, averaged)
     peaks, areas, sums = mask_sums(found.smoothed, found.masks)

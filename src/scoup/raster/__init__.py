@@ -121,6 +121,12 @@ def project(
     Raises:
         UnknownNameError: no preset or backend has that name.
         InputError: the backend does not serve the tensors' device, or is not built.
+
+    Example:
+        >>> gaussians, camera = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")[0]
+        >>> projection = scoup.project(gaussians, camera)
+        >>> (projection.height, projection.width) == (camera.height, camera.width)
+        True
     """
     either = (Gaussians, PreparedGaussians)
     check_arguments("project", gaussians=(gaussians, either), camera=(camera, Camera))

@@ -39,6 +39,11 @@ class Camera:
 
     Raises:
         InputError: a shape, size or number is not that of a camera.
+
+    Example:
+        >>> camera = scoup.Camera.look_at((4, 0, 1), (0, 0, 0), name="front.png", width=64, height=48, focal=60)
+        >>> camera.viewmat.shape, camera.K.shape
+        (torch.Size([4, 4]), torch.Size([3, 3]))
     """
 
     name: str
@@ -214,7 +219,13 @@ class Camera:
 
 
 class Cameras:
-    """An ordered, immutable collection of cameras with unique names, found by index or by name."""
+    """An ordered, immutable collection of cameras with unique names, found by index or by name.
+
+    Example:
+        >>> cameras = scoup.load_cameras("scene")
+        >>> cameras["view_01"].name  # with or without extension
+        'view_01.png'
+    """
 
     def __init__(self, cameras: Iterable[Camera]) -> None:
         self._cameras = tuple(cameras)

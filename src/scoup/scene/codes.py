@@ -51,6 +51,12 @@ class SparseCodes:
 
     Raises:
         InputError: a shape or dtype is wrong.
+
+    Example:
+        >>> atoms, weights = torch.tensor([[0, 2]], dtype=torch.uint8), torch.tensor([[0.75, 0.25]])
+        >>> codes = scoup.SparseCodes(atoms, weights, n_atoms=3)
+        >>> codes.to_dense().tolist()
+        [[0.75, 0.0, 0.25]]
     """
 
     indices: Tensor  # [R, K]

@@ -33,6 +33,12 @@ class Gaussians:
 
     Raises:
         InputError: a shape, dtype or device differs from the above.
+
+    Example:
+        >>> gaussians = scoup.load_gaussians("scene/point_cloud.ply")
+        >>> near = gaussians.select(gaussians.means.norm(dim=1) < 1.0)
+        >>> len(near) < len(gaussians)
+        True
     """
 
     means: Tensor  # [N, 3]

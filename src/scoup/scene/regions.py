@@ -31,6 +31,12 @@ class RegionMap:
 
     Raises:
         InputError: a label has no embedding, a value is not finite, or a shape or dtype is wrong.
+
+    Example:
+        >>> labels = torch.tensor([[-1, 0], [1, 1]])  # a pixel of no region, one of region 0, two of region 1
+        >>> found = scoup.RegionMap(labels, torch.eye(2))
+        >>> found.resized(4, 4).labels.shape
+        torch.Size([4, 4])
     """
 
     labels: Tensor  # [H, W]
@@ -83,6 +89,13 @@ class Regions:
         load_embeddings: ``load_embeddings(view_name, level)`` returns the embeddings [R, D] alone, if that is cheaper.
         load_labels: ``load_labels(view_name)`` returns the labels of all levels alone, [S, H, W] int32, checked against
             the number of embeddings, if that is cheaper.
+
+    Example:
+        >>> regions = scoup.load_regions("scene", scoup.load_cameras("scene"))
+        >>> regions.levels
+        ('s', 'm', 'l')
+        >>> "view_00.png" in regions
+        True
     """
 
     def __init__(

@@ -66,6 +66,12 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
 
     Warns:
         ScoupWarning: Gaussians are absurd (``scoup.scene.oddities``), or splat and cameras may not fit.
+
+    Example:
+        >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
+        >>> regions = scoup.load_regions("scene", cameras)
+        >>> field = scoup.build(gaussians, cameras, regions, scoup.BuildSettings(n_atoms=16), check_fit=False)
+        >>> field.save("built.scoup")
     """
     check_arguments(
         "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)

@@ -30,6 +30,10 @@ class BuildSettings:
         seed: of the codebook's start.
         raster_preset: rasteriser constants the scene was trained with: "inria" or "gsplat".
         things: merge the regions of all views into instances, which answer texts (``scoup.uplift.things``).
+
+    Example:
+        >>> scoup.BuildSettings(n_atoms=64, things=False).n_atoms
+        64
     """
 
     n_atoms: int = 128

@@ -105,6 +105,13 @@ def follow(
 
     Warns:
         ScoupWarning: without a tolerance, many Gaussians are both gone and new, as where a format has rounded them.
+
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> edited = field.gaussians.select(torch.arange(100))  # as an editor of splats leaves it
+        >>> followed = scoup.follow(field, edited)
+        >>> len(followed.field.gaussians)
+        100
     """
     check_arguments("follow", field=(field, LanguageField), gaussians=(gaussians, Gaussians))
     gaussians = gaussians.to(field.codebook.device)

@@ -53,6 +53,12 @@ def region_sums(
 
     Raises:
         InputError: no camera has regions, the folder holds sums of another scene, or an argument is of a wrong type.
+
+    Example:
+        >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
+        >>> sums = scoup.region_sums(gaussians, cameras, scoup.load_regions("scene", cameras))
+        >>> sums.levels
+        ('s', 'm', 'l')
     """
     check_arguments(
         "region_sums",

@@ -64,6 +64,12 @@ class RegionSums:
         rows: see ``Rows``; known where ``region_sums`` made them. ``matrix`` needs them.
         codes: what ``keep_codes`` was given last, None before.
         inputs: the same of ``keep_inputs``.
+
+    Example:
+        >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
+        >>> sums = scoup.region_sums(gaussians, cameras, scoup.load_regions("scene", cameras))
+        >>> len(sums) == len(cameras)
+        True
     """
 
     def __init__(

@@ -65,6 +65,15 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
 
     Warns:
         ScoupWarning: the codebook explains many regions badly, or Gaussians and cameras may not fit.
+
+    Example:
+        >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
+        >>> regions = scoup.load_regions("scene", cameras)
+        >>> sums = scoup.region_sums(gaussians, cameras, regions)
+        >>> field = scoup.build(gaussians, cameras, regions, sums=sums, check_fit=False)
+        >>> fewer = scoup.update(field, sums, remove=["view_03.png"])
+        >>> len(sums)
+        3
     """
     check_arguments("update", field=(field, LanguageField), sums=(sums, RegionSums))
     coded, add = codes_of(field, sums), list(add)

@@ -117,6 +117,15 @@ def vote(
 
     Raises:
         InputError: a view has no sums or a region no code, numbers make no sense, or the backend cannot be used.
+
+    Example:
+        >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
+        >>> regions = scoup.load_regions("scene", cameras)
+        >>> sums = scoup.region_sums(gaussians, cameras, regions)
+        >>> books = [scoup.fit_codes(regions.embeddings(level)[0], n_atoms=8) for level in regions.levels]
+        >>> codes = scoup.vote(sums, [book.codes for book in books], torch.stack([book.atoms for book in books]))
+        >>> codes.indices.shape[:2] == (len(gaussians), 3)
+        True
     """
     _check_numbers(rounds, keep)
     codebook = torch.as_tensor(codebook)

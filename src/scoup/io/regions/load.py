@@ -42,6 +42,12 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
 
     Warns:
         ScoupWarning: some cameras have no features; says how many.
+
+    Example:
+        >>> regions = scoup.load_regions("scene", scoup.load_cameras("scene"))
+        >>> found = regions.load("view_00.png", "s")
+        >>> found.labels.shape == (found.labels.shape[0], found.labels.shape[1])
+        True
     """
     listed = list(cameras) if isinstance(cameras, Iterable) else [cameras]
     expected = object if all(isinstance(camera, Camera) for camera in listed) else Cameras
