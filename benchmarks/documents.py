@@ -26,6 +26,7 @@ from benchmarks.city import Cities
 from benchmarks.coding import Coding
 from benchmarks.documents_claims import claims_table
 from benchmarks.endurance import Endurance
+from benchmarks.extract import Extraction
 from benchmarks.hostile.study import Hostile
 from benchmarks.labels import Labels
 from benchmarks.lerf_sized import LerfSized
@@ -154,6 +155,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "absence": (Absence, "absence"),
     "lerf sized": (LerfSized, "lerf_sized"),
     "coding, compared": (Coding, "coding"),
+    "extract": (Extraction, "extract"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
     "city": (Cities, "city"),
