@@ -32,7 +32,7 @@ class Guard:
 
     Attributes:
         host: that the server is bound to.
-        token: first part of every path. Others who work on this machine reach its loopback too.
+        token: first part of every path; empty on loopback.
         names: by which the server may be called: a page of another site, whose name leads to this machine, calls it by
             its own (DNS rebinding).
     """
@@ -43,10 +43,10 @@ class Guard:
 
     @classmethod
     def of(cls, host: str) -> Guard:
-        """For a server that is bound to a host, with a new token."""
-        own = {host.lower()}
-        if not is_loopback(host):
-            own |= {socket.gethostname().lower(), socket.getfqdn().lower()}
+        """For a server that is bound to a host; beyond loopback with a new token."""
+        if is_loopback(host):
+            return cls(host, "", _OWN_NAMES | {host.lower()})
+        own = {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
         return cls(host, secrets.token_urlsafe(24), _OWN_NAMES | own)
 
     @property

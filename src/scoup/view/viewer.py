@@ -38,7 +38,7 @@ class Viewer:
 
     Args:
         viewed: the field.
-        host: to bind to. The address holds a token that nobody can guess.
+        host: to bind to. Beyond loopback the address holds a token that nobody can guess.
         port: to bind to; 0 takes any, None ``PORT`` or, if that is in use, any.
         remote: show pictures of the server only, for scenes or machines that are too much for the browser.
         height: of the page in a notebook, in pixels.
