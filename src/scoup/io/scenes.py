@@ -171,8 +171,8 @@ def load_cameras(
             and the cameras stand alone, or there are other models of COLMAP.
 
     Example:
-        >>> [camera.name for camera in scoup.load_cameras("scene")]
-        ['view_00.png', 'view_01.png', 'view_02.png', 'view_03.png']
+        >>> len(scoup.load_cameras("scene"))
+        4
     """
     check_arguments("load_cameras", path=(path, PATH))
     if downscale not in (None, 1, 2, 4, 8):
