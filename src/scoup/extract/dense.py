@@ -12,6 +12,9 @@ from torch.nn import functional
 from scoup.extract.masks import Masks
 from scoup.models.dense import DenseModel
 
+WINDOWS = 2
+"""Of the model's size, which fill the shorter side of a photograph. With more, smaller things have places of their own;
+the work grows with the square."""
 _MASKS_AT_ONCE = 16
 
 
@@ -20,17 +23,14 @@ class DenseEmbedder:
 
     Args:
         model: from ``models.dense.open_dense_model``.
-        windows: how many windows of the model's size the shorter side of a photograph is scaled to. With more, smaller
-            things have places of their own; the work grows with the square.
     """
 
-    def __init__(self, model: DenseModel, windows: int = 2) -> None:
+    def __init__(self, model: DenseModel) -> None:
         self.model = model
-        self.windows = windows
         self.name, self.dim, self.device = model.name, model.dim, model.device
 
     def record(self) -> dict[str, Any]:
-        return {**self.model.record(), "embedder_windows": self.windows}
+        return {**self.model.record(), "embedder_windows": WINDOWS}
 
     def embed_regions(self, image: Tensor, masks: Mapping[str, Masks]) -> dict[str, Tensor]:
         """Level -> [N, D] float32 unit vectors of masks over an image [H, W, 3] uint8."""
@@ -43,7 +43,7 @@ class DenseEmbedder:
     def _scaled(self, height: int, width: int) -> tuple[int, int]:
         """Multiples of the patch, so that the shorter side fills the windows."""
         patch, window = self.model.patch, self.model.side // self.model.patch
-        factor = self.windows * window / min(height, width)
+        factor = WINDOWS * window / min(height, width)
         return round(height * factor) * patch, round(width * factor) * patch
 
     def _pooled(self, tokens: Tensor, found: Masks) -> Tensor:

@@ -95,7 +95,7 @@ def open_pair(
     begun = manifest.settings if manifest is not None else {}
 
     def revision_of(role: str, name: str, given: str | None) -> str | None:
-        same = begun.get(role) in (name, name.removeprefix("dense:"), _full_name(name))
+        same = begun.get(role) in (name, _full_name(name))
         return given or (begun.get(f"{role}_revision") or None if same else None)
 
     first = revision_of("segmenter", segmenter, revisions[0])
@@ -107,6 +107,8 @@ def open_pair(
 
 
 def _full_name(name: str) -> str:
+    """As the manifest names the model."""
+    from scoup.models import dense
     from scoup.models.sam import SHORT_NAMES
 
-    return SHORT_NAMES.get(name, name)
+    return SHORT_NAMES.get(name, name.removeprefix(dense.PREFIX))

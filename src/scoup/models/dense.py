@@ -17,8 +17,8 @@ from torch.nn import functional
 
 from scoup.base.errors import ScoupError
 from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
-from scoup.models.normalization import CLIP, HALF, Normalization
-from scoup.models.towers import Tower, load_tower
+from scoup.models.normalization import Normalization
+from scoup.models.towers import Tower, load_tower, normalization_of
 
 PREFIX = "dense:"
 """Before the model in an embedder's name."""
@@ -153,7 +153,7 @@ def open_dense_model(
         if not tower.is_clip and not hasattr(_vision(tower), "head"):
             raise ScoupError("its image model has no pooling head; use another SigLIP, or a CLIP")
         tower.model.to(device=device, dtype=dtype)
-        normalization = files.normalization() or (CLIP if tower.is_clip else HALF)
+        normalization = normalization_of(files, tower)
         return DenseModel(model_id, files.commit, tower, normalization, device, dtype)
 
     return load_pretrained(request, load)

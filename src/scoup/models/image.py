@@ -11,8 +11,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from scoup.models.hub import OPEN_CLIP, ModelRequest, Pretrained, load_open_clip, load_pretrained
-from scoup.models.normalization import CLIP, HALF, Normalization
-from scoup.models.towers import Tower, load_tower
+from scoup.models.normalization import CLIP, Normalization
+from scoup.models.towers import Tower, load_tower, normalization_of
 
 
 @dataclass(eq=False)
@@ -75,8 +75,9 @@ def open_image_model(
         normalization = Normalization(tuple(mean or CLIP.mean), tuple(std or CLIP.std))
         return ImageModel(name, "", model.encode_image, int(side), normalization, device, dtype)
 
-    def load(files: Pretrained) -> tuple[Tower, Normalization | None, str]:
-        return load_tower(files, "image"), files.normalization(), files.commit
+    def load(files: Pretrained) -> tuple[Tower, Normalization, str]:
+        tower = load_tower(files, "image")
+        return tower, normalization_of(files, tower), files.commit
 
     tower, normalization, commit = load_pretrained(request, load)
     tower.model.to(device=device, dtype=dtype)
@@ -85,7 +86,7 @@ def open_image_model(
         commit,
         lambda pixels: tower.features(pixel_values=pixels),
         int(tower.config.image_size),
-        normalization or (CLIP if tower.is_clip else HALF),
+        normalization,
         device,
         dtype,
     )

@@ -21,7 +21,7 @@ from torch import Tensor
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.models.hub import ModelRequest
 from scoup.models.normalization import IMAGENET
-from scoup.models.sam import EncodedImage, Sam2Image, SamImage
+from scoup.models.sam import EncodedImage, Sam2Image, SamImage, filled_square, scaled_to_square
 
 PREFIX = "onnx:"
 """Before the folder in a segmenter's name."""
@@ -51,34 +51,24 @@ class OnnxSam:
     @property
     def is_second(self) -> bool:
         """SAM 2, whose images are stretched over the whole square."""
-        return "high_res_feats_0" in _names(self.decoder.get_inputs())
+        return _is_second(self.decoder)
 
     def record(self) -> dict[str, Any]:
         return {"segmenter": self.name, "segmenter_sha256": list(self.sha256)}
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
-        from PIL import Image
-
-        height, width = image.shape[:2]
-        high = wide = self.side
-        if not self.is_second:
-            factor = self.side / max(height, width)
-            high, wide = max(1, int(height * factor + 0.5)), max(1, int(width * factor + 0.5))
-        scaled = np.array(Image.fromarray(image).resize((wide, high), Image.Resampling.BILINEAR))
+        scaled = scaled_to_square(image, self.side, self.is_second)
         wanted = self.encoder.get_inputs()[0]
         if len(wanted.shape) == 4:
-            pixels = IMAGENET(torch.from_numpy(scaled).permute(2, 0, 1) / 255)
-            padded = torch.nn.functional.pad(pixels, (0, self.side - wide, 0, self.side - high))
-            values = padded[None].numpy()
+            values = filled_square(scaled, self.side, IMAGENET)[None].numpy()
         else:
             values = scaled
         kind = np.uint8 if "uint8" in wanted.type else np.float32
         found = self.encoder.run(None, {wanted.name: values.astype(kind)})
         outputs = dict(zip(_names(self.encoder.get_outputs()), found, strict=True))
         image_class = Sam2Image if self.is_second else SamImage
-        return image_class(
-            lambda points: self._predict(outputs, points), self.side, (height, width), (high, wide)
-        )
+        size, within = image.shape[:2], scaled.shape[:2]
+        return image_class(lambda points: self._predict(outputs, points), self.side, size, within)
 
     def _predict(self, outputs: dict[str, NDArray[Any]], points: Tensor) -> tuple[Tensor, Tensor]:
         """Logits [P, 3, h, w] and predicted IoU [P, 3] for points [P, 2] in pixels of the square."""
@@ -106,7 +96,7 @@ class OnnxSam:
             "orig_im_size": np.array([side, side], np.float32),
         }
         given |= {name: value for name, value in outputs.items() if name in inputs}
-        wanted = ["low_res_masks" if not self.is_second else "masks", "iou_predictions"]
+        wanted = [_masks_name(self.decoder), "iou_predictions"]
         masks, iou = self.decoder.run(wanted, {name: given[name] for name in inputs})
         # The first of four is the mask for a prompt without doubt; the three for a point follow it.
         return torch.from_numpy(masks[:, -3:]), torch.from_numpy(iou[:, -3:])
@@ -173,12 +163,20 @@ def _check(paths: tuple[Path, Path], encoder: Any, decoder: Any) -> None:
             "use a pair as SAM's own code or samexporter writes it",
         )
     outputs = {item.name: item for item in decoder.get_outputs()}
-    masks = "masks" if "high_res_feats_0" in _names(decoder.get_inputs()) else "low_res_masks"
+    masks = _masks_name(decoder)
     iou = outputs.get("iou_predictions")
     if masks not in outputs or iou is None:
         raise FileFormatError(paths[1], f"has no outputs {masks} and iou_predictions", "use another export")
     if isinstance(iou.shape[-1], int) and iou.shape[-1] < 3:
         raise FileFormatError(paths[1], "gives one mask for a point", "use the export for several masks")
+
+
+def _is_second(decoder: Any) -> bool:
+    return "high_res_feats_0" in _names(decoder.get_inputs())
+
+
+def _masks_name(decoder: Any) -> str:
+    return "masks" if _is_second(decoder) else "low_res_masks"
 
 
 def _names(items: Any) -> list[str]:

@@ -134,21 +134,13 @@ class Sam:
         return {"segmenter": self.name, "segmenter_revision": self.revision, **checked}
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
-        from PIL import Image
-
-        height, width = image.shape[:2]
-        high = wide = self.side
-        if not self.stretches:
-            factor = self.side / max(height, width)
-            high, wide = max(1, int(height * factor + 0.5)), max(1, int(width * factor + 0.5))
-        # Reduced with Pillow, as the models' own code does: its filter covers every pixel.
-        scaled = Image.fromarray(image).resize((wide, high), Image.Resampling.BILINEAR)
-        values = self.normalization(torch.from_numpy(np.array(scaled)).permute(2, 0, 1) / 255)
-        values = functional.pad(values, (0, self.side - wide, 0, self.side - high))
+        scaled = scaled_to_square(image, self.side, self.stretches)
+        values = filled_square(scaled, self.side, self.normalization)
         with torch.inference_mode(), self._precision():
             embeddings = self.model.get_image_embeddings(values[None].to(self.device))
+        size = (scaled.shape[0], scaled.shape[1])
         kind = Sam2Image if self.stretches else SamImage
-        return kind(self._decoder(embeddings, (high, wide)), self.side, (height, width), (high, wide))
+        return kind(self._decoder(embeddings, size), self.side, (image.shape[0], image.shape[1]), size)
 
     def _decoder(self, embeddings: Any, scaled: tuple[int, int]) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
         if self.stretches or self.device.type != "cpu":
@@ -176,6 +168,25 @@ class Sam:
     def _precision(self) -> AbstractContextManager[Any]:
         half = self.half and self.device.type == "cuda"
         return torch.autocast("cuda", torch.float16) if half else nullcontext()
+
+
+def scaled_to_square(image: NDArray[np.uint8], side: int, stretches: bool) -> NDArray[np.uint8]:
+    """An image [H, W, 3] stretched over a square, or scaled to it by the longer side."""
+    from PIL import Image
+
+    height, width = image.shape[:2]
+    high = wide = side
+    if not stretches:
+        factor = side / max(height, width)
+        high, wide = max(1, int(height * factor + 0.5)), max(1, int(width * factor + 0.5))
+    # Reduced with Pillow, as the models' own code does: its filter covers every pixel.
+    return np.array(Image.fromarray(image).resize((wide, high), Image.Resampling.BILINEAR))
+
+
+def filled_square(scaled: NDArray[np.uint8], side: int, normalization: Normalization) -> Tensor:
+    """[3, side, side] of a scaled image: normalised, then padded below and on the right."""
+    values = normalization(torch.from_numpy(scaled).permute(2, 0, 1) / 255)
+    return functional.pad(values, (0, side - scaled.shape[1], 0, side - scaled.shape[0]))
 
 
 def open_sam(

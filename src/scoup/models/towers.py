@@ -10,6 +10,7 @@ from torch import Tensor
 
 from scoup.base.errors import ScoupError
 from scoup.models.hub import Pretrained
+from scoup.models.normalization import CLIP, HALF, Normalization
 
 Modality = Literal["text", "image"]
 
@@ -57,3 +58,8 @@ def load_tower(files: Pretrained, modality: Modality) -> Tower:
     if not hasattr(model, f"get_{modality}_features"):
         raise ScoupError(f"{config.model_type!r} models have no {modality} features; use CLIP or SigLIP")
     return Tower(modality, False, model, of_half)
+
+
+def normalization_of(files: Pretrained, tower: Tower) -> Normalization:
+    """Of a tower's images: what the model's files say, else what is usual for its kind."""
+    return files.normalization() or (CLIP if tower.is_clip else HALF)

@@ -56,9 +56,8 @@ class GaussianCosines:
                 torch.maximum(best, _cosines(kept, phrase), out=best)
             self._kept = kept = replace(kept, canonical=canonical.clone(), best=best)
         out = torch.empty(kept.best.shape[1], len(queries), len(kept.best), device=queries.device)
-        for number, query in enumerate(
-            queries
-        ):  # one by one, which is quicker than columns beside each other
+        # One by one, which is quicker than columns beside each other.
+        for number, query in enumerate(queries):
             own = _cosines(kept, query).sub_(kept.best).mul_(TEMPERATURE)
             out[:, number] = own.sigmoid_().T
         return out
