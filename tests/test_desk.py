@@ -36,7 +36,7 @@ def built(desk: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_kettle_the_laptop_and_the_penguin_are_found(desk: Path, built: Path) -> None:
     field = scoup.LanguageField.load(built)
     assert field.cameras is not None
-    assert field.things is not None
+    assert field.thing_table is not None
     question = field.question(list(NAMES), encoder=desk / "desk_words.npz")
     overlaps: dict[str, list[float]] = {name: [] for name in NAMES}
     for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):

@@ -63,7 +63,7 @@ def test_a_field_answers_as_it_did(path: Path) -> None:
     assert kept["relevancy"].std() > 0.1  # there is something to be compared
     words = FORMATS / "scene" / "words.npz"
     asked = LanguageField.load(path, gaussians_of_formats())
-    assert asked.things is not None
+    assert asked.thing_table is not None
     assert asked.answer(asked.question("kettle", encoder=words), "view_00.png").heat.shape == (24, 32)
 
 

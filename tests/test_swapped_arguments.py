@@ -21,7 +21,7 @@ from support import small_scene, unit
 
 
 @dataclass(frozen=True)
-class Things:
+class ThingTable:
     """One of everything."""
 
     gaussians: Gaussians
@@ -34,7 +34,7 @@ class Things:
 
 
 @pytest.fixture(scope="module")
-def things(tmp_path_factory: pytest.TempPathFactory) -> Things:
+def things(tmp_path_factory: pytest.TempPathFactory) -> ThingTable:
     import torch
 
     folder = tmp_path_factory.mktemp("things")
@@ -46,7 +46,7 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> Things:
     save_table(folder / "words.npz", names, unit(torch.eye(len(names), 16)).numpy())
     encoder = scoup.TextEncoder.open(folder / "words.npz")
     texts = field.question("kettle", encoder=encoder)
-    return Things(gaussians, cameras, regions, field, encoder, texts, str(folder))
+    return ThingTable(gaussians, cameras, regions, field, encoder, texts, str(folder))
 
 
 api: Any = scoup  # the calls below are wrong on purpose
@@ -87,12 +87,12 @@ SWAPPED: list[tuple[Callable[[Any], Any], str]] = [
 
 
 @pytest.mark.parametrize(("call", "said"), SWAPPED, ids=[said[:50] for _, said in SWAPPED])
-def test_the_argument_is_named(things: Things, call: Callable[[Any], Any], said: str) -> None:
+def test_the_argument_is_named(things: ThingTable, call: Callable[[Any], Any], said: str) -> None:
     with pytest.raises(scoup.ScoupError) as refusal:
         call(things)
     assert said in str(refusal.value)
 
 
-def test_what_else_is_taken(things: Things) -> None:
+def test_what_else_is_taken(things: ThingTable) -> None:
     assert len(scoup.load_regions(things.path, (camera for camera in things.cameras))) == 2
     assert len(scoup.LanguageField.load(things.path + "/f.scoup", things.gaussians).gaussians) == 60

@@ -16,7 +16,7 @@ from scoup.scene.codes import SparseCodes
 KNOWN, UNSEEN = 200, 8  # things
 
 
-class Things:
+class ThingTable:
     """Rows as CLIP gives them: a mean of all, things with long-tailed frequencies, noise. Cosine about 0.5 between
     things and 0.85 within one.
     """
@@ -62,7 +62,7 @@ def test_appended_atoms_repair_unseen_things(seed: int) -> None:
     """The claim of incremental coding: things never seen are told apart, and eight atoms are nearly as good for them
     as learning everything again, while nothing that was coded before changes.
     """
-    things = Things(seed)
+    things = ThingTable(seed)
     training, again, unseen = things.known(4000), things.known(400), things.unseen(400)
     book = fit_codes(training, 64, 4, solver="exact", seed=seed)
     known, new = book.encode(again), book.encode(unseen)
@@ -87,7 +87,7 @@ def test_appended_atoms_repair_unseen_things(seed: int) -> None:
 
 def test_false_alarms_stay_few_where_atoms_are_many() -> None:
     """A codebook fits its own rows too well to judge others by them: the bar allows for that."""
-    things = Things(3)
+    things = ThingTable(3)
     for count in (100, 200, 800):
         book = fit_codes(things.known(count, 20), 64, 4, solver="exact")
         others = book.encode(things.known(400, 20))

@@ -19,7 +19,7 @@ from planted_wall import COUNT, SETTINGS, planted_wall
 from scoup.base.errors import FileFormatError, InputError
 from scoup.field.artefact import METADATA_KEY, NO_CHECKSUM, tensor_checksum, text_checksum
 from scoup.field.language_field import LanguageField
-from scoup.scene.things import MOST_THINGS, NO_THING, Things
+from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
 from scoup.uplift.build import build
 
 PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", "mass", "stability")
@@ -35,17 +35,17 @@ def field() -> LanguageField:
     return with_things(built, replace(things_of(built), owners=owners))
 
 
-def things_of(field: LanguageField) -> Things:
-    assert field.things is not None
-    return field.things
+def things_of(field: LanguageField) -> ThingTable:
+    assert field.thing_table is not None
+    return field.thing_table
 
 
-def with_things(field: LanguageField, things: Things | None) -> LanguageField:
+def with_things(field: LanguageField, things: ThingTable | None) -> LanguageField:
     codes = field.code_indices, field.code_weights, field.codebook
-    return LanguageField(*codes, field.info, field.gaussians, cameras=field.cameras, things=things)
+    return LanguageField(*codes, field.info, field.gaussians, cameras=field.cameras, thing_table=things)
 
 
-def assert_same(one: Things | None, other: Things | None) -> None:
+def assert_same(one: ThingTable | None, other: ThingTable | None) -> None:
     assert one is not None
     assert other is not None
     for name in PARTS:
@@ -73,12 +73,12 @@ def test_files_give_things_back_bit_by_bit(field: LanguageField, tmp_path: Path,
     path = tmp_path / "f.scoup"
     field.save(path, weight_bits=weight_bits)
     back = LanguageField.load(path, field.gaussians)
-    assert_same(back.things, field.things)
+    assert_same(back.thing_table, field.thing_table)
     assert bool((things_of(back).owners == NO_THING).any())
     assert bool((things_of(back).parents == NO_THING).any())
     assert bool((things_of(back).parents != NO_THING).any())
     back.save(tmp_path / "again.scoup", weight_bits=weight_bits)
-    assert_same(LanguageField.load(tmp_path / "again.scoup", field.gaussians).things, field.things)
+    assert_same(LanguageField.load(tmp_path / "again.scoup", field.gaussians).thing_table, field.thing_table)
 
 
 def test_numbers_take_two_bytes_in_files(field: LanguageField, tmp_path: Path) -> None:
@@ -96,15 +96,15 @@ def test_a_field_without_things_has_none_in_its_file(field: LanguageField, tmp_p
     with_things(field, None).save(tmp_path / "f.scoup")
     _, tensors = parts_of(tmp_path / "f.scoup")
     assert not [name for name in tensors if name.startswith("things.")]
-    assert LanguageField.load(tmp_path / "f.scoup", field.gaussians).things is None
+    assert LanguageField.load(tmp_path / "f.scoup", field.gaussians).thing_table is None
 
 
 def test_a_scene_in_which_nothing_was_found_keeps_that(field: LanguageField, tmp_path: Path) -> None:
     things = things_of(field)
     parts = {name: getattr(things, name)[:0] for name in PARTS if name != "owners"}
-    nothing = Things(owners=torch.full_like(things.owners, NO_THING), **parts)
+    nothing = ThingTable(owners=torch.full_like(things.owners, NO_THING), **parts)
     with_things(field, nothing).save(tmp_path / "f.scoup")
-    assert_same(LanguageField.load(tmp_path / "f.scoup", field.gaussians).things, nothing)
+    assert_same(LanguageField.load(tmp_path / "f.scoup", field.gaussians).thing_table, nothing)
 
 
 def test_the_last_number_of_a_thing_is_not_taken_for_none(field: LanguageField, tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_the_last_number_of_a_thing_is_not_taken_for_none(field: LanguageField, 
 
     owners = things.owners.clone()
     owners[5, 1] = MOST_THINGS - 1
-    many = Things(owners, *(filled(getattr(things, name)) for name in PARTS if name != "owners"))
+    many = ThingTable(owners, *(filled(getattr(things, name)) for name in PARTS if name != "owners"))
     with_things(field, many).save(tmp_path / "f.scoup")
     back = things_of(LanguageField.load(tmp_path / "f.scoup", field.gaussians))
     assert_same(back, many)
@@ -133,18 +133,18 @@ def test_some_gaussians_keep_their_owners(field: LanguageField, tmp_path: Path) 
         assert_same(replace(part, owners=things.owners), things)
     some = field[mask]
     some.save(tmp_path / "part.scoup")
-    assert_same(LanguageField.load(tmp_path / "part.scoup").things, some.things)
+    assert_same(LanguageField.load(tmp_path / "part.scoup").thing_table, some.thing_table)
     backwards = list(range(len(field)))[::-1]
     assert things_of(field[backwards]).owners.equal(things.owners.flip(0))
     assert things_of(field[[]]).owners.shape == (0, 2)
-    assert with_things(field, None)[mask].things is None
+    assert with_things(field, None)[mask].thing_table is None
 
 
 def test_other_gaussians_one_for_one_keep_their_owners(field: LanguageField) -> None:
     moved = replace(field.gaussians, means=field.gaussians.means + 1)
-    assert_same(field.with_gaussians(moved).things, field.things)
+    assert_same(field.with_gaussians(moved).thing_table, field.thing_table)
     faded = replace(field.gaussians, opacities=field.gaussians.opacities * 0.5)
-    assert_same(field.with_gaussians(faded).things, field.things)
+    assert_same(field.with_gaussians(faded).thing_table, field.thing_table)
 
 
 def test_fields_that_are_there_already_stay_themselves(field: LanguageField) -> None:
@@ -155,13 +155,13 @@ def test_fields_that_are_there_already_stay_themselves(field: LanguageField) -> 
 def test_fields_move_to_a_gpu_with_their_things(field: LanguageField) -> None:
     moved = field.to("cuda")
     assert {part.device.type for part in vars(things_of(moved)).values()} == {"cuda"}
-    assert_same(things_of(moved.to("cpu")), field.things)
+    assert_same(things_of(moved.to("cpu")), field.thing_table)
     assert things_of(moved[10:20]).owners.cpu().equal(things_of(field).owners[10:20])
 
 
 def test_copies_and_pickles_have_the_same_things(field: LanguageField) -> None:
-    assert_same(pickle.loads(pickle.dumps(field)).things, field.things)
-    assert_same(copy.deepcopy(field).things, field.things)
+    assert_same(pickle.loads(pickle.dumps(field)).thing_table, field.thing_table)
+    assert_same(copy.deepcopy(field).thing_table, field.thing_table)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_copies_and_pickles_have_the_same_things(field: LanguageField) -> None:
     ids=["Gaussians", "levels", "dimensions"],
 )
 def test_things_of_another_field_are_refused(
-    field: LanguageField, change: Callable[[Things], Things]
+    field: LanguageField, change: Callable[[ThingTable], ThingTable]
 ) -> None:
     with pytest.raises(InputError, match="do not fit codes"):
         with_things(field, change(things_of(field)))

@@ -61,8 +61,10 @@ def test_what_is_absent_gets_neither_mask_nor_point(
     scores = view_z_scores(field, projection, shapes, texts.queries, texts.everyday).tolist()
     things: list[tuple[Tensor, int] | None] = [None] * len(shapes)
     if has_things:
-        assert field.things is not None
-        seen = things_of_view(ThingFits.of(field.things, texts), projection, [each.mask for each in shapes])
+        assert field.thing_table is not None
+        seen = things_of_view(
+            ThingFits.of(field.thing_table, texts), projection, [each.mask for each in shapes]
+        )
         things = seen.masks
         scores = [one + other for one, other in zip(scores, seen.presence, strict=True)]
     middle = sorted(scores)[5]

@@ -95,7 +95,7 @@ def test_the_same_text_again_has_an_answer_of_its_own(field: LanguageField) -> N
     field.select(either).mask[:] = False
     assert field.select(either).mask.any()
     moved = field.with_gaussians(field.gaussians)
-    field.things = None
+    field.thing_table = None
     assert field.location(field.question("word 3", always=True)).answer.threshold is not None
     assert moved.location("word 3").record() == expected
     field.text_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=6), strict=True)))

@@ -177,7 +177,7 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     named = LanguageField(
         field.code_indices, field.code_weights, field.codebook,
         replace(field.info, embedding_model="words.npz"), field.gaussians, cameras=field.cameras,
-        things=field.things,
+        thing_table=field.thing_table,
     )  # fmt: skip
     named.save(tmp_path / "scene" / "f.scoup")
     loaded = LanguageField.load(tmp_path / "scene" / "f.scoup")  # the Gaussians are in the file

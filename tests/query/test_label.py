@@ -51,8 +51,8 @@ def test_words_for_absent_things_label_nothing(queried: Queried, voted: Queried,
     found = list(select_each(field, texts.queries, texts.canonical))
     scores = scene_z_scores(field, found, texts.queries, texts.everyday).tolist()
     if has_things:
-        assert field.things is not None
-        fits = ThingFits.of(field.things, texts)
+        assert field.thing_table is not None
+        fits = ThingFits.of(field.thing_table, texts)
         scores = [score + fits.presence(number) for number, score in enumerate(scores)]
     selected = [found.mask for found, _ in judged_selections(field, texts)]
     scores = [with_evidence(*each) for each in zip(scores, selected, strict=True)]

@@ -36,7 +36,7 @@ from scoup.query.things import (
     choose_things,
     thing_of_scene,
 )
-from scoup.scene.things import NO_THING, Things
+from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
 from support import examples, unit
 
@@ -50,9 +50,9 @@ class Asked:
     bare: LanguageField
 
     @property
-    def things(self) -> Things:
-        assert self.field.things is not None
-        return self.field.things
+    def things(self) -> ThingTable:
+        assert self.field.thing_table is not None
+        return self.field.thing_table
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +62,9 @@ def asked() -> Asked:
     return Asked(wall, field, without_things(field))
 
 
-def some_things(levels: Sequence[int], agreement: float = 1.0, n_gaussians: int = 4) -> Things:
+def some_things(levels: Sequence[int], agreement: float = 1.0, n_gaussians: int = 4) -> ThingTable:
     count = len(levels)
-    return Things(
+    return ThingTable(
         torch.full((n_gaussians, 2), NO_THING, dtype=torch.int32),
         torch.tensor(levels, dtype=torch.uint8),
         torch.full((count,), NO_THING, dtype=torch.int32),
@@ -155,7 +155,7 @@ def test_the_less_views_agree_the_more_the_votes_count() -> None:
 
 
 def literally_chosen(
-    things: Things, fits: Tensor, mass: Tensor, voted: Tensor, voted_mass: Tensor, level: int | None
+    things: ThingTable, fits: Tensor, mass: Tensor, voted: Tensor, voted_mass: Tensor, level: int | None
 ) -> list[list[int]]:
     """All the sets with the best score, most of the time one; [] where the votes answer."""
     whole, weight = float(mass.sum()), VOTES * things.disagreement
@@ -278,7 +278,7 @@ def test_other_names_of_a_text_take_nothing_from_its_presence(asked: Asked) -> N
 def test_as_many_things_as_files_hold_fit_as_many_words_as_tables_hold() -> None:
     """More pairs than torch takes quantiles of at once."""
     count, n_words = 17_000, 1000
-    things = Things(
+    things = ThingTable(
         torch.full((1, 1), NO_THING, dtype=torch.int32),
         torch.zeros(count, dtype=torch.uint8),
         torch.full((count,), NO_THING, dtype=torch.int32),
@@ -454,7 +454,7 @@ def with_owners(asked: Asked, owners: Tensor) -> LanguageField:
     field = asked.field
     return LanguageField(
         field.code_indices, field.code_weights, field.codebook, field.info, asked.wall.gaussians,
-        cameras=field.cameras, things=replace(asked.things, owners=owners),
+        cameras=field.cameras, thing_table=replace(asked.things, owners=owners),
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.scene.things import LEAST_SPREAD, MOST_THINGS, NO_THING, SURE_REGIONS, Things
+from scoup.scene.things import LEAST_SPREAD, MOST_THINGS, NO_THING, SURE_REGIONS, ThingTable
 
 PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", "mass", "stability")
 
@@ -32,14 +32,14 @@ def parts(**changes: Any) -> dict[str, Tensor]:
 
 
 @pytest.fixture
-def things() -> Things:
-    return Things(**parts())
+def things() -> ThingTable:
+    return ThingTable(**parts())
 
 
-def test_what_is_whole_is_taken(things: Things) -> None:
+def test_what_is_whole_is_taken(things: ThingTable) -> None:
     assert tuple(parts()) == PARTS == tuple(vars(things))
     assert len(things) == 5
-    nothing = Things(
+    nothing = ThingTable(
         torch.full((6, 2), NO_THING, dtype=torch.int32),
         torch.zeros(0, dtype=torch.uint8),
         torch.zeros(0, dtype=torch.int32),
@@ -64,13 +64,13 @@ def test_parts_of_another_type_or_shape_are_refused(name: str) -> None:
         wrong.append(good[:-1])
     for each in wrong:
         with pytest.raises(InputError, match="of things"):
-            Things(**parts(**{name: each}))
+            ThingTable(**parts(**{name: each}))
 
 
 @pytest.mark.parametrize("name", PARTS)
 def test_a_single_number_is_no_part(name: str) -> None:
     with pytest.raises(InputError, match="of things"):
-        Things(**parts(**{name: torch.zeros((), dtype=parts()[name].dtype)}))
+        ThingTable(**parts(**{name: torch.zeros((), dtype=parts()[name].dtype)}))
 
 
 @pytest.mark.parametrize(
@@ -93,12 +93,12 @@ def test_values_that_make_no_sense_are_refused(name: str, place: Any, value: flo
     tensor = parts()[name].clone()
     tensor[place] = value
     with pytest.raises(InputError, match=message):
-        Things(**parts(**{name: tensor}))
+        ThingTable(**parts(**{name: tensor}))
 
 
 def test_files_can_number_no_more() -> None:
-    def many(count: int) -> Things:
-        return Things(
+    def many(count: int) -> ThingTable:
+        return ThingTable(
             torch.zeros(1, 1, dtype=torch.int32),
             torch.zeros(count, dtype=torch.uint8),
             torch.zeros(count, dtype=torch.int32),
@@ -114,7 +114,7 @@ def test_files_can_number_no_more() -> None:
         many(MOST_THINGS + 1)
 
 
-def test_members_are_the_gaussians_of_things(things: Things) -> None:
+def test_members_are_the_gaussians_of_things(things: ThingTable) -> None:
     def members(*numbers: int) -> list[int]:
         return things.members(torch.tensor(numbers, dtype=torch.int64)).nonzero()[:, 0].tolist()
 
@@ -127,7 +127,7 @@ def test_members_are_the_gaussians_of_things(things: Things) -> None:
     assert things.members(torch.tensor([1], dtype=torch.int32)).dtype == torch.bool
 
 
-def test_sums_are_over_the_gaussians_of_each_thing(things: Things) -> None:
+def test_sums_are_over_the_gaussians_of_each_thing(things: ThingTable) -> None:
     weights = torch.tensor([1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
     found = things.sums(weights)
     assert found.dtype == torch.float64
@@ -137,7 +137,7 @@ def test_sums_are_over_the_gaussians_of_each_thing(things: Things) -> None:
     assert things.sums(weights > 3).tolist() == [0, 1, 1, 1, 1]
 
 
-def test_rows_keep_all_things(things: Things) -> None:
+def test_rows_keep_all_things(things: ThingTable) -> None:
     some = things.rows(torch.tensor([4, 0]))
     assert some.owners.tolist() == [[NO_THING, 4], [0, 3]]
     assert len(some) == 5
@@ -147,21 +147,21 @@ def test_rows_keep_all_things(things: Things) -> None:
     assert things.owners.shape == (6, 2)
 
 
-def test_disagreement_is_that_of_the_median_sure_thing(things: Things) -> None:
+def test_disagreement_is_that_of_the_median_sure_thing(things: ThingTable) -> None:
     """Of the things of three regions or more, which here agree by 0.8, 0.9 and 0.95."""
     assert SURE_REGIONS == 3
     assert things.disagreement == pytest.approx(0.1, abs=1e-6)
     assert things.spread == pytest.approx(math.sqrt((1 - 0.9**2) / 8), abs=1e-6)
-    unsure = Things(**parts(n_regions=torch.full((5,), 2, dtype=torch.int32)))
+    unsure = ThingTable(**parts(n_regions=torch.full((5,), 2, dtype=torch.int32)))
     assert (unsure.disagreement, unsure.spread) == (0.0, LEAST_SPREAD)
-    alike = Things(**parts(agreement=torch.ones(5)))
+    alike = ThingTable(**parts(agreement=torch.ones(5)))
     assert (alike.disagreement, alike.spread) == (0.0, LEAST_SPREAD)
-    apart = Things(**parts(agreement=torch.zeros(5)))
+    apart = ThingTable(**parts(agreement=torch.zeros(5)))
     assert apart.disagreement == 1.0
     assert apart.spread == pytest.approx(8**-0.5)
 
 
-def test_they_move_between_devices(things: Things) -> None:
+def test_they_move_between_devices(things: ThingTable) -> None:
     moved = things.to("cpu")
     for name in PARTS:
         assert getattr(moved, name).equal(getattr(things, name))

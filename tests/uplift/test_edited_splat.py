@@ -16,7 +16,7 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.scene.things import Things
+from scoup.scene.things import ThingTable
 from scoup.uplift.build import build, things_of
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.edited_splat import KeptSums, follow
@@ -70,7 +70,7 @@ def assert_same_codes(one: LanguageField, other: LanguageField) -> None:
     assert one.code_weights.equal(other.code_weights)
 
 
-def assert_same_things(one: Things | None, other: Things | None) -> None:
+def assert_same_things(one: ThingTable | None, other: ThingTable | None) -> None:
     assert one is not None
     assert other is not None
     for name, tensor in vars(one).items():
@@ -124,7 +124,7 @@ def test_codes_and_sums_are_those_of_a_vote_from_the_start(scene, edit, seed):
     assert found.field.fingerprint == edited.fingerprint()
     coded = RegionCodes.kept(scene.sums)
     assert coded is not None
-    assert_same_things(found.field.things, things_of(sums, coded))
+    assert_same_things(found.field.thing_table, things_of(sums, coded))
 
 
 @given(edits(), st.integers(0, 2**31))

@@ -22,7 +22,7 @@ from scoup.base.shares import Share
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
-from scoup.scene.things import NO_THING, Things
+from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build, things_of
 from scoup.uplift.build_settings import BUILD_PRESETS
 from scoup.uplift.rasterise import region_sums
@@ -50,7 +50,7 @@ def wall() -> Wall:
 
 
 @pytest.fixture(scope="module")
-def things(wall: Wall) -> Things:
+def things(wall: Wall) -> ThingTable:
     return of_field(built(wall))
 
 
@@ -59,12 +59,12 @@ def built(wall: Wall, views: Sequence[str] | None = None, **how) -> LanguageFiel
     return build(wall.gaussians, cameras, wall.regions, SETTINGS, check_fit=False, **how)
 
 
-def of_field(field: LanguageField) -> Things:
-    assert field.things is not None
-    return field.things
+def of_field(field: LanguageField) -> ThingTable:
+    assert field.thing_table is not None
+    return field.thing_table
 
 
-def assert_same(one: Things | None, other: Things | None, names: Sequence[str] = ()) -> None:
+def assert_same(one: ThingTable | None, other: ThingTable | None, names: Sequence[str] = ()) -> None:
     assert one is not None
     assert other is not None
     for name in names or vars(one):
@@ -292,7 +292,7 @@ def test_zero_embeddings_say_nothing() -> None:
 # Things of scenes.
 
 
-def test_the_things_of_a_wall_are_found(wall: Wall, things: Things) -> None:
+def test_the_things_of_a_wall_are_found(wall: Wall, things: ThingTable) -> None:
     """Four whole ones with two parts each, from all five views."""
     assert things.levels.tolist() == [0] * 2 * COUNT + [1] * COUNT
     assert things.n_regions.tolist() == [5] * 3 * COUNT
@@ -318,7 +318,7 @@ def test_the_things_of_a_wall_are_found(wall: Wall, things: Things) -> None:
         assert float(mass.max()) == pytest.approx(float(mass[0]), rel=0.01)
 
 
-def test_owners_are_the_things_that_gaussians_contribute_most_to(wall: Wall, things: Things) -> None:
+def test_owners_are_the_things_that_gaussians_contribute_most_to(wall: Wall, things: ThingTable) -> None:
     sums = region_sums(wall.gaussians, wall.cameras, wall.regions)
     of_thing = (things.embeddings.float() @ wall.vectors.T).argmax(1)
     assert sums.rows is not None
@@ -360,7 +360,7 @@ def test_a_level_may_have_no_things(wall: Wall) -> None:
         assert bool((found.owners[:, 1 - other] == NO_THING).all())
 
 
-def test_zero_embeddings_merge_as_others(wall: Wall, things: Things) -> None:
+def test_zero_embeddings_merge_as_others(wall: Wall, things: ThingTable) -> None:
     """Embeddings do not decide what is merged, and a thing of zeros has none."""
 
     def load(name: str, level: str) -> RegionMap:
@@ -380,7 +380,7 @@ def test_zero_embeddings_merge_as_others(wall: Wall, things: Things) -> None:
 def test_the_paper_has_no_things(wall: Wall) -> None:
     settings = replace(BUILD_PRESETS["paper"], n_atoms=6, k=2, keep=2, epochs=5)
     assert not settings.things
-    assert build(wall.gaussians, wall.cameras, wall.regions, settings, check_fit=False).things is None
+    assert build(wall.gaussians, wall.cameras, wall.regions, settings, check_fit=False).thing_table is None
 
 
 # The same views give the same things, whichever way they came.
@@ -391,11 +391,11 @@ def saved(field: LanguageField, path: Path) -> bytes:
     return path.read_bytes()
 
 
-def test_the_order_of_views_does_not_matter(wall: Wall, things: Things) -> None:
+def test_the_order_of_views_does_not_matter(wall: Wall, things: ThingTable) -> None:
     other = Cameras(reversed(list(wall.cameras)))
     found = build(wall.gaussians, other, wall.regions, SETTINGS, check_fit=False)
     assert found.info.provenance["views"] != list(wall.cameras.names)
-    assert_same(found.things, things, (*DECIDED, "mass"))
+    assert_same(found.thing_table, things, (*DECIDED, "mass"))
     torch.testing.assert_close(of_field(found).embeddings, things.embeddings, atol=1e-3, rtol=0)
     torch.testing.assert_close(of_field(found).agreement, things.agreement)
 
@@ -433,11 +433,11 @@ def test_a_view_that_comes_and_goes_leaves_no_trace(wall: Wall, place: int) -> N
     field = built(wall, before, sums=sums)
     grown = update(field, sums, [late], wall.regions, check_fit=False)
     assert of_field(grown).n_regions.tolist() == [5] * 3 * COUNT
-    assert_same(update(grown, sums, remove=[late.name]).things, field.things)
+    assert_same(update(grown, sums, remove=[late.name]).thing_table, field.thing_table)
 
 
 @pytest.mark.parametrize("place", [0, 2, 4])
-def test_a_view_that_is_added_gives_the_things_of_all(wall: Wall, things: Things, place: int) -> None:
+def test_a_view_that_is_added_gives_the_things_of_all(wall: Wall, things: ThingTable, place: int) -> None:
     late = wall.cameras[place]
     before = [name for name in wall.cameras.names if name != late.name]
     sums = RegionSums.of(wall.gaussians, LEVELS)
@@ -454,7 +454,7 @@ def test_a_view_that_is_removed_leaves_the_things_of_the_others(wall: Wall) -> N
         sums = RegionSums.of(wall.gaussians, LEVELS)
         fewer = update(built(wall, sums=sums), sums, remove=[gone])
         whole = of_field(built(wall, [name for name in wall.cameras.names if name != gone]))
-        assert_same(fewer.things, whole, (*DECIDED, "mass"))
+        assert_same(fewer.thing_table, whole, (*DECIDED, "mass"))
 
 
 def test_a_field_without_things_stays_without(wall: Wall) -> None:
@@ -463,11 +463,11 @@ def test_a_field_without_things_stays_without(wall: Wall) -> None:
     field = build(
         wall.gaussians, cameras, wall.regions, replace(SETTINGS, things=False), sums=sums, check_fit=False
     )
-    assert field.things is None
+    assert field.thing_table is None
     coded = RegionCodes.kept(sums)
     assert coded is not None
     assert not coded.embeddings
-    assert update(field, sums, [wall.cameras[4]], wall.regions, check_fit=False).things is None
+    assert update(field, sums, [wall.cameras[4]], wall.regions, check_fit=False).thing_table is None
 
 
 def test_things_of_random_regions_are_of_their_levels() -> None:

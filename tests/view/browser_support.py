@@ -26,7 +26,7 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.things import NO_THING, Things
+from scoup.scene.things import NO_THING, ThingTable
 from scoup.view.page import PAGE_FOLDER
 from support import unit
 
@@ -122,7 +122,7 @@ def field_of_instances() -> LanguageField:
     names = list(THINGS)[:3]
     owners = torch.stack([torch.where(main < 0, NO_THING, main + shift) for shift in (0, 3, 6)], 1)
     count = 3 * len(names)
-    field.things = Things(
+    field.thing_table = ThingTable(
         owners.int(),
         torch.arange(3, dtype=torch.uint8).repeat_interleave(len(names)),
         torch.full((count,), NO_THING, dtype=torch.int32),

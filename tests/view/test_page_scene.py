@@ -62,11 +62,11 @@ def test_codes_and_scores_give_the_relevancy_of_the_field() -> None:
 
 def test_owners_are_those_of_the_gaussians_shown() -> None:
     field = field_with_things(60)
-    assert field.things is not None
+    assert field.thing_table is not None
     viewed = ViewedField(field, table(), most=40)
     tensors, metadata = unpacked(viewed.scene())
-    assert metadata["n_things"] == len(field.things)
-    owners = field.things.owners[shown_rows(viewed.gaussians, 40)].T.numpy()
+    assert metadata["n_things"] == len(field.thing_table)
+    owners = field.thing_table.owners[shown_rows(viewed.gaussians, 40)].T.numpy()
     assert tensors["owners"].dtype == np.uint16
     assert (owners == -1).any()
     np.testing.assert_array_equal(tensors["owners"], np.where(owners == -1, 65535, owners))
@@ -76,8 +76,8 @@ def test_owners_are_those_of_the_gaussians_shown() -> None:
     assert "n_things" not in metadata
     other = ViewedField(field_with_things(60), table())
     assert other.identity == viewed.identity != viewed_field(count=60).identity
-    assert other.field.things is not None
-    other.field.things.owners[0, 0] = 1 - other.field.things.owners[0, 0].clamp(0, 1)
+    assert other.field.thing_table is not None
+    other.field.thing_table.owners[0, 0] = 1 - other.field.thing_table.owners[0, 0].clamp(0, 1)
     assert ViewedField(other.field, table()).identity != viewed.identity
 
 

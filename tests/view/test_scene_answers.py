@@ -56,8 +56,8 @@ def of_things(request: pytest.FixtureRequest) -> ViewedField:
 
 def members(viewed: ViewedField, things: list[int]) -> torch.Tensor:
     """What the page selects by things, whatever their level."""
-    assert viewed.field.things is not None
-    return torch.isin(viewed.field.things.owners, torch.tensor(things)).any(1)
+    assert viewed.field.thing_table is not None
+    return torch.isin(viewed.field.thing_table.owners, torch.tensor(things)).any(1)
 
 
 def test_things_level_presence_and_gaussians_are_those_of_select(of_things: ViewedField) -> None:

@@ -22,7 +22,7 @@ from scoup.io.reading import safetensors_damage_named
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.things import MOST_THINGS, NO_THING, Things
+from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
 
 SCHEMA = "scoup.language_field"
 VERSION = 1
@@ -45,7 +45,7 @@ class FieldParts:
     gaussians: Gaussians | None
     geometry_path: Path | None
     cameras: Cameras | None
-    things: Things | None = None
+    things: ThingTable | None = None
 
 
 def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int) -> None:
@@ -247,7 +247,7 @@ def _camera_tensors(cameras: Cameras) -> dict[str, Tensor]:
     }
 
 
-def _things(tensors: dict[str, Tensor]) -> Things | None:
+def _things(tensors: dict[str, Tensor]) -> ThingTable | None:
     parts = {
         name.removeprefix("things."): tensor for name, tensor in tensors.items() if name.startswith("things.")
     }
@@ -256,10 +256,10 @@ def _things(tensors: dict[str, Tensor]) -> Things | None:
             raise InputError(f"things.{name} is {parts[name].dtype}, expected torch.uint16")
         numbers = parts[name].int()
         parts[name] = torch.where(numbers == MOST_THINGS, NO_THING, numbers)
-    return Things(**parts) if parts else None
+    return ThingTable(**parts) if parts else None
 
 
-def _thing_tensors(things: Things) -> dict[str, Tensor]:
+def _thing_tensors(things: ThingTable) -> dict[str, Tensor]:
     """Their numbers take two bytes in a file; the largest stands for none."""
     tensors = {f"things.{name}": tensor for name, tensor in vars(things).items()}
     for name in ("things.owners", "things.parents"):

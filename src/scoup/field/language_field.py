@@ -17,7 +17,7 @@ from scoup.field.artefact import FieldParts, field_damage_named, read_field, wri
 from scoup.query.methods import Encoder, FieldQueries
 from scoup.scene.codes import rows_of
 from scoup.scene.gaussians import Gaussians, chosen_rows
-from scoup.scene.things import Things
+from scoup.scene.things import ThingTable
 
 if TYPE_CHECKING:
     from scoup.view.viewer import Viewer
@@ -57,7 +57,7 @@ class LanguageField(FieldQueries):
             self.info,
             geometry_path=self.geometry_path,
             cameras=self.cameras,
-            things=None if self.things is None else self.things.to(device),
+            thing_table=None if self.thing_table is None else self.thing_table.to(device),
         )
         moved.path = self.path
         moved.keep_encoder_of(self)
@@ -78,9 +78,9 @@ class LanguageField(FieldQueries):
             InputError: there is no such Gaussian, or the geometry cannot be loaded.
         """
         rows = chosen_rows(chosen, len(self)).to(self.codebook.device)
-        things = None if self.things is None else self.things.rows(rows)
+        thing_table = None if self.thing_table is None else self.thing_table.rows(rows)
         gaussians = self.gaussians.select(chosen)
-        return self._of(gaussians, rows_of(self.code_indices, rows), self.code_weights[rows], things)
+        return self._of(gaussians, rows_of(self.code_indices, rows), self.code_weights[rows], thing_table)
 
     def with_gaussians(self, gaussians: Gaussians) -> LanguageField:
         """The same codes on other Gaussians, one for one: of a splat that was moved, recoloured or faded.
@@ -97,17 +97,19 @@ class LanguageField(FieldQueries):
         if len(gaussians) != len(self):
             raise InputError(f"{len(gaussians):,} Gaussians, but the field has codes of {len(self):,}")
         codes = self.code_indices, self.code_weights
-        return self._of(gaussians.to(self.codebook.device), *codes, self.things)
+        return self._of(gaussians.to(self.codebook.device), *codes, self.thing_table)
 
     def _of(
-        self, gaussians: Gaussians, indices: Tensor, weights: Tensor, things: Things | None
+        self, gaussians: Gaussians, indices: Tensor, weights: Tensor, thing_table: ThingTable | None
     ) -> LanguageField:
         """A field of these Gaussians and their codes, made from this one."""
         provenance = {**self.info.provenance, "selected_from": self.fingerprint}
         info = replace(
             self.info, fingerprint=gaussians.fingerprint(), n_gaussians=len(gaussians), provenance=provenance
         )
-        made = LanguageField(indices, weights, self.codebook, info, cameras=self.cameras, things=things)
+        made = LanguageField(
+            indices, weights, self.codebook, info, cameras=self.cameras, thing_table=thing_table
+        )
         made.attach(gaussians, known=True)
         made.keep_encoder_of(self)
         return made
@@ -172,7 +174,7 @@ class LanguageField(FieldQueries):
             self.gaussians if embed_geometry else None,
             self.geometry_path,
             self.cameras,
-            self.things,
+            self.thing_table,
         )
         write_field(parts, Path(path), overwrite, weight_bits)
         self.path = Path(path)
@@ -196,7 +198,11 @@ class LanguageField(FieldQueries):
         parts = read_field(path)
         with field_damage_named(path):
             codes = parts.code_indices, parts.code_weights, parts.codebook
-            known = {"geometry_path": parts.geometry_path, "cameras": parts.cameras, "things": parts.things}
+            known = {
+                "geometry_path": parts.geometry_path,
+                "cameras": parts.cameras,
+                "thing_table": parts.things,
+            }
             loaded = cls(*codes, parts.info, **known)
         loaded.path, loaded.tables_folder = path, path.parent
         if gaussians is not None:

@@ -55,8 +55,8 @@ def answer_view(
     judged: list[float | None] = [None] * len(found)
     if question.present_from is not None:
         judged = view_z_scores(field, projection, found, question.queries, question.everyday).tolist()
-    if field.things is not None and question.preset.follows_things:
-        fits = ThingFits.of(field.things, question)
+    if field.thing_table is not None and question.preset.follows_things:
+        fits = ThingFits.of(field.thing_table, question)
         seen = things_of_view(fits, projection, [each.mask for each in found], question.level)
         found = [
             each if thing is None else _of_thing(each, relevancy, *thing)
@@ -116,7 +116,7 @@ def judged_selections(field: CodedScene, question: Question) -> Iterator[tuple[S
     Things answer where the field has them, unless a threshold or neighbours of choice say how the votes are read.
     """
     threshold, neighbours = question.threshold, question.neighbours or None
-    things = field.things if threshold is None and neighbours is None and question.rescaled else None
+    things = field.thing_table if threshold is None and neighbours is None and question.rescaled else None
     fits = None if things is None else ThingFits.of(things, question)
     found_by_votes = select_each(
         field, question.queries, question.canonical, threshold, neighbours, question.rescaled, question.level

@@ -22,7 +22,7 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.directions import query_vectors
 from scoup.scene.field_info import FieldInfo, check_codes, check_things
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.things import Things
+from scoup.scene.things import ThingTable
 
 GAUSSIANS_AT_A_TIME = 65536
 MOST_QUESTIONS, MOST_BYTES = 256, 64 << 20
@@ -40,7 +40,7 @@ class CodedScene:
         gaussians: the geometry; None loads it from ``geometry_path`` when first needed.
         geometry_path: the file with the geometry.
         cameras: of the views it was built from, so that it can be queried without its scene folder.
-        things: instances of the scene; None where none are known, and the votes of the Gaussians answer alone.
+        thing_table: instances of the scene; None where none are known, and the votes of the Gaussians answer alone.
 
     Codes and codebook may be given as numpy arrays.
 
@@ -61,20 +61,20 @@ class CodedScene:
         gaussians: Gaussians | None = None,
         geometry_path: Path | None = None,
         cameras: Cameras | None = None,
-        things: Things | None = None,
+        thing_table: ThingTable | None = None,
     ) -> None:
         code_indices, codebook = torch.as_tensor(code_indices), torch.as_tensor(codebook)
         code_weights = torch.as_tensor(code_weights).to(torch.float16)
         check_codes(code_indices, code_weights, codebook, info)
-        if things is not None:
-            check_things(things, code_indices.shape, codebook.shape[2])
+        if thing_table is not None:
+            check_things(thing_table, code_indices.shape, codebook.shape[2])
         self.code_indices = code_indices
         self.code_weights = code_weights
         self.codebook = codebook
         self.info = info
         self.geometry_path = geometry_path
         self.cameras = cameras
-        self.things = things
+        self.thing_table = thing_table
         self.path: Path | None = None
         self._gaussians = None
         self._cosine_cache = CosineCache()
@@ -129,7 +129,7 @@ class CodedScene:
         """What answers depend on."""
         known = self._gaussians
         geometry = () if known is None else (known.means, known.scales, known.opacities)
-        return [self.code_indices, self.code_weights, self.codebook, self.things, *geometry]
+        return [self.code_indices, self.code_weights, self.codebook, self.thing_table, *geometry]
 
     def _codes(self) -> FieldCodes:
         return FieldCodes(self.code_indices, self.code_weights, self.codebook)

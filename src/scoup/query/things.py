@@ -2,8 +2,8 @@
 
 The fit of a thing to a text is the cosine of the two, less half of what the thing reaches with the words that fit it
 best: some things are near to any word (local scaling of cosines, Conneau et al. 2018, one side of it). Fits are counted
-in units of the scene's spread, how far the cosines of one thing's regions with a text differ (``Things.spread``), so
-that a gap means the same for every embedding model. Things of few regions, and those that views segment differently,
+in units of the scene's spread, how far the cosines of one thing's regions with a text differ (``ThingTable.spread``),
+so that a gap means the same for every embedding model. Things of few regions, and those that views segment differently,
 fit less: their means are less sure, and they are more often a part or a blend of what people name.
 
 Of each level the things with the largest fits may answer together, for a text may mean several, or one that is seen in
@@ -26,7 +26,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.query.presence import other_words, word_leads
 from scoup.query.text_vectors import TextVectors
-from scoup.scene.things import NO_THING, Things
+from scoup.scene.things import NO_THING, ThingTable
 
 HUB_QUANTILE, HUB_SHARE = 0.99, 0.5
 """The words that fit a thing best are those above this quantile; this share of their cosine is subtracted."""
@@ -57,14 +57,14 @@ class ThingFits:
         others: [Q, B] boolean, the words that are not other names of a text (``scoup.query.presence.other_words``).
     """
 
-    things: Things
+    things: ThingTable
     fits: Tensor  # [T, Q]
     cosines: Tensor  # [T, Q]
     to_words: Tensor  # [T, B]
     others: Tensor  # [Q, B]
 
     @classmethod
-    def of(cls, things: Things, texts: TextVectors) -> ThingFits:
+    def of(cls, things: ThingTable, texts: TextVectors) -> ThingFits:
         """Of all things to all texts, on the CPU; canonical phrases take the place of too few everyday words."""
         embeddings = things.embeddings.float().cpu()
         words = (texts.everyday if texts.can_judge_presence else texts.canonical).float().cpu()
@@ -187,7 +187,7 @@ def things_of_view(
 
 
 def _rendered(
-    things: Things, projection: raster.Projection, chosen: Sequence[Tensor | None]
+    things: ThingTable, projection: raster.Projection, chosen: Sequence[Tensor | None]
 ) -> list[tuple[Tensor, int] | None]:
     """The masks [H, W] of things, with their levels."""
     there = [each for each in chosen if each is not None]
@@ -209,7 +209,7 @@ def _rendered(
 
 
 def choose_things(
-    things: Things,
+    things: ThingTable,
     fits: Tensor,
     mass: Tensor,
     voted: Tensor,

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.scene.codes import index_dtype
-from scoup.scene.things import Things
+from scoup.scene.things import ThingTable
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, in
         raise InputError(f"a code index is beyond the {n_atoms} atoms of the codebook")
 
 
-def check_things(things: Things, codes: Sequence[int], dim: int) -> None:
+def check_things(things: ThingTable, codes: Sequence[int], dim: int) -> None:
     """Check that things belong to codes [N, S, K] and embeddings of some size.
 
     Raises:

@@ -22,7 +22,7 @@ SURE_REGIONS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Things:
+class ThingTable:
     """The T instances of all levels.
 
     Attributes:
@@ -117,9 +117,9 @@ class Things:
             found += of_level  # numbers of other levels own nothing here
         return found
 
-    def rows(self, chosen: Tensor) -> Things:
+    def rows(self, chosen: Tensor) -> ThingTable:
         """The things of some of the Gaussians; all things stay, those left without a Gaussian too."""
         return replace(self, owners=self.owners[chosen])
 
-    def to(self, device: torch.device | str) -> Things:
-        return Things(*(part.to(device) for part in vars(self).values()))
+    def to(self, device: torch.device | str) -> ThingTable:
+        return ThingTable(*(part.to(device) for part in vars(self).values()))

@@ -18,7 +18,7 @@ from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions
-from scoup.scene.things import Things
+from scoup.scene.things import ThingTable
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import build_record
@@ -127,7 +127,7 @@ def things_of(
     sums: RegionSums,
     codes: RegionCodes,
     progress: Progress = no_progress,
-) -> Things | None:
+) -> ThingTable | None:
     """The things of the views of ``codes``; None where their embeddings are not known.
 
     Args:
@@ -143,7 +143,7 @@ def things_of(
 def voted(
     sums: RegionSums,
     codes: RegionCodes,
-    things: Things | None,
+    things: ThingTable | None,
     sources: Sources,
     settings: BuildSettings,
     device: torch.device,
@@ -183,5 +183,5 @@ def voted(
         info,
         geometry_path=sources.geometry_path,
         cameras=cameras,
-        things=things,
+        thing_table=things,
     ).to(device)

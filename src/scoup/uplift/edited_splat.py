@@ -24,7 +24,7 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import signed
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.scene.things import NO_THING, Things
+from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import things_of
 from scoup.uplift.matching import Matching, Tolerance, match
 from scoup.uplift.rasterise import add_views
@@ -122,7 +122,7 @@ def follow(
     path = None if geometry_path is None else Path(geometry_path)
     if kept is None:
         indices, weights = _carried(field.code_indices, matching), _carried(field.code_weights, matching)
-        things = field.things
+        things = field.thing_table
         if things is not None:
             things = replace(things, owners=_carried(things.owners, matching, NO_THING))
         return Followed(_field_of(field, gaussians, (indices, weights), things, record, path), matching)
@@ -132,7 +132,7 @@ def follow(
     record["rasterised"] = list(changed)
     if matching.is_identity:
         codes = field.code_indices, field.code_weights
-        made = _field_of(field, gaussians, codes, field.things, record, path)
+        made = _field_of(field, gaussians, codes, field.thing_table, record, path)
         return Followed(made, matching, sums, changed)
     found = vote_again(field, sums, coded, backend, progress)
     if found.sharpness is not None:
@@ -170,7 +170,7 @@ def _field_of(
     field: LanguageField,
     gaussians: Gaussians,
     codes: tuple[Tensor, Tensor],
-    things: Things | None,
+    things: ThingTable | None,
     record: dict[str, Any],
     path: Path | None,
 ) -> LanguageField:
@@ -183,7 +183,7 @@ def _field_of(
     info = replace(
         field.info, fingerprint=gaussians.fingerprint(), n_gaussians=len(gaussians), provenance=provenance
     )
-    known = {"geometry_path": path, "cameras": field.cameras, "things": things}
+    known = {"geometry_path": path, "cameras": field.cameras, "thing_table": things}
     made = LanguageField(*codes, field.codebook, info, **known)
     made = made.to(field.codebook.device)
     made.keep_encoder_of(field)

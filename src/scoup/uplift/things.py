@@ -26,7 +26,7 @@ from scoup.base.counts import spread
 from scoup.base.progress import Progress, no_progress
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.directions import normalise_embeddings
-from scoup.scene.things import MOST_THINGS, NO_THING, Things
+from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.entries import Entries
 from scoup.uplift.vote import vote
@@ -58,7 +58,7 @@ def find_things(
     sums: RegionSums,
     embeddings: Sequence[Tensor],
     progress: Progress = no_progress,
-) -> Things:
+) -> ThingTable:
     """Merge the regions of all views into things.
 
     Args:
@@ -214,7 +214,7 @@ def merge_regions(
 
     Returns:
         [R] int64 the cluster of each region, from 0, in the order of their first regions; and [C] float64 the
-        stability of each cluster (``scoup.scene.things.Things``), 0..1.
+        stability of each cluster (``scoup.scene.things.ThingTable``), 0..1.
     """
     from scipy.sparse import csr_array
 
@@ -355,7 +355,7 @@ def _owners(sums: RegionSums, found: Sequence[_LevelThings]) -> NDArray[np.int64
     return np.where(voted.weights[..., 0].numpy() > 0, owners, -1)
 
 
-def _joined(found: Sequence[_LevelThings], owners: NDArray[np.int64]) -> Things:
+def _joined(found: Sequence[_LevelThings], owners: NDArray[np.int64]) -> ThingTable:
     """The things of all levels, numbered level by level, with their parents."""
     sizes = [len(level.agreement) for level in found]
     first = np.cumsum([0, *sizes])
@@ -369,7 +369,7 @@ def _joined(found: Sequence[_LevelThings], owners: NDArray[np.int64]) -> Things:
         inside = counts > INSIDE * own[thing]  # true of one parent at most
         parents[first[number] + thing[inside]] = first[number + 1] + parent[inside]
     numbered = np.where(owners >= 0, owners + first[:-1], NO_THING)
-    return Things(
+    return ThingTable(
         torch.from_numpy(numbered.astype(np.int32)),
         torch.from_numpy(np.repeat(np.arange(len(found)), sizes).astype(np.uint8)),
         torch.from_numpy(parents),

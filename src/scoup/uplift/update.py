@@ -111,7 +111,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
         replace(field.info, provenance=provenance),
         geometry_path=field.geometry_path,
         cameras=_cameras(field.cameras, add, remove),
-        things=things,
+        thing_table=things,
     ).to(device)
     updated.keep_encoder_of(field)
     if field.has_geometry:

@@ -80,7 +80,7 @@ def scene_answers(field: CodedScene, question: Question) -> Iterator[PageAnswer]
     present_from = question.present_from
     coded = field.coded_levels().cpu()
     scores = atom_scores(field, question.queries)
-    fits = None if field.things is None else ThingFits.of(field.things, question)
+    fits = None if field.thing_table is None else ThingFits.of(field.thing_table, question)
     for number, text in enumerate(question.texts):
         own = scores[:, :, number : number + 1].contiguous()
         query = question.queries[number : number + 1]

@@ -58,7 +58,7 @@ def scene_metadata(
         "words_problem": words_problem,
         "present_from": present_from,
         "cameras": [_camera_record(camera) for camera in field.cameras or ()],
-        **({} if field.things is None else {"n_things": len(field.things)}),
+        **({} if field.thing_table is None else {"n_things": len(field.thing_table)}),
     }
 
 
@@ -91,8 +91,8 @@ def scene_data(
         "confidence": fractions(codes.confidence[rows].T.numpy(), 0.0, 1.0),
         **_code_colors(field, codes),
     }
-    if field.things is not None:
-        owners = field.things.owners.cpu()[rows].T.numpy()
+    if field.thing_table is not None:
+        owners = field.thing_table.owners.cpu()[rows].T.numpy()
         tensors["owners"] = np.where(owners == NO_THING, _NO_OWNER, owners).astype(np.uint16)
     if canonical is not None:
         tensors["canonical"] = canonical.permute(0, 2, 1).numpy()

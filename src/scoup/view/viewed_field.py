@@ -135,8 +135,8 @@ class ViewedField:
         only."""
         digest = hashlib.sha256(self.field.fingerprint.encode())
         digest.update(self.field.codebook.float().cpu().contiguous().numpy().tobytes())
-        if self.field.things is not None:  # answers name them by their numbers
-            digest.update(self.field.things.owners.cpu().contiguous().numpy().tobytes())
+        if self.field.thing_table is not None:  # answers name them by their numbers
+            digest.update(self.field.thing_table.owners.cpu().contiguous().numpy().tobytes())
         return digest.hexdigest()[:16]
 
     def metadata(self, exported: bool = False) -> dict[str, Any]:

@@ -70,7 +70,7 @@ def words_data(field: CodedScene, answers: Sequence[PageAnswer], effort: int = 9
         "present": np.array([answer.present for answer in answers], np.uint8),
         "gaussians": np.array([answer.gaussians for answer in answers], np.int32),
     }
-    if field.things is not None:
+    if field.thing_table is not None:
         tensors |= _things(answers)
     return packed(tensors, {"names": [answer.text for answer in answers]}, effort)
 

@@ -19,7 +19,7 @@ from scoup.field.language_field import LanguageField
 from scoup.query.relevancy import relevancy
 from scoup.scene.codes import cosines_from_codes
 from scoup.scene.field_info import FieldInfo
-from scoup.scene.things import Things
+from scoup.scene.things import ThingTable
 from scoup.uplift.region_sums import RegionSums
 
 ROWS_AT_A_TIME = 1 << 15  # pixels or Gaussians compared together
@@ -120,7 +120,7 @@ class FittedField:
         indices, weights = self.field.code_indices, self.field.code_weights
         atom = weights.element_size() + (0 if self.all_kept else indices.element_size())
         count = self.field.n_atoms if self.all_kept else indices.shape[2]
-        owner = 0 if self.field.things is None else 2  # bytes of a thing's number in the file
+        owner = 0 if self.field.thing_table is None else 2  # bytes of a thing's number in the file
         return float((atom * count + owner) * indices.shape[1])
 
     @property
@@ -162,11 +162,11 @@ def fitted_field(
     weights: Tensor,
     codebook: Tensor,
     all_kept: bool = False,
-    things: Things | None = None,
+    things: ThingTable | None = None,
 ) -> FittedField:
     """Codes [N, S, K] over a codebook [S, L, D], as a field of the scene that the sums are of."""
     info = FieldInfo(sums.levels, "", sums.fingerprint, sums.n_gaussians, sums.raster_preset)
-    return FittedField(LanguageField(indices, weights, codebook, info, things=things), all_kept)
+    return FittedField(LanguageField(indices, weights, codebook, info, thing_table=things), all_kept)
 
 
 def _of_images(

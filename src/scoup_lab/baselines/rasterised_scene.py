@@ -14,7 +14,7 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.scene.things import Things
+from scoup.scene.things import ThingTable
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.things import find_things
@@ -47,7 +47,7 @@ class UpliftInputs:
     sums: RegionSums
     embeddings: Sequence[Tensor]
     kept_codes: dict[tuple[Coder, BuildSettings], Codes] = field(default_factory=dict)
-    kept_things: list[Things] = field(default_factory=list)
+    kept_things: list[ThingTable] = field(default_factory=list)
     scene: RasterisedScene | None = None
 
     def codes(self, coder: Coder, settings: BuildSettings) -> Codes:
@@ -56,7 +56,7 @@ class UpliftInputs:
             self.keep(coder, settings, coder(self.embeddings, settings))
         return self.kept_codes[_key(coder, settings)]
 
-    def things(self) -> Things:
+    def things(self) -> ThingTable:
         """Instances of the scene, made once."""
         if not self.kept_things:
             self.kept_things.append(find_things(self.sums, self.embeddings))
