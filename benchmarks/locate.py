@@ -12,8 +12,8 @@ from torch import Tensor
 import scoup
 from benchmarks.scenes import find_layout
 from benchmarks.study import Record, Study
+from scoup.query.asking import Encoder
 from scoup.query.locate import oriented_box
-from scoup.query.methods import Encoder
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import iou
 from scoup_lab.synthetic.scene import DemoScene, make_demo_scene

@@ -189,7 +189,7 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     part = LanguageField.load(tmp_path / "scene" / "f.scoup")[:40]
     assert part.answer("word 5").view == queried.camera.name
     moved = (tmp_path / "scene" / "f.scoup").rename(tmp_path / "moved.scoup")
-    with pytest.raises(MissingFileError, match=r"words\.npz: is not there.*encoder="):
+    with pytest.raises(MissingFileError, match=r"words\.npz: is missing.*encoder="):
         LanguageField.load(moved).answer("word 5")
     assert loaded.to("cpu") is loaded
 

@@ -14,7 +14,8 @@ from torch import Tensor
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.errors import InputError
 from scoup.field.artefact import FieldParts, field_damage_named, read_field, write_field
-from scoup.query.methods import Encoder, FieldQueries
+from scoup.query.asking import Encoder
+from scoup.query.methods import FieldQueries
 from scoup.scene.codes import rows_of
 from scoup.scene.gaussians import Gaussians, chosen_rows
 from scoup.scene.things import ThingTable

@@ -14,8 +14,7 @@ from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.base.counts import counted
 from scoup.base.errors import GeometryMismatchError, InputError
-from scoup.query.cosine_cache import CosineCache, FieldCodes
-from scoup.query.gaussian_cosines import GaussianCosines
+from scoup.query.cosines import FieldCodes, FieldCosines
 from scoup.query.recent import Recent
 from scoup.query.relevancy import relevancy
 from scoup.scene.cameras import Camera, Cameras
@@ -25,8 +24,8 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import ThingTable
 
 GAUSSIANS_AT_A_TIME = 65536
-MOST_QUESTIONS, MOST_BYTES = 256, 64 << 20
-"""What a field keeps at most of the questions it was asked lately, and of its answers to them."""
+MOST_KEPT, MOST_BYTES = 512, 64 << 20
+"""A field keeps so many of the last questions and of its answers to them, together."""
 
 
 class CodedScene:
@@ -77,10 +76,8 @@ class CodedScene:
         self.thing_table = thing_table
         self.path: Path | None = None
         self._gaussians = None
-        self._cosine_cache = CosineCache()
-        self._gaussian_cosines = GaussianCosines()
-        self._questions = Recent(MOST_QUESTIONS, MOST_BYTES)
-        self._answers = Recent(MOST_QUESTIONS, MOST_BYTES)
+        self._cosines = FieldCosines()
+        self._known = Recent(MOST_KEPT, MOST_BYTES)
         if gaussians is not None:
             self.attach(gaussians)
 
@@ -123,7 +120,7 @@ class CodedScene:
 
     def coded_levels(self) -> Tensor:
         """Boolean [S, N]: Gaussians with a code at each level; not to be changed."""
-        return self._gaussian_cosines.coded(self._codes())
+        return self._cosines.coded(self._codes())
 
     def _parts(self) -> list[Any]:
         """What answers depend on."""
@@ -214,7 +211,7 @@ class CodedScene:
         """The scene projected to a camera; pass it to the methods below to do several things with one camera.
 
         The first ``relevancy`` with it takes longest: for as long as the projection lives, the field keeps what further
-        queries reuse (``scoup.query.cosine_cache``), 8 bytes a pixel and level.
+        queries reuse (``scoup.query.cosines``), 8 bytes a pixel and level.
         """
         return raster.project(self.gaussians, self.camera(camera), self.raster_preset, backend)
 
@@ -271,7 +268,7 @@ class CodedScene:
                 self.project(camera), codes.indices, codes.weights, codes.codebook, both
             )
             return relevancy(cosines[:, :count], cosines[:, count:])
-        return self._cosine_cache.relevancy(projection, codes, both[:count], both[count:])
+        return self._cosines.of_pixels(projection, codes, both[:count], both[count:])
 
     def gaussian_relevancy(self, queries: Tensor | ArrayLike, canonical: Tensor | ArrayLike) -> Tensor:
         """Relevancy of every Gaussian's own code, without rendering: [S, Q, N] float32; 0.5 without a code.
@@ -285,7 +282,7 @@ class CodedScene:
             InputError: as ``relevancy``.
         """
         both, count = self._checked_vectors(queries, canonical)
-        return self._gaussian_cosines.relevancy(self._codes(), both[:count], both[count:])
+        return self._cosines.of_gaussians(self._codes(), both[:count], both[count:])
 
     def gaussian_features(self, level: str | int) -> Tensor:
         """The decoded codes of all Gaussians at one level: [N, D] float32, unit norm; zero without a code.

@@ -1,4 +1,4 @@
-"""Values that were used a short while ago, kept for the next time."""
+"""A cache of the values used last."""
 
 from __future__ import annotations
 
@@ -9,12 +9,7 @@ from typing import Any
 
 
 class Recent:
-    """The most recently used values, bounded in number and size. Threads may share it; copies and pickles start empty.
-
-    Args:
-        most: values.
-        most_bytes: of all values together.
-    """
+    """The last ``most`` values used, of ``most_bytes`` together. Threads may share it; copies start empty."""
 
     def __init__(self, most: int, most_bytes: int) -> None:
         self.most, self.most_bytes = most, most_bytes
@@ -30,11 +25,11 @@ class Recent:
 
     @property
     def bytes(self) -> int:
-        """Of all values together, as they were declared."""
+        """Bytes of all values together."""
         return self._bytes
 
     def get(self, key: Hashable) -> Any:
-        """The value of a key; None if it is not kept."""
+        """Return the value of a key; None if it is not kept."""
         with self._lock:
             if key not in self._kept:
                 return None

@@ -17,7 +17,8 @@ from scoup.io import PlyTable
 from scoup.models.word_table import is_table
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
-from scoup.query.methods import Encoder, FieldQueries
+from scoup.query.asking import Encoder
+from scoup.query.methods import FieldQueries
 from scoup.query.question import Question
 from scoup.query.splat_table import SplatTable
 from scoup.scene.cameras import Camera

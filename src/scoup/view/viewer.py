@@ -12,7 +12,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from scoup.base.errors import InputError, ScoupError
-from scoup.query.methods import Encoder, FieldQueries
+from scoup.query.asking import Encoder
+from scoup.query.methods import FieldQueries
 from scoup.view.guard import Guard
 from scoup.view.page import page_files
 from scoup.view.shown import MOST_GAUSSIANS

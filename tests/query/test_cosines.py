@@ -16,7 +16,7 @@ from torch import Tensor
 from raster.parity import BACKENDS
 from scoup import raster
 from scoup.field.language_field import LanguageField
-from scoup.query.cosine_cache import CosineCache, FieldCodes
+from scoup.query.cosines import FieldCodes, FieldCosines
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from support import KINDS, examples, make_camera, random_gaussians, scenes, unit
@@ -140,10 +140,10 @@ def test_phrases_written_to_are_other_phrases() -> None:
 
 def test_what_is_kept_lives_as_long_as_the_projection() -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
-    field, cache = field_of(gaussians, 1), CosineCache()
+    field, cache = field_of(gaussians, 1), FieldCosines()
     codes = FieldCodes(field.code_indices, field.code_weights, field.codebook)
     projection = field.project(camera)
-    cache.relevancy(projection, codes, vectors(1, 2), vectors(4, 1))
+    cache.of_pixels(projection, codes, vectors(1, 2), vectors(4, 1))
     assert len(cache) == 1
     assert len(copy.deepcopy(cache)) == len(pickle.loads(pickle.dumps(cache))) == 0
     del projection

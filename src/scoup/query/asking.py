@@ -1,0 +1,203 @@
+"""Questions to a field: its text encoder, and texts and options made into a ``Question``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from scoup.base.arguments import check_arguments
+from scoup.base.errors import InputError, MissingFileError
+from scoup.query.coded_scene import CodedScene
+from scoup.query.expression import Expression
+from scoup.query.presence import presence_threshold
+from scoup.query.presets import QueryPreset, query_preset
+from scoup.query.question import Question
+from scoup.query.text_vectors import TextVectors, encode_texts
+from scoup.scene.directions import query_vectors
+
+if TYPE_CHECKING:
+    from scoup.models.text import TextEncoder
+
+Texts: TypeAlias = "str | Sequence[str] | Tensor | np.ndarray"
+"""One text or several, or vectors [D] or [Q, D] in their place."""
+Encoder: TypeAlias = "TextEncoder | Mapping[str, Tensor | ArrayLike] | str | Path"
+"""What turns texts into vectors: an encoder, a dict of name -> vector, a word table's file, or a model id."""
+MOST_TEXTS = 16
+"""Questions with more texts are not kept."""
+
+
+class AskedScene(CodedScene):
+    """A scene with a text encoder, which makes questions."""
+
+    tables_folder: Path | None = None
+    """Where a word table that the field names is looked for: the folder of the field's file."""
+    _encoder: TextEncoder | None = None
+    _encoder_name: str = ""  # the argument that opened it; empty for a dict or an encoder
+
+    @property
+    def encoder_source(self) -> str:
+        """The model or table that encodes texts; a table is looked for beside the field's file.
+
+        Raises:
+            InputError: the field names none.
+            MissingFileError: the table is missing.
+        """
+        from scoup.models.word_table import is_table
+
+        name = self.embedding_model
+        if not name:
+            raise InputError(
+                f"{self.path or 'this field'}: names no embedding model; pass encoder=..., a word table, a model id, "
+                "or a dict of name -> vector"
+            )
+        if not is_table(name):
+            return name
+        beside = Path(name) if self.tables_folder is None else self.tables_folder / name
+        table = next((place for place in (beside, Path(name)) if place.is_file()), None)
+        if table is None:
+            problem = "is missing, and the field names it as its word table"
+            raise MissingFileError(beside, problem, "pass encoder=..., the place where it is now")
+        return str(table)
+
+    def text_encoder(self, encoder: Encoder | None = None) -> TextEncoder:
+        """Return the encoder of this field's texts; opened at its first use and kept.
+
+        Args:
+            encoder: used from now on; None for the last one, at first the model or table that the field names.
+
+        Raises:
+            InputError: the field names none.
+            MissingFileError, FileFormatError, ScoupError: it cannot be opened (``TextEncoder.open``).
+        """
+        from scoup.models.text import TextEncoder
+
+        kinds = (TextEncoder, Mapping, str, Path, type(None))
+        check_arguments("text_encoder", encoder=(encoder, kinds))
+        if encoder is None:
+            if self._encoder is not None:
+                return self._encoder
+            encoder = self.encoder_source
+        name = str(encoder) if isinstance(encoder, (str, Path)) else ""
+        if isinstance(encoder, TextEncoder):
+            self._encoder = encoder
+        elif self._encoder is None or not name or name != self._encoder_name:
+            self._known.clear()
+            self._encoder = TextEncoder.open(encoder, device=self.codebook.device)
+        self._encoder_name = name
+        return self._encoder
+
+    def keep_encoder_of(self, other: AskedScene) -> None:
+        """Use the encoder that another field has open, or would open."""
+        self._encoder, self._encoder_name = other._encoder, other._encoder_name
+        self.tables_folder = other.tables_folder
+
+    def question(  # noqa: PLR0913  the public face: each keyword is one choice of the user
+        self,
+        texts: Texts | Expression,
+        *,
+        encoder: Encoder | None = None,
+        preset: str | QueryPreset = "default",
+        always: bool = False,
+        present_from: float | None = None,
+        threshold: float | None = None,
+        rescaled: bool = True,
+        neighbours: int = 0,
+        level: str | int | None = None,
+    ) -> Question:
+        """Make a question, which every method of a field takes; texts alone are a question without options.
+
+        Args:
+            texts: one or several; or vectors [D] or [Q, D] of the field's embedding model, of any norm but zero; or an
+                expression (``scoup.parse_expression``), for ``select``.
+            encoder: see ``text_encoder``. For vectors, a dict of the canonical phrases ("object", "things", "stuff",
+                "texture") is enough.
+            preset: its name, or one of ``scoup.query.presets``; see ``Question``.
+            always: find something for any text; presence is not judged, and ``z_score`` is None.
+            present_from: by default 1.4, where there are enough everyday words; see ``Question``.
+            threshold, rescaled, neighbours, level: see ``Question``.
+
+        Raises:
+            InputError, UnknownNameError: texts or options do not fit the field, a number is out of range, or the field
+                names no encoder.
+            MissingFileError, FileFormatError, ScoupError: the encoder cannot be opened (``TextEncoder.open``).
+
+        Example:
+            >>> field.question("kettle", level="m", always=True).level
+            1
+        """
+        check_arguments("question", preset=(preset, (str, QueryPreset)))
+        source = self.text_encoder(encoder)
+        key = _question_key(
+            texts, source, preset, always, present_from, threshold, rescaled, neighbours, level
+        )
+        known = None if key is None else self._known.get(key)
+        if known is not None:
+            return known
+        preset = query_preset(preset) if isinstance(preset, str) else preset
+        if threshold is not None:
+            preset = replace(preset, threshold=threshold)
+        expression = texts if isinstance(texts, Expression) else None
+        words = list(texts.texts) if isinstance(texts, Expression) else texts
+        vectors = self._vectors(words)
+        everyday = preset.name == "default"
+        judged = not always and (everyday or present_from is not None)
+        question = Question.from_vectors(
+            vectors.with_everyday() if everyday else vectors,
+            preset=preset,
+            threshold=threshold,
+            present_from=presence_threshold(vectors, present_from) if judged else None,
+            is_single=_is_single(words),
+            expression=expression,
+            rescaled=rescaled,
+            neighbours=neighbours,
+            level=None if level is None else self.level_index(level),
+        )
+        if key is not None:
+            self._known.keep(key, question, question.queries.nbytes + question.canonical.nbytes)
+        return question
+
+    def _vectors(self, texts: Texts) -> TextVectors:
+        words = [texts] if isinstance(texts, str) else texts
+        if isinstance(words, (list, tuple)) and all(isinstance(word, str) for word in words):
+            if not words:
+                raise InputError('pass at least one text, for example "kettle"')
+            return encode_texts(self.text_encoder(), self, words, self._encoder_name)
+        queries = query_vectors(_as_vectors(texts), self.dim)
+        names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
+        compared = encode_texts(self.text_encoder(), self, [], self._encoder_name)
+        return replace(compared, texts=names, queries=queries)
+
+
+def _question_key(texts: Any, *options: Any) -> tuple[Any, ...] | None:
+    """What tells questions apart; None for questions that are not kept: vectors, and many texts."""
+    words = tuple(texts) if isinstance(texts, (list, tuple)) else texts
+    if isinstance(words, tuple):
+        is_kept = len(words) <= MOST_TEXTS and all(isinstance(word, str) for word in words)
+    else:
+        is_kept = isinstance(words, (str, Expression))
+    return (type(texts), words, *options) if is_kept else None
+
+
+def _is_single(texts: Texts) -> bool:
+    if isinstance(texts, (list, tuple)) and any(isinstance(text, str) for text in texts):
+        return False
+    return isinstance(texts, str) or _as_vectors(texts).dim() == 1
+
+
+def _as_vectors(texts: Texts) -> Tensor:
+    try:
+        vectors = torch.as_tensor(texts)
+    except (TypeError, ValueError, RuntimeError):
+        vectors = torch.empty(())
+    if not vectors.dim():
+        raise InputError(
+            f"expected a text, a list of texts, or vectors [D] or [Q, D], got {type(texts).__name__} {str(texts)[:60]}"
+        )
+    return vectors
