@@ -22,7 +22,6 @@ STUDIES = Family(
         "selection": "benchmarks.selection:Selections",
         "labels": "benchmarks.labels:Labels",
         "locate": "benchmarks.locate:Locate",
-        "draws": "benchmarks.likeness:Draws",
         "coding": "benchmarks.coding:Coding",
         "claims": "benchmarks.claims:Claims",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",

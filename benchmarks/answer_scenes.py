@@ -33,49 +33,33 @@ from scoup_lab.synthetic.words import CANONICAL, DISTRACTORS
 
 @dataclass(frozen=True)
 class SceneSize:
-    """How large scenes are made.
+    """How large scenes are made."""
 
-    Attributes:
-        n_gaussians, width, height, n_building, n_held_out: of procedural scenes; those held out are asked.
-        kitchen_scale: size of the views that kitchen is asked in, relative to the original 960 x 720.
-    """
-
+    # n_gaussians, width, height, n_building, n_held_out: of procedural scenes; those held out are asked
     n_gaussians: int = 120_000
     width: int = 480
     height: int = 360
     n_building: int = 24
     n_held_out: int = 6
+    # size of the views that kitchen is asked in, relative to the original 960 x 720
     kitchen_scale: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class AnswerScene:
-    """A scene ready to be coded and asked.
+    """A scene ready to be coded and asked."""
 
-    Attributes:
-        name: for tables.
-        gaussians: N of them.
-        levels: region sums and embeddings, fine to coarse.
-        frames: labelled frames with their views; of one size.
-        cameras: of the labelled frames.
-        queries: label -> [D] unit text vector.
-        canonical: [P, D].
-        everyday: [B, D] unit vectors of everyday words, the labels among them.
-        words: the everyday words.
-        absent: those of them that nothing in the scene is called.
-        members: label -> [N] boolean, the Gaussians that truly are it; empty for desk, where it is not known.
-    """
-
-    name: str
-    gaussians: Gaussians
-    levels: list[LevelSums]
-    frames: list[tuple[LabelledFrame, raster.Projection]]
-    cameras: list[Camera]
-    queries: dict[str, Tensor]
-    canonical: Tensor
-    everyday: Tensor
-    words: tuple[str, ...]
-    absent: tuple[str, ...]
+    name: str  # for tables
+    gaussians: Gaussians  # N of them
+    levels: list[LevelSums]  # region sums and embeddings, fine to coarse
+    frames: list[tuple[LabelledFrame, raster.Projection]]  # labelled frames with their views; of one size
+    cameras: list[Camera]  # of the labelled frames
+    queries: dict[str, Tensor]  # label -> [D] unit text vector
+    canonical: Tensor  # [P, D]
+    everyday: Tensor  # [B, D] unit vectors of everyday words, the labels among them
+    words: tuple[str, ...]  # the everyday words
+    absent: tuple[str, ...]  # those of them that nothing in the scene is called
+    # label -> [N] boolean, the Gaussians that truly are it; empty for desk, where it is not known
     members: dict[str, Tensor]
 
     @property
@@ -99,11 +83,7 @@ class DrawName(NamedTuple):
 
     @classmethod
     def parse(cls, name: str) -> DrawName | None:
-        """Parse the name of a scene; none if it is not a draw of the kitchen.
-
-        Raises:
-            UnknownNameError: there is no such kind.
-        """
+        """Parse the name of a scene; none if it is not a draw of the kitchen."""
         found = re.fullmatch(r"kitchen-(\d+)(?:x(\d+(?:\.\d+)?))?(?:-(\w+))?", name)
         if not found:
             return None
@@ -170,13 +150,7 @@ def _kitchen_draw(data: Path, name: DrawName, scale: float) -> AnswerScene:
     draw = make_draw(truth, name.seed, name.noise, KINDS[name.kind] if name.kind else None)
     texts = _texts(data, truth)
     return _prepared(
-        str(name),
-        truth.gaussians,
-        truth.cameras,
-        draw.regions,
-        draw.frames,
-        texts,
-        draw.members,
+        str(name), truth.gaussians, truth.cameras, draw.regions, draw.frames, texts, draw.members
     )
 
 

@@ -57,11 +57,6 @@ def as_glass(gaussians: Gaussians, chosen: Tensor, share: float) -> Gaussians:
 def glass_rows(demo: DemoScene, things: int, share: float) -> list[dict[str, Any]]:
     """mIoU and localisation of things before and after their opacity is multiplied by ``share``, one thing at a time,
     and of all other things of the scene. The masks and embeddings of the regions stay as they are.
-
-    Args:
-        demo: the scene.
-        things: how many of its objects, those in most views first.
-        share: of the opacity.
     """
     whole = study_scene(demo, demo.gaussians)
     before = whole.score(BASE.fit(whole.rasterised), PRESET).pairs

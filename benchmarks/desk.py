@@ -21,24 +21,16 @@ DESKS = {"desk": "language_features", "desk-all": "language_features_all"}
 
 @dataclass(frozen=True, eq=False)
 class Desk:
-    """The scene without its Gaussians.
+    """The scene without its Gaussians."""
 
-    Attributes:
-        cameras, regions: of all photographs.
-        frames: labelled photographs with their cameras.
-        words: all names that have a text vector but the canonical phrases.
-        everyday: [words, D] their unit text vectors.
-        canonical: [P, D].
-        absent: those words that nothing in the scene is called.
-    """
-
+    # cameras, regions: of all photographs
     cameras: Cameras
     regions: Regions
-    frames: list[tuple[LabelledFrame, Camera]]
-    words: tuple[str, ...]
-    everyday: Tensor
-    canonical: Tensor
-    absent: tuple[str, ...]
+    frames: list[tuple[LabelledFrame, Camera]]  # labelled photographs with their cameras
+    words: tuple[str, ...]  # all names that have a text vector but the canonical phrases
+    everyday: Tensor  # [words, D] their unit text vectors
+    canonical: Tensor  # [P, D]
+    absent: tuple[str, ...]  # those words that nothing in the scene is called
 
     @classmethod
     def open(cls, name: str, data: Path) -> Desk:

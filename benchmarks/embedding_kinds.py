@@ -23,43 +23,29 @@ PHRASE_SPREAD = 0.01  # standard deviation of a prototype's cosine with a canoni
 
 @dataclass(frozen=True)
 class RegionErrors:
-    """How regions and their embeddings differ from the truth. The defaults are those of a draw without a kind.
+    """How regions and their embeddings differ from the truth. The defaults are those of a draw without a kind."""
 
-    Attributes:
-        noise: factor of all noise of the embeddings.
-        tail: spread of the noise over regions: the standard deviation of the logarithm of its factor.
-        wrong: share of the regions per view that carry the embedding of a neighbour.
-        swallowed: share of the things that have no region of their own at level m in any view.
-    """
-
-    noise: float = 1.0
+    noise: float = 1.0  # factor of all noise of the embeddings
+    # spread of the noise over regions: the standard deviation of the logarithm of its factor
     tail: float = 0.0
-    wrong: float = SWAPPED
-    swallowed: float = 0.0
+    wrong: float = SWAPPED  # share of the regions per view that carry the embedding of a neighbour
+    swallowed: float = 0.0  # share of the things that have no region of their own at level m in any view
 
 
 @dataclass(frozen=True)
 class EmbeddingKind:
-    """Statistics of an embedding model, and of the segmenter in front of it.
+    """Statistics of an embedding model, and of the segmenter in front of it."""
 
-    Attributes:
-        title: for tables.
-        common: squared length of what all prototypes have in common. The median cosine of two prototypes is a little
-            lower, since their cosines with words differ.
-        dimensions: in how many directions prototypes differ otherwise. The fewer, the more their cosines vary.
-        own: mean and standard deviation of the cosine of a thing with its own name.
-        others: the same with the names of other things.
-        phrases: mean cosine of a thing with a canonical phrase.
-        errors: of regions.
-    """
-
-    title: str
+    title: str  # for tables
+    # squared length of what all prototypes have in common. The median cosine of two prototypes is a little
+    # lower, since their cosines with words differ.
     common: float
+    # in how many directions prototypes differ otherwise. The fewer, the more their cosines vary.
     dimensions: int
-    own: tuple[float, float]
-    others: tuple[float, float]
-    phrases: float
-    errors: RegionErrors = field(default_factory=RegionErrors)
+    own: tuple[float, float]  # mean and standard deviation of the cosine of a thing with its own name
+    others: tuple[float, float]  # the same with the names of other things
+    phrases: float  # mean cosine of a thing with a canonical phrase
+    errors: RegionErrors = field(default_factory=RegionErrors)  # of regions
 
 
 KINDS = {
@@ -95,12 +81,8 @@ def draw_prototypes(
 ) -> Floats:
     """Draw unit image prototypes [count, D] with the cosines of a kind.
 
-    Args:
-        kind: the statistics.
-        words: word -> [D] unit text vector, the names and the canonical phrases among them.
-        of_name: name -> the objects that it is the own name of.
-        count: number of objects.
-        rng: all randomness.
+    ``words``: word -> [D] unit text vector, the names and the canonical phrases among them; ``of_name``: name
+    -> the objects that it is the own name of.
     """
     vectors = np.stack([words[word] for word in (*of_name, *CANONICAL_PHRASES)])
     vectors = np.concatenate([vectors, np.mean(list(words.values()), 0)[None]])
@@ -141,12 +123,7 @@ def draw_hosts(
 
     A swallowed thing belongs to the larger neighbour with which it shares most of its border, over all views.
 
-    Args:
-        object_maps: true object of each pixel per view, [H, W].
-        count: number of objects.
-        things: objects that may be swallowed.
-        share: of the things that are swallowed.
-        rng: all randomness.
+    ``object_maps``: true object of each pixel per view, [H, W].
     """
     areas, borders = np.zeros(count), np.zeros(count * count)
     for shown in object_maps:

@@ -89,63 +89,37 @@ class Endurance(Study):
 
 @dataclass(frozen=True)
 class Plain:
-    """What an undisturbed run of a verb does.
+    """What an undisturbed run of a verb does."""
 
-    Attributes:
-        seconds: that it takes.
-        notes: of the points that it passes.
-        files: what is in the folder afterwards.
-        before: what was there.
-    """
-
-    seconds: float
-    notes: tuple[str, ...]
-    files: dict[str, bytes]
-    before: dict[str, bytes]
+    seconds: float  # that it takes
+    notes: tuple[str, ...]  # of the points that it passes
+    files: dict[str, bytes]  # what is in the folder afterwards
+    before: dict[str, bytes]  # what was there
 
 
 @dataclass(frozen=True)
 class Kill:
-    """A kill that hit.
+    """A kill that hit."""
 
-    Attributes:
-        stage: of ``STAGES``.
-        kind: "outside", or what the point was.
-        done_again: views that were done and not kept.
-        begun_again: views that were begun and not kept.
-        consistent: the verb's outputs were all of before or all new, or the lock says how to go on.
-    """
-
-    stage: str
-    kind: str
-    done_again: int
-    begun_again: int
-    consistent: bool
+    stage: str  # of ``STAGES``
+    kind: str  # "outside", or what the point was
+    done_again: int  # views that were done and not kept
+    begun_again: int  # views that were begun and not kept
+    consistent: bool  # the verb's outputs were all of before or all new, or the lock says how to go on
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A verb that was killed once or several times, and then run to its end.
+    """A verb that was killed once or several times, and then run to its end."""
 
-    Attributes:
-        kills: that hit.
-        late: kills that came after the end of a run.
-        code: of the last run.
-        said: by the last run, where it was refused.
-        ended_well: it did its work, or was refused because the work is done.
-        same_bytes: of every file that an undisturbed run makes.
-        orphans: files that an undisturbed run does not leave.
-        most_begun: views that the last run had begun, beyond those that were not kept.
-    """
-
-    kills: tuple[Kill, ...]
-    late: int
-    code: int
-    said: str
-    ended_well: bool
-    same_bytes: bool
-    orphans: tuple[str, ...]
-    most_begun: int
+    kills: tuple[Kill, ...]  # that hit
+    late: int  # kills that came after the end of a run
+    code: int  # of the last run
+    said: str  # by the last run, where it was refused
+    ended_well: bool  # it did its work, or was refused because the work is done
+    same_bytes: bool  # of every file that an undisturbed run makes
+    orphans: tuple[str, ...]  # files that an undisturbed run does not leave
+    most_begun: int  # views that the last run had begun, beyond those that were not kept
 
     @property
     def passed(self) -> bool:
@@ -157,12 +131,7 @@ class Trial:
 def endure(verb: Verb, scene: Scene, kills: int, seed: int, outside: float = 0.5) -> list[Trial]:
     """Trials of a verb until so many kills have hit.
 
-    Args:
-        verb: the verb.
-        scene: for all verbs.
-        kills: at least so many.
-        seed: of the moments.
-        outside: see ``Endurance``.
+    ``outside``: see ``Endurance``.
     """
     dice = random.Random(f"{verb.name} {seed}")
     plain = undisturbed(verb, scene)

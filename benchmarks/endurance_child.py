@@ -25,10 +25,7 @@ _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 class Points:
     """What is counted and noted.
 
-    Args:
-        log: the file of notes.
-        folder: whose files count.
-        last: the point at which the process ends; 0 for none.
+    ``last``: the point at which the process ends; 0 for none.
     """
 
     def __init__(self, log: str, folder: str, last: int) -> None:

@@ -22,23 +22,15 @@ _STAGES = {"region sums": "views", "regions": "views", "vote": "vote", "outputs"
 
 @dataclass(frozen=True)
 class Run:
-    """What one run of a verb did.
-
-    Attributes:
-        code: its exit code; ``KILLED`` where it was killed.
-        notes: see ``benchmarks/endurance_child.py``.
-        seconds: that it took.
-        said: on standard error, its last line.
-        by_itself: it was to end itself at a point.
-    """
+    """What one run of a verb did."""
 
     KILLED: ClassVar[int] = -9
 
-    code: int
-    notes: tuple[str, ...]
-    seconds: float
-    said: str
-    by_itself: bool
+    code: int  # its exit code; ``KILLED`` where it was killed
+    notes: tuple[str, ...]  # see ``benchmarks/endurance_child.py``
+    seconds: float  # that it took
+    said: str  # on standard error, its last line
+    by_itself: bool  # it was to end itself at a point
 
     def count(self, note: str) -> int:
         """How often it noted this."""
@@ -61,11 +53,8 @@ class Run:
 def run(verb: Verb, scene: Scene, point: int = 0, after: float | None = None) -> Run:
     """Run a verb in a process of its own.
 
-    Args:
-        verb: the verb.
-        scene: what it works on.
-        point: at which it kills itself; 0 for none.
-        after: seconds after which it is killed; None for never.
+    ``point``: at which it kills itself; 0 for none; ``after``: seconds after which it is killed; None for
+    never.
     """
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "notes"

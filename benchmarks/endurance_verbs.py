@@ -29,47 +29,31 @@ _PROGRAM = "from scoup.cli.app import entry; entry()"
 
 @dataclass(frozen=True)
 class Scene:
-    """What verbs work on.
+    """What verbs work on."""
 
-    Attributes:
-        folder: of the scene: photographs, splat, cameras, regions; ``photographs`` in it has plainer ones.
-        views: of it.
-        earlier: views that the kept field has.
-        starts: folder of what verbs begin with: FIELD_KEPT, a field of some of the views and its region sums; SHARDS,
-            the shards of all views.
-        work: folder that verbs write into.
-    """
-
-    folder: Path
-    views: int
-    earlier: int
+    folder: Path  # of the scene: photographs, splat, cameras, regions; ``photographs`` in it has plainer ones
+    views: int  # of it
+    earlier: int  # views that the kept field has
+    # folder of what verbs begin with: FIELD_KEPT, a field of some of the views and its region sums; SHARDS,
+    # the shards of all views
     starts: Path
-    work: Path
+    work: Path  # folder that verbs write into
 
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb that is killed.
+    """A verb that is killed."""
 
-    Attributes:
-        name: of the row in the table.
-        arguments: of the command, which runs in the folder ``Scene.work``, after the verb; SCENE stands for the scene's
-            folder.
-        kept_in: counts the views of this verb that are kept in a folder of work.
-        may_begin_again: views that are begun again after a kill, at most: by how the verb is made.
-        finished: what the verb says, refused because its work is done.
-        n_views: how many views it makes.
-        start: what it begins with, in ``Scene.starts``; "" for nothing.
-        new: the outputs that must be new together, or none of them; the lock is that of the first.
-    """
-
-    name: str
+    name: str  # of the row in the table
+    # of the command, which runs in the folder ``Scene.work``, after the verb; SCENE stands for the scene's
+    # folder
     arguments: tuple[str, ...]
-    kept_in: Callable[[Path], int]
-    may_begin_again: int
-    finished: str
-    n_views: Callable[[Scene], int]
-    start: str = ""
+    kept_in: Callable[[Path], int]  # counts the views of this verb that are kept in a folder of work
+    may_begin_again: int  # views that are begun again after a kill, at most: by how the verb is made
+    finished: str  # what the verb says, refused because its work is done
+    n_views: Callable[[Scene], int]  # how many views it makes
+    start: str = ""  # what it begins with, in ``Scene.starts``; "" for nothing
+    # the outputs that must be new together, or none of them; the lock is that of the first
     new: tuple[str, ...] = ()
 
     def command(self, scene: Scene) -> list[str]:
@@ -186,14 +170,7 @@ VERBS = {
 
 
 def make_scene(folder: Path, views: int = 12, width: int = 240, n_gaussians: int = 20_000) -> Scene:
-    """Write a scene, and build the field of a third of its views.
-
-    Args:
-        folder: for all of it; must not exist.
-        views: of the scene.
-        width: of the photographs; they are three quarters as high.
-        n_gaussians: of the scene.
-    """
+    """Write a scene, and build the field of a third of its views."""
     scene = Scene(folder / "scene", views, views // 3, folder / "starts", folder / "starts" / "work")
     made = make_demo_scene(0, n_gaussians, width, width * 3 // 4, views, 1)
     write_demo_scene(made, scene.folder)

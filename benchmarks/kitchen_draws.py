@@ -72,22 +72,15 @@ NOISINESS = 1.25  # of the regions: with it, regions of one object are as alike 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What the Gaussians are, before anything is drawn.
+    """What the Gaussians are, before anything is drawn."""
 
-    Attributes:
-        gaussians, cameras: as given, views in the size wanted.
-        ids: [N] int64 object of each Gaussian; 0 for none.
-        names: object -> the name it is asked by, or none.
-        words: name -> [D] unit text vector.
-        centroids: [C, D] unit image embeddings of the same model.
-    """
-
+    # gaussians, cameras: as given, views in the size wanted
     gaussians: Gaussians
     cameras: Cameras
-    ids: NDArray[np.int64]
-    names: dict[int, str | None]
-    words: dict[str, Floats]
-    centroids: Floats
+    ids: NDArray[np.int64]  # [N] int64 object of each Gaussian; 0 for none
+    names: dict[int, str | None]  # object -> the name it is asked by, or none
+    words: dict[str, Floats]  # name -> [D] unit text vector
+    centroids: Floats  # [C, D] unit image embeddings of the same model
 
     @classmethod
     def open(cls, data: Path, scale: float) -> Truth:
@@ -131,30 +124,19 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class KitchenDraw:
-    """One draw.
+    """One draw."""
 
-    Attributes:
-        regions: of all views.
-        frames: labelled ones with their cameras.
-        members: name -> [N] boolean, the Gaussians it stands for: the truth in space.
-    """
-
-    regions: Regions
-    frames: list[tuple[LabelledFrame, Camera]]
-    members: dict[str, Tensor]
+    regions: Regions  # of all views
+    frames: list[tuple[LabelledFrame, Camera]]  # labelled ones with their cameras
+    members: dict[str, Tensor]  # name -> [N] boolean, the Gaussians it stands for: the truth in space
 
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Pieces of all objects, and then of the background, whose "objects" follow those with a label.
+    """Pieces of all objects, and then of the background, whose "objects" follow those with a label."""
 
-    Attributes:
-        of_gaussian: [N] int64.
-        objects: [pieces] int64 object of each.
-    """
-
-    of_gaussian: NDArray[np.int64]
-    objects: NDArray[np.int64]
+    of_gaussian: NDArray[np.int64]  # [N] int64
+    objects: NDArray[np.int64]  # [pieces] int64 object of each
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,11 +267,7 @@ def _prototypes(truth: Truth, count: int, rng: np.random.Generator) -> Floats:
 
 
 def _observed(
-    maps: dict[str, IntMap],
-    pieces: _Pieces,
-    prototypes: Floats,
-    rng: np.random.Generator,
-    errors: _Errors,
+    maps: dict[str, IntMap], pieces: _Pieces, prototypes: Floats, rng: np.random.Generator, errors: _Errors
 ) -> Regions:
     of_piece = prototypes[pieces.objects]
     offsets = {level: noise(of_piece.shape, OFFSET if level == "s" else 0.0, rng) for level in LEVELS}

@@ -17,19 +17,12 @@ _EVERY = 0.05  # seconds
 
 @dataclass(frozen=True)
 class Watched:
-    """A process that has ended.
+    """A process that has ended."""
 
-    Attributes:
-        output: its standard output.
-        anonymous: bytes of its own memory at the most (RssAnon), sampled; what the system cannot take back.
-        resident: bytes at the most, with what it had mapped of files (VmHWM).
-        limited: whether it was held to the limit, files that the system caches for it included.
-    """
-
-    output: str
-    anonymous: int
-    resident: int
-    limited: bool
+    output: str  # its standard output
+    anonymous: int  # bytes of its own memory at the most (RssAnon), sampled; what the system cannot take back
+    resident: int  # bytes at the most, with what it had mapped of files (VmHWM)
+    limited: bool  # whether it was held to the limit, files that the system caches for it included
 
     def memory(self) -> dict[str, int | bool]:
         """What is known of its memory."""
@@ -39,11 +32,7 @@ class Watched:
 
 
 def run_limited(command: Sequence[str], most_bytes: int, environment: dict[str, str]) -> Watched:
-    """Run a command within a control group of so many bytes, where the system allows to make one.
-
-    Raises:
-        SystemExit: it has failed.
-    """
+    """Run a command within a control group of so many bytes, where the system allows to make one."""
     with _group(most_bytes) as group:
         process = subprocess.Popen(
             command, stdout=subprocess.PIPE, text=True, env={**os.environ, **environment},

@@ -12,13 +12,7 @@ from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.segment import localize_and_segment
 from scoup.scene.field_info import FieldInfo
-from scoup_lab.bench import (
-    Stopwatch,
-    markdown,
-    random_scene_cameras,
-    random_scene_gaussians,
-    torch_threads,
-)
+from scoup_lab.bench import Stopwatch, markdown, random_scene_cameras, random_scene_gaussians, torch_threads
 from scoup_lab.synthetic.random_scene import HEIGHT, WIDTH, clip_like, random_scene_codes
 
 STAGES = {

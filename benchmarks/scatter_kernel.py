@@ -32,11 +32,8 @@ def scatter_view(
 ) -> Tensor:
     """A view's codes summed pixel by pixel, w_i = sum of e_i times the code of each pixel (method.md, stage 2).
 
-    Args:
-        projection: from ``raster.project`` on a GPU.
-        labels: [S, H, W] integer regions, -1 for none.
-        codes: one SparseCodes a level, row r for region r, all with as many atoms.
-        out: [N, S, L] float32, contiguous, on the same device: added to and returned.
+    ``projection``: from ``raster.project`` on a GPU; ``labels``: [S, H, W] integer regions, -1 for none;
+    ``out``: [N, S, L] float32, contiguous, on the same device: added to and returned.
     """
     assert isinstance(projection, TritonProjection)
     preset, shape = projection.preset, (projection.n_gaussians, len(codes), codes[0].n_atoms)

@@ -63,21 +63,13 @@ class Book:
 
 @dataclass(frozen=True)
 class Visitor:
-    """One client.
+    """One client."""
 
-    Attributes:
-        address: of the server.
-        name: its own, by which newer pictures replace older ones.
-        cameras: from which it looks, as JSON values.
-        dice: decides what it does.
-        book: for what comes back.
-    """
-
-    address: str
-    name: str
-    cameras: Sequence[dict[str, Any]]
-    dice: random.Random
-    book: Book
+    address: str  # of the server
+    name: str  # its own, by which newer pictures replace older ones
+    cameras: Sequence[dict[str, Any]]  # from which it looks, as JSON values
+    dice: random.Random  # decides what it does
+    book: Book  # for what comes back
 
     def visit(self, goes_on: Callable[[int], bool], pause: float) -> None:
         """Ask until ``goes_on`` (requests so far) says no."""

@@ -78,12 +78,7 @@ class Study:
 
 
 def run(study: Study, name: str) -> Record:
-    """Run a study: measure what is not kept, print its table, write its record.
-
-    Raises:
-        OutputExistsError: OUT is there and is not to be replaced.
-        InputError: the kept rows are of other options.
-    """
+    """Run a study: measure what is not kept, print its table, write its record."""
     study.check()
     if study.out is not None:
         check_output(study.out, study.overwrite)

@@ -105,13 +105,7 @@ def start_seconds(path: Path) -> dict[str, float]:
 def served(
     path: Path, program: Sequence[str] = PROGRAM, log: IO[str] | int = subprocess.DEVNULL
 ) -> Iterator[tuple[str, int]]:
-    """Run `scoup view` on a field in a process of its own; yields its address and its number once it answers.
-
-    Args:
-        path: of the field.
-        program: that is `scoup`.
-        log: gets its standard error.
-    """
+    """Run `scoup view` on a field in a process of its own; yields its address and its number once it answers."""
     command = [*program, "view", str(path), "--port", "0", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True) as process:
         assert process.stdout is not None

@@ -76,8 +76,7 @@ class Runner:
     ) -> tuple[str, str]:
         """Keep what a process sends until it ends, is silent for too long, or the time is up.
 
-        Returns:
-            what it did last, and why it has ended: "" where the stage is complete.
+        Returns what it did last, and why it has ended: "" where the stage is complete.
         """
         doing, why, quiet_s = "", "", self.sizes.quiet_s
         try:

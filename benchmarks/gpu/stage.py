@@ -76,25 +76,19 @@ TINY = Sizes(
 
 @dataclass(eq=False)
 class Stage(Watch[str]):
-    """One stage in its process.
+    """One stage in its process."""
 
-    Attributes:
-        device: "cuda", or "cpu" with interpreted kernels.
-        sizes: of everything.
-        deadline: seconds since the epoch after which nothing is begun.
-        send: to the runner: ("next", name, seconds it may be silent) before everything that may break the device or
-            hang, ("alive",) now and then while it runs, ("result", result) whenever there is more.
-        left_out: why something must not run, by name: it broke the device or hung in an earlier process.
-        known: rows of an earlier process, by name. What is measured by itself is not measured again.
-        result: "rows", and "about": on what they were measured.
-    """
-
-    device: torch.device
-    sizes: Sizes
-    deadline: float
+    device: torch.device  # "cuda", or "cpu" with interpreted kernels
+    sizes: Sizes  # of everything
+    deadline: float  # seconds since the epoch after which nothing is begun
+    # to the runner: ("next", name, seconds it may be silent) before everything that may break the device or
+    # hang, ("alive",) now and then while it runs, ("result", result) whenever there is more
     send: Callable[[tuple[Any, ...]], None]
+    # why something must not run, by name: it broke the device or hung in an earlier process
     left_out: dict[str, str] = field(default_factory=dict)
+    # rows of an earlier process, by name. What is measured by itself is not measured again.
     known: dict[str, Row] = field(default_factory=dict)
+    # "rows", and "about": on what they were measured
     result: dict[str, Any] = field(default_factory=lambda: {"rows": []})
 
     def __post_init__(self) -> None:

@@ -23,14 +23,10 @@ _CHUNKS_OF_PIXELS = b"IDAT"
 
 @dataclass(frozen=True)
 class Container:
-    """A kind of container.
+    """A kind of container."""
 
-    Attributes:
-        split: the parts of a whole file.
-        join: a file of these parts, which may be damaged; given the whole file they came from.
-    """
-
-    split: Callable[[bytes], list[bytes]]
+    split: Callable[[bytes], list[bytes]]  # the parts of a whole file
+    # a file of these parts, which may be damaged; given the whole file they came from
     join: Callable[[bytes, Sequence[bytes]], bytes]
 
 

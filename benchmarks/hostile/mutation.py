@@ -25,13 +25,7 @@ _VALUES: list[Any] = [None, True, False, "", "x", "nan", "..", "../../x", "\0", 
 
 
 def damaged(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """The data, damaged at one to four places.
-
-    Args:
-        random: what decides.
-        data: whole file, or a part of one.
-        others: of the same kind, from which pieces may come.
-    """
+    """The data, damaged at one to four places."""
     result = data
     textual = _is_text(data)
     for _ in range(random.choice((1, 1, 1, 2, 2, 3, 4))):

@@ -70,22 +70,15 @@ OF_SHARDS = BuildSettings(n_atoms=4, k=1, rounds=1, effort="fast")
 
 @dataclass(frozen=True)
 class Reader:
-    """One reader of files.
+    """One reader of files."""
 
-    Attributes:
-        file: of the samples, that is damaged.
-        read: reads it to the end, given the folder of the samples.
-        more: further valid samples that stand in its place.
-        containers: in which damage is put inside, with lengths and checksums that fit.
-        memory: what reading may take.
-        share: of the files that other readers are given; for those that start a process for every file.
-    """
-
-    file: str
-    read: Callable[[Path], object]
-    more: tuple[str, ...] = ()
+    file: str  # of the samples, that is damaged
+    read: Callable[[Path], object]  # reads it to the end, given the folder of the samples
+    more: tuple[str, ...] = ()  # further valid samples that stand in its place
+    # in which damage is put inside, with lengths and checksums that fit
     containers: tuple[Container, ...] = ()
-    memory: Memory = MEMORY
+    memory: Memory = MEMORY  # what reading may take
+    # of the files that other readers are given; for those that start a process for every file
     share: float = 1.0
 
 

@@ -19,34 +19,23 @@ READERS = "benchmarks.hostile.readers:READERS"
 
 @dataclass(frozen=True)
 class Limits:
-    """What ends the reading of a file.
+    """What ends the reading of a file."""
 
-    Attributes:
-        processor: seconds of it that one file may take.
-        wall: seconds without a word after which a process is ended; far more than ``processor``, for busy machines and
-            readers that wait for others.
-    """
-
-    processor: float = 10.0
+    processor: float = 10.0  # seconds of it that one file may take
+    # seconds without a word after which a process is ended; far more than ``processor``, for busy machines
+    # and readers that wait for others
     wall: float = 300.0
 
 
 @dataclass
 class Trial:
-    """What became of the files of one reader.
+    """What became of the files of one reader."""
 
-    Attributes:
-        name: of the reader.
-        outcomes: how many files had each.
-        failures: results that should not be.
-        most_grown: largest growth of the process in bytes.
-        most_times: largest growth as a multiple of the file's size, of files of at least ``LEAST`` bytes.
-    """
-
-    name: str
-    outcomes: Counter[str] = field(default_factory=Counter)
-    failures: list[Result] = field(default_factory=list)
-    most_grown: int = 0
+    name: str  # of the reader
+    outcomes: Counter[str] = field(default_factory=Counter)  # how many files had each
+    failures: list[Result] = field(default_factory=list)  # results that should not be
+    most_grown: int = 0  # largest growth of the process in bytes
+    # largest growth as a multiple of the file's size, of files of at least ``LEAST`` bytes
     most_times: float = 0.0
 
     @property
@@ -85,17 +74,7 @@ def try_reader(
 ) -> Trial:
     """Give a reader ``count`` damaged files.
 
-    Args:
-        name, readers: see ``worker.Job``.
-        samples: folder of valid files.
-        count: of files.
-        seed: of the damage.
-        limits: of a file.
-        failures: folder for the files that made the reader fail, and what it said.
-        progress: called with the number of files read.
-
-    Raises:
-        InputError: the reader does not take a valid sample.
+    ``name``, ``readers``: see ``worker.Job``.
     """
     trial, limits = Trial(name), limits or Limits()
     while trial.files < count:

@@ -43,23 +43,14 @@ VALID, BROKEN = -1, -2
 
 @dataclass(frozen=True)
 class Job:
-    """What a process is to read.
+    """What a process is to read."""
 
-    Attributes:
-        readers: "module:table" of the readers.
-        name: of the reader.
-        samples: folder of valid files; it is copied.
-        seed: of the damage.
-        numbers: of the damaged files.
-        seconds: of the processor that one file may take.
-    """
-
-    readers: str
-    name: str
-    samples: Path
-    seed: int
-    numbers: range
-    seconds: float
+    readers: str  # "module:table" of the readers
+    name: str  # of the reader
+    samples: Path  # folder of valid files; it is copied
+    seed: int  # of the damage
+    numbers: range  # of the damaged files
+    seconds: float  # of the processor that one file may take
 
     @property
     def reader(self) -> Reader:
@@ -69,21 +60,13 @@ class Job:
 
 @dataclass(frozen=True)
 class Result:
-    """What became of one file.
+    """What became of one file."""
 
-    Attributes:
-        number: of the file; ``VALID`` for the valid samples, ``BROKEN`` where this program itself failed.
-        size: in bytes.
-        outcome: of its reading.
-        said: the error, in one line or as a traceback.
-        grown: most bytes by which the process grew while it read.
-    """
-
-    number: int
-    size: int
-    outcome: Outcome
-    said: str = ""
-    grown: int = 0
+    number: int  # of the file; ``VALID`` for the valid samples, ``BROKEN`` where this program itself failed
+    size: int  # in bytes
+    outcome: Outcome  # of its reading
+    said: str = ""  # the error, in one line or as a traceback
+    grown: int = 0  # most bytes by which the process grew while it read
 
 
 class _Hung(BaseException):

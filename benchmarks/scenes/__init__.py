@@ -12,11 +12,7 @@ LAYOUTS: dict[str, Layout] = {layout.name: layout for layout in (TABLE, SHELVES,
 
 
 def find_layout(name: str) -> Layout:
-    """The layout of that name.
-
-    Raises:
-        UnknownNameError: there is none; lists the nearest.
-    """
+    """The layout of that name."""
     if name not in LAYOUTS:
         raise UnknownNameError("layout", name, list(LAYOUTS), "benchmarks.scenes")
     return LAYOUTS[name]

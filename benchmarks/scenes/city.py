@@ -38,15 +38,10 @@ NOISE = 0.03  # of an embedding's numbers; a unit vector of 512 has 0.04
 
 @dataclass(frozen=True)
 class City:
-    """So many blocks, row after row of a square.
+    """So many blocks, row after row of a square."""
 
-    Attributes:
-        n_blocks: of them, each of ``A_BLOCK`` Gaussians.
-        seed: of heights, colours and cameras.
-    """
-
-    n_blocks: int
-    seed: int = 0
+    n_blocks: int  # of them, each of ``A_BLOCK`` Gaussians
+    seed: int = 0  # of heights, colours and cameras
 
     @property
     def columns(self) -> int:

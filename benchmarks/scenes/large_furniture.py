@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup_lab.synthetic.art.meshes import (
-    Floats,
-    box,
-    cylinder,
-    ellipsoid,
-    merged,
-)
+from scoup_lab.synthetic.art.meshes import Floats, box, cylinder, ellipsoid, merged
 from scoup_lab.synthetic.art.paints import solid, wood
 from scoup_lab.synthetic.art.things import Piece, Thing
 

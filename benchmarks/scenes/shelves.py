@@ -238,9 +238,7 @@ def _lowest() -> list[list[Thing]]:
             ),
         ],
         [garden.watering_can().at(0.02, 0, 0, 200, grow=0.9)],
-        [
-            small.storage_box("wooden chest", "9a6a3a", "6a4522", 44, 27).at(-0.02, 0.02, 0, 0),
-        ],
+        [small.storage_box("wooden chest", "9a6a3a", "6a4522", 44, 27).at(-0.02, 0.02, 0, 0)],
         [
             painted(
                 called(furniture.vase(), "tall vase"), {"tall vase": gradient("2f5a56", "8fc4b0", 2, 0, 20)}

@@ -69,10 +69,7 @@ def test_the_layers_are_those_of_langsplat() -> None:
     assert sizes(fitted.encoder) == [256, 128, 64, 32, 3]
     assert sizes(fitted.decoder) == [16, 32, 64, 128, 256, 256, 512]
     kinds = [[type(layer).__name__ for layer in part] for part in (fitted.encoder, fitted.decoder)]
-    assert kinds == [
-        ["Linear", *["BatchNorm1d", "ReLU", "Linear"] * 4],
-        ["Linear", *["ReLU", "Linear"] * 6],
-    ]
+    assert kinds == [["Linear", *["BatchNorm1d", "ReLU", "Linear"] * 4], ["Linear", *["ReLU", "Linear"] * 6]]
     assert (LANGSPLAT.epochs, LANGSPLAT.batch, LANGSPLAT.learning_rate) == (100, 64, 7e-4)
 
 

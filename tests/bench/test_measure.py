@@ -8,15 +8,7 @@ import pytest
 import torch
 
 from scoup_lab.bench import measure
-from scoup_lab.bench.measure import (
-    DeviceClock,
-    StageClock,
-    Task,
-    Timing,
-    Watch,
-    time_tasks,
-    torch_threads,
-)
+from scoup_lab.bench.measure import DeviceClock, StageClock, Task, Timing, Watch, time_tasks, torch_threads
 
 
 def test_tasks_take_turns_under_their_threads():

@@ -55,11 +55,7 @@ class Oracle:
     shared_bytes: float = 0.0
 
     def relevancy(
-        self,
-        projection: Projection,
-        queries: Tensor,
-        canonical: Tensor,
-        size: tuple[int, int] | None = None,
+        self, projection: Projection, queries: Tensor, canonical: Tensor, size: tuple[int, int] | None = None
     ) -> Tensor:
         raise AssertionError("nothing is rendered")
 

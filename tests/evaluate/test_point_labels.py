@@ -33,12 +33,7 @@ GIVEN = torch.tensor([0, 0, 1, 1, NO_CLASS, 2, 0, 3])
 
 def test_points_are_counted_by_hand() -> None:
     matrix = confusion_matrix(TRUTH, GIVEN, 4)
-    assert matrix.tolist() == [
-        [2, 1, 0, 0, 0],
-        [0, 1, 0, 0, 1],
-        [0, 0, 0, 0, 0],
-        [0, 0, 1, 0, 0],
-    ]
+    assert matrix.tolist() == [[2, 1, 0, 0, 0], [0, 1, 0, 0, 1], [0, 0, 0, 0, 0], [0, 0, 1, 0, 0]]
     # found, truly there, given; the two points that do not count are in none of them
     assert class_totals(matrix).tolist() == [[2, 1, 0, 0], [3, 2, 0, 1], [2, 2, 1, 0]]
 
@@ -121,11 +116,7 @@ class Known:
     shared_bytes: float = 0.0
 
     def relevancy(
-        self,
-        projection: Projection,
-        queries: Tensor,
-        canonical: Tensor,
-        size: tuple[int, int] | None = None,
+        self, projection: Projection, queries: Tensor, canonical: Tensor, size: tuple[int, int] | None = None
     ) -> Tensor:
         raise AssertionError("nothing is rendered")
 

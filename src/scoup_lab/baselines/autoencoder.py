@@ -43,20 +43,14 @@ _BLOCK_ROWS = 8192  # encoded or decoded together
 
 @dataclass(frozen=True)
 class AutoencoderSettings:
-    """Sizes and schedule; the defaults are LangSplat's.
+    """Sizes and schedule; the defaults are LangSplat's."""
 
-    Attributes:
-        epochs: how often every row is seen.
-        batch: rows of a step, 2 or more.
-        learning_rate: of Adam.
-        encoder: outputs of the encoder's layers; the last is the size of the code.
-        decoder: outputs of the decoder's layers, but for the last, which has D.
-    """
-
-    epochs: int = 100
-    batch: int = 64
-    learning_rate: float = 7e-4
+    epochs: int = 100  # how often every row is seen
+    batch: int = 64  # rows of a step, 2 or more
+    learning_rate: float = 7e-4  # of Adam
+    # outputs of the encoder's layers; the last is the size of the code
     encoder: tuple[int, ...] = (256, 128, 64, 32, 3)
+    # outputs of the decoder's layers, but for the last, which has D
     decoder: tuple[int, ...] = (16, 32, 64, 128, 256, 256)
 
 
@@ -74,21 +68,13 @@ def epochs_of_scene(settings: AutoencoderSettings, rows: int, scene_rows: int = 
 
 @dataclass(frozen=True)
 class AutoencoderReport:
-    """Quality and cost of a trained autoencoder.
+    """Quality and cost of a trained autoencoder."""
 
-    Attributes:
-        regions: rows trained on, rows of norm zero not counted.
-        mean_cosine: mean cosine between a row and its reconstruction.
-        low_cosine: 5th percentile of the cosine.
-        epochs: run.
-        seconds: wall-clock time of the fit.
-    """
-
-    regions: int
-    mean_cosine: float
-    low_cosine: float
-    epochs: int
-    seconds: float
+    regions: int  # rows trained on, rows of norm zero not counted
+    mean_cosine: float  # mean cosine between a row and its reconstruction
+    low_cosine: float  # 5th percentile of the cosine
+    epochs: int  # run
+    seconds: float  # wall-clock time of the fit
 
     def __str__(self) -> str:
         return (
@@ -99,36 +85,21 @@ class AutoencoderReport:
 
 @dataclass(frozen=True, eq=False)
 class Autoencoder:
-    """A trained autoencoder.
+    """A trained autoencoder."""
 
-    Attributes:
-        encoder: unit rows [R, D] to codes [R, C] that are not yet of unit norm; in evaluation mode.
-        decoder: unit codes [R, C] to [R, D], not yet of unit norm.
-        dim: D.
-        code_size: C, 3 in LangSplat.
-        report: how well it does on the rows it was trained on.
-    """
-
+    # unit rows [R, D] to codes [R, C] that are not yet of unit norm; in evaluation mode
     encoder: nn.Sequential
-    decoder: nn.Sequential
-    dim: int
-    code_size: int
-    report: AutoencoderReport
+    decoder: nn.Sequential  # unit codes [R, C] to [R, D], not yet of unit norm
+    dim: int  # D
+    code_size: int  # C, 3 in LangSplat
+    report: AutoencoderReport  # how well it does on the rows it was trained on
 
     def encode(self, rows: Tensor) -> Tensor:
-        """[R, C] float32 unit codes of ``rows`` [R, D] of any norm; zeros for rows of norm zero.
-
-        Raises:
-            InputError: if the rows are not [R, D] floating-point numbers with this D, or not finite.
-        """
+        """[R, C] float32 unit codes of ``rows`` [R, D] of any norm; zeros for rows of norm zero."""
         return _apply(self.encoder, _of_size(normalise_embeddings(rows), self.dim, "rows"), self.code_size)
 
     def decode(self, codes: Tensor) -> Tensor:
-        """[R, D] float32 unit rows of ``codes`` [R, C] of any norm; zeros for codes of norm zero.
-
-        Raises:
-            InputError: if the codes are not [R, C] floating-point numbers with this C, or not finite.
-        """
+        """[R, D] float32 unit rows of ``codes`` [R, C] of any norm; zeros for codes of norm zero."""
         return _apply(self.decoder, _of_size(normalise_embeddings(codes), self.code_size, "codes"), self.dim)
 
 
@@ -142,15 +113,8 @@ def fit_autoencoder(
 
     The same input, seed and number of threads give the same network. The random state of torch is left alone.
 
-    Args:
-        embeddings: [R, D] floating point, one row a region, any norm; rows of norm zero are left out.
-        settings: see ``AutoencoderSettings``.
-        seed: of the first weights and of the order of the rows.
-        progress: called after every step, as stage "autoencoder". An exception it raises (or Ctrl-C) stops the fit and
-            nothing is kept.
-
-    Raises:
-        InputError: if the embeddings are not [R, D] or not finite, or a setting is out of range.
+    ``embeddings``: [R, D] floating point, one row a region, any norm; rows of norm zero are left out;
+    ``settings``: see ``AutoencoderSettings``.
     """
     _check(settings)
     started = time.perf_counter()

@@ -20,10 +20,8 @@ from scoup_lab.baselines.rasterised_scene import UpliftInputs
 def dense_features(sums: RegionSums, rows: Tensor, level: int) -> Tensor:
     """[N, C] float32 unit-norm features of one level; zero rows where nothing painted.
 
-    Args:
-        sums: region sums of all views.
-        rows: [R, C] of the regions of the level, embeddings or the like, in the order of ``Regions.embeddings``.
-        level: position of the level.
+    ``rows``: [R, C] of the regions of the level, embeddings or the like, in the order of
+    ``Regions.embeddings``.
     """
     summed = torch.from_numpy(sums.matrix(level) @ rows.cpu().numpy())
     return summed.div_(torch.linalg.vector_norm(summed, dim=1, keepdim=True).clamp(min=1e-12))

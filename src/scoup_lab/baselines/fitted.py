@@ -50,10 +50,8 @@ class FittedMethod(Protocol):
     ) -> Tensor:
         """[S, Q, H, W] float32 relevancy of every pixel; 0.5 where nothing is rendered.
 
-        Args:
-            projection: from ``raster.project``.
-            queries, canonical: [Q, D] and [P, D], unit norm.
-            size: (width, height) that the rendered channels are resized to first (``resized_image``).
+        ``projection``: from ``raster.project``; ``queries``, ``canonical``: [Q, D] and [P, D], unit norm;
+        ``size``: (width, height) that the rendered channels are resized to first (``resized_image``).
         """
         ...
 
@@ -68,16 +66,11 @@ class FittedMethod(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FittedChannels:
-    """A ``FittedMethod`` that renders channels.
+    """A ``FittedMethod`` that renders channels."""
 
-    Attributes:
-        channels: per level [N, C] float32; zero rows for Gaussians that nothing is known of.
-        cosines: per level, how channels are compared with texts.
-        bytes_per_gaussian, shared_bytes: stored.
-    """
-
-    channels: Sequence[Tensor]
-    cosines: Sequence[Cosines]
+    channels: Sequence[Tensor]  # per level [N, C] float32; zero rows for Gaussians that nothing is known of
+    cosines: Sequence[Cosines]  # per level, how channels are compared with texts
+    # bytes_per_gaussian, shared_bytes: stored
     bytes_per_gaussian: float
     shared_bytes: float = 0.0
 
@@ -104,15 +97,10 @@ class FittedChannels:
 
 @dataclass(frozen=True, eq=False)
 class FittedField:
-    """A ``FittedMethod`` of sparse codes.
+    """A ``FittedMethod`` of sparse codes."""
 
-    Attributes:
-        field: the codes.
-        all_kept: whether it has every atom of the codebook: indices then need not be stored.
-    """
-
-    field: LanguageField
-    all_kept: bool = False
+    field: LanguageField  # the codes
+    all_kept: bool = False  # whether it has every atom of the codebook: indices then need not be stored
 
     @property
     def bytes_per_gaussian(self) -> float:

@@ -45,21 +45,13 @@ _TINY = 1e-16  # squared norm of a rendered feature, below which it has no direc
 
 @dataclass(frozen=True)
 class JointSettings:
-    """Sizes and schedule; all but the width are LangSplatV2's.
+    """Sizes and schedule; all but the width are LangSplatV2's."""
 
-    Attributes:
-        iterations: steps of each level.
-        n_atoms: L.
-        k: atoms of a code.
-        learning_rate: of Adam.
-        width: of the views learned from, in pixels; *choice*.
-    """
-
-    iterations: int = 10_000
-    n_atoms: int = 64
-    k: int = 4
-    learning_rate: float = 2.5e-3
-    width: int = 120
+    iterations: int = 10_000  # steps of each level
+    n_atoms: int = 64  # L
+    k: int = 4  # atoms of a code
+    learning_rate: float = 2.5e-3  # of Adam
+    width: int = 120  # of the views learned from, in pixels; *choice*
 
 
 LANGSPLATV2 = JointSettings()
@@ -67,37 +59,24 @@ LANGSPLATV2 = JointSettings()
 
 @dataclass(frozen=True, eq=False)
 class JointCodes:
-    """What was learned.
+    """What was learned."""
 
-    Attributes:
-        indices: [N, S, K] uint8 (uint16 beyond 256 atoms), the atoms of each Gaussian.
-        weights: [N, S, K] float32, not negative, largest first, summing to 1; zeros for a Gaussian that paints no pixel
-            with a region.
-        codebook: [S, L, D] float32, not of unit norm.
-        losses: per level the loss before each step, of the view of that step.
-        seconds: wall-clock time, weights of views not counted.
-    """
-
-    indices: Tensor
+    indices: Tensor  # [N, S, K] uint8 (uint16 beyond 256 atoms), the atoms of each Gaussian
+    # [N, S, K] float32, not negative, largest first, summing to 1; zeros for a Gaussian that paints no pixel
+    # with a region
     weights: Tensor
-    codebook: Tensor
-    losses: tuple[tuple[float, ...], ...]
-    seconds: float
+    codebook: Tensor  # [S, L, D] float32, not of unit norm
+    losses: tuple[tuple[float, ...], ...]  # per level the loss before each step, of the view of that step
+    seconds: float  # wall-clock time, weights of views not counted
 
 
 @dataclass(frozen=True, eq=False)
 class ViewTargets:
-    """What a view is to show at one level.
+    """What a view is to show at one level."""
 
-    Attributes:
-        pixels: [P] int64, those of ``ViewWeights.weights`` that have a region.
-        regions: [P] int64, which one.
-        embeddings: [R, D] float32 unit rows of the view's regions.
-    """
-
-    pixels: Tensor
-    regions: Tensor
-    embeddings: Tensor
+    pixels: Tensor  # [P] int64, those of ``ViewWeights.weights`` that have a region
+    regions: Tensor  # [P] int64, which one
+    embeddings: Tensor  # [R, D] float32 unit rows of the view's regions
 
 
 def fit_joint_codes(
@@ -112,17 +91,8 @@ def fit_joint_codes(
     """Learn codebook and codes of each level through the renderings of its views. The same input and seed give the same
     codes.
 
-    Args:
-        views: of the scene, see ``weights_of_views``.
-        embeddings: per level [R, D], of the regions of all views, any norm.
-        rows: per level, those of each view among them.
-        n_gaussians: N.
-        settings: see ``JointSettings``.
-        seed: of k-means and of the order of the views.
-        progress: called after every step, as stage "joint codes".
-
-    Raises:
-        InputError: a setting is out of range, or a level has no region.
+    ``views``: of the scene, see ``weights_of_views``; ``embeddings``: per level [R, D], of the regions of all
+    views, any norm; ``settings``: see ``JointSettings``.
     """
     _check(settings)
     started = time.perf_counter()
@@ -162,12 +132,7 @@ def kept_codes(logits: Tensor, k: int) -> tuple[Tensor, Tensor]:
 def rendering_loss(view: ViewWeights, logits: Tensor, atoms: Tensor, targets: ViewTargets, k: int) -> Tensor:
     """Mean of 1 - cosine of rendered features and embeddings, over the pixels of a view that have a region.
 
-    Args:
-        view: its blending weights.
-        logits: [M, L] of its members.
-        atoms: [L, D].
-        targets: see there.
-        k: atoms of a code.
+    ``logits``: [M, L] of its members; ``atoms``: [L, D].
     """
     found, weights = kept_codes(logits, k)
     codes = torch.zeros_like(logits).scatter(1, found, weights)

@@ -21,21 +21,13 @@ from scoup_lab.baselines.rasterised_scene import RasterisedScene, UpliftInputs
 
 @dataclass(frozen=True)
 class MethodSettings:
-    """What can be set for all methods at once.
+    """What can be set for all methods at once."""
 
-    Attributes:
-        seed: of all that is random.
-        build: of the sparse codes; methods may change some of it.
-        autoencoder: schedule of LangSplat's network.
-        joint: schedule of codes learned through renderings (LangSplatV2).
-        progress: called while either is trained.
-    """
-
-    seed: int = 0
-    build: BuildSettings = BUILD_PRESETS["default"]
-    autoencoder: AutoencoderSettings = LANGSPLAT
-    joint: JointSettings = LANGSPLATV2
-    progress: Progress = no_progress
+    seed: int = 0  # of all that is random
+    build: BuildSettings = BUILD_PRESETS["default"]  # of the sparse codes; methods may change some of it
+    autoencoder: AutoencoderSettings = LANGSPLAT  # schedule of LangSplat's network
+    joint: JointSettings = LANGSPLATV2  # schedule of codes learned through renderings (LangSplatV2)
+    progress: Progress = no_progress  # called while either is trained
 
 
 DEFAULTS = MethodSettings()
@@ -46,26 +38,17 @@ Uplift = Callable[[UpliftInputs, MethodSettings], FittedMethod]
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """A way to carry the embeddings of regions onto Gaussians.
+    """A way to carry the embeddings of regions onto Gaussians."""
 
-    Attributes:
-        name: short.
-        uplift: what becomes of the region sums and embeddings.
-        system: whose idea.
-        follows, departs: what of it is followed, and where this departs.
-        pixels: which pixels count for which Gaussians.
-        views: share of the views that is used.
-        random: whether the result depends on the seed.
-    """
-
-    name: str
-    uplift: Uplift
-    system: str = "SCOUP"
+    name: str  # short
+    uplift: Uplift  # what becomes of the region sums and embeddings
+    system: str = "SCOUP"  # whose idea
+    # follows, departs: what of it is followed, and where this departs
     follows: str = ""
     departs: str = ""
-    pixels: PixelRule = ALL_PIXELS
-    views: float = 1.0
-    random: bool = True
+    pixels: PixelRule = ALL_PIXELS  # which pixels count for which Gaussians
+    views: float = 1.0  # share of the views that is used
+    random: bool = True  # whether the result depends on the seed
 
     def fit(self, scene: RasterisedScene, settings: MethodSettings = DEFAULTS) -> FittedMethod:
         """Fit to a scene; the scene keeps region sums and codes for the next method."""

@@ -155,9 +155,5 @@ COMPARED = tuple(name for name in METHODS if name not in ("sparse-all", "autoenc
 
 
 def find_method(name: str) -> Method:
-    """A method by name.
-
-    Raises:
-        UnknownNameError: there is none.
-    """
+    """A method by name."""
     return looked_up("method", name, METHODS)

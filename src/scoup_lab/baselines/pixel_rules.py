@@ -34,17 +34,11 @@ PIXELS_AT_A_TIME = 1 << 17  # a band of rows: some ten million pairs of a Gaussi
 
 @dataclass(frozen=True, eq=False)
 class PixelWeights:
-    """Who paints some pixels, and how much.
+    """Who paints some pixels, and how much."""
 
-    Attributes:
-        gaussian: [T] int64.
-        pixel: [T] int64, row * width + column.
-        weight: [T] float32, the blending weight; positive.
-    """
-
-    gaussian: np.ndarray
-    pixel: np.ndarray
-    weight: np.ndarray
+    gaussian: np.ndarray  # [T] int64
+    pixel: np.ndarray  # [T] int64, row * width + column
+    weight: np.ndarray  # [T] float32, the blending weight; positive
 
     def kept(self, chosen: np.ndarray) -> PixelWeights:
         """The pairs [T] boolean alone."""
@@ -134,12 +128,9 @@ class CentrePixel(PairRule):
 
 @dataclass(frozen=True)
 class VisibleCentrePixel(PairRule):
-    """The pixel under the centre, in views where the Gaussian is among those that make up that pixel (VALA).
+    """The pixel under the centre, in views where the Gaussian is among those that make up that pixel (VALA)."""
 
-    Attributes:
-        share: of a pixel's painted weight. A Gaussian is visible if those with larger weights have less than this.
-    """
-
+    # of a pixel's painted weight. A Gaussian is visible if those with larger weights have less than this.
     share: float = 0.5
 
     def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
@@ -163,14 +154,12 @@ class VisibleInView(PairRule):
     Of n Gaussians that paint the pixel under their centre, the heaviest count: as many as make up ``coverage`` of the
     sum of these weights, as have the weight ``least``, at most n / 2 (but at least one), and no more than are heavier
     than ``clear`` or than the quantile ``quantile``, whichever lets more pass.
-
-    Attributes:
-        coverage, least: the constants that VALA publishes for LERF (0.9 and 0.01 for ScanNet).
-        clear, quantile: fixed in that code.
     """
 
+    # coverage, least: the constants that VALA publishes for LERF (0.9 and 0.01 for ScanNet)
     coverage: float = 0.75
     least: float = 0.13
+    # clear, quantile: fixed in that code
     clear: float = 0.15
     quantile: float = 0.85
 
@@ -193,13 +182,9 @@ class VisibleInView(PairRule):
 
 @dataclass(frozen=True)
 class TopContributors(PairRule):
-    """For each pixel the Gaussians that paint most of it (Dr. Splat).
+    """For each pixel the Gaussians that paint most of it (Dr. Splat)."""
 
-    Attributes:
-        count: so many; of equal weights the lower Gaussian.
-    """
-
-    count: int = 10
+    count: int = 10  # so many; of equal weights the lower Gaussian
 
     def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
         order, first = _strongest_first(pairs)

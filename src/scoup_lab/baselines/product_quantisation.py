@@ -21,13 +21,9 @@ _ROWS = 8192
 
 @dataclass(frozen=True, eq=False)
 class ProductQuantiser:
-    """Learned centroids.
+    """Learned centroids."""
 
-    Attributes:
-        centroids: [M, C, D / M] float32, C <= 256 for each of M parts.
-    """
-
-    centroids: np.ndarray
+    centroids: np.ndarray  # [M, C, D / M] float32, C <= 256 for each of M parts
 
     @property
     def n_parts(self) -> int:
@@ -56,14 +52,7 @@ def fit_product_quantiser(
 ) -> ProductQuantiser:
     """Learn centroids of each part by k-means from a random start.
 
-    Args:
-        rows: [R, D] floating point, R >= 1; a sample of them is used if there are many.
-        n_parts: M; D must be a multiple of it.
-        seed: of the sample and the start.
-        iterations: of k-means.
-
-    Raises:
-        InputError: there are no rows, or D is no multiple of M.
+    ``rows``: [R, D] floating point, R >= 1; a sample of them is used if there are many.
     """
     array = rows.detach().cpu().float().numpy()
     if not len(array):

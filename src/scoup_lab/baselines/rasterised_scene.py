@@ -34,20 +34,15 @@ class Coder(Hashable, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class UpliftInputs:
-    """What a method is fitted to.
+    """What a method is fitted to."""
 
-    Attributes:
-        sums: region sums.
-        embeddings: per level [R, D], of the regions of these sums.
-        kept_codes: codes learned so far, by the coder and settings.
-        kept_things: the things of these sums, once they are known.
-        scene: with the regions of these sums alone, for methods that render; None where only sums are at hand.
-    """
-
-    sums: RegionSums
-    embeddings: Sequence[Tensor]
+    sums: RegionSums  # region sums
+    embeddings: Sequence[Tensor]  # per level [R, D], of the regions of these sums
+    # codes learned so far, by the coder and settings
     kept_codes: dict[tuple[Coder, BuildSettings], Codes] = field(default_factory=dict)
+    # the things of these sums, once they are known
     kept_things: list[ThingTable] = field(default_factory=list)
+    # with the regions of these sums alone, for methods that render; None where only sums are at hand
     scene: RasterisedScene | None = None
 
     def codes(self, coder: Coder, settings: BuildSettings) -> Codes:
@@ -74,12 +69,7 @@ def _key(coder: Coder, settings: BuildSettings) -> tuple[Coder, BuildSettings]:
 class RasterisedScene:
     """The region sums of a scene, made when they are first needed and kept.
 
-    Args:
-        gaussians: N of them.
-        cameras: of the views with regions; others may be among them.
-        regions: maps and embeddings.
-        raster_preset: constants of the rasteriser.
-        sums: region sums of all pixels, if they were made before.
+    ``sums``: region sums of all pixels, if they were made before.
     """
 
     def __init__(

@@ -30,15 +30,11 @@ def learn_codes(embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
 
 @dataclass(frozen=True)
 class AdamCoder:
-    """Codes by the paper's solver, from a start of choice.
+    """Codes by the paper's solver, from a start of choice."""
 
-    Attributes:
-        start: of the atoms; None is the solver's own k-means.
-        logit_scale: first logits are this times the cosine to each atom; 0 starts all equal.
-    """
-
+    # of the atoms; None is the solver's own k-means
     start: Literal["random regions", "random directions"] | None = None
-    logit_scale: float = 4.0
+    logit_scale: float = 4.0  # first logits are this times the cosine to each atom; 0 starts all equal
 
     def __call__(self, embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
         """See ``Coder``."""
@@ -65,13 +61,7 @@ class AdamCoder:
 
 
 class SparseUplift:
-    """Sparse codes and a vote by the settings of a build.
-
-    Args:
-        coder: how codes are learned.
-        dropped: Gaussians of this half lose their codes.
-        changes: settings of the build that differ from those of all methods.
-    """
+    """Sparse codes and a vote by the settings of a build."""
 
     def __init__(self, coder: Coder = learn_codes, dropped: Half | None = None, **changes: Any) -> None:
         self.coder = coder
@@ -115,8 +105,7 @@ def without_half(found: GaussianCodes, whole: GaussianCodes, half: Half) -> Gaus
 def vote_entropy(weights: Tensor) -> Tensor:
     """[N, S] float32 entropy of votes, 0 (all views agree) to 1; 1 for a Gaussian without a code.
 
-    Args:
-        weights: [N, S, K] not negative: those of codes as stored, or of all atoms.
+    ``weights``: [N, S, K] not negative: those of codes as stored, or of all atoms.
     """
     weights = weights.float()
     total = weights.sum(-1, keepdim=True)

@@ -20,13 +20,9 @@ from scoup_lab.baselines.view_weights import weights_of_views
 
 @dataclass(frozen=True)
 class QuantisedUplift:
-    """Dense features stored as product-quantised codes, and compared in their decoded form.
+    """Dense features stored as product-quantised codes, and compared in their decoded form."""
 
-    Attributes:
-        parts: M, bytes of a feature; where D is no multiple of it, the largest divisor of D below.
-    """
-
-    parts: int = 64
+    parts: int = 64  # M, bytes of a feature; where D is no multiple of it, the largest divisor of D below
 
     def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
         """See ``Uplift``."""
@@ -47,12 +43,9 @@ class QuantisedUplift:
 
 @dataclass(frozen=True)
 class AutoencodedUplift:
-    """The weighted mean of three numbers a region; a network decodes what is rendered of them into embeddings.
+    """The weighted mean of three numbers a region; a network decodes what is rendered of them into embeddings."""
 
-    Attributes:
-        scene_rows: the network takes as many steps as it would over so many embeddings; 0: over those of the scene.
-    """
-
+    # the network takes as many steps as it would over so many embeddings; 0: over those of the scene
     scene_rows: int = 0
 
     def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
@@ -75,11 +68,7 @@ LERF_AUTOENCODER = AutoencodedUplift(LERF_ROWS)
 
 
 def learn_joint_codes(inputs: UpliftInputs, settings: MethodSettings) -> JointCodes:
-    """Codebook and codes learned through renderings of the scene.
-
-    Raises:
-        InputError: the inputs are sums without their scene.
-    """
+    """Codebook and codes learned through renderings of the scene."""
     sums, scene = inputs.sums, inputs.scene
     if scene is None or sums.rows is None:
         raise InputError("codes learned through renderings need the scene, not its region sums alone")

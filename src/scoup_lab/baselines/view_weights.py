@@ -27,30 +27,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ViewWeights:
-    """Who paints the pixels of a view.
+    """Who paints the pixels of a view."""
 
-    Attributes:
-        name: of the view.
-        members: [M] int64, the Gaussians that paint any of these pixels.
-        weights: [P, M] float32 blending weights, of the pixels that have a region at some level.
-        labels: [S, P] int64, the region of each pixel at each level; -1 for none.
-    """
-
-    name: str
-    members: Tensor
-    weights: csr_array
-    labels: Tensor
+    name: str  # of the view
+    members: Tensor  # [M] int64, the Gaussians that paint any of these pixels
+    weights: csr_array  # [P, M] float32 blending weights, of the pixels that have a region at some level
+    labels: Tensor  # [S, P] int64, the region of each pixel at each level; -1 for none
 
 
 def weights_of_views(scene: RasterisedScene, width: int) -> list[ViewWeights]:
     """The blending weights of all views with regions, in the order of the cameras.
 
-    Args:
-        scene: Gaussians, cameras and regions.
-        width: of the views in pixels, heights in proportion; views that are narrower keep their size.
-
-    Raises:
-        InputError: the width is not positive, or no camera has regions.
+    ``width``: of the views in pixels, heights in proportion; views that are narrower keep their size.
     """
     if width < 1:
         raise InputError(f"views need a width of one pixel or more, not {width}")

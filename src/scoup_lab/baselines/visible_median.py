@@ -27,13 +27,7 @@ from scoup_lab.baselines.rasterised_scene import UpliftInputs
 def streaming_median(sums: RegionSums, embeddings: Tensor, level: int) -> Tensor:
     """[N, D] float32 unit rows, zero where nothing was seen.
 
-    Args:
-        sums: region sums; a Gaussian with several regions in a view enters with their weighted mean.
-        embeddings: [R, D] of the regions of the level, any norm.
-        level: position of the level.
-
-    Raises:
-        InputError: the rows of the views are not known.
+    ``embeddings``: [R, D] of the regions of the level, any norm.
     """
     if sums.rows is None:
         raise InputError("the rows of each view are not known (RegionSums.of_views)")

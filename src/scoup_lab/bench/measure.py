@@ -84,17 +84,11 @@ class DeviceClock:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Something to time.
+    """Something to time."""
 
-    Attributes:
-        run: the work; what it returns is dropped after the clock has stopped.
-        threads: torch threads it may use; None leaves the number alone.
-        repeats: how often it is timed, after one run that is not.
-    """
-
-    run: Callable[[], object]
-    threads: int | None = 1
-    repeats: int = 5
+    run: Callable[[], object]  # the work; what it returns is dropped after the clock has stopped
+    threads: int | None = 1  # torch threads it may use; None leaves the number alone
+    repeats: int = 5  # how often it is timed, after one run that is not
 
 
 @dataclass(frozen=True)

@@ -16,15 +16,11 @@ _EVERY = 0.005  # seconds
 
 @dataclass(frozen=True)
 class Cost:
-    """Of a piece of work.
+    """Of a piece of work."""
 
-    Attributes:
-        seconds: wall-clock time.
-        peak_bytes: resident memory beyond that at the start, at its highest, sampled; None where the system does not
-            say. Memory that the process had freed and kept is not counted again.
-    """
-
-    seconds: float
+    seconds: float  # wall-clock time
+    # resident memory beyond that at the start, at its highest, sampled; None where the system does not say.
+    # Memory that the process had freed and kept is not counted again.
     peak_bytes: int | None
 
 

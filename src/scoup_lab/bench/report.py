@@ -17,23 +17,14 @@ _NONE = "-"
 
 @dataclass(frozen=True)
 class Row:
-    """One measured thing.
+    """One measured thing."""
 
-    Attributes:
-        scene: name of the scene.
-        n_gaussians: N.
-        stage: see ``stages.STAGES``.
-        backend: of the rasteriser.
-        threads: torch threads.
-        timing: its seconds.
-    """
-
-    scene: str
-    n_gaussians: int
-    stage: str
-    backend: str
-    threads: int
-    timing: Timing
+    scene: str  # name of the scene
+    n_gaussians: int  # N
+    stage: str  # see ``stages.STAGES``
+    backend: str  # of the rasteriser
+    threads: int  # torch threads
+    timing: Timing  # its seconds
 
     def setting(self) -> dict[str, Any]:
         """What was measured, for JSON."""

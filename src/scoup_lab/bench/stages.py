@@ -48,30 +48,19 @@ Run: TypeAlias = Callable[[], Any]
 
 @dataclass(frozen=True, eq=False)
 class Workload:
-    """One view of one scene and everything the stages take.
+    """One view of one scene and everything the stages take."""
 
-    Attributes:
-        name: of the scene, for tables.
-        gaussians: N Gaussians.
-        camera: the view.
-        labels: [S, H, W] int32 regions.
-        codes: S codes of those regions.
-        indices, weights: [N, S, K] codes of the Gaussians.
-        codebook: [S, L, D] float32.
-        queries: [Q, D] float32, unit norm.
-        values: [N, 3] float32, to render as channels.
-    """
-
-    name: str
-    gaussians: Gaussians
-    camera: Camera
-    labels: Tensor
-    codes: list[SparseCodes]
+    name: str  # of the scene, for tables
+    gaussians: Gaussians  # N Gaussians
+    camera: Camera  # the view
+    labels: Tensor  # [S, H, W] int32 regions
+    codes: list[SparseCodes]  # S codes of those regions
+    # indices, weights: [N, S, K] codes of the Gaussians
     indices: Tensor
     weights: Tensor
-    codebook: Tensor
-    queries: Tensor
-    values: Tensor
+    codebook: Tensor  # [S, L, D] float32
+    queries: Tensor  # [Q, D] float32, unit norm
+    values: Tensor  # [N, 3] float32, to render as channels
 
     def to(self, device: str | torch.device) -> Workload:
         """The same on another device."""
@@ -116,10 +105,7 @@ def make_workload(
 
 
 def random_workload(
-    n_gaussians: int,
-    width: int = WIDTH,
-    height: int = HEIGHT,
-    regions: Sequence[int] = REGIONS,
+    n_gaussians: int, width: int = WIDTH, height: int = HEIGHT, regions: Sequence[int] = REGIONS
 ) -> Workload:
     """The first view of the random scene of ``scoup_lab.synthetic.random_scene``.
 

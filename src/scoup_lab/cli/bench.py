@@ -52,12 +52,7 @@ class Bench(WritesCommon):
     def run(self, console: Console) -> None:
         """Measure and print."""
         from scoup.io import check_output
-        from scoup_lab.bench import (
-            comparison,
-            describe_environment,
-            usable_backends,
-            write_json,
-        )
+        from scoup_lab.bench import comparison, describe_environment, usable_backends, write_json
         from scoup_lab.bench.environment import in_one_line
 
         self._check()

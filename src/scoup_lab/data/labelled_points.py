@@ -20,24 +20,16 @@ _MAX_LABEL = 1 << 31
 
 @dataclass(frozen=True, eq=False)
 class LabelledPoints:
-    """Points of a scan.
+    """Points of a scan."""
 
-    Attributes:
-        positions: [P, 3] float32.
-        labels: [P] int64 number of the class; what stands for none depends on the data set.
-    """
-
+    # [P, 3] float32
     positions: Tensor  # [P, 3]
+    # [P] int64 number of the class; what stands for none depends on the data set
     labels: Tensor  # [P]
 
 
 def read_labelled_ply(path: str | Path) -> LabelledPoints:
-    """The vertices of a PLY with a ``label``, such as ScanNet's ``<scene>_vh_clean_2.labels.ply``.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is no PLY file or cut short, has no labels, or holds values that are none.
-    """
+    """The vertices of a PLY with a ``label``, such as ScanNet's ``<scene>_vh_clean_2.labels.ply``."""
     path = existing_file(path, "a PLY file of labelled points")
     table = read_ply_table(path)
     missing = [name for name in ("x", "y", "z", "label") if name not in table.names]
@@ -53,11 +45,7 @@ def read_labelled_ply(path: str | Path) -> LabelledPoints:
 
 
 def write_labelled_ply(points: LabelledPoints, path: str | Path, overwrite: bool = False) -> None:
-    """Write vertices as ScanNet does: x, y, z, colour and alpha (grey here), label; without faces.
-
-    Raises:
-        OutputExistsError: the file is there and ``overwrite`` is false.
-    """
+    """Write vertices as ScanNet does: x, y, z, colour and alpha (grey here), label; without faces."""
     colors = [(name, "u1") for name in ("red", "green", "blue", "alpha")]
     kinds = [*((name, "<f4") for name in "xyz"), *colors, ("label", "<u2")]
     rows = np.zeros(len(points.labels), dtype=kinds)
@@ -72,13 +60,8 @@ def write_labelled_ply(points: LabelledPoints, path: str | Path, overwrite: bool
 def read_labelled_npy(coordinates: str | Path, labels: str | Path) -> LabelledPoints:
     """Points and their classes from two .npy files, as SceneSplat's preprocessing leaves them.
 
-    Args:
-        coordinates: [P, 3].
-        labels: [P], or [P, M] with several classes a point, of which the first counts.
-
-    Raises:
-        MissingFileError: one is not there.
-        FileFormatError: one holds no plain numbers or is cut short, or they do not belong together.
+    ``coordinates``: [P, 3]; ``labels``: [P], or [P, M] with several classes a point, of which the first
+    counts.
     """
     coordinates, labels = Path(coordinates), Path(labels)
     positions = open_npy(coordinates, "coordinates of points")

@@ -26,20 +26,15 @@ _REMEDY = "the file is damaged or no LERF-OVS label file"
 
 @dataclass(frozen=True, eq=False)
 class LabelledFrame:
-    """The ground truth of one frame.
+    """The ground truth of one frame."""
 
-    Attributes:
-        name: of the frame: the stem of its label file, which is that of its image.
-        width, height: in pixels, of the image that was labelled.
-        masks: per label, boolean [H, W]: all its polygons united. Labels are in the order of the file.
-        boxes: per label, [B, 4] float32 (x1, y1, x2, y2), one for each of its objects.
-    """
-
-    name: str
+    name: str  # of the frame: the stem of its label file, which is that of its image
+    # width, height: in pixels, of the image that was labelled
     width: int
     height: int
+    # per label, boolean [H, W]: all its polygons united. Labels are in the order of the file.
     masks: dict[str, Tensor]
-    boxes: dict[str, Tensor]
+    boxes: dict[str, Tensor]  # per label, [B, 4] float32 (x1, y1, x2, y2), one for each of its objects
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -62,12 +57,7 @@ class LabelledFrame:
 
 
 def read_labels(folder: str | Path) -> list[LabelledFrame]:
-    """All label files ``*.json`` of a folder, in order of their names.
-
-    Raises:
-        MissingFileError: there is no such folder, or no label file in it.
-        FileFormatError: a label file is damaged.
-    """
+    """All label files ``*.json`` of a folder, in order of their names."""
     folder = Path(folder)
     if not folder.is_dir():
         raise MissingFileError(
@@ -82,12 +72,7 @@ def read_labels(folder: str | Path) -> list[LabelledFrame]:
 
 
 def read_frame(path: str | Path) -> LabelledFrame:
-    """One label file. Polygon corners are cut to whole pixels (towards zero) and filled, edges included.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is not a label file, or damaged.
-    """
+    """One label file. Polygon corners are cut to whole pixels (towards zero) and filled, edges included."""
     path = Path(path)
     content = read_json(path, "LERF-OVS labels")
     info = content.get("info") if isinstance(content, dict) else None
@@ -126,9 +111,6 @@ def match_frames(frames: Iterable[LabelledFrame], cameras: Cameras) -> list[tupl
     those).
 
     Frames without a camera are skipped with a ScoupWarning.
-
-    Raises:
-        InputError: no frame has a camera.
     """
     matched: list[tuple[LabelledFrame, Camera]] = []
     lost: list[str] = []

@@ -44,72 +44,44 @@ ALL_ATOMS, DENSE = "sparse, no top-K", "dense 512-d"
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """How large the demo is.
+    """How large the demo is."""
 
-    Attributes:
-        seed: of the scene and of the codebook.
-        n_gaussians: of the scene.
-        width, height: of its views, in pixels.
-        n_building: views the field is built from; a quarter as many are held out for scoring.
-        layout: the kind of scene.
-    """
-
-    seed: int = 0
-    n_gaussians: int = 160_000
+    seed: int = 0  # of the scene and of the codebook
+    n_gaussians: int = 160_000  # of the scene
+    # width, height: of its views, in pixels
     width: int = 480
     height: int = 360
-    n_building: int = 24
-    layout: Layout = TABLE
+    n_building: int = 24  # views the field is built from; a quarter as many are held out for scoring
+    layout: Layout = TABLE  # the kind of scene
 
 
 @dataclass(frozen=True, eq=False)
 class DemoResult:
-    """What the demo made and measured.
+    """What the demo made and measured."""
 
-    Attributes:
-        scene: the scene and its truth.
-        field: the field built.
-        field_path: its file.
-        scores: by method, over every named thing in sight in the held-out views.
-        bytes_per_gaussian: by method.
-        seconds: by stage, in the order they ran.
-    """
-
-    scene: DemoScene
-    field: LanguageField
-    field_path: Path
-    scores: dict[str, SceneScore]
-    bytes_per_gaussian: dict[str, float]
-    seconds: dict[str, float]
+    scene: DemoScene  # the scene and its truth
+    field: LanguageField  # the field built
+    field_path: Path  # its file
+    scores: dict[str, SceneScore]  # by method, over every named thing in sight in the held-out views
+    bytes_per_gaussian: dict[str, float]  # by method
+    seconds: dict[str, float]  # by stage, in the order they ran
 
 
 @dataclass(frozen=True)
 class NameRow:
-    """The scores of one name over all held-out views that show it.
+    """The scores of one name over all held-out views that show it."""
 
-    Attributes:
-        name: the query.
-        views: how many views.
-        iou: mean by method.
-        accuracy: share of hits by method.
-        levels: how often each level was chosen by ours, "s", "m", "l".
-    """
-
-    name: str
-    views: int
-    iou: dict[str, float]
-    accuracy: dict[str, float]
-    levels: dict[str, int]
+    name: str  # the query
+    views: int  # how many views
+    iou: dict[str, float]  # mean by method
+    accuracy: dict[str, float]  # share of hits by method
+    levels: dict[str, int]  # how often each level was chosen by ours, "s", "m", "l"
 
 
 def run_demo(
     out: Path, settings: DemoSettings, overwrite: bool = False, progress: Progress = no_progress
 ) -> DemoResult:
-    """Run everything. Files go to ``out/scene`` and ``out/demo.scoup``.
-
-    Raises:
-        OutputExistsError: the outputs exist and ``overwrite`` is false.
-    """
+    """Run everything. Files go to ``out/scene`` and ``out/demo.scoup``."""
     path = out / "demo.scoup"
     check_output(path, overwrite)
     build_settings = BuildSettings(seed=settings.seed)

@@ -46,26 +46,14 @@ class Evaluation(ABC, Generic[Scene, Result]):
     def scene(
         self, scene: Scene, source: str, out: Path, progress: Progress = no_progress, say: Say = say_nothing
     ) -> Result:
-        """Build what is missing of a scene, and score it.
-
-        Args:
-            scene: opened by the protocol.
-            source: table or model that turns texts into vectors.
-            out: folder of the fields and of what else is kept.
-            progress: called while building and predicting.
-            say: is given a sentence where an interrupted build is continued.
-        """
+        """Build what is missing of a scene, and score it."""
 
     @abstractmethod
     def reports(self, results: dict[str, Result], described: dict[str, Any]) -> list[Report]:
         """Return the reports on scenes by name; ``described`` goes into the records: the data set, the machine."""
 
     def check_outputs(self, out: Path, overwrite: bool) -> None:
-        """Refuse reports that are there already.
-
-        Raises:
-            OutputExistsError: a report is there and ``overwrite`` is false.
-        """
+        """Refuse reports that are there already."""
         for stem in self.stems:
             for suffix in SUFFIXES:
                 check_output(out / f"{stem}{suffix}", overwrite)
@@ -78,12 +66,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
         progress: Progress = no_progress,
         say: Say = say_nothing,
     ) -> LanguageField:
-        """Return the field of a scene: read where it is built already, else built and saved.
-
-        Raises:
-            InputError: a field is there that was built with other settings, and is not to be built again.
-            OutputInUseError: another process is building it.
-        """
+        """Return the field of a scene: read where it is built already, else built and saved."""
         gaussians = load_gaussians(scene.splat).to(self.device)
         # Which constants the rasteriser uses follows from the splat.
         settings = replace(self.build, raster_preset=default_preset(scene.splat))
@@ -112,11 +95,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
 
 
 def _stored(path: Path, gaussians: Gaussians, settings: BuildSettings) -> LanguageField:
-    """Return a field that is built already, on the device of its Gaussians.
-
-    Raises:
-        InputError: it was built with other settings.
-    """
+    """Return a field that is built already, on the device of its Gaussians."""
     field = LanguageField.load(path, gaussians).to(gaussians.device)
     if field.info.provenance.get("settings") != asdict(settings):
         raise InputError(

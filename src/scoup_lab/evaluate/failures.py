@@ -40,12 +40,7 @@ def failure_sheet(
 ) -> Picture:
     """Rows of truth, relevancy and mask for the worst queries of a scene.
 
-    Args:
-        score: of the scene.
-        scene: the truth.
-        field: for the colours.
-        maps: gives the relevancy [S, H, W] of a pair.
-        preset: by which masks were made.
+    ``maps``: gives the relevancy [S, H, W] of a pair.
     """
     rows = scene.protocol.rows(field.levels)
     frames = {frame.name: (frame, camera) for frame, camera in scene.frames}

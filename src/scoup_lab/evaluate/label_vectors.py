@@ -24,20 +24,12 @@ def text_source(root: Path, scene: SceneFiles, wanted: str | None, default: str)
 
 
 def encode_labels(scene: LabelledScene, source: str, device: str = "cpu") -> TextVectors:
-    """Vectors of every label of a scene.
-
-    Raises:
-        InputError: a table lacks a label or a canonical phrase.
-    """
+    """Vectors of every label of a scene."""
     return encode_words(scene.labels, source, f"a label of {scene.name}", device)
 
 
 def encode_words(words: Sequence[str], source: str, why: str, device: str = "cpu") -> TextVectors:
-    """Vectors of words; ``why`` they are needed, for the error.
-
-    Raises:
-        InputError: a table lacks a word or a canonical phrase.
-    """
+    """Vectors of words; ``why`` they are needed, for the error."""
     with TextEncoder.open(source, device=device) as encoder:
         try:
             vectors = encoder.encode(list(words))

@@ -12,11 +12,7 @@ from scoup.base.errors import InputError
 
 
 def iou(predicted: Tensor, truth: Tensor) -> float:
-    """Intersection over union of two boolean masks of one shape; 1 if both are empty.
-
-    Raises:
-        InputError: the shapes differ.
-    """
+    """Intersection over union of two boolean masks of one shape; 1 if both are empty."""
     if predicted.shape != truth.shape:
         raise InputError(f"masks of different shapes {list(predicted.shape)} and {list(truth.shape)}")
     union = int((predicted | truth).sum())
@@ -26,9 +22,7 @@ def iou(predicted: Tensor, truth: Tensor) -> float:
 def any_inside(pixels: Tensor, boxes: Tensor) -> bool:
     """Whether any pixel lies in any box, borders included.
 
-    Args:
-        pixels: [M, 2] (x, y).
-        boxes: [B, 4] (x1, y1, x2, y2), x1 <= x2 and y1 <= y2.
+    ``pixels``: [M, 2] (x, y); ``boxes``: [B, 4] (x1, y1, x2, y2), x1 <= x2 and y1 <= y2.
     """
     inside = (pixels[:, None] >= boxes[None, :, :2]) & (pixels[:, None] <= boxes[None, :, 2:])
     return bool(inside.all(-1).any())
@@ -77,17 +71,7 @@ def bootstrap_interval(
     The pairs of one query in several frames are not independent, so queries are drawn, not pairs. For a
     paired comparison of two methods pass the differences of their values.
 
-    Args:
-        values: one a pair.
-        groups: the query each belongs to, same length.
-        seed: of the draws.
-        confidence: of the interval, 0..1.
-        samples: draws.
-        scenes: the scene each value belongs to, same length. The mean is then that of the scenes' means, so that
-            each scene counts alike, and groups are drawn scene by scene.
-
-    Raises:
-        InputError: there are no values, lengths differ, or a value is not finite.
+    ``confidence``: of the interval, 0..1.
     """
     scenes = [""] * len(values) if scenes is None else scenes
     if len(values) != len(groups) or len(scenes) != len(groups) or not len(values):

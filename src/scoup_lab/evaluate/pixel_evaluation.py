@@ -110,14 +110,7 @@ def predict(
 ) -> Iterator[tuple[LabelledFrame, Tensor]]:
     """Yield each labelled frame with its relevancy [S, Q, H, W], labels in its order.
 
-    Args:
-        scene: its frames.
-        vectors: of the labels.
-        field: of the scene.
-        digest: of the field, for the cache.
-        cache: where maps are kept.
-        frames: names of the frames wanted; None for all.
-        progress: called after each frame.
+    ``frames``: names of the frames wanted; None for all.
     """
     fitted = FittedField(field)
     wanted = [pair for pair in scene.frames if frames is None or pair[0].name in frames]

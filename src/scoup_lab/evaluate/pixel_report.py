@@ -121,12 +121,7 @@ def _figures(both: tuple[float | None, float | None], localizes: bool) -> str:
 
 
 def query_table(scores: PixelScores, levels: Sequence[str] = ()) -> Table:
-    """One row for each query of each scene, worst first within a scene.
-
-    Args:
-        scores: of the scenes.
-        levels: names of the levels, to name those that answered.
-    """
+    """One row for each query of each scene, worst first within a scene."""
     localizes = scores.localizes
     headers = ["query", "scene", "frames", "mIoU"]
     headers += ["localisation"] if localizes else []

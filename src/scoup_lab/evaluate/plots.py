@@ -31,39 +31,25 @@ class Plot(Protocol):
 
 @dataclass(frozen=True)
 class Curve:
-    """Intervals over x.
+    """Intervals over x."""
 
-    Attributes:
-        name: for the legend.
-        x: in rising order.
-        y: one for each.
-    """
-
-    name: str
-    x: tuple[float, ...]
-    y: tuple[Interval, ...]
+    name: str  # for the legend
+    x: tuple[float, ...]  # in rising order
+    y: tuple[Interval, ...]  # one for each
 
 
 @dataclass(frozen=True)
 class CurvePlot:
-    """Curves with bands, and a legend on the right.
+    """Curves with bands, and a legend on the right."""
 
-    Attributes:
-        curves: at least one, each of one point or more.
-        title, x_label, y_label: written around.
-    """
-
-    curves: Sequence[Curve]
+    curves: Sequence[Curve]  # at least one, each of one point or more
+    # title, x_label, y_label: written around
     title: str
     x_label: str
     y_label: str
 
     def figure(self) -> Figure:
-        """See ``Plot``.
-
-        Raises:
-            InputError: a curve has no points, or lists of different lengths.
-        """
+        """See ``Plot``."""
         for curve in self.curves:
             if not curve.x or len(curve.x) != len(curve.y):
                 raise InputError(f"the curve {curve.name!r} has {len(curve.x)} x and {len(curve.y)} y")
@@ -80,27 +66,18 @@ class CurvePlot:
 
 @dataclass(frozen=True)
 class IntervalPlot:
-    """Points with intervals, a row each, from top to bottom, under the heading of their group.
+    """Points with intervals, a row each, from top to bottom, under the heading of their group."""
 
-    Attributes:
-        rows: (group, name, interval); rows of a group follow each other.
-        title, x_label: written around.
-        digits: of the means, after the point.
-        reference: where a line is drawn, such as 0 for differences; none if None. Its meaning belongs into ``x_label``.
-    """
-
-    rows: Sequence[tuple[str, str, Interval]]
+    rows: Sequence[tuple[str, str, Interval]]  # (group, name, interval); rows of a group follow each other
+    # title, x_label: written around
     title: str
     x_label: str
-    digits: int = 1
+    digits: int = 1  # of the means, after the point
+    # where a line is drawn, such as 0 for differences; none if None. Its meaning belongs into ``x_label``.
     reference: float | None = None
 
     def figure(self) -> Figure:
-        """See ``Plot``.
-
-        Raises:
-            InputError: there are no rows.
-        """
+        """See ``Plot``."""
         if not self.rows:
             raise InputError("a plot needs rows")
         places, names, headings, y = [], [], [], 0
@@ -135,11 +112,7 @@ def can_draw() -> bool:
 
 
 def png(plot: Plot) -> bytes:
-    """A plot as PNG: the same bytes for the same plot and version of matplotlib.
-
-    Raises:
-        InputError: matplotlib is not installed.
-    """
+    """A plot as PNG: the same bytes for the same plot and version of matplotlib."""
     if not can_draw():
         raise InputError(HOW_TO_GET_THEM)
     stream = io.BytesIO()

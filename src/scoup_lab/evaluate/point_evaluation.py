@@ -72,11 +72,7 @@ class PointEvaluation(Evaluation[PointScene, Counts]):
         progress: Progress = no_progress,
         say: Say = say_nothing,
     ) -> Counts:
-        """See ``Evaluation``; nothing for lists of classes that none of the scene's points is of.
-
-        Raises:
-            InputError: truth and Gaussians do not fit, or there is no such level.
-        """
+        """See ``Evaluation``; nothing for lists of classes that none of the scene's points is of."""
         vectors = self.vectors(source, scene.name)
         # Before the work of a build: what is wrong with the truth is known at once.
         truths = self.truths(scene, load_gaussians(scene.splat))
@@ -95,11 +91,7 @@ class PointEvaluation(Evaluation[PointScene, Counts]):
         return self.count(truths, built.gaussians, fitted, vectors, level)
 
     def truths(self, scene: PointScene, gaussians: Gaussians) -> dict[str, PointTruth]:
-        """Read the truth of a scene, by the name of each list of classes.
-
-        Raises:
-            InputError: see ``PointScene.truth``.
-        """
+        """Read the truth of a scene, by the name of each list of classes."""
         return {classes.name: scene.truth(classes, gaussians) for classes in self.class_lists}
 
     def count(
@@ -110,11 +102,7 @@ class PointEvaluation(Evaluation[PointScene, Counts]):
         vectors: TextVectors,
         level: int | None = None,
     ) -> Counts:
-        """Return the confusion matrices of what methods made of a scene, by the lists of classes that it has points of.
-
-        Raises:
-            InputError: there is no such level, or no Gaussian has a class.
-        """
+        """Return the confusion matrices of methods on a scene, by the lists of classes that it has points of."""
         scored = [classes for classes in self.class_lists if truths[classes.name].counts]
         counts: Counts = {classes.name: {} for classes in scored}
         for classes in scored:
@@ -126,11 +114,7 @@ class PointEvaluation(Evaluation[PointScene, Counts]):
         return counts
 
     def reports(self, results: dict[str, Counts], described: dict[str, Any]) -> list[Report]:
-        """See ``Evaluation``: one by each list of classes.
-
-        Raises:
-            InputError: no scene has points of a list's classes.
-        """
+        """See ``Evaluation``: one by each list of classes."""
         settings = {
             **described,
             "build": asdict(self.build),

@@ -50,11 +50,7 @@ class PointScores:
         scenes: Mapping[str, Mapping[str, Mapping[str, Tensor]]],
         settings: dict[str, Any] | None = None,
     ) -> PointScores:
-        """Collect what ``PointEvaluation.scene`` gave for scenes, by name; those without points are left out.
-
-        Raises:
-            InputError: no scene has points of these classes.
-        """
+        """Collect what ``PointEvaluation.scene`` gave for scenes, by name; those without points are left out."""
         found = {name: counts[classes.name] for name, counts in scenes.items() if classes.name in counts}
         if not found:
             raise InputError(

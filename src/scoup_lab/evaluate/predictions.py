@@ -40,10 +40,7 @@ class PredictionCache:
     def get(self, name: str, key: str, predict: Callable[[], Tensor]) -> Tensor:
         """A map from the cache, or from ``predict``, which is then kept.
 
-        Args:
-            name: of the file, for people.
-            key: from ``prediction_key``.
-            predict: gives the map.
+        ``key``: from ``prediction_key``.
         """
         if self.folder is None:
             self.made += 1
@@ -74,12 +71,8 @@ def prediction_key(
 ) -> str:
     """SHA-256 of all that a map depends on.
 
-    Args:
-        source: digest of the field (``file_digest``), or of whatever else gives the maps.
-        camera: the view.
-        labels: in the order of the maps.
-        vectors, canonical: [Q, D] and [P, D] of the words.
-        size: (width, height) of the maps.
+    ``source``: digest of the field (``file_digest``), or of whatever else gives the maps; ``vectors``,
+    ``canonical``: [Q, D] and [P, D] of the words.
     """
     described = {
         "version": VERSION,

@@ -12,17 +12,11 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Origin:
-    """Where figures are from.
+    """Where figures are from."""
 
-    Attributes:
-        source: the paper in which they stand.
-        by: whose evaluation or table that is, if not that of the system's own paper.
-        read_in: where they were read, if not in that paper.
-    """
-
-    source: str
-    by: str = ""
-    read_in: str = ""
+    source: str  # the paper in which they stand
+    by: str = ""  # whose evaluation or table that is, if not that of the system's own paper
+    read_in: str = ""  # where they were read, if not in that paper
 
     def __str__(self) -> str:
         parts = [self.source, f"evaluated or quoted by {self.by}" if self.by else ""]
@@ -31,24 +25,17 @@ class Origin:
 
 @dataclass(frozen=True)
 class Published:
-    """A row of a paper.
+    """A row of a paper."""
 
-    Attributes:
-        system: whose figures.
-        miou: in percent, over the data set; None where there is none.
-        accuracy: in percent, of localisation; under "3D selection" the share of pairs with an IoU above 0.25. None
-            where there is none.
-        by_scene: scene -> (mIoU or None, accuracy or None), in percent.
-        origin: where the figures are from.
-        protocol: in what the rules are known to differ, or that they are not known.
-    """
-
-    system: str
-    miou: float | None
+    system: str  # whose figures
+    miou: float | None  # in percent, over the data set; None where there is none
+    # in percent, of localisation; under "3D selection" the share of pairs with an IoU above 0.25. None where
+    # there is none.
     accuracy: float | None
+    # scene -> (mIoU or None, accuracy or None), in percent
     by_scene: dict[str, tuple[float | None, float | None]]
-    origin: Origin
-    protocol: str = ""
+    origin: Origin  # where the figures are from
+    protocol: str = ""  # in what the rules are known to differ, or that they are not known
 
     @property
     def note(self) -> str:

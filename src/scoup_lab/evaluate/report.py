@@ -31,11 +31,7 @@ class Report:
     def write(self, folder: Path, overwrite: bool = False) -> list[Path]:
         """Write ``stem.md``, ``stem.json``, ``stem.tex`` and, if matplotlib is installed, the plots: all or none.
 
-        Raises:
-            OutputExistsError: a table is there and ``overwrite`` is false; plots are always replaced.
-
-        Returns:
-            All these files.
+        Returns all these files.
         """
         pictures = {name: png(plot) for name, plot in self.plots.items()} if can_draw() else {}
         record = self.record

@@ -34,11 +34,7 @@ class Places:
     undistort: bool = False  # accept cameras with lens distortion
 
     def open(self, folder: Path, name: str) -> SceneFiles:
-        """Find the splat and the features of a scene, and read its cameras.
-
-        Raises:
-            MissingFileError: one is not there.
-        """
+        """Find the splat and the features of a scene, and read its cameras."""
         splat = _placed(self.gaussians, name) or folder
         try:
             splat = find_gaussians(splat)
@@ -61,11 +57,7 @@ USUAL = Places()
 
 
 def check_root(root: Path, data_set: str) -> None:
-    """Refuse a root that is not a folder.
-
-    Raises:
-        MissingFileError: it is not.
-    """
+    """Refuse a root that is not a folder."""
     if not root.is_dir():
         raise MissingFileError(
             root, f"there is no such folder (a {data_set} data set was expected)", "check the path"
@@ -75,12 +67,7 @@ def check_root(root: Path, data_set: str) -> None:
 def chosen_scenes(
     root: Path, names: Sequence[str], wanted: Sequence[str], published: Sequence[str], expected: str
 ) -> list[str]:
-    """Return the scenes wanted of those found below ``root``, or all, the published ones first.
-
-    Raises:
-        MissingFileError: none was found; says what was ``expected``.
-        UnknownNameError: a scene wanted is not there.
-    """
+    """Return the scenes wanted of those found below ``root``, or all, the published ones first."""
     if not names:
         raise MissingFileError(root, f"holds no labelled scene: no {expected}", "check the path")
     for name in wanted:

@@ -11,27 +11,19 @@ from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 
 @dataclass(frozen=True)
 class PairScore:
-    """One label in one frame.
+    """One label in one frame."""
 
-    Attributes:
-        frame, label: which.
-        iou: of the mask at the level the mask was taken from, 0..1.
-        hit: whether a pixel of maximal averaged relevancy lies in a box of the label; None in protocols without
-            localisation.
-        level: position of the level of the mask; -1 where none has a say.
-        localization_level: position of the level of the point; -1 in protocols without localisation.
-        score: the largest smoothed relevancy.
-        pixel: (x, y) of the point; None in protocols without localisation.
-    """
-
+    # frame, label: which
     frame: str
     label: str
-    iou: float
+    iou: float  # of the mask at the level the mask was taken from, 0..1
+    # whether a pixel of maximal averaged relevancy lies in a box of the label; None in protocols without
+    # localisation
     hit: bool | None
-    level: int
-    localization_level: int
-    score: float
-    pixel: tuple[int, int] | None
+    level: int  # position of the level of the mask; -1 where none has a say
+    localization_level: int  # position of the level of the point; -1 in protocols without localisation
+    score: float  # the largest smoothed relevancy
+    pixel: tuple[int, int] | None  # (x, y) of the point; None in protocols without localisation
 
 
 def kept_pairs(scores: Sequence[SceneScore]) -> list[list[str]]:
@@ -46,18 +38,12 @@ def kept_ious(ious: Iterable[float]) -> list[float]:
 
 @dataclass(frozen=True)
 class SceneScore:
-    """All pairs of a scene, with ``miou`` and ``accuracy`` as plain means over them, 0..1.
+    """All pairs of a scene, with ``miou`` and ``accuracy`` as plain means over them, 0..1."""
 
-    Attributes:
-        scene: its name.
-        preset: name of the query preset.
-        pairs: one for each unique label of each frame.
-        protocol: whose rules were followed; scores of different protocols cannot be set side by side.
-    """
-
-    scene: str
-    preset: str
-    pairs: tuple[PairScore, ...]
+    scene: str  # its name
+    preset: str  # name of the query preset
+    pairs: tuple[PairScore, ...]  # one for each unique label of each frame
+    # whose rules were followed; scores of different protocols cannot be set side by side
     protocol: str = "lerf-ovs 2D"
 
     @property
@@ -71,11 +57,7 @@ class SceneScore:
 
     @property
     def accuracy(self) -> float:
-        """Share of pairs with a hit; a label counts once a frame, however many boxes it has.
-
-        Raises:
-            InputError: the protocol has no localisation.
-        """
+        """Share of pairs with a hit; a label counts once a frame, however many boxes it has."""
         if not self.localizes:
             raise InputError(f"the protocol {self.protocol!r} has no localisation")
         return sum(bool(pair.hit) for pair in self.pairs) / len(self.pairs)
@@ -85,9 +67,6 @@ def overall(scenes: Iterable[SceneScore]) -> tuple[float, float | None]:
     """(mIoU, accuracy) over scenes: the plain mean of their scores, each scene counting alike.
 
     The accuracy is None in protocols without localisation.
-
-    Raises:
-        InputError: there are no scenes, or they follow different protocols.
     """
     scenes = list(scenes)
     if not scenes:
@@ -102,11 +81,7 @@ def overall(scenes: Iterable[SceneScore]) -> tuple[float, float | None]:
 
 
 def scene_score(scene: str, preset: str, pairs: Iterable[PairScore], protocol: str) -> SceneScore:
-    """All pairs of a scene.
-
-    Raises:
-        InputError: there is not a single one.
-    """
+    """All pairs of a scene."""
     pairs = tuple(pairs)
     if not pairs:
         raise InputError(f"scene {scene!r}: there are no labels to score")

@@ -66,22 +66,15 @@ TRUTHS = {
 
 @dataclass(frozen=True)
 class DataSetSize:
-    """How large a synthetic data set is made.
+    """How large a synthetic data set is made."""
 
-    Attributes:
-        n_gaussians: of each scene.
-        width, height: of its views, in pixels.
-        n_views: views with regions.
-        n_labelled: how many of them have labels, spread evenly.
-        label_scale: size of the labels relative to the views, for Mip-NeRF 360.
-    """
-
-    n_gaussians: int = 60_000
+    n_gaussians: int = 60_000  # of each scene
+    # width, height: of its views, in pixels
     width: int = 320
     height: int = 240
-    n_views: int = 16
-    n_labelled: int = 4
-    label_scale: float = 1.0
+    n_views: int = 16  # views with regions
+    n_labelled: int = 4  # how many of them have labels, spread evenly
+    label_scale: float = 1.0  # size of the labels relative to the views, for Mip-NeRF 360
 
 
 def write_data_set(
@@ -95,23 +88,10 @@ def write_data_set(
 ) -> tuple[str, ...]:
     """Write a complete data set, so that ``scoup eval NAME ROOT`` runs on it.
 
-    Args:
-        data_set: one of ``IMAGE_NAMES``.
-        root: folder to write into.
-        layouts: kinds of scenes.
-        size: of each scene.
-        seeds: of everything random. There is a scene for each layout and seed, named after the layout, and with several
-            seeds after layout and seed ("table_0").
-        overwrite: replace existing files.
-        progress: called as ``progress("synthetic data set", done, total)`` after each scene.
-
-    Returns:
-        The names of the scenes.
-
-    Raises:
-        UnknownNameError: there is no such data set.
-        InputError: the size makes no scene, there are no scenes, or two have the same name.
-        OutputExistsError: a scene exists and ``overwrite`` is false; then nothing is written.
+    ``data_set``: one of ``IMAGE_NAMES``; ``seeds``: of everything random. There is a scene for each layout
+    and seed, named after the layout, and with several seeds after layout and seed ("table_0"); ``progress``:
+    called as ``progress("synthetic data set", done, total)`` after each scene. Returns the names of the
+    scenes.
     """
     pattern, root = looked_up("data set", data_set, IMAGE_NAMES), Path(root)
     if not 1 <= size.n_labelled <= size.n_views or not 0 < size.label_scale <= 4:
@@ -177,12 +157,7 @@ def _write_scene(data_set: str, scene: DemoScene, root: Path, name: str, size: D
 
 
 def _write_label(
-    data_set: str,
-    scene: DemoScene,
-    camera: Camera,
-    image: np.ndarray,
-    folder: Path,
-    size: DataSetSize,
+    data_set: str, scene: DemoScene, camera: Camera, image: np.ndarray, folder: Path, size: DataSetSize
 ) -> None:
     frame = scene.labelled_frame(camera.name, LABELLED_LEVELS)
     if data_set == "mipnerf360" and size.label_scale != 1:

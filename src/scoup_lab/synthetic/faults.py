@@ -28,16 +28,13 @@ ISOTROPIC, ALONG_DIFFERENCES = 0.8, 0.6  # shares of the noise; their squares su
 
 @dataclass(frozen=True, eq=False)
 class LevelSums:
-    """What coding, uplift and vote need of one level.
+    """What coding, uplift and vote need of one level."""
 
-    Attributes:
-        matrix: [N, R] float32 scipy CSR, A[i, r] = blending weight of Gaussian i in region r (``RegionSums.matrix``).
-        embeddings: [R, D] float32, unit norm; a zero row means "unknown".
-        views: [R] int64, the view each region lies in.
-    """
-
+    # [N, R] float32 scipy CSR, A[i, r] = blending weight of Gaussian i in region r (``RegionSums.matrix``)
     matrix: csr_array  # [N, R]
+    # [R, D] float32, unit norm; a zero row means "unknown"
     embeddings: Tensor  # [R, D]
+    # [R] int64, the view each region lies in
     views: np.ndarray  # [R]
 
     @property
@@ -125,24 +122,15 @@ def missing_masks(level: LevelSums, share: float, rng: np.random.Generator) -> L
 
 
 Fault = Callable[[LevelSums, float, np.random.Generator], LevelSums]
-FAULTS: dict[str, Fault] = {
-    "wrong": wrong_embeddings,
-    "noise": diffuse_noise,
-    "missing": missing_masks,
-}
+FAULTS: dict[str, Fault] = {"wrong": wrong_embeddings, "noise": diffuse_noise, "missing": missing_masks}
 """By name; the number after a name is in hundredths: "wrong20" is 20 % of the regions."""
 
 
 def perturbed(levels: Sequence[LevelSums], case: str, seed: int = 0) -> list[LevelSums]:
     """Return the levels with the faults of a case.
 
-    Args:
-        levels: fine to coarse.
-        case: "clean", or faults joined by "+" and applied from left to right: each of ``FAULTS`` with its number.
-        seed: of the draws. A fault draws the same with and without other faults, as long as the regions are the same.
-
-    Raises:
-        UnknownNameError: there is no such fault.
+    ``case``: "clean", or faults joined by "+" and applied from left to right: each of ``FAULTS`` with its
+    number.
     """
     levels = list(levels)
     for part in case.split("+"):

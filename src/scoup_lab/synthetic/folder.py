@@ -11,14 +11,7 @@ import numpy as np
 
 from scoup.base.progress import Progress, no_progress
 from scoup.base.staging import staged
-from scoup.io import (
-    save_gaussians,
-    save_png,
-    save_regions,
-    write_colmap,
-    write_text,
-    write_transforms,
-)
+from scoup.io import save_gaussians, save_png, save_regions, write_colmap, write_text, write_transforms
 from scoup.models.word_table import save_table
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera
@@ -76,10 +69,7 @@ def write_demo_scene(
 
 
 def _write_all(
-    scene: DemoScene,
-    folder: Path,
-    render: Callable[[Camera], Any] | None,
-    progress: Progress,
+    scene: DemoScene, folder: Path, render: Callable[[Camera], Any] | None, progress: Progress
 ) -> None:
     """Write everything into a new folder."""
     held_out = folder / "held_out"

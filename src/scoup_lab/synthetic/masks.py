@@ -56,8 +56,7 @@ def mask_polygons(mask: Mask) -> list[tuple[Polygon, Box]]:
     Their corners are pixels on the rim. A piece with a hole is cut in two at the hole's row, because a polygon cannot
     have a hole.
 
-    Returns:
-        For each polygon its corners, and the box around the whole connected piece that it belongs to.
+    Returns for each polygon its corners, and the box around the whole connected piece that it belongs to.
     """
     polygons = []
     pieces, count = components(mask)

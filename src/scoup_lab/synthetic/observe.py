@@ -46,29 +46,22 @@ IntMap = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What one view truly shows, and what the embeddings of its regions are made of.
+    """What one view truly shows, and what the embeddings of its regions are made of."""
 
-    Attributes:
-        truth: [H, W] numbers of names, -1 = nothing.
-        prototypes: [names, D].
-        offsets: [names, D] added to the prototypes in every view.
-        shifts: [names, D] noise of this view, which all regions of a name share.
-    """
-
+    # [H, W] numbers of names, -1 = nothing
     truth: IntMap  # [H, W]
+    # [names, D]
     prototypes: Floats  # [names, D]
+    # [names, D] added to the prototypes in every view
     offsets: Floats  # [names, D]
+    # [names, D] noise of this view, which all regions of a name share
     shifts: Floats  # [names, D]
 
 
 def observe(part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np.random.Generator) -> Regions:
     """Region maps and embeddings of all views at three levels.
 
-    Args:
-        part_maps: true part number of each pixel, [H, W] int32, for each view name; -1 = nothing.
-        parts: names and how they nest.
-        words: prototypes of the names.
-        rng: all randomness.
+    ``part_maps``: true part number of each pixel, [H, W] int32, for each view name; -1 = nothing.
     """
     offsets = {
         level: noise(words.prototypes[level].shape, PART_OFFSET if level == "s" else 0.0, rng)
@@ -94,10 +87,7 @@ def observe(part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np
 def make_regions(truth: IntMap, level: str, rng: np.random.Generator) -> IntMap:
     """A segmenter's map of one level: [H, W] int32 region numbers from 0, -1 where no mask lies.
 
-    Args:
-        truth: [H, W] numbers of names, borders already moved; -1 = nothing.
-        level: "s", "m" or "l".
-        rng: all randomness.
+    ``truth``: [H, W] numbers of names, borders already moved; -1 = nothing.
     """
     scale = truth.shape[1] / REFERENCE_WIDTH
     pieces = _pieces(truth, max(LEAST_KEPT, SMALLEST * scale**2))

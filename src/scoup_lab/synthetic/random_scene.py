@@ -195,11 +195,7 @@ def clip_like_objects(
 
 
 def random_scene_regions(
-    cameras: Cameras,
-    counts: Sequence[int] = REGIONS,
-    dim: int = 512,
-    seed: int = 0,
-    distinct: int = 12,
+    cameras: Cameras, counts: Sequence[int] = REGIONS, dim: int = 512, seed: int = 0, distinct: int = 12
 ) -> Regions:
     """Regions of every camera: Voronoi maps and CLIP-like embeddings.
 
@@ -248,8 +244,8 @@ def random_scene_codes(
 ) -> tuple[Tensor, Tensor]:
     """Codes of Gaussians with ``means`` [N, 3] as an uplift leaves them: neighbours share atoms, and weights differ.
 
-    Returns:
-        indices [N, S, K] uint8 (uint16 beyond 256 atoms) and weights [N, S, K] float32, each code summing to 1.
+    Returns indices [N, S, K] uint8 (uint16 beyond 256 atoms) and weights [N, S, K] float32, each code summing
+    to 1.
     """
     from scipy.spatial import KDTree
 

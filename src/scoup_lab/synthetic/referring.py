@@ -22,13 +22,7 @@ from scoup_lab.synthetic.words import unit
 def write_referring_truth(scene: DemoScene, tested: Collection[str], folder: Path) -> DemoScene:
     """Write ``json/test_json`` and ``json/train_json`` with the sentences of each view, and ``gt_mask`` with its masks.
 
-    Args:
-        scene: to be written.
-        tested: names of the views of ``test_json``.
-        folder: of the scene.
-
-    Returns:
-        The scene with vectors of all sentences.
+    ``tested``: names of the views of ``test_json``. Returns the scene with vectors of all sentences.
     """
     beside = nearest_objects(scene)
     vectors: dict[str, np.ndarray] = {}

@@ -36,29 +36,18 @@ EMBEDDING_MODEL = "scoup-demo (simulated)"
 
 @dataclass(frozen=True, eq=False)
 class DemoScene:
-    """A scene with everything ``scoup`` needs, and the truth.
+    """A scene with everything ``scoup`` needs, and the truth."""
 
-    Attributes:
-        gaussians: N Gaussians, SH degree 0, in no particular order.
-        building: cameras of the views with regions.
-        held_out: cameras of the views without, for scoring.
-        regions: levels s, m, l of the building views, 512-d embeddings.
-        parts: names of parts (s), objects (m) and groups (l), and how they nest.
-        part_maps: the true part of each pixel of every view, [H, W] int32 by view name; -1 = nothing.
-        part_of_gaussian: [N] int64, the part each Gaussian lies on; -1 for haze.
-        words: text vectors, and the prototypes behind the region embeddings.
-        layout: the kind of scene.
-    """
-
-    gaussians: Gaussians
-    building: Cameras
-    held_out: Cameras
-    regions: Regions
-    parts: Parts
+    gaussians: Gaussians  # N Gaussians, SH degree 0, in no particular order
+    building: Cameras  # cameras of the views with regions
+    held_out: Cameras  # cameras of the views without, for scoring
+    regions: Regions  # levels s, m, l of the building views, 512-d embeddings
+    parts: Parts  # names of parts (s), objects (m) and groups (l), and how they nest
+    # the true part of each pixel of every view, [H, W] int32 by view name; -1 = nothing
     part_maps: Mapping[str, IntMap]
-    part_of_gaussian: Tensor
-    words: Words
-    layout: Layout = TABLE
+    part_of_gaussian: Tensor  # [N] int64, the part each Gaussian lies on; -1 for haze
+    words: Words  # text vectors, and the prototypes behind the region embeddings
+    layout: Layout = TABLE  # the kind of scene
 
     @property
     def cameras(self) -> Cameras:

@@ -29,15 +29,10 @@ HAZE_SHARE = 0.03  # of all Gaussians: floaters and haze, as training leaves the
 
 @dataclass(frozen=True, eq=False)
 class Splat:
-    """Gaussians and where they came from.
+    """Gaussians and where they came from."""
 
-    Attributes:
-        gaussians: the scene, SH degree 0.
-        part_of_gaussian: [N] int64 part number; -1 for floaters and haze.
-    """
-
-    gaussians: Gaussians
-    part_of_gaussian: Ints
+    gaussians: Gaussians  # the scene, SH degree 0
+    part_of_gaussian: Ints  # [N] int64 part number; -1 for floaters and haze
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +58,9 @@ def make_splat(
 ) -> Splat:
     """Cover all things with exactly ``n_gaussians`` Gaussians.
 
-    Args:
-        things: what to cover; each piece gets Gaussians by its area times its detail.
-        parts: numbers of the parts.
-        n_gaussians: how many; at least a few a piece.
-        rng: all randomness.
-        light: of the scene.
-        seen: [F] boolean, the faces of ``Surface.of(things, parts)`` that some view shows. Faces far from these get no
-            Gaussians, because training puts none where no view shows anything. None covers all faces.
-        n_directions: light directions, see ``lighting.lit``.
+    ``seen``: [F] boolean, the faces of ``Surface.of(things, parts)`` that some view shows. Faces far from
+    these get no Gaussians, because training puts none where no view shows anything. None covers all faces;
+    ``n_directions``: light directions, see ``lighting.lit``.
     """
     n_haze = int(n_gaussians * HAZE_SHARE)
     samples = _cover(things, parts, n_gaussians - n_haze, seen, rng)
@@ -112,11 +101,7 @@ def make_splat(
 
 
 def _cover(
-    things: tuple[Thing, ...],
-    parts: Parts,
-    count: int,
-    seen: np.ndarray | None,
-    rng: np.random.Generator,
+    things: tuple[Thing, ...], parts: Parts, count: int, seen: np.ndarray | None, rng: np.random.Generator
 ) -> _Samples:
     pieces = [(thing, piece) for thing in things for piece in thing.pieces]
     meshes = [piece.mesh for _, piece in pieces]

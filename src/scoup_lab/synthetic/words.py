@@ -43,17 +43,11 @@ CANONICAL_COSINE, CANONICAL_SPREAD = 0.193, 0.012  # a canonical phrase and a pr
 
 @dataclass(frozen=True, eq=False)
 class Words:
-    """Text vectors, and image prototypes of the names of a scene.
+    """Text vectors, and image prototypes of the names of a scene."""
 
-    Attributes:
-        texts: all words that have a vector.
-        vectors: [texts, D] float64, unit norm.
-        prototypes: for each level, [names at that level, D] float64, unit norm.
-    """
-
-    texts: tuple[str, ...]
-    vectors: Floats
-    prototypes: dict[str, Floats]
+    texts: tuple[str, ...]  # all words that have a vector
+    vectors: Floats  # [texts, D] float64, unit norm
+    prototypes: dict[str, Floats]  # for each level, [names at that level, D] float64, unit norm
 
     def vector(self, text: str) -> Floats:
         """[D] unit vector of a word."""

@@ -17,11 +17,7 @@ def label_folder(root: Path, scene: str) -> Path:
 
 
 def read_labelled_frames(root: Path, scene: str) -> list[LabelledFrame]:
-    """Return the frames of a scene that have a label.
-
-    Raises:
-        MissingFileError, FileFormatError: see ``read_labels``.
-    """
+    """Return the frames of a scene that have a label."""
     return [frame for frame in read_labels(label_folder(root, scene)) if frame.labels]
 
 

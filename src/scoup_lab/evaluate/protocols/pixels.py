@@ -189,11 +189,7 @@ class LabelledScene(SceneFiles):
 
 
 def maps_by_label(frame: LabelledFrame, maps: Maps) -> Iterator[tuple[str, Tensor]]:
-    """Yield each label of a frame with its relevancy maps [S, H, W].
-
-    Raises:
-        InputError: a label has no relevancy map.
-    """
+    """Yield each label of a frame with its relevancy maps [S, H, W]."""
     if isinstance(maps, Tensor) and (maps.dim() != 4 or maps.shape[1] != len(frame.labels)):
         raise InputError(
             f"frame {frame.name!r} has {counted(len(frame.labels), 'label')}, its relevancy is "

@@ -75,11 +75,7 @@ class PointTruth:
         return bool((self.classes != NO_CLASS).any())
 
     def answers(self, gaussians: Gaussians, given: Tensor, n_classes: int, neighbours: int) -> Tensor:
-        """Return [P] int64 classes of the points from those given to the Gaussians [N].
-
-        Raises:
-            InputError: no Gaussian has a class.
-        """
+        """Return [P] int64 classes of the points from those given to the Gaussians [N]."""
         if self.points is None:
             return given.cpu()
         return nearest_classes(gaussians.means, given, self.points.positions, n_classes, neighbours)
@@ -138,12 +134,7 @@ class PointScene(SceneFiles):
     protocol: PointProtocol  # that scores it
 
     def truth(self, classes: ClassList, gaussians: Gaussians) -> PointTruth:
-        """Read the true classes of the scene's points.
-
-        Raises:
-            MissingFileError, FileFormatError: the files of the truth are not there or damaged.
-            InputError: they do not fit the Gaussians.
-        """
+        """Read the true classes of the scene's points."""
         return self.protocol.truth(self.folder, classes, gaussians)
 
 
@@ -157,14 +148,7 @@ def label_gaussians(
     where a text leads the canonical phrases by most, which is its largest relevancy. Nothing is smoothed, and nothing
     is judged absent. Of equals the first text is taken.
 
-    Args:
-        fitted: what a method made of a scene.
-        vectors: of the texts.
-        texts: Q >= 1, one a class.
-        level: the position of the only level that answers; None for all.
-
-    Raises:
-        InputError: there is no such level.
+    ``texts``: Q >= 1, one a class; ``level``: the position of the only level that answers; None for all.
     """
     coded = fitted.coded()
     if level is not None and not 0 <= level < len(coded):
@@ -189,15 +173,8 @@ def nearest_classes(
 ) -> Tensor:
     """[P] int64 class of each point, by a vote of the nearest Gaussians that have one; of equals the smallest number.
 
-    Args:
-        means: [N, 3] of the Gaussians.
-        classes: [N] of the Gaussians; those of ``NO_CLASS``, and those that are nowhere finite, have no vote.
-        positions: [P, 3].
-        n_classes: C.
-        neighbours: how many vote, fewer where there are not so many.
-
-    Raises:
-        InputError: no Gaussian has a class, or nobody is to vote.
+    ``means``: [N, 3] of the Gaussians; ``classes``: [N] of the Gaussians; those of ``NO_CLASS``, and those
+    that are nowhere finite, have no vote; ``positions``: [P, 3].
     """
     from scipy.spatial import KDTree
 
@@ -217,13 +194,7 @@ def nearest_classes(
 def confusion_matrix(truth: Tensor, given: Tensor, n_classes: int) -> Tensor:
     """[C, C + 1] int64: how many points of each true class (row) were given each class; last column: none.
 
-    Args:
-        truth: [P] int64; points of ``NO_CLASS`` do not count.
-        given: [P] int64.
-        n_classes: C.
-
-    Raises:
-        InputError: shapes differ, or a number is none of a class.
+    ``truth``: [P] int64; points of ``NO_CLASS`` do not count; ``given``: [P] int64.
     """
     if truth.shape != given.shape or truth.dim() != 1:
         raise InputError(f"{list(truth.shape)} true classes and {list(given.shape)} given; one each a point")

@@ -51,10 +51,6 @@ def read_frames(folder: str | Path) -> list[LabelledFrame]:
 
     Labels are sentences; there are no boxes. Sentences of nothing but empty masks are left out, and with them frames
     that have no others.
-
-    Raises:
-        MissingFileError: sentences, masks, or all test frames of the scene are not there.
-        FileFormatError: a file is damaged, or the masks of a frame differ in size.
     """
     folder = Path(folder)
     home = sentence_folder(folder)

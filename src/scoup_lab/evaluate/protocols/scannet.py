@@ -47,14 +47,7 @@ def labels_path(folder: Path) -> Path:
 def gaussian_truth(gaussians: Gaussians, points: LabelledPoints, classes: ClassList, where: str) -> Tensor:
     """[N] int64 true class of each Gaussian, ``NO_CLASS`` for those that do not count.
 
-    Args:
-        gaussians: N, at the points.
-        points: N, with numbers of NYU's 40 classes.
-        classes: one of ``CLASS_LISTS``.
-        where: the points are from, for errors.
-
-    Raises:
-        InputError: the Gaussians are not at the points.
+    ``points``: N, with numbers of NYU's 40 classes; ``classes``: one of ``CLASS_LISTS``.
     """
     remedy = (
         "the protocol needs a splat that starts from these points and is trained with their positions frozen and "

@@ -66,10 +66,6 @@ def scene_names(root: Path) -> list[str]:
 def read_truth(folder: Path, classes: ClassList) -> LabelledPoints:
     """The labelled points of a scene: of the scan (``pc_coord.npy``, ``pc_segment*.npy``), else ``coord.npy`` and
     ``segment*.npy``, which are points or Gaussians. Negative numbers stand for no class.
-
-    Raises:
-        MissingFileError: a file is not there.
-        FileFormatError: see ``read_labelled_npy``, or a class is not in the list.
     """
     for prefix in (SCAN, ""):
         labels = folder / f"{prefix}{classes.file}.npy"

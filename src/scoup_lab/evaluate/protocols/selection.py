@@ -71,16 +71,7 @@ def score_scene(
 ) -> SceneScore:
     """Score every label of every frame.
 
-    Args:
-        scene: its name.
-        gaussians: N of them.
-        frames: the truth and where it is seen from; labels are brought to the camera's size by nearest neighbour.
-        chosen: label -> [N] boolean, the Gaussians selected for it in the whole scene.
-        raster_preset: as the scene was trained.
-        preset: constants.
-
-    Raises:
-        InputError: a label has no selection, or there are no labels.
+    ``chosen``: label -> [N] boolean, the Gaussians selected for it in the whole scene.
     """
     pairs = []
     for frame, camera in frames:
@@ -96,11 +87,7 @@ def score_scene(
 
 
 def score_method(
-    scene: LabelledScene,
-    vectors: TextVectors,
-    fitted: FittedMethod,
-    gaussians: Gaussians,
-    raster_preset: str,
+    scene: LabelledScene, vectors: TextVectors, fitted: FittedMethod, gaussians: Gaussians, raster_preset: str
 ) -> SceneScore:
     """Select Gaussians for every label by what a method made of a scene, and score the scene."""
     rule, coded = VALA_3D, fitted.coded()

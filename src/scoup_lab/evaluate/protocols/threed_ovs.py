@@ -31,13 +31,6 @@ def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
 
     Frames are in the order of their names, classes in that of ``classes.txt``. There are no boxes.
 
-    Args:
-        folder: of the scene; frames are named as its images.
-
-    Raises:
-        MissingFileError: there is no such folder or list of classes, or not a single mask.
-        FileFormatError: a mask cannot be read, or the masks of a frame differ in size.
-
     Warns:
         ScoupWarning: frames lack masks of some classes; these pairs are not scored.
     """

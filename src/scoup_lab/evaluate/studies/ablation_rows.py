@@ -103,11 +103,7 @@ ABLATIONS: tuple[Ablation, ...] = (
 
 
 def find_ablations(groups: Sequence[str]) -> list[Ablation]:
-    """The base, and the rows of some groups (all, for none).
-
-    Raises:
-        UnknownNameError: there is no such group.
-    """
+    """The base, and the rows of some groups (all, for none)."""
     known = list(dict.fromkeys(ablation.group for ablation in ABLATIONS))
     for group in groups:
         if group not in known:

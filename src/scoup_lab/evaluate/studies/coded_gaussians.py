@@ -30,12 +30,7 @@ def relevancy_of_coded(
 ) -> Tensor:
     """[S, Q, H, W] float32 relevancy, each level drawn from the Gaussians that have a code there; 0.5 where none is.
 
-    Args:
-        fitted: sparse codes of the N Gaussians.
-        gaussians: N.
-        camera: of the view.
-        queries, canonical: [Q, D] and [P, D], unit norm.
-        size: (width, height) that the rendered coefficients are resized to first.
+    ``queries``, ``canonical``: [Q, D] and [P, D], unit norm.
     """
     field, levels = fitted.field, []
     for level, chosen in enumerate(fitted.coded()):

@@ -68,18 +68,6 @@ def consistency(
     """Cosines of raw, autoencoder-decoded and sparse-decoded features between matched observations, at each level.
 
     Observations without a region are left out. All three features are of the same pairs.
-
-    Args:
-        scene: its name.
-        matches: observations of points.
-        cameras: views.
-        regions: maps and embeddings.
-        settings: of the sparse codes.
-        autoencoder: schedule of LangSplat's network, one for all levels.
-        seed: of network, codebook and draw of pairs.
-
-    Raises:
-        InputError: no point is seen twice.
     """
     first, second, point_of_pair = _pairs(matches, seed)
     if not len(first):
@@ -228,9 +216,8 @@ def consistency_table(results: Sequence[ConsistencyResult]) -> Table:
 def gap_differences(results: Sequence[ConsistencyResult]) -> list[tuple[str, str, str, Interval]]:
     """How much compression widens or narrows the gap between matched and unmatched observations.
 
-    Returns:
-        Scene, level, features, and the mean over points of their gap less that of the raw embeddings, with an interval
-        over points: paired, since all features are of the same pairs.
+    Returns scene, level, features, and the mean over points of their gap less that of the raw embeddings,
+    with an interval over points: paired, since all features are of the same pairs.
     """
     raw = {(each.scene, each.level): each.gaps() for each in results if each.features == RAW}
     rows = []

@@ -66,11 +66,7 @@ class CurvePoint:
 
 
 def find_fault(name: str) -> FaultScale:
-    """A fault by name.
-
-    Raises:
-        UnknownNameError: there is none.
-    """
+    """A fault by name."""
     return looked_up("fault", name, FAULT_SCALES)
 
 

@@ -27,15 +27,10 @@ Observation = tuple[str, int]
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Points and where they are seen.
+    """Points and where they are seen."""
 
-    Attributes:
-        source: "COLMAP tracks" or "Gaussians".
-        points: the observations of each point, two or more.
-    """
-
-    source: str
-    points: list[list[Observation]]
+    source: str  # "COLMAP tracks" or "Gaussians"
+    points: list[list[Observation]]  # the observations of each point, two or more
 
 
 def matched_points(scene: StudyScene) -> Matches:

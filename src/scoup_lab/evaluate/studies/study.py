@@ -25,10 +25,4 @@ class Study(ABC, Generic[Result]):
 
     @abstractmethod
     def report(self, results: Sequence[Result], protocol: str, described: dict[str, Any]) -> Report:
-        """Return tables, plots and record.
-
-        Args:
-            results: of all scenes.
-            protocol: title of the one that scored.
-            described: goes into the record: rules, the machine.
-        """
+        """Return tables, plots and record."""

@@ -24,18 +24,12 @@ from scoup_lab.evaluate.studies.coded_gaussians import relevancy_of_coded
 
 @dataclass(frozen=True)
 class ScoringRule:
-    """How maps become scores.
+    """How maps become scores."""
 
-    Attributes:
-        preset: constants and choice of the level.
-        levels: names of those that may answer; None leaves that to the protocol.
-        everyday: compare with everyday words too (``scoup.models.words``), which no protocol does.
-        coded: draw only the Gaussians that have a code (``coded_gaussians``); of sparse codes only.
-    """
-
-    preset: QueryPreset
-    levels: tuple[str, ...] | None = None
-    everyday: bool = False
+    preset: QueryPreset  # constants and choice of the level
+    levels: tuple[str, ...] | None = None  # names of those that may answer; None leaves that to the protocol
+    everyday: bool = False  # compare with everyday words too (``scoup.models.words``), which no protocol does
+    # draw only the Gaussians that have a code (``coded_gaussians``); of sparse codes only
     coded: bool = False
 
     @property
@@ -46,17 +40,11 @@ class ScoringRule:
 
 @dataclass(frozen=True, eq=False)
 class StudyScene:
-    """What all methods tried on a scene share. Made by ``open_study_scene``.
+    """What all methods tried on a scene share. Made by ``open_study_scene``."""
 
-    Attributes:
-        labelled: the scene with its labels.
-        vectors: of the labels.
-        rasterised: the scene that methods are fitted to.
-    """
-
-    labelled: LabelledScene
-    vectors: TextVectors
-    rasterised: RasterisedScene
+    labelled: LabelledScene  # the scene with its labels
+    vectors: TextVectors  # of the labels
+    rasterised: RasterisedScene  # the scene that methods are fitted to
 
     @property
     def name(self) -> str:

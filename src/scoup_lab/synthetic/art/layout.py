@@ -20,23 +20,14 @@ CameraMaker = Callable[[int, int, int, int, np.random.Generator], tuple[Cameras,
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """A kind of scene.
+    """A kind of scene."""
 
-    Attributes:
-        name: of scenes of this layout.
-        title: what it shows, in words that follow "A".
-        things: makes all things, placed; z is up, metres.
-        cameras: makes the cameras; no held-out camera has the position of a building camera.
-        light: the light of the scene.
-        favourites: names worth showing in pictures, the best known first.
-    """
-
-    name: str
-    title: str
-    things: Callable[[], tuple[Thing, ...]]
-    cameras: CameraMaker
-    light: Light
-    favourites: tuple[str, ...]
+    name: str  # of scenes of this layout
+    title: str  # what it shows, in words that follow "A"
+    things: Callable[[], tuple[Thing, ...]]  # makes all things, placed; z is up, metres
+    cameras: CameraMaker  # makes the cameras; no held-out camera has the position of a building camera
+    light: Light  # the light of the scene
+    favourites: tuple[str, ...]  # names worth showing in pictures, the best known first
 
 
 def aimed_camera(

@@ -24,25 +24,18 @@ SHADOW_GAP = 0.012  # metres: how far behind a blocker a point must lie to be in
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """The light of a scene.
+    """The light of a scene."""
 
-    Attributes:
-        lamp: [3] position of a small warm light, metres.
-        shell: names of things that throw no shadow, because light has to come in through them.
-        sun: [3] unit vector towards the sun.
-        eye: [3] direction that highlights are seen from: the middle of the cameras.
-        lamp_strength: of the lamp; the light of one at a metre's distance.
-        shadow_size: pixels on each side of a picture taken from a light's direction.
-        shadow_gap: metres that a point must lie behind a blocker to be in its shadow: about two of those pixels, or
-            surfaces at an angle to the light would shade themselves.
-    """
-
-    lamp: Floats
+    lamp: Floats  # [3] position of a small warm light, metres
+    # names of things that throw no shadow, because light has to come in through them
     shell: frozenset[str] = frozenset()
-    sun: Floats = field(default_factory=SUN.copy)
+    sun: Floats = field(default_factory=SUN.copy)  # [3] unit vector towards the sun
+    # [3] direction that highlights are seen from: the middle of the cameras
     eye: Floats = field(default_factory=EYE.copy)
-    lamp_strength: float = 0.022
-    shadow_size: int = SHADOW_SIZE
+    lamp_strength: float = 0.022  # of the lamp; the light of one at a metre's distance
+    shadow_size: int = SHADOW_SIZE  # pixels on each side of a picture taken from a light's direction
+    # metres that a point must lie behind a blocker to be in its shadow: about two of those pixels, or
+    # surfaces at an angle to the light would shade themselves
     shadow_gap: float = SHADOW_GAP
 
 
@@ -58,16 +51,8 @@ def lit(
 ) -> Floats:
     """Shaded colours of points on surfaces.
 
-    Args:
-        points, normals: [n, 3] in metres; unit normals.
-        albedo: [n, 3] sRGB, 0..1.
-        gloss, glow: [n] 0..1.
-        blockers: what throws shadows.
-        light: sun, lamp and how shadows are found.
-        n_directions: light directions, a third of them for the sun.
-
-    Returns:
-        [n, 3] sRGB, 0..1.
+    ``points``, ``normals``: [n, 3] in metres; unit normals; ``albedo``: [n, 3] sRGB, 0..1; ``gloss``,
+    ``glow``: [n] 0..1. Returns [n, 3] sRGB, 0..1.
     """
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     received = (0.5 - 0.5 * normals[:, 2:3]) * FLOOR_COLOR

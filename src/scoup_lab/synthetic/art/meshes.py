@@ -15,17 +15,11 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh.
+    """A triangle mesh."""
 
-    Attributes:
-        vertices: [V, 3] float64.
-        normals: [V, 3] float64, unit norm, pointing outwards.
-        faces: [F, 3] int64, rows of ``vertices``.
-    """
-
-    vertices: Floats
-    normals: Floats
-    faces: Ints
+    vertices: Floats  # [V, 3] float64
+    normals: Floats  # [V, 3] float64, unit norm, pointing outwards
+    faces: Ints  # [F, 3] int64, rows of ``vertices``
 
     def face_areas(self) -> Floats:
         """[F] areas in squared units of the vertices."""
@@ -114,10 +108,8 @@ def with_normals(vertices: Floats, faces: Ints) -> Mesh:
 def lathe(profile: ArrayLike, segments: int = 32) -> Mesh:
     """A surface of revolution about z.
 
-    Args:
-        profile: [P, 2] radius and height, in the order that keeps the solid on the left (bottom centre,
-            outside upwards, top centre). A point given twice is a sharp edge.
-        segments: corners of the circle.
+    ``profile``: [P, 2] radius and height, in the order that keeps the solid on the left (bottom centre,
+    outside upwards, top centre). A point given twice is a sharp edge.
     """
     points = np.asarray(profile, float)
     cuts = [0, *(1 + np.flatnonzero((points[1:] == points[:-1]).all(1))).tolist(), len(points)]
@@ -172,11 +164,7 @@ def ellipsoid(
 def tube(path: ArrayLike, radius: float | ArrayLike, segments: int = 12, squash: float = 1.0) -> Mesh:
     """A round bar along ``path`` [P, 3] with rounded-off flat ends.
 
-    Args:
-        path: [P, 3] centre line.
-        radius: one number, or [P].
-        segments: corners of the circle.
-        squash: the second axis of the cross-section as a share of the first.
+    ``path``: [P, 3] centre line; ``radius``: one number, or [P].
     """
     line = np.asarray(path, float)
     radii = np.broadcast_to(np.asarray(radius, float), len(line))

@@ -15,47 +15,29 @@ from scoup_lab.synthetic.art.paints import Paint
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A painted mesh in the frame of its thing, in centimetres.
+    """A painted mesh in the frame of its thing, in centimetres."""
 
-    Attributes:
-        part: the name of the part it belongs to; pieces of one part share it.
-        mesh: its surface.
-        paint: its colours.
-        detail: Gaussians per area, as a multiple of the average.
-        thin: the largest standard deviation of a Gaussian on it, in centimetres; small for wires and rims.
-        gloss: strength of the highlight, 0..1.
-        glow: share of its own light, 0 (none) to 1 (a lamp).
-    """
-
-    part: str
-    mesh: Mesh
-    paint: Paint
-    detail: float = 1.0
+    part: str  # the name of the part it belongs to; pieces of one part share it
+    mesh: Mesh  # its surface
+    paint: Paint  # its colours
+    detail: float = 1.0  # Gaussians per area, as a multiple of the average
+    # the largest standard deviation of a Gaussian on it, in centimetres; small for wires and rims
     thin: float = np.inf
-    gloss: float = 0.0
-    glow: float = 0.0
+    gloss: float = 0.0  # strength of the highlight, 0..1
+    glow: float = 0.0  # share of its own light, 0 (none) to 1 (a lamp)
 
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """An object: what a person would point at and name.
+    """An object: what a person would point at and name."""
 
-    Attributes:
-        name: unique in the scene unless it is one of ``several``.
-        pieces: what it is made of.
-        group: the larger whole it belongs to; empty if it is a group of its own.
-        turn: [3, 3] rotation.
-        place: [3] position in metres.
-        size: metres per centimetre of the pieces.
-        several: whether other things may have its name and then are the same object, such as four chairs.
-    """
-
-    name: str
-    pieces: tuple[Piece, ...]
-    group: str = ""
-    turn: Floats = field(default_factory=lambda: np.eye(3))
-    place: Floats = field(default_factory=lambda: np.zeros(3))
-    size: float = 0.01
+    name: str  # unique in the scene unless it is one of ``several``
+    pieces: tuple[Piece, ...]  # what it is made of
+    group: str = ""  # the larger whole it belongs to; empty if it is a group of its own
+    turn: Floats = field(default_factory=lambda: np.eye(3))  # [3, 3] rotation
+    place: Floats = field(default_factory=lambda: np.zeros(3))  # [3] position in metres
+    size: float = 0.01  # metres per centimetre of the pieces
+    # whether other things may have its name and then are the same object, such as four chairs
     several: bool = False
 
     def at(
@@ -85,29 +67,19 @@ class Thing:
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The names at three levels and how they nest. Numbers run from 0 in the order of first appearance.
+    """The names at three levels and how they nest. Numbers run from 0 in the order of first appearance."""
 
-    Attributes:
-        parts, objects, groups: names, unique at their level.
-        object_of_part: [parts] int64 number of the object that a part belongs to.
-        group_of_object: [objects] int64.
-        several: the objects that are several things of one name.
-    """
-
+    # parts, objects, groups: names, unique at their level
     parts: tuple[str, ...]
     objects: tuple[str, ...]
     groups: tuple[str, ...]
-    object_of_part: np.ndarray
-    group_of_object: np.ndarray
-    several: frozenset[str] = frozenset()
+    object_of_part: np.ndarray  # [parts] int64 number of the object that a part belongs to
+    group_of_object: np.ndarray  # [objects] int64
+    several: frozenset[str] = frozenset()  # the objects that are several things of one name
 
     @classmethod
     def of(cls, things: tuple[Thing, ...]) -> Parts:
-        """Numbers for everything in ``things``.
-
-        Raises:
-            InputError: a name stands for two different things.
-        """
+        """Numbers for everything in ``things``."""
         groups = tuple(dict.fromkeys(thing.group or thing.name for thing in things))
         objects = {thing.name: thing.group or thing.name for thing in things}
         numbers = {name: number for number, name in enumerate(objects)}
@@ -152,15 +124,10 @@ class Parts:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """All things as one mesh, in metres.
+    """All things as one mesh, in metres."""
 
-    Attributes:
-        mesh: the triangles.
-        part_of_face: [F] int64 part numbers.
-    """
-
-    mesh: Mesh
-    part_of_face: np.ndarray
+    mesh: Mesh  # the triangles
+    part_of_face: np.ndarray  # [F] int64 part numbers
 
     @classmethod
     def of(cls, things: tuple[Thing, ...], parts: Parts) -> Surface:

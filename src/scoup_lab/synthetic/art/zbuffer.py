@@ -18,14 +18,9 @@ CHUNK = 2_000_000  # candidate pixels held at once
 def visible_faces(vertices: Floats, faces: Ints, camera: Camera) -> NDArray[np.int64]:
     """The triangle seen at each pixel centre.
 
-    Args:
-        vertices: [V, 3] world coordinates.
-        faces: [F, 3] rows of ``vertices``.
-        camera: to look from.
-
-    Returns:
-        [H, W] int64 rows of ``faces``; -1 where nothing is seen. Triangles seen from behind, and those with a
-        corner nearer than ``NEAR``, are left out; at equal depth the higher row is taken.
+    ``vertices``: [V, 3] world coordinates; ``faces``: [F, 3] rows of ``vertices``. Returns [H, W] int64 rows
+    of ``faces``; -1 where nothing is seen. Triangles seen from behind, and those with a corner nearer than
+    ``NEAR``, are left out; at equal depth the higher row is taken.
     """
     viewmat, intrinsics = camera.viewmat.numpy(), camera.K.numpy()
     points = vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
@@ -44,14 +39,10 @@ def draw(
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Draw triangles into a z-buffer.
 
-    Args:
-        pixels: [V, 2] image coordinates of the vertices; pixel centres lie at +0.5.
-        nearness: [V] positive, linear over each triangle in the image, larger is in front.
-        faces: [F, 3] rows of the vertices; those that turn from the second axis to the first are not drawn.
-        width, height: image size.
-
-    Returns:
-        [H, W] int64 number of the triangle in front (-1: none), and its nearness [H, W] float32 (0: none).
+    ``pixels``: [V, 2] image coordinates of the vertices; pixel centres lie at +0.5; ``nearness``: [V]
+    positive, linear over each triangle in the image, larger is in front; ``faces``: [F, 3] rows of the
+    vertices; those that turn from the second axis to the first are not drawn. Returns [H, W] int64 number of
+    the triangle in front (-1: none), and its nearness [H, W] float32 (0: none).
     """
     a, b, c = (pixels[faces[:, corner]] for corner in range(3))
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
