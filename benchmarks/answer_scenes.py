@@ -68,7 +68,8 @@ class AnswerScene:
         return [(frame.name, label) for frame, _ in self.frames for label in frame.labels]
 
     def inputs(self, case: str = "clean", draw: int = 0) -> UpliftInputs:
-        """What methods are fitted to, with the faults of a case (``scoup_lab.synthetic.faults``) drawn by a seed."""
+        """Return what methods are fitted to, with the faults of a case (``scoup_lab.synthetic.faults``)
+        drawn by a seed."""
         levels = perturbed(self.levels, case, draw)
         return UpliftInputs(as_region_sums(levels), [level.embeddings for level in levels])
 
@@ -97,8 +98,9 @@ class DrawName(NamedTuple):
 
 
 def make_scene(name: str, data: Path, size: SceneSize) -> AnswerScene:
-    """A scene by name: "kitchen" as given, one of its draws (``DrawName``, ``benchmarks.kitchen_draws``), "desk" or
-    "desk-all" (``benchmarks.desk``), or a layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
+    """Return a scene by name: "kitchen" as given, one of its draws (``DrawName``,
+    ``benchmarks.kitchen_draws``), "desk" or "desk-all" (``benchmarks.desk``), or a layout of
+    ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
     if name == "kitchen":
         return _kitchen(data, size.kitchen_scale)
     if name in DESKS:

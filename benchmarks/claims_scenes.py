@@ -27,7 +27,7 @@ PRESET = QUERY_PRESETS["scoup"]
 
 
 def study_scene(demo: DemoScene, gaussians: Gaussians) -> StudyScene:
-    """A demo scene with its Gaussians or others, labelled in the views held out; nothing is written."""
+    """Return a demo scene with its Gaussians or others, labelled in the views held out; nothing is written."""
     found = [(demo.labelled_frame(camera.name, OBJECTS), camera) for camera in demo.held_out]
     frames = [(frame, camera) for frame, camera in found if frame.labels]
     nowhere = Path()
@@ -38,25 +38,27 @@ def study_scene(demo: DemoScene, gaussians: Gaussians) -> StudyScene:
 
 
 def entropy_rows(demo: DemoScene) -> dict[str, Any]:
-    """mIoU of the rows of the entropy ablation: the half of a sort loses its codes, or is dropped from blending too."""
+    """Return mIoU of the rows of the entropy ablation: the half of a sort loses its codes, or is dropped
+    from blending too."""
     scene = study_scene(demo, demo.gaussians)
     return ablation_record(Ablations(find_ablations(["entropy"]), PRESET, (0,)).results([scene]))
 
 
 def members(demo: DemoScene, name: str) -> Tensor:
-    """[N] boolean: the Gaussians that lie on an object."""
+    """Return [N] boolean: the Gaussians that lie on an object."""
     of_objects = demo.parts.at_level(demo.part_of_gaussian.numpy(), "m")
     return torch.from_numpy(of_objects == demo.parts.names("m").index(name))
 
 
 def as_glass(gaussians: Gaussians, chosen: Tensor, share: float) -> Gaussians:
-    """The Gaussians with the opacity of those chosen [N] multiplied by ``share``."""
+    """Return the Gaussians with the opacity of those chosen [N] multiplied by ``share``."""
     return replace(gaussians, opacities=torch.where(chosen, share * gaussians.opacities, gaussians.opacities))
 
 
 def glass_rows(demo: DemoScene, things: int, share: float) -> list[dict[str, Any]]:
-    """mIoU and localisation of things before and after their opacity is multiplied by ``share``, one thing at a time,
-    and of all other things of the scene. The masks and embeddings of the regions stay as they are.
+    """Return mIoU and localisation of things before and after their opacity is multiplied by ``share``, one
+    thing at a time, and of all other things of the scene. The masks and embeddings of the regions stay as they
+    are.
     """
     whole = study_scene(demo, demo.gaussians)
     before = whole.score(BASE.fit(whole.rasterised), PRESET).pairs

@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def data_folder() -> Path:
-    """The folder named by SCOUP_TEST_DATA, else ../shared/data."""
+    """Return the folder named by SCOUP_TEST_DATA, else ../shared/data."""
     return Path(os.environ.get("SCOUP_TEST_DATA", "../shared/data"))
 
 

@@ -46,12 +46,12 @@ BLOCK = re.compile(r"(<!-- table: ([^>]+?) -->\n).*?(<!-- end of table -->)", re
 
 @cache
 def record(name: str) -> dict[str, Any]:
-    """One of the records."""
+    """Return one of the records."""
     return json.loads((RECORDS / f"{name}.json").read_text())
 
 
 def readme() -> str:
-    """Ours beside others, by the protocol and as users ask; the real scene first."""
+    """Return our figures beside others', by the protocol and as users ask, the real scene first."""
     found = record("answers")
     names = {
         "default": "`scoup build`",
@@ -88,7 +88,7 @@ README_COLUMNS = {
 
 
 def bench() -> str:
-    """Stages of the rasteriser as `scoup bench` measured them."""
+    """Return the stages of the rasteriser as `scoup bench` measured them."""
     rows = record("bench")["rows"]
     ratios = {
         (each["gaussians"], each["stage"], each["threads"]): 1 / each["time_over_reference"]
@@ -104,13 +104,13 @@ def bench() -> str:
 
 
 def study(name: str, number: int) -> str:
-    """A table of ``scoup eval`` as it was written."""
+    """Return a table of ``scoup eval`` as it was written."""
     table = record(name)["tables"][number]
     return markdown(table["headers"], table["rows"])
 
 
 def faults() -> str:
-    """Every way under each fault by the protocol and as answered always, then the differences."""
+    """Return every way under each fault by the protocol and as answered always, then the differences."""
     found = record("answers_faults")
     keys = [key for key in next(iter(found["ways"].values())) if key != "all"]
     rows = [
@@ -126,14 +126,14 @@ def faults() -> str:
 
 
 def consistency() -> str:
-    """The means over scenes and levels."""
+    """Return the means over scenes and levels."""
     table = record("eval-consistency")["tables"][0]
     rows = [[row[0], row[4], *row[6:]] for row in table["rows"] if row[1] == "all"]
     return markdown(["features", "matched", "of different points", "difference"], rows)
 
 
 def points(name: str, metric: str) -> str:
-    """Scores of points by class: every system with its interval."""
+    """Return scores of points by class: every system with its interval."""
     systems = record(name)["systems"]
     rows = [
         [
@@ -189,7 +189,7 @@ TABLES: dict[str, Callable[[], str]] = {
 
 
 def made(text: str) -> str:
-    """A document with its tables made anew, without what aligns their columns."""
+    """Return a document with its tables made again, without what aligns their columns."""
 
     def block(found: re.Match[str]) -> str:
         return (

@@ -15,7 +15,7 @@ Records = Callable[[str], dict[str, Any]]
 
 
 def claims_table(record: Records) -> str:
-    """A row a claim: what the paper says, what was measured here, whether it holds.
+    """Return a row per claim: what the paper says, what was measured here, whether it is reproduced.
 
     Verdicts are those of the words "all", "some" and "none" of the signs measured, so that they follow the records.
     """
@@ -34,7 +34,7 @@ def _points(values: list[float]) -> str:
 def _accuracy(record: Records) -> list[list[str]]:
     beside = record("answers")["differences"]["paper - dense"]
     found = [beside[key]["peak"] for key in (CLEAN, NOISE, LAYOUTS)]
-    told = "; ".join(
+    measured = "; ".join(
         f"{name} {_points(each)}"
         for name, each in zip(("kitchen draws", "noise doubled", "procedural"), found, strict=True)
     )
@@ -48,7 +48,7 @@ def _accuracy(record: Records) -> list[list[str]]:
         [
             "sparse codes answer better than dense uplift (mIoU)",
             "+3.9",
-            told,
+            measured,
             _verdict([each[1] > 0 for each in found]),
         ],
     ]
@@ -76,14 +76,14 @@ def _settings(record: Records) -> list[list[str]]:
         name = f"without the 50 % of {half} entropy"
         found = [_points(rows[each]["minus_base"]) for each in (name, f"{name}, dropped from blending")]
         large = [100 * (million[each]["miou"] - base) for each in (name, f"{name}, dropped from blending")]
-        told = "{}; dropped from blending too {}; 1M Gaussians {:+.1f}, {:+.1f}".format(*found, *large)
+        measured = "{}; dropped from blending too {}; 1M Gaussians {:+.1f}, {:+.1f}".format(*found, *large)
         lost = {each: rows[f"without the 50 % of {each} entropy"]["minus_base"][0] for each in (half, other)}
         holds = lost["highest"] > lost["lowest"]
         body.append(
             [
                 f"without the half of {half} entropy (mIoU)",
                 f"{published:+.1f}",
-                told,
+                measured,
                 REPRODUCED if holds else NOT,
             ]
         )
@@ -134,24 +134,26 @@ def _cost(record: Records) -> list[list[str]]:
     network = size["autoencoder"]["all_epochs_s"]
     times = {name: network / seconds for name, seconds in size["whole_adam_s"].items()}
     exact = network / size["exact"]["fast"]["seconds"]["median"]
-    told = ", ".join(f"{ratio:.1f} times ({name})" for name, ratio in times.items())
+    measured = ", ".join(f"{ratio:.1f} times ({name})" for name, ratio in times.items())
     parts = record("lerf_sized")
     share = (
         sum(seconds for stage, seconds in parts["seconds"].items() if "coding" in stage) / parts["total_s"]
     )
-    joint_told = f"{times_joint['paper']:.0f} times `paper`, {times_joint['sparse']:.0f} times the default"
-    joint_told += f", {LANGSPLATV2.iterations:,} steps a level extrapolated"
+    joint_measured = (
+        f"{times_joint['paper']:.0f} times `paper`, {times_joint['sparse']:.0f} times the default"
+    )
+    joint_measured += f", {LANGSPLATV2.iterations:,} steps a level extrapolated"
     return [
         [
             "encoding all regions is over 10 times faster than training LangSplat's autoencoder",
             "> 10",
-            f"Adam as published: {told}; exact codes {exact:.0f} times",
+            f"Adam as published: {measured}; exact codes {exact:.0f} times",
             _verdict([ratio > 10 for ratio in times.values()]),
         ],
         [
             "hours of joint optimisation (LangSplatV2) become under a minute",
             "about 400 times",
-            joint_told,
+            joint_measured,
             _verdict([times_joint["paper"] > 100, times_joint["sparse"] > 100]),
         ],
         [

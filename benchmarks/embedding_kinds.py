@@ -103,7 +103,7 @@ def draw_prototypes(
 
 
 def _with_cosines(rows: Floats, vectors: Floats, wanted: Floats) -> Floats:
-    """Unit rows [n, D] whose products with vectors [words, D] are those wanted, [n, words], changed as little as
+    """Return unit rows [n, D] whose products with vectors [words, D] are those wanted, [n, words], changed as little as
     possible."""
     back = np.linalg.pinv(vectors).T
     rows = unit(rows)

@@ -129,7 +129,7 @@ class Trial:
 
 
 def endure(verb: Verb, scene: Scene, kills: int, seed: int, outside: float = 0.5) -> list[Trial]:
-    """Trials of a verb until so many kills have hit.
+    """Return trials of a verb until so many kills have hit.
 
     ``outside``: see ``Endurance``.
     """
@@ -146,7 +146,7 @@ def endure(verb: Verb, scene: Scene, kills: int, seed: int, outside: float = 0.5
 
 @functools.cache
 def undisturbed(verb: Verb, scene: Scene) -> Plain:
-    """A run that nobody kills."""
+    """Return a run that nobody kills."""
     verb.prepare(scene)
     before = snapshot(scene.work)
     found = run(verb, scene)
@@ -156,7 +156,7 @@ def undisturbed(verb: Verb, scene: Scene) -> Plain:
 
 
 def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int, outside: float) -> Trial:
-    """One trial; at most so many kills that hit."""
+    """Return one trial; at most so many kills that hit."""
     verb.prepare(scene)
     kills: list[Kill] = []
     late, kept = 0, verb.n_kept(scene)
@@ -185,7 +185,7 @@ def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int
 
 
 def killed(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, outside: float) -> Run:
-    """A run that is killed at a random moment, if it is not over before."""
+    """Return a run that is killed at a random moment, if it is not over before."""
     moment, point = dice.random(), dice.randint(1, len(plain.notes))
     if dice.random() < outside:
         return run(verb, scene, after=moment * EARLY * plain.seconds)
@@ -193,7 +193,7 @@ def killed(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, outside:
 
 
 def judged(verb: Verb, scene: Scene, plain: Plain, found: Run, kept_before: int) -> Kill:
-    """What a kill has left."""
+    """Return what a kill has left."""
     files = snapshot(scene.work)
     finished = verb.is_new(files, plain.files)
     kept = found.count("begun") if finished else verb.n_kept(scene) - kept_before
@@ -203,7 +203,7 @@ def judged(verb: Verb, scene: Scene, plain: Plain, found: Run, kept_before: int)
 
 
 def figures(trials: list[Trial], verb: Verb) -> dict[str, Any]:
-    """Of the trials of a verb, for JSON."""
+    """Return the figures of a verb's trials, for JSON."""
     kills = [kill for trial in trials for kill in trial.kills]
     return {
         "trials": len(trials),

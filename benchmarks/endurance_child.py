@@ -45,7 +45,7 @@ class Points:
                 os.kill(os.getpid(), signal.SIGKILL)
 
     def audit(self, event: str, arguments: tuple[Any, ...]) -> None:
-        """An audit hook: changes of files."""
+        """Note changes of files: an audit hook."""
         if event == "open" and isinstance(arguments[2], int) and arguments[2] & _WRITES:
             self._file("open", arguments[0])
         elif event in _CHANGES:

@@ -33,7 +33,7 @@ class Run:
     by_itself: bool  # it was to end itself at a point
 
     def count(self, note: str) -> int:
-        """How often it noted this."""
+        """Return how often it noted this."""
         return self.notes.count(note)
 
     @property
@@ -82,12 +82,12 @@ def run(verb: Verb, scene: Scene, point: int = 0, after: float | None = None) ->
 
 
 def environment() -> dict[str, str]:
-    """This process's, with its paths of modules."""
+    """Return the environment of this process, with its paths of modules."""
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
 
 
 def snapshot(folder: Path) -> dict[str, bytes]:
-    """Contents of every file below a folder; of a folder that is empty, nothing under its name and a slash."""
+    """Return contents of every file below a folder; of a folder that is empty, nothing under its name and a slash."""
     found = {}
     for path in folder.rglob("*"):
         name = path.relative_to(folder).as_posix()

@@ -57,7 +57,7 @@ class Verb:
     new: tuple[str, ...] = ()
 
     def command(self, scene: Scene) -> list[str]:
-        """The arguments of the program."""
+        """Return the arguments of the program."""
         return [argument.replace("SCENE", str(scene.folder)) for argument in self.arguments]
 
     def prepare(self, scene: Scene) -> None:
@@ -69,52 +69,52 @@ class Verb:
             scene.work.mkdir(parents=True)
 
     def n_kept(self, scene: Scene) -> int:
-        """Views of this verb that are kept for its next run."""
+        """Return views of this verb that are kept for its next run."""
         return self.kept_in(scene.work)
 
     def is_finished(self, run: Run) -> bool:
-        """Whether a run was refused because the work is done."""
+        """Return whether a run was refused because the work is done."""
         return run.code == 2 and re.search(self.finished, run.said) is not None
 
     def is_new(self, files: dict[str, bytes], wanted: dict[str, bytes]) -> bool:
-        """Whether all outputs that belong together are in their places, as of an undisturbed run."""
+        """Return whether all outputs that belong together are in their places, as of an undisturbed run."""
         return bool(self.new) and self._of_outputs(files) == self._of_outputs(wanted)
 
     def is_as_before(self, files: dict[str, bytes], before: dict[str, bytes]) -> bool:
-        """Whether none of them is."""
+        """Return whether none of them is."""
         return self._of_outputs(files) == self._of_outputs(before)
 
     def _of_outputs(self, files: dict[str, bytes]) -> dict[str, bytes]:
-        """Those of files that are outputs, or in folders that are."""
+        """Return the files that are outputs, or in folders that are."""
         return {path: content for path, content in files.items() if path.split("/")[0] in self.new}
 
     def says_how_to_go_on(self, files: dict[str, bytes]) -> bool:
-        """Whether marks say which files are still to be put in their places."""
+        """Return whether marks say which files are still to be put in their places."""
         return any(path.split("/")[0].endswith((".ready", ".unwanted")) for path in files)
 
 
 def views_of_build(work: Path) -> int:
-    """Views in the region sums that an interrupted build has left."""
+    """Return views in the region sums that an interrupted build has left."""
     return _n_views(work / f"{FIELD}.partial")
 
 
 def views_of_shard(work: Path) -> int:
-    """Views in the region sums that an interrupted shard has left."""
+    """Return views in the region sums that an interrupted shard has left."""
     return _n_views(work / f"{SHARD}.partial")
 
 
 def no_views(_: Path) -> int:
-    """None: the verb keeps no views of its own for its next run."""
+    """Return 0: the verb keeps no views for its next run."""
     return 0
 
 
 def views_of_update(work: Path) -> int:
-    """Views that an interrupted update has added."""
+    """Return views that an interrupted update has added."""
     return max(0, _n_views(work / f"{FIELD}.update.partial") - _n_views(work / f"{FIELD}.sums"))
 
 
 def views_extracted(work: Path) -> int:
-    """Views in a folder of regions that can be read."""
+    """Return views in a folder of regions that can be read."""
     try:
         return len(RegionStore.open(work / "regions").stems())
     except ScoupError:
@@ -147,11 +147,11 @@ WITH_SUMS = (FIELD, f"{FIELD}.sums")
 
 
 def all_views(scene: Scene) -> int:
-    """Those of the scene."""
+    """Return the number of views of the scene."""
     return scene.views
 
 
-# What a merge rasterises is nothing; what follows an edit is made anew.
+# What a merge rasterises is nothing; what follows an edit is made again.
 VERBS = {
     verb.name: verb
     for verb in (
@@ -205,7 +205,7 @@ def _run(scene: Scene, start: str, arguments: tuple[str, ...]) -> None:
 
 
 def write_photographs(folder: Path, count: int) -> None:
-    """Pictures of a few rectangles: those of the scene have hundreds of regions, for each of which time would pass."""
+    """Write pictures of a few rectangles: those of the scene have hundreds of regions, and each takes time."""
     generator = torch.Generator().manual_seed(0)
     for number in range(count):
         picture = torch.full((SIDE, SIDE, 3), 90, dtype=torch.uint8)

@@ -170,7 +170,7 @@ def _pixels(path: Path) -> NDArray[np.uint8]:
 
 
 def _decoders(sam: Sam, image: NDArray[np.uint8]) -> Record:
-    """Seconds a point of the decoder here and of transformers', in turns, the best of three."""
+    """Return seconds a point of the decoder here and of transformers', in turns, the best of three."""
     encoded = sam.encode(image)
     assert isinstance(encoded, SamImage)
     shared = encoded.decode
@@ -189,13 +189,13 @@ def _decoders(sam: Sam, image: NDArray[np.uint8]) -> Record:
 
 
 def _best(found: dict[str, Masks], frame: LabelledFrame) -> dict[str, list[float]]:
-    """Level -> IoU of each thing's best region."""
+    """Return the IoU of each thing's best region by level."""
     truth = np.stack([mask.numpy() for mask in frame.masks.values()])
     return {level: _overlaps(truth, found[level].dense()).max(1, initial=0).tolist() for level in LEVELS}
 
 
 def _kept(found: dict[str, Masks], like: dict[str, Masks]) -> float:
-    """The share of other regions that have their like, of the same level."""
+    """Return the share of other regions that have their like, of the same level."""
     best = [
         _overlaps(like[level].dense(), found[level].dense()).max(1, initial=0)
         for level in LEVELS
@@ -205,7 +205,7 @@ def _kept(found: dict[str, Masks], like: dict[str, Masks]) -> float:
 
 
 def _overlaps(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """[A, B] IoU of masks [A, H, W] and [B, H, W]."""
+    """Return [A, B] IoU of masks [A, H, W] and [B, H, W]."""
     one, other = (masks.reshape(len(masks), -1).astype(np.float32) for masks in (first, second))
     shared = one @ other.T
     return shared / np.maximum(one.sum(1)[:, None] + other.sum(1)[None] - shared, 1)

@@ -1,4 +1,4 @@
-"""Draws of the kitchen: regions, embeddings and labels made anew, by seed, from what its Gaussians truly are.
+"""Draws of the kitchen: regions, embeddings and labels drawn by seed, from what its Gaussians truly are.
 
 Geometry, colours, cameras and text vectors are the
 given ones, and real; the truth (``gt/``) is drawn by hand upon them. A seed draws:
@@ -84,7 +84,7 @@ class Truth:
 
     @classmethod
     def open(cls, data: Path, scale: float) -> Truth:
-        """From the folder that holds kitchen/ and clip/."""
+        """Open the truth in the folder that contains kitchen/ and clip/."""
         kitchen = data / "kitchen"
         named = json.loads((kitchen / "gt" / "names.json").read_text())
         names = {int(number): entry["query"] for number, entry in named.items()}
@@ -102,12 +102,12 @@ class Truth:
         )
 
     def of_name(self) -> dict[str, tuple[int, ...]]:
-        """The objects that each name asked stands for."""
+        """Return the objects that each name asked stands for."""
         single = {name: (number,) for number, name in self.names.items() if name and name not in NOT_ASKED}
         return single | {name: GROUPS[name] for name in ("person", "shelves")}
 
     def of_own_name(self) -> dict[str, tuple[int, ...]]:
-        """``of_name`` with the names that are not asked."""
+        """Return ``of_name`` with the names that are not asked."""
         there = {name: (number,) for number, name in self.names.items() if name}
         return there | self.of_name()
 
@@ -117,7 +117,7 @@ class Truth:
         return {name: torch.from_numpy(np.isin(self.ids, of_name[name])) for name in names}
 
     def absent(self, words: Iterable[str]) -> tuple[str, ...]:
-        """Those words that nothing in the scene is called, nor might be."""
+        """Return the words that nothing in the scene is called, nor might be."""
         there = {name for name in self.names.values() if name} | {*GROUPS, *MIGHT_BE_THERE}
         return tuple(word for word in words if word not in there)
 
@@ -148,15 +148,15 @@ class _Errors:
     rng: np.random.Generator
 
     def noisiness(self, labels: IntMap) -> Floats:
-        """[R] factor of the noise of each region."""
+        """Return [R] factor of the noise of each region."""
         return NOISINESS * self.of.noise * np.exp(self.of.tail * self.rng.normal(size=int(labels.max()) + 1))
 
 
 def make_draw(
     truth: Truth, seed: int, noise_scale: float = 1.0, kind: EmbeddingKind | None = None
 ) -> KitchenDraw:
-    """A draw by its seed; ``noise_scale`` multiplies all noise of the embeddings. Without a kind, prototypes are real
-    centroids and errors those of ``observe``."""
+    """Return a draw by its seed; ``noise_scale`` multiplies all noise of the embeddings. Without a kind,
+    prototypes are real centroids and errors those of ``observe``."""
     for_pieces, for_words, for_regions, for_labels, for_errors = (
         np.random.default_rng([seed, purpose]) for purpose in range(5)
     )
@@ -187,7 +187,7 @@ def make_draw(
 
 
 def _cut(truth: Truth, rng: np.random.Generator) -> _Pieces:
-    """Every object cut in space; what has no label by place and colour."""
+    """Return every object cut in space; what has no label by place and colour."""
     means = truth.gaussians.means.numpy().astype(np.float64)
     colors = truth.gaussians.sh[:, 0].numpy().astype(np.float64)
     of_gaussian = np.zeros(len(truth.ids), np.int64)
@@ -220,22 +220,22 @@ def _kmeans(rows: Floats, count: int, rng: np.random.Generator, rounds: int = 12
 
 
 def _piece_map(truth: Truth, pieces: _Pieces, camera: Camera) -> IntMap:
-    """[H, W] the piece that a view shows: of the object painted most (all background together), the piece painted
-    most."""
+    """Return [H, W] the piece that a view shows: of the object with the most weight (all background together),
+    the piece most."""
     count = len(pieces.objects)
     indices = torch.from_numpy(pieces.of_gaussian)[:, None, None].to(torch.uint8)
     weights = torch.ones(len(indices), 1, 1)
     (image,) = raster.render_codes(raster.project(truth.gaussians, camera), indices, weights, count)
     nothing = max(truth.names) + 1
     owners = torch.from_numpy(pieces.objects.clip(max=nothing))
-    painted = image.new_zeros(*image.shape[:2], nothing + 1).index_add_(2, owners, image)
-    shown = painted.argmax(2)
+    of_object = image.new_zeros(*image.shape[:2], nothing + 1).index_add_(2, owners, image)
+    shown = of_object.argmax(2)
     own = torch.where(owners == shown[..., None], image, -1.0)
     return own.argmax(2).int().numpy()
 
 
 def _prototypes(truth: Truth, count: int, rng: np.random.Generator) -> Floats:
-    """[count, D] unit image prototypes, by number of the object; that of 0 is not used."""
+    """Return [count, D] unit image prototypes, by number of the object; that of 0 is not used."""
     centroids = truth.centroids
     mean = unit(centroids.mean(0))
     prototypes = centroids[rng.integers(0, len(centroids), count)]

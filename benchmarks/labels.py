@@ -101,7 +101,7 @@ def chosen_words(scene: AnswerScene, words: str) -> tuple[list[str], Tensor]:
                 things.append(name)
             owned |= members
         names = things[::2]
-        # What a name that is not given owns belongs to none, also where a larger thing that is given holds it.
+        # What a name that is not given owns belongs to none, also where a larger thing that is given contains it.
         smaller = [name for name in things if name not in names]
     else:
         smaller = []

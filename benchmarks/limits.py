@@ -25,7 +25,7 @@ class Watched:
     limited: bool  # whether it was held to the limit, files that the system caches for it included
 
     def memory(self) -> dict[str, int | bool]:
-        """What is known of its memory."""
+        """Return what is known of its memory."""
         record = asdict(self)
         del record["output"]
         return record
@@ -67,7 +67,7 @@ def _memory(process: int) -> dict[str, int]:
 
 @contextmanager
 def _group(most_bytes: int) -> Iterator[Path | None]:
-    """The folder of a control group with a limit of memory; None where none can be made."""
+    """Make a control group with a limit of memory and yield its folder; None where none can be made."""
     first = (_GROUPS / "memory").is_dir()
     folder = (_GROUPS / "memory" if first else _GROUPS) / f"scoup-{uuid.uuid4().hex[:8]}"
     try:

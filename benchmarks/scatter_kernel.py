@@ -1,4 +1,4 @@
-"""The uplift as the paper describes it: every pixel adds its code to every Gaussian that paints it.
+"""The uplift as the paper describes it: every pixel adds its code to every Gaussian that contributes to it.
 
 One atomic addition for each pixel, Gaussian and entry of the pixel's code, in no fixed order: what summing over regions
 first saves. To be compared with, and for nothing else. Imports triton.
@@ -30,7 +30,7 @@ _WARPS = 2  # a thread a pixel
 def scatter_view(
     projection: raster.Projection, labels: Tensor, codes: Sequence[SparseCodes], out: Tensor | None = None
 ) -> Tensor:
-    """A view's codes summed pixel by pixel, w_i = sum of e_i times the code of each pixel (method.md, stage 2).
+    """Return a view's codes summed pixel by pixel, w_i = sum of e_i times the code of each pixel (method.md, stage 2).
 
     ``projection``: from ``raster.project`` on a GPU; ``labels``: [S, H, W] integer regions, -1 for none;
     ``out``: [N, S, L] float32, contiguous, on the same device: added to and returned.
@@ -81,7 +81,7 @@ def scatter_kernel(
     CHUNK: tl.constexpr,
     K: tl.constexpr,
 ):
-    """One program a tile."""
+    """Run one program per tile."""
     tile = tl.program_id(0)
     x, y, pixel, inside = pixels_of(tile, across, width, height, TILE)
     plane = height.to(tl.int64) * width

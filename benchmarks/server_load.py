@@ -98,7 +98,7 @@ class Visitor:
             self.ask(action, "POST", path, message, leaves=action == "walk away")
 
     def question(self, action: str) -> tuple[str, dict[str, Any]]:
-        """(path, message) of what is asked by POST."""
+        """Return (path, message) of what is asked by POST."""
         text = self.dice.choice(WORDS)
         camera = self.dice.choice(self.cameras)
         if action == "point":
@@ -116,7 +116,7 @@ class Visitor:
     def ask(
         self, action: str, method: str, path: str, message: dict[str, Any] | None = None, leaves: bool = False
     ) -> None:
-        """One request on a connection of its own."""
+        """Send one request on a connection of its own."""
         parts = urlsplit(self.address)
         connection = http.client.HTTPConnection(str(parts.hostname), parts.port, timeout=TIMEOUT)
         body = None if message is None else json.dumps(message, sort_keys=True)
@@ -247,7 +247,7 @@ class ServerLoad(Study):
 
 
 def camera_record(camera: Camera) -> dict[str, Any]:
-    """A camera as the page sends it, its picture 160 pixels wide."""
+    """Return a camera as the page sends it, its picture 160 pixels wide."""
     small = camera.resized(160, 120)
     matrices = {"viewmat": small.viewmat, "K": small.K}
     return {name: matrix.flatten().tolist() for name, matrix in matrices.items()} | {
@@ -257,7 +257,7 @@ def camera_record(camera: Camera) -> dict[str, Any]:
 
 
 def state_of(process: int, seconds: float) -> dict[str, float]:
-    """Resident memory, open files and threads of a process."""
+    """Return resident memory, open files and threads of a process."""
     status = Path(f"/proc/{process}/status").read_text().splitlines()
     fields = dict(line.split(":", 1) for line in status if line.startswith(("VmRSS", "Threads")))
     return {
@@ -269,7 +269,7 @@ def state_of(process: int, seconds: float) -> dict[str, float]:
 
 
 def figures(book: Book, samples: Sequence[dict[str, float]]) -> dict[str, Any]:
-    """For JSON."""
+    """Return the record, for JSON."""
     half = samples[len(samples) // 2 :]
     slope = 0.0
     if len(half) > 1:

@@ -20,7 +20,7 @@ from scoup_lab.bench.environment import in_one_line
 from scoup_lab.evaluate.plots import HOW_TO_GET_THEM, Plot, can_draw, png
 
 Record: TypeAlias = dict[str, Any]
-"""What JSON holds."""
+"""Content of JSON."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ class Study:
         return "done"
 
     def record(self, rows: dict[str, Any]) -> Record:
-        """Return what the JSON holds beside the settings and the machine."""
+        """Return the content of the JSON beside the settings and the machine."""
         return {"rows": rows}
 
     @staticmethod

@@ -4,7 +4,7 @@
 
 Stages: parity (every answer against the reference), timing (one view, beside gsplat, dense uplift and the paper's
 per-pixel scatter), precision (of matrix products) and build (whole builds, kept sums and queries, beside the paper's
-procedure). Writes docs/benchmarks/gpu-DEVICE.json and .md, anew whenever more is known. Each stage is a process: what
+procedure). Writes docs/benchmarks/gpu-DEVICE.json and .md, again whenever more is known. Each stage is a process: what
 breaks the device or hangs costs its own row. Runs from a checkout in which nothing is installed, with torch, triton and
 scipy; parity needs pytest and hypothesis, the comparison gsplat (pip install gsplat) and nvcc, which compiles it. On a
 machine without a GPU --quick runs everything tiny, with interpreted kernels: its times mean nothing.
@@ -36,7 +36,7 @@ SHARE_OF_PARITY = 0.5  # of the time, where other stages follow
 
 
 def parse(words: list[str] | None = None) -> argparse.Namespace:
-    """The command line. By argparse: on a borrowed machine there may be nothing else."""
+    """Return the command line. By argparse: on a borrowed machine there may be nothing else."""
     parser = argparse.ArgumentParser(
         "python -m benchmarks.gpu", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -51,7 +51,7 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
 
 
 def output(arguments: argparse.Namespace, interpreted: bool) -> Path:
-    """The JSON file to write, where everything can run and be written."""
+    """Return the JSON file to write, where everything can run and be written."""
     for name in arguments.stages:
         if name not in STAGES:
             raise UnknownNameError("stage", name, STAGES)
@@ -93,7 +93,7 @@ def main(arguments: argparse.Namespace, start: Launch = launch) -> Path:
         try:
             page = report(record)
         except Exception as error:  # figures of hours are not to be lost for a table
-            page = f"This page could not be made ({error!r}); {out.name} holds everything.\n"
+            page = f"This page could not be made ({error!r}); {out.name} contains everything.\n"
         write_text(out.with_suffix(".md"), page, overwrite=True)
 
     runner = Runner(record["stages"], sizes, interpreted, write, start)
@@ -115,7 +115,7 @@ if __name__ == "__main__":
     try:
         written = main(parse())
     except KeyboardInterrupt:
-        sys.exit("interrupted; the files hold what is known")
+        sys.exit("interrupted; the files contain what is known")
     except ScoupError as error:
         print(error, file=sys.stderr)
         sys.exit(2)

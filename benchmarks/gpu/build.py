@@ -32,7 +32,7 @@ PAPER = "the paper's procedure"
 
 
 def build(stage: Stage) -> None:
-    """One run of each after a small one that compiles; inputs in memory, regions and label maps on the host."""
+    """Time one run of each after a small one that compiles; inputs in memory, regions and label maps on the host."""
     sizes = stage.sizes
     stage.result["about"] = (
         f"{sizes.n_gaussians:,} Gaussians, {sizes.build_views} views of {sizes.width} x {sizes.height}, "
@@ -60,7 +60,7 @@ def build(stage: Stage) -> None:
 
 
 def paper(stage: Stage, scene: Scene) -> None:
-    """Rows for the parts of the paper's procedure, and their sum."""
+    """Add rows for the parts of the paper's procedure, and their sum."""
     sizes = stage.sizes
     stage.once(f"{PLAIN}: warm-up", partial(scene.solve, 2))
     solver = stage.once(PLAIN, partial(scene.solve, sizes.epochs_run))
@@ -100,7 +100,7 @@ class Scene:
         most_views: int | None = None,
         sums: scoup.RegionSums | None = None,
     ) -> scoup.LanguageField:
-        """``scoup.build``; ``stages`` gets seconds by stage, as the host sees them: the device may lag behind."""
+        """Run ``scoup.build``; ``stages`` gets seconds by stage as the host sees them: the device may lag behind."""
         sizes, clock = self.stage.sizes, StageClock(self.stage.progress)
         n_atoms = sizes.n_atoms[0 if preset == "paper" else -1]
         k = sizes.k if preset == "paper" else min(build_settings(preset).k, n_atoms)
@@ -115,7 +115,7 @@ class Scene:
         return field
 
     def solve(self, epochs: int) -> None:
-        """The paper's solver, level by level."""
+        """Run the paper's solver, level by level."""
         from coding.plain_adam import plain_loss  # of the tests: method.md as it is written
 
         sizes, self.codes = self.stage.sizes, []
@@ -132,7 +132,7 @@ class Scene:
             self.codes.append(SparseCodes.from_dense(torch.softmax(logits.detach(), 1), sizes.k))
 
     def scatter(self, cameras: Cameras) -> None:
-        """The paper's uplift, level by level and view by view."""
+        """Run the paper's uplift, level by level and view by view."""
         from benchmarks.scatter_kernel import scatter_view
 
         if not self.codes:  # the solver ran in an earlier process, or failed: other codes take the same time

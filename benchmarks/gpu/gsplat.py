@@ -22,8 +22,8 @@ COMPILING_S = 1200.0  # at most
 
 
 def compile_gsplat(stage: Stage) -> None:
-    """A row; where it fails, all others that need gsplat have the same reason. Its wheel compiles itself with nvcc when
-    first used, for minutes.
+    """Add a row; where it fails, all others that need gsplat have the same reason. Its wheel compiles itself
+    with nvcc when first used, for minutes.
     """
     os.environ.setdefault("MAX_JOBS", str(max(1, (os.cpu_count() or 1) - 2)))
 
@@ -41,14 +41,14 @@ def compile_gsplat(stage: Stage) -> None:
 
 
 def found_gsplat(stage: Stage) -> Any:
-    """The module (github.com/nerfstudio-project/gsplat), or Unavailable and why."""
+    """Return the module (github.com/nerfstudio-project/gsplat), or Unavailable and why."""
     if stage.no_gsplat:
         raise Unavailable(stage.no_gsplat)
     if importlib.util.find_spec("gsplat") is None:
         raise Unavailable("gsplat is not installed (pip install gsplat; it needs nvcc)")
     if stage.device.type != "cuda":
         raise Unavailable("gsplat needs a CUDA device")
-    # The same in all processes: with other flags each would compile it anew.
+    # The same in all processes: with other flags each would compile it again.
     major, minor = torch.cuda.get_device_capability(stage.device)
     os.environ.setdefault("TORCH_CUDA_ARCH_LIST", f"{major}.{minor}")
     return importlib.import_module("gsplat")
@@ -56,14 +56,14 @@ def found_gsplat(stage: Stage) -> Any:
 
 @cache
 def matrices(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor]:
-    """On the device, so that copies are not timed."""
+    """Return both matrices of a camera on the device, so that copies are not timed."""
     return camera.viewmat.float()[None].to(device), camera.K.float()[None].to(device)
 
 
 def render(
     module: Any, gaussians: Gaussians, camera: Camera, values: Tensor, packed: bool = False, at_once: int = 32
 ) -> Tensor:
-    """[H, W, C] of any values [N, C], with gradients where they require them. No spherical harmonics."""
+    """Return [H, W, C] of any values [N, C], with gradients where they require them. No spherical harmonics."""
     viewmats, intrinsics = matrices(camera, values.device)
     images, *_ = module.rasterization(
         means=gaussians.means, quats=gaussians.quats, scales=gaussians.scales, opacities=gaussians.opacities,

@@ -17,7 +17,7 @@ SUITE = (
 
 
 def parity(stage: Stage, suite: tuple[str, ...] = SUITE, root: Path = ROOT) -> None:
-    """Random and hard scenes: on the GPU where there is one; interpreted and compiled in any case."""
+    """Run the tests of the kernels: on the GPU where there is one; interpreted and compiled in any case."""
     import pytest
 
     os.chdir(root)
@@ -41,7 +41,7 @@ class Tests:
             self.problem = what_it_says(report.longreprtext)
 
     def pytest_collection_modifyitems(self, session: Any, items: list[Any]) -> None:
-        """Tests whose outcome is known, or which have ended an earlier process, do not run again."""
+        """Leave out tests whose outcome is known, or which have ended an earlier process."""
         self.session = session
         ended = {name: {"outcome": "failed", "reason": why} for name, why in self.stage.left_out.items()}
         earlier = {**ended, **self.stage.known}
@@ -71,6 +71,6 @@ class Tests:
 
 
 def what_it_says(text: str) -> str:
-    """Of an error with its traceback."""
+    """Return the line of a traceback that says what is wrong."""
     lines = [line.strip() for line in text.splitlines() if line.strip()] or [""]
     return next((line for line in lines if line.startswith("E ")), lines[-1]).replace("`", "'")[:300]

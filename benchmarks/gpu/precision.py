@@ -21,7 +21,7 @@ def answers_name(precision: str) -> str:
 
 
 def precision(stage: Stage) -> None:
-    """Times of each precision side by side, and in what their answers differ.
+    """Add times of each precision side by side, and the differences of their answers.
 
     The reference backend is plain float32 with sums in another order: what differs between it and "ieee" is not a
     matter of precision. It takes long, and renders a smaller view.
@@ -50,7 +50,7 @@ def precision(stage: Stage) -> None:
 
 
 def projected_in(work: Workload, name: str) -> raster.Projection:
-    """By the kernels in that precision, or by the reference backend."""
+    """Project by the kernels in that precision, or by the reference backend."""
     from scoup.raster.triton import rendering as gpu
 
     if name == "reference":
@@ -70,7 +70,7 @@ def runs_of(work: Workload, name: str) -> Runs:
 
 
 def answers(work: Workload, name: str) -> tuple[Tensor, Tensor, Tensor]:
-    """Coefficient maps [S, H, W, L], cosines [S, Q, H, W] and region sums [N, C]."""
+    """Return coefficient maps [S, H, W, L], cosines [S, Q, H, W] and region sums [N, C]."""
     maps, cosines, found = (run() for run in runs_of(work, name).values())
     assert isinstance(maps, Tensor)
     assert isinstance(cosines, Tensor)
@@ -80,7 +80,8 @@ def answers(work: Workload, name: str) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def differences(theirs: tuple[Tensor, Tensor, Tensor], exact: tuple[Tensor, Tensor, Tensor], k: int) -> Row:
-    """Greatest differences; and the share of pixels whose k largest atoms, at any level, are not the same in order."""
+    """Return greatest differences; and the share of pixels whose k largest atoms, at any level, are not the
+    same in order."""
     off = [float((one - other).abs().max()) for one, other in zip(theirs, exact, strict=True)]
     off[2] /= float(exact[2].max().clamp(min=1e-30))
     tops = [maps.sort(dim=-1, descending=True, stable=True) for maps in (theirs[0], exact[0])]

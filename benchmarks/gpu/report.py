@@ -16,7 +16,7 @@ NONE, MOST = "-", float("inf")
 
 
 def report(record: dict[str, Any]) -> str:
-    """Markdown of a record, whatever part of it there is."""
+    """Return Markdown of a record, whatever part of it there is."""
     interpreted = record["settings"]["interpreted"]
     unfinished = f"; **not finished** ({record.get('reason', 'still running')})"
     parts = [
@@ -38,7 +38,7 @@ def report(record: dict[str, Any]) -> str:
 
 
 def yardsticks(record: dict[str, Any]) -> list[list[str]]:
-    """What was expected before the backend was ever run on a GPU, the value measured, and whether that is met.
+    """Return what was expected before the backend was ever run on a GPU, the value measured, and whether that is met.
 
     On an H200, 1M Gaussians, 988 x 731, three levels, inputs in memory; on other devices ratios still say something.
     """
@@ -79,7 +79,7 @@ def yardsticks(record: dict[str, Any]) -> list[list[str]]:
 
 
 def stage(name: str, result: dict[str, Any]) -> str:
-    """Heading, tables and notes."""
+    """Return heading, tables and notes of a stage."""
     parts = [f"## {STAGES.get(name, name)}", result.get("about", "")]
     if "reason" in result:
         parts.append(f"**Not complete**: {result['reason']}")
@@ -103,7 +103,7 @@ def stage(name: str, result: dict[str, Any]) -> str:
 
 
 def timed_table(rows: list[Row]) -> str:
-    """Milliseconds, runs a second, memory, and ratios to what it is compared with."""
+    """Return milliseconds, runs a second, memory, and ratios to what it is compared with."""
     compared = list(dict.fromkeys(name for row in rows for name in row.get("over", {})))
     headers = ["what", "ms", "least to most", "a second", "memory, MB", "of it above inputs"]
     body = []

@@ -149,7 +149,7 @@ def work(
 
 
 def merged(result: dict[str, Any], known: dict[str, Row]) -> dict[str, Any]:
-    """A result with the rows that an earlier process knew and this one does not (yet)."""
+    """Return a result with the rows that an earlier process knew and this one does not (yet)."""
     failed = {row["name"] for row in result["rows"] if "reason" in row}
     rows = [known[row["name"]] if row["name"] in failed & set(known) else row for row in result["rows"]]
     there = {row["name"] for row in rows}

@@ -98,7 +98,7 @@ class Stage(Watch[str]):
         self._over: dict[str, list[str]] = {}
 
     def row(self, name: str, run: Callable[[], Row], quiet_s: float | None = None) -> Row:
-        """A row with what ``run`` returns, or with the reason why that failed. Known rows are not made again."""
+        """Return a row with what ``run`` returns, or with the reason why that failed. Known rows are not made again."""
         row: Row = {"name": name}
         self.result["rows"].append(row)
         try:
@@ -111,7 +111,7 @@ class Stage(Watch[str]):
         return row
 
     def once(self, name: str, run: Callable[[], object], quiet_s: float | None = None) -> Row:
-        """A row with seconds and memory of one run of something that takes long."""
+        """Return a row with seconds and memory of one run of something that takes long."""
 
         def measured() -> Row:
             self.clock.settle()
@@ -122,7 +122,7 @@ class Stage(Watch[str]):
         return self.row(name, measured, quiet_s)
 
     def rows(self, runs: Runs, over: dict[str, list[str]] | None = None) -> None:
-        """Interleaved times and memory of everything; ``over`` as in ``add_ratios``."""
+        """Add interleaved times and memory of everything; ``over`` as in ``add_ratios``."""
         self._over, self._timed = over or {}, {name: {"name": name} for name in runs}
         self.result["rows"] += self._timed.values()
         tasks: dict[str, Task] = {}
@@ -162,7 +162,7 @@ class Stage(Watch[str]):
             raise Unavailable(self.left_out.get(name, NO_TIME))
 
     def progress(self, what: str, done: int = 0, total: int = 0) -> None:
-        """A ``Progress`` of something long: says that it goes on, and stops it where no time is left."""
+        """Say that something long goes on (a ``Progress``), and stop it where no time is left."""
         if self.time_is_up():
             raise Unavailable(f"{NO_TIME}, at {done} of {total} of: {what}")
         self.send(("alive",))
@@ -189,8 +189,8 @@ class Stage(Watch[str]):
         self.recover()
 
     def work(self, n_atoms: int, size: tuple[int, int] | None = None) -> Workload:
-        """The first view of the room with everything the rasteriser takes, on the device: codes in float16, as a field
-        has them; a query and four canonical phrases.
+        """Return the first view of the room with everything the rasteriser takes, on the device: codes in
+        float16, as a field has them; a query and four canonical phrases.
         """
         width, height = size or (self.sizes.width, self.sizes.height)
         labels, camera = (
@@ -203,12 +203,13 @@ class Stage(Watch[str]):
 
 
 def project(gaussians: Gaussians, camera: Camera) -> raster.Projection:
-    """What all stages project with."""
+    """Return what all stages project with."""
     return raster.project(gaussians, camera, PRESET, "triton")
 
 
 def reason(error: BaseException) -> str:
-    """An error in one line: of a long one, as compilers have them, the lines that speak of errors, or its beginning."""
+    """Return an error in one line: of a long one, as compilers have them, the lines that speak of errors, or
+    its beginning."""
     lines = str(error).splitlines()
     telling = [line for line in lines if "error:" in line.lower()]
     text = " ".join(" ".join(telling[:3] if len(lines) > 8 and telling else lines).split())
@@ -217,7 +218,7 @@ def reason(error: BaseException) -> str:
 
 
 def add_ratios(rows: Sequence[Row], over: dict[str, list[str]]) -> None:
-    """Into each row with a time, its time over that of other rows: ``over`` maps what the other is called to the
+    """Add to each row with a time its ratio to that of other rows: ``over`` maps what the other is called to the
     names of its rows, of which the fastest counts.
     """
     times = {row["name"]: row["median_s"] for row in rows if "median_s" in row}

@@ -27,7 +27,7 @@ def relevancy_name(n_atoms: int) -> str:
 
 
 def timing(stage: Stage) -> None:
-    """Each row of ours includes projection and sort, as each of gsplat's does, unless it says "projected before"."""
+    """Time one view. Rows include projection and sort, as gsplat's do, unless they say "projected before"."""
     sizes = stage.sizes
     stage.result["about"] = (
         f"{sizes.n_gaussians:,} Gaussians, a view of {sizes.width} x {sizes.height}, three levels of "
@@ -57,7 +57,7 @@ def timing(stage: Stage) -> None:
 
 
 def of_codes(work: Workload) -> Runs:
-    """What depends on the size of the codebook."""
+    """Return what depends on the size of the codebook."""
     n_atoms, codes = work.codebook.shape[1], (work.indices, work.weights)
     new = partial(project, work.gaussians, work.camera)
     projection = cache(new)  # made when it is first needed: that may fail, too
@@ -74,7 +74,7 @@ def of_codes(work: Workload) -> Runs:
 
 
 def renders(stage: Stage, work: Workload) -> Runs:
-    """Ours, decoding, and gsplat's in the ways it can be called: whichever is faster counts."""
+    """Return our renders, decoding, and gsplat's in the ways it can be called: whichever is faster counts."""
     new = partial(project, work.gaussians, work.camera)
 
     @cache
@@ -103,7 +103,7 @@ def renders(stage: Stage, work: Workload) -> Runs:
 
 
 def sums(stage: Stage, work: Workload) -> Runs:
-    """Region sums, and what they replace."""
+    """Return region sums, and what they replace."""
     from benchmarks.scatter_kernel import scatter_view
 
     embeddings = [clip_like(len(codes), stage.sizes.dim).to(stage.device) for codes in work.codes]
@@ -132,13 +132,13 @@ def sums(stage: Stage, work: Workload) -> Runs:
 
 
 def query(work: Workload, projection: raster.Projection) -> Tensor:
-    """[S, 1, H, W]: relevancy of one query against the four canonical phrases."""
+    """Return [S, 1, H, W]: relevancy of one query against the four canonical phrases."""
     cosines = raster.render_cosines(projection, work.indices, work.weights, work.codebook, work.queries)
     return relevancy(cosines[:, :1], cosines[:, 1:])
 
 
 def decoded(work: Workload) -> Tensor:
-    """``query`` as LangSplatV2 does it: coefficient maps are written out, decoded to D channels, and normalised."""
+    """Run ``query`` as LangSplatV2 does: coefficient maps are written out, decoded to D channels, and normalised."""
     projection, n_atoms = project(work.gaussians, work.camera), work.codebook.shape[1]
     maps = raster.render_codes(projection, work.indices, work.weights, n_atoms)
     features = [

@@ -46,7 +46,7 @@ def _join_zip(data: bytes, parts: Sequence[bytes]) -> bytes:
 
 
 def _split_streams(data: bytes) -> list[bytes]:
-    """Header and unpacked streams of .spz, version 4."""
+    """Return header and unpacked streams of .spz, version 4."""
     import zstandard
 
     (place,) = struct.unpack_from("<I", data, 16)
@@ -69,7 +69,7 @@ def _join_streams(data: bytes, parts: Sequence[bytes]) -> bytes:
 
 
 def _chunks(data: bytes) -> list[tuple[bytes, bytes]]:
-    """Kinds and contents of the chunks of a PNG, all pixels in one."""
+    """Return kinds and contents of the chunks of a PNG, all pixels in one."""
     found: list[tuple[bytes, bytes]] = []
     place = 8
     while place < len(data):
@@ -126,13 +126,13 @@ def _join_safetensors(data: bytes, parts: Sequence[bytes]) -> bytes:
 
 
 def _split_field(data: bytes) -> list[bytes]:
-    """SCOUP's header, and the numbers of all tensors."""
+    """Return SCOUP's header, and the numbers of all tensors."""
     text, body = _split_safetensors(data)
     return [json.loads(text)["__metadata__"]["scoup"].encode(), body]
 
 
 def _join_field(data: bytes, parts: Sequence[bytes]) -> bytes:
-    """A field whose checksums agree, as far as its header is JSON still."""
+    """Return a field whose checksums agree, as far as its header is JSON still."""
     from safetensors.torch import load
 
     root = json.loads(_split_safetensors(data)[0])
@@ -142,7 +142,7 @@ def _join_field(data: bytes, parts: Sequence[bytes]) -> bytes:
     try:
         header = json.loads(text)
         header |= {"checksums": {name: tensor_checksum(item) for name, item in load(first).items()}}
-    except Exception:  # safetensors has its own; what cannot be mended stays as it is
+    except Exception:  # safetensors has its own; what cannot be fixed stays as it is
         return first
     text = json.dumps({**header, "checksum": NO_CHECKSUM}, sort_keys=True)
     empty = f'"checksum": "{NO_CHECKSUM}"'
@@ -151,7 +151,7 @@ def _join_field(data: bytes, parts: Sequence[bytes]) -> bytes:
 
 
 def _split_labels(data: bytes) -> list[bytes]:
-    """The unpacked label maps of a .regions file."""
+    """Return the unpacked label maps of a .regions file."""
     from safetensors.numpy import load
 
     return [
@@ -183,7 +183,7 @@ def _join_npy(data: bytes, parts: Sequence[bytes]) -> bytes:
 
 
 def _join_sums(data: bytes, parts: Sequence[bytes]) -> bytes:
-    """A file of region sums whose checksum agrees."""
+    """Return a file of region sums whose checksum agrees."""
     made = _join_safetensors(data, parts)
     end = 8 + int.from_bytes(made[:8], "little")
     head = made[8:end]
@@ -205,7 +205,7 @@ def _join_gzip(data: bytes, parts: Sequence[bytes]) -> bytes:
 
 
 def joined(container: Container, data: bytes, parts: Sequence[bytes]) -> bytes:
-    """``container.join`` without what libraries say of strange parts."""
+    """Run ``container.join`` without the warnings of libraries about strange parts."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return container.join(data, parts)

@@ -25,7 +25,7 @@ _VALUES: list[Any] = [None, True, False, "", "x", "nan", "..", "../../x", "\0", 
 
 
 def damaged(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """The data, damaged at one to four places."""
+    """Return the data, damaged at one to four places."""
     result = data
     textual = _is_text(data)
     for _ in range(random.choice((1, 1, 1, 2, 2, 3, 4))):
@@ -35,12 +35,12 @@ def damaged(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
 
 
 def cut(random: Random, data: bytes, others: Sequence[bytes] = ()) -> bytes:
-    """The beginning of the data alone."""
+    """Return the beginning of the data alone."""
     return data[: random.randrange(len(data) + 1)]
 
 
 def _place(random: Random, data: bytes) -> int:
-    """A byte of the data: half of the time one of the first, where headers are."""
+    """Return a byte of the data: half of the time one of the first, where headers are."""
     near = min(len(data), random.choice((16, 64, 256, 1024)))
     return random.randrange((near if random.random() < 0.5 else len(data)) + 1)
 
@@ -65,7 +65,7 @@ def _set(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
 
 
 def _number(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """A number of one to eight bytes in the place of whatever is there, often at a multiple of its width."""
+    """Return a number of one to eight bytes in the place of whatever is there, often at a multiple of its width."""
     kind = random.choice("bhiiqqfd")
     order = random.choice("<<<>")
     if kind in "fd":
@@ -89,7 +89,7 @@ def _float32(order: str, value: float) -> bytes:
 
 
 def _near(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """A little-endian number of four or eight bytes that becomes one more, one less, the double or the half."""
+    """Return a little-endian number of four or eight bytes that becomes one more, one less, the double or the half."""
     width = random.choice((1, 2, 4, 8))
     place = _place(random, data)
     old = int.from_bytes(data[place : place + width], "little")
@@ -155,7 +155,7 @@ def _word(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
 
 
 def _line(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """A line removed, doubled, exchanged with another, or without one of its words."""
+    """Return a line removed, doubled, exchanged with another, or without one of its words."""
     lines = data.split(b"\n")
     one, other = random.randrange(len(lines)), random.randrange(len(lines))
     words = lines[one].split(b" ")
@@ -173,7 +173,7 @@ def _line(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
 
 
 def _deep(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """Brackets in brackets, closed or not."""
+    """Insert nested brackets, closed or not."""
     depth = random.choice((10, 150, 999, 5000, 100_000))
     opened, closed = random.choice(((b"[", b"]"), (b'{"a":', b"}"), (b"(", b")"), (b"-", b"")))
     place = _place(random, data)
@@ -182,7 +182,7 @@ def _deep(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
 
 
 def _json(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """One value of JSON exchanged, removed or repeated; the text stays JSON."""
+    """Return one value of JSON exchanged, removed or repeated; the text stays JSON."""
     try:
         root = json.loads(data)
     except (ValueError, RecursionError):

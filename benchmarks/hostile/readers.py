@@ -51,7 +51,7 @@ class Memory:
     megabytes: int = 64
 
     def bytes(self, size: int) -> int:
-        """For a file of so many bytes."""
+        """Return the allowance of a file of so many bytes."""
         return self.times * size + (self.megabytes << 20)
 
     def __str__(self) -> str:
@@ -144,7 +144,7 @@ def _field(file: str, *more: str) -> Reader:
 
 
 def _sums(folder: Path) -> None:
-    """A file opened, its entries as triplets, and a round of the vote by every backend of the processor."""
+    """Open a file, list its entries, and run a round of the vote by every backend of the processor."""
     with _opened_sums(folder / "a.sums") as sums:
         for name in sums.views:
             for level in range(len(sums.levels)):
@@ -153,7 +153,7 @@ def _sums(folder: Path) -> None:
 
 
 def _shard(folder: Path) -> None:
-    """A shard, and the field of it alone."""
+    """Open a shard, and merge it alone to a field."""
     with _opened_sums(folder / "a.1-of-2.sums") as sums:
         if max((sum(sums.n_regions(name)) for name in sums.views), default=0) <= MOST_REGIONS:
             merge([sums], OF_SHARDS)

@@ -52,7 +52,7 @@ class Trial:
             self.failures.append(result)
 
     def record(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the record, for JSON."""
         return {
             "reader": self.name,
             "files": self.files,
@@ -88,7 +88,7 @@ def try_reader(
 
 
 def _results(job: Job, limits: Limits) -> list[Result]:
-    """Results of a process: of all files of the job, or up to the one at which it ended."""
+    """Return results of a process: of all files of the job, or up to the one at which it ended."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["benchmarks.hostile.worker"])
     receiver, sender = context.Pipe(duplex=False)

@@ -101,7 +101,7 @@ def _write_splats(folder: Path) -> None:
 
 
 def _write_alike(folder: Path) -> None:
-    """Gaussians that are all alike: nothing shrinks further, so nothing grows more when it is read."""
+    """Write Gaussians that are all alike: nothing shrinks further, so nothing grows more when it is read."""
     one = some_gaussians(1, degree=0)
     alike = Gaussians(*(getattr(one, name).expand(200_000, *getattr(one, name).shape[1:])
                         for name in ("means", "quats", "scales", "opacities", "sh")))  # fmt: skip
@@ -176,7 +176,7 @@ def _write_fields(folder: Path) -> None:
 
 
 def _write_linked_field(field: LanguageField, folder: Path) -> None:
-    """A field whose geometry is a file beside it."""
+    """Write a field whose geometry is a file beside it."""
     stored = as_stored(field.gaussians)
     save_gaussians(stored, folder / "linked.ply")
     info = replace(field.info, fingerprint=stored.fingerprint())
@@ -212,7 +212,7 @@ def _write_words_and_labels(folder: Path) -> None:
 
 
 def _write_pictures(folder: Path) -> None:
-    """Photographs of every ending, and masks: grey, of one bit, and with a palette."""
+    """Write photographs of every ending, and masks: grey, of one bit, and with a palette."""
     from PIL import Image
 
     folder.mkdir()

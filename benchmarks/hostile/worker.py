@@ -74,7 +74,7 @@ class _Hung(BaseException):
 
 
 def damaged_file(job: Job, number: int) -> bytes:
-    """The file of a number: always the same one."""
+    """Return the file of a number: always the same one."""
     random = Random(f"{job.seed} {job.name} {number}")
     reader = job.reader
     others = [(job.samples / name).read_bytes() for name in (reader.file, *reader.more)]
@@ -102,7 +102,7 @@ def work(connection: Connection, job: Job) -> None:
 
 def _work(connection: Connection, job: Job) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    gc.freeze()  # what the modules hold need not be looked through again and again
+    gc.freeze()  # objects of the modules need not be looked through again and again
     # What is given back goes back to the system at once: else memory from before would hide what a file takes.
     ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 16)
     torch.set_num_threads(1)
@@ -154,7 +154,7 @@ def _read(job: Job, folder: Path, number: int, content: bytes) -> Result:
 
 
 def _refusal(error: ScoupError, folder: Path) -> tuple[Outcome, str]:
-    """Refused, unless the memory had run out before, or the message is not one line that names the file."""
+    """Return "refused", unless the memory had run out before or the message is not one line that names the file."""
     said = str(error)
     cause: BaseException | None = error
     while cause is not None:
@@ -167,7 +167,8 @@ def _refusal(error: ScoupError, folder: Path) -> tuple[Outcome, str]:
 
 
 def _is_memory(error: BaseException) -> bool:
-    """Whether the system has refused memory. Python's own parser says the same of text that is nested too deeply."""
+    """Return whether the system has refused memory. Python's own parser says the same of text that is nested
+    too deeply."""
     frames = traceback.extract_tb(error.__traceback__)
     if frames and frames[-1].filename == ast.__file__:
         return False
@@ -180,7 +181,7 @@ def _give_up(*_: object) -> None:
 
 @contextmanager
 def _limits(memory: int, seconds: float) -> Iterator[None]:
-    """In this block the process may grow by so many bytes, and take so many seconds of the processor."""
+    """Limit the growth of the process in bytes and the seconds of the processor in this block."""
     size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     before = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (size + memory, before[1]))
@@ -193,7 +194,7 @@ def _limits(memory: int, seconds: float) -> Iterator[None]:
 
 
 def _forget_peak() -> int:
-    """Bytes of memory in use; from now on ``_peak`` counts anew."""
+    """Return bytes of memory in use; from now on ``_peak`` counts again."""
     ctypes.CDLL(None).malloc_trim(0)
     with open("/proc/self/clear_refs", "w") as stream:
         stream.write("5")
@@ -201,7 +202,7 @@ def _forget_peak() -> int:
 
 
 def _peak() -> int:
-    """Most bytes that were in use at once."""
+    """Return most bytes that were in use at once."""
     return _kilobytes("VmHWM") * 1024
 
 

@@ -12,7 +12,7 @@ LAYOUTS: dict[str, Layout] = {layout.name: layout for layout in (TABLE, SHELVES,
 
 
 def find_layout(name: str) -> Layout:
-    """The layout of that name."""
+    """Return the layout of that name."""
     if name not in LAYOUTS:
         raise UnknownNameError("layout", name, list(LAYOUTS), "benchmarks.scenes")
     return LAYOUTS[name]

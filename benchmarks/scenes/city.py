@@ -58,7 +58,7 @@ class City:
 
 
 def write_city(city: City, cameras: Cameras, folder: Path) -> None:
-    """The folder that ``scoup build`` takes: splat, cameras and region features."""
+    """Write the folder that ``scoup build`` takes: splat, cameras and region features."""
     folder.mkdir(parents=True)
     with atomic_file(folder / "point_cloud.ply") as stream:
         for block, gaussians in enumerate(blocks(city)):
@@ -84,7 +84,7 @@ def _write_regions(city: City, folder: Path, cameras: Cameras) -> None:
 
 
 def blocks(city: City) -> Iterator[Gaussians]:
-    """The Gaussians of one block after the other: flat ones on walls, roof and street, of SH degree 3."""
+    """Yield the Gaussians of one block after the other: flat ones on walls, roof and street, of SH degree 3."""
     for block, (low, high) in enumerate(city.boxes):
         numbers = np.random.default_rng([city.seed, 1, block])
         size = high - low
@@ -109,7 +109,7 @@ def blocks(city: City) -> Iterator[Gaussians]:
 
 
 def street_cameras(city: City, count: int, width: int = 640, height: int = 360) -> Cameras:
-    """Cameras anywhere in the streets, that look along them or at the houses."""
+    """Return cameras anywhere in the streets, that look along them or at the houses."""
     numbers = np.random.default_rng([city.seed, 2])
     length = city.columns * PITCH
     found = []
@@ -125,7 +125,8 @@ def street_cameras(city: City, count: int, width: int = 640, height: int = 360) 
 
 
 def regions_of(city: City, cameras: Cameras) -> Regions:
-    """What each camera sees: panels of a wall (s), walls (m), buildings (l); embeddings by the kind of building."""
+    """Return what each camera sees: panels of a wall (s), walls (m), buildings (l); embeddings by the kind
+    of building."""
     by_name = {camera.name: camera for camera in cameras}
 
     @functools.lru_cache(maxsize=2)
@@ -168,7 +169,7 @@ def _basis(level: str) -> NDArray[np.float64]:
 
 
 def _hit(city: City, camera: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """For each pixel: the block that its ray hits (-1 for the sky), the axis of the face, the place [P, 3]."""
+    """Return for each pixel the block that its ray hits (-1: sky), the axis of the face, the place [P, 3]."""
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1).reshape(
         -1, 3

@@ -23,7 +23,7 @@ from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def tree(seed: int, height: float) -> Thing:
-    """A round tree, far enough away that its crown may be a few lumps."""
+    """Return a round tree, far enough away that its crown may be a few lumps."""
     rng = np.random.default_rng(seed)
     trunk = tube(
         smooth_curve([(0, 0, 0), (6, 3, height * 0.3), (0, 0, height * 0.62)], 14), np.linspace(17, 9, 14), 14
@@ -47,8 +47,8 @@ def tree(seed: int, height: float) -> Thing:
 
 
 def hedge(half: float, height: float, thick: float, gap: float) -> Thing:
-    """A clipped hedge along three sides of a square of half width ``half``, open to +y, and on the fourth up to a
-    ``gap`` in its middle."""
+    """Return a clipped hedge along three sides of a square of half width ``half``, open to +y, and on the
+    fourth up to a ``gap`` in its middle."""
     side = (2 * half - gap) / 2
     blocks = [
         box((thick, 2 * half, height), 12, (-half, 0, height / 2)),
@@ -60,7 +60,7 @@ def hedge(half: float, height: float, thick: float, gap: float) -> Thing:
 
 
 def shed(width: float, depth: float, height: float) -> Thing:
-    """A wooden garden house, its door towards -y."""
+    """Return a wooden garden house, its door towards -y."""
     walls = box((width, depth, height), 1, (0, 0, height / 2))
     rise = width * 0.3
     slope = float(np.hypot(width / 2 + 20, rise))
@@ -106,7 +106,7 @@ def shed(width: float, depth: float, height: float) -> Thing:
 
 
 def lawn(half: float) -> Thing:
-    """Grass on a square of half width ``half``."""
+    """Return grass on a square of half width ``half``."""
 
     def grass(points: Floats, normals: Floats) -> Floats:
         tone = (
@@ -122,7 +122,7 @@ def lawn(half: float) -> Thing:
 
 
 def paving(radius: float) -> Thing:
-    """A round of stone slabs, a little above the ground."""
+    """Return a round of stone slabs, a little above the ground."""
 
     def slabs(points: Floats, normals: Floats) -> Floats:
         distance, angle = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
@@ -140,7 +140,7 @@ def paving(radius: float) -> Thing:
 
 
 def sky(radius: float) -> Thing:
-    """A dome of sky seen from inside, down to a little below the ground."""
+    """Return a dome of sky seen from inside, down to a little below the ground."""
     tilt, turn = np.linspace(-0.04, 1, 24) * np.pi / 2, np.arange(48) * (2 * np.pi / 48)
     ring = np.stack([np.cos(turn), np.sin(turn)], 1)
     points = np.empty((48, 24, 3))

@@ -74,7 +74,7 @@ def fountain() -> Thing:
 
 
 def bench(length: float, code: str) -> Thing:
-    """A garden bench, its back towards +y."""
+    """Return a garden bench, its back towards +y."""
     slats = [box((length, 8, 2.6), 0.7, (0, -32 + step * 9.4, 44)) for step in range(5)]
     lean = rotation(x=-12)
     rails = [box((length, 2.4, 8), 0.7, (0, 0, height)).moved((0, 12, 44), lean) for height in (14, 25, 36)]
@@ -102,7 +102,7 @@ def bench(length: float, code: str) -> Thing:
 
 
 def wheelbarrow() -> Thing:
-    """Its wheel towards +x."""
+    """Return a wheelbarrow, its wheel towards +x."""
     floor = box((56, 40, 1.6), 0.5, (0, 0, 34))
     sides = [
         box((64, 1.6, 24), 0.5, (2, 0, 11)).moved((0, side * 20, 34), rotation(x=-side * 24))
@@ -216,7 +216,7 @@ def gnome() -> Thing:
 
 
 def bird_house() -> Thing:
-    """On a post, its hole towards -y."""
+    """Return a bird house on a post, its hole towards -y."""
     post = merged([cylinder(3.4, 130, 0.4, 20), cylinder(11, 3, 0.6, 24)])
     body = box((26, 24, 28), 0.8, (0, 0, 143))
     lean = [

@@ -25,7 +25,7 @@ DESK = furniture.TABLE_HEIGHT / 100
 
 
 def make_hall() -> tuple[Thing, ...]:
-    """All things of the hall, placed; the middle of the floor is the origin."""
+    """Return all things of the hall, placed; the middle of the floor is the origin."""
     things = (*_shell(), *_north(), *_west(), *_south(), *_east())
     return tuple(broader(thing, BROADER) for thing in things)
 
@@ -60,7 +60,7 @@ def _shell() -> tuple[Thing, ...]:
 
 
 def _north() -> tuple[Thing, ...]:
-    """The fireplace, with an armchair on either side."""
+    """Return the fireplace, with an armchair on either side."""
     fire, chairs = "fireplace with mantel things", "reading corner"
     mantel = 1.28
     return (
@@ -82,7 +82,7 @@ def _north() -> tuple[Thing, ...]:
 
 
 def _west() -> tuple[Thing, ...]:
-    """A dining table before the window."""
+    """Return a dining table before the window."""
     group, x, y = "dining table set", -EAST + 1.0, -0.2
     top = DESK
     chairs = several(
@@ -108,7 +108,7 @@ def _west() -> tuple[Thing, ...]:
 
 
 def _south() -> tuple[Thing, ...]:
-    """The sofa, a lamp and a chest."""
+    """Return the sofa, a lamp and a chest."""
     group = "sofa with cushions"
     red = called(furniture.cushion(), "red cushion")
     blue = painted(
@@ -143,7 +143,7 @@ def _south() -> tuple[Thing, ...]:
 
 
 def _east() -> tuple[Thing, ...]:
-    """The television, and a bookcase."""
+    """Return the television, and a bookcase."""
     group = "television with cabinet"
     case, wide, tall, rows = "bookcase with books", 1.2, 2.1, 5
     _, boards = large.cells(wide * 100, tall * 100, 1, rows)
@@ -182,7 +182,7 @@ def _east() -> tuple[Thing, ...]:
 def make_cameras(
     n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
 ) -> tuple[Cameras, Cameras]:
-    """Cameras that turn once around, looking outwards from the loop; held-out ones look between them."""
+    """Return cameras that turn once around, looking outwards from the loop; held-out ones look between them."""
     return (
         Cameras(_loop("view", n_building, 0.0, width, height, rng)),
         Cameras(_loop("held_out", n_held_out, 0.37, width, height, rng)),

@@ -40,7 +40,7 @@ def floor_lamp() -> Thing:
 
 
 def television(width: float) -> Thing:
-    """A flat screen on a foot."""
+    """Return a flat screen on a foot."""
     height = width * 0.58
 
     def shown(points: Floats, normals: Floats) -> Floats:
@@ -103,7 +103,7 @@ def fireplace() -> Thing:
 
 
 def tall_clock() -> Thing:
-    """A grandfather clock."""
+    """Return a grandfather clock."""
 
     def dial(points: Floats, normals: Floats) -> Floats:
         x, z = points[:, 0], points[:, 2] - 178
@@ -139,7 +139,7 @@ def tall_clock() -> Thing:
 
 
 def curtains(width: float, height: float, spread: float, code: str) -> Thing:
-    """Two curtains ``width`` wide on a rod, left and right of a gap of ``spread``."""
+    """Return two curtains ``width`` wide on a rod, left and right of a gap of ``spread``."""
 
     def wavy(middle: float) -> Mesh:
         across = np.linspace(-width / 2, width / 2, 60)
@@ -172,7 +172,7 @@ def curtains(width: float, height: float, spread: float, code: str) -> Thing:
 
 
 def tall_jar(name: str, code: str, other: str) -> Thing:
-    """A large jar for the floor."""
+    """Return a large jar for the floor."""
     outline = smooth_curve([(9, 0.3), (17, 16), (19, 32), (11, 52), (8.5, 60), (12, 66)], 30)
     hull = lathe([(0, 0), (9, 0.3), (9, 0.3), *outline, (10.5, 65.5), (7, 60), (0, 56)], 40)
     return Thing(name, (Piece(name, hull, bands(code, other, 2, [10, 13, 30, 38, 55, 57]), 1.0, gloss=0.5),))

@@ -10,7 +10,7 @@ from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def sofa(name: str, width: float, seats: int, code: str) -> Thing:
-    """A sofa, or with one seat an armchair, in a cloth of one colour."""
+    """Return a sofa, or with one seat an armchair, in a cloth of one colour."""
     cloth = solid(code, 0.07, 2.0)
     inside = width - 44
     base = box((width - 4, 84, 22), 4, (0, -44, 23))
@@ -50,7 +50,7 @@ def shelf_unit(
     code: str,
     detail: float = 0.6,
 ) -> Thing:
-    """Shelves with a back, open to the front; see ``cells`` for where things stand in them."""
+    """Return shelves with a back, open to the front; ``cells`` says where things stand in them."""
     timber = wood(code, 0, 5, contrast=0.12)
     upright = wood(code, 2, 5, contrast=0.12)
     boards = [
@@ -92,7 +92,7 @@ def shelf_unit(
 
 
 def cells(width: float, height: float, columns: int, rows: int) -> tuple[Floats, Floats]:
-    """Middles [columns] and heights of the boards [rows] of a ``shelf_unit``, the lowest first."""
+    """Return middles [columns] and heights of the boards [rows] of a ``shelf_unit``, the lowest first."""
     middles = (np.arange(columns) + 0.5) * (width - 2.4) / columns - (width - 2.4) / 2
     return middles, 2.4 + np.arange(rows) * (height - 2.4) / rows
 
@@ -125,7 +125,7 @@ def wardrobe(width: float, height: float) -> Thing:
 
 
 def cabinet(name: str, width: float, height: float, code: str) -> Thing:
-    """A low cabinet with drawers side by side."""
+    """Return a low cabinet with drawers side by side."""
     count = max(2, round(width / 55))
     step = (width - 6) / count
     fronts = [
@@ -148,7 +148,7 @@ def cabinet(name: str, width: float, height: float, code: str) -> Thing:
 
 
 def side_table(name: str, radius: float, height: float, code: str) -> Thing:
-    """A round table on one leg."""
+    """Return a round table on one leg."""
     leg = merged([cylinder(3.0, height - 3, 0.4, 20).moved((0, 0, 1)), cylinder(radius * 0.6, 2.4, 0.8)])
     return Thing(
         name,

@@ -32,7 +32,7 @@ from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def jar(name: str, fill: str, lid: str) -> Thing:
-    """A jar of something grainy, with a lid and a paper label."""
+    """Return a jar of something grainy, with a lid and a paper label."""
     outline = smooth_curve([(5.2, 0.3), (5.8, 2), (5.8, 12), (4.6, 15)], 20)
     hull = lathe([(0, 0), (5.2, 0.3), (5.2, 0.3), *outline, (4.6, 15.4), (0, 15.4)])
 
@@ -54,7 +54,7 @@ def jar(name: str, fill: str, lid: str) -> Thing:
 
 
 def storage_box(name: str, code: str, other: str, width: float = 30, height: float = 20) -> Thing:
-    """A box with a lid, a label holder in front."""
+    """Return a box with a lid, a label holder in front."""
     body = box((width, 25, height - 3), 0.6, (0, 0, (height - 3) / 2))
     lid = box((width + 1.6, 26.6, 5), 0.6, (0, 0, height - 2.5))
     plate = box((8, 0.8, 4.4), 0.2, (0, -12.7, height * 0.42))
@@ -168,7 +168,7 @@ def radio() -> Thing:
 
 
 def blocks() -> Thing:
-    """Six building blocks in a heap."""
+    """Return six building blocks in a heap."""
     codes = ("d8423a", "2f6fc0", "f0c02e", "3f9a5a", "e0802c", "7a4fb0")
     places = (
         (-7, 0, 0, 8),
@@ -216,7 +216,7 @@ def basket(name: str) -> Thing:
 
 
 def yarn(name: str, code: str, tint: str) -> Thing:
-    """A ball of yarn."""
+    """Return a ball of yarn."""
 
     def wound(points: Floats, normals: Floats) -> Floats:
         turn = np.sin(points @ np.array([2.0, 1.2, 2.6]) + 2.5 * smooth_noise(points, 4, 2))

@@ -26,7 +26,7 @@ BROADER = 1.4  # how much further apart Gaussians lie than on the table
 
 
 def make_shelves() -> tuple[Thing, ...]:
-    """All things, placed; the foot of the shelves' back is the x axis, and they face -y."""
+    """Return all things, placed; the foot of the shelves' back is the x axis, and they face -y."""
     rows = (_lowest(), _second(), _middle(), _fourth(), _highest())
     middles, boards = large.cells(WIDTH, TALL, COLUMNS, ROWS)
     placed = [
@@ -40,7 +40,7 @@ def make_shelves() -> tuple[Thing, ...]:
 
 
 def _shifted(thing: Thing, x: float, z: float) -> Thing:
-    """A thing placed relative to a cell (the middle of its board, on the line ``FRONT``), placed in the room."""
+    """Return a thing placed relative to a cell (the middle of its board, on the line ``FRONT``), placed in the room."""
     return replace(thing, place=thing.place + np.array([x, FRONT, z]))
 
 
@@ -62,7 +62,7 @@ def _shell() -> tuple[Thing, ...]:
 
 
 def _standing(group: str, start: float, specs: tuple[tuple[str, str, float, float], ...]) -> list[Thing]:
-    """Books side by side with their spines to the front: names, colours, thickness and height in centimetres."""
+    """Return books side by side, spines to the front, of names, colours, thickness and height in centimetres."""
     row, along = [], start
     for name, code, thick, tall in specs:
         row.append(desk.book(name, code, tall, 18, thick).at(along, -0.02, tall / 200, 0, (0, 90), group))
@@ -258,7 +258,7 @@ def _lowest() -> list[list[Thing]]:
 def make_cameras(
     n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
 ) -> tuple[Cameras, Cameras]:
-    """A flat arc before the shelves at changing heights; each camera looks at its own part of the wall."""
+    """Return a flat arc before the shelves at changing heights; each camera looks at its own part of the wall."""
     return (
         Cameras(_arc("view", n_building, 0.0, width, height, rng)),
         Cameras(_arc("held_out", n_held_out, 0.37, width, height, rng)),

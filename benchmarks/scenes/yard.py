@@ -23,7 +23,7 @@ BROADER = 1.8  # how much further apart Gaussians lie than on the table
 
 
 def make_yard() -> tuple[Thing, ...]:
-    """All things of the yard, placed; the fountain stands on the origin."""
+    """Return all things of the yard, placed; the fountain stands on the origin."""
     return tuple(broader(thing, BROADER) for thing in (*_garden(), *_middle()))
 
 
@@ -90,7 +90,8 @@ def _middle() -> tuple[Thing, ...]:
 def make_cameras(
     n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
 ) -> tuple[Cameras, Cameras]:
-    """A ring at two heights, one camera below and the next above; the held-out ones stand between the heights."""
+    """Return a ring at two heights, one camera below and the next above; the held-out ones stand between the
+    heights."""
     return (
         Cameras(_ring("view", n_building, HEIGHTS, 0.0, width, height, rng)),
         Cameras(_ring("held_out", n_held_out, (1.5,), 0.31, width, height, rng)),

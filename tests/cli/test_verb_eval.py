@@ -92,7 +92,7 @@ def test_predicted_once_scored_by_other_rules(here: Path) -> None:
     )
     assert again["reports"]["lerf-ovs_scoup"]["overall"]["miou"] == both[0]
     message = refused("eval", "lerf-ovs", "lerf-ovs", "--n-atoms", 8, "--scenes", "table", "--overwrite")
-    assert "--rebuild" in message
+    assert "rebuild the fields" in message
     run_json(
         "eval", "lerf-ovs", "lerf-ovs", "--n-atoms", 8, "--scenes", "table", "--overwrite", "--rebuild",
         "--sheets", "none",

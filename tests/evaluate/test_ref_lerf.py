@@ -128,5 +128,5 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="no list 'object'"):
         ref_lerf.read_frames(tmp_path)
     (tmp_path / "json/frame_00003.json").rename(tmp_path / "json/frame_00003.txt")
-    with pytest.raises(MissingFileError, match="holds no sentences"):
+    with pytest.raises(MissingFileError, match="contains no sentences"):
         ref_lerf.read_frames(tmp_path)

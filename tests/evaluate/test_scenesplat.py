@@ -97,7 +97,9 @@ def test_the_first_of_several_classes_counts(tmp_path: Path) -> None:
 
 def test_other_benchmarks_are_told_apart(tmp_path: Path) -> None:
     write_points(tmp_path, segment=np.array([0, 1, 2, 99]))
-    with pytest.raises(MissingFileError, match=r"segment20.npy: .*--classes \(scannet20"):
+    with pytest.raises(
+        MissingFileError, match=r"segment20.npy: .*pass the classes of the benchmark \(scannet20"
+    ):
         scenesplat.read_truth(tmp_path, CLASSES["scannet20"])
     with pytest.raises(FileFormatError, match="has a class 99, matterport has 21"):
         scenesplat.read_truth(tmp_path, CLASSES["matterport"])

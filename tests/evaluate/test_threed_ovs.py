@@ -138,7 +138,7 @@ def test_no_preset_of_langsplat() -> None:
 def test_damage_is_told(tmp_path: Path, damage: str) -> None:
     home = write_scene(tmp_path) / "segmentations"
     if damage == "no folder":
-        with pytest.raises(MissingFileError, match="painted masks"):
+        with pytest.raises(MissingFileError, match="expected masks"):
             threed_ovs.read_segmentations(tmp_path / "absent")
         return
     if damage == "no classes":

@@ -117,13 +117,13 @@ def test_parts_of_a_scene_may_lie_elsewhere(synthetic_data_sets: Path, tmp_path:
     protocol, root = PIXELS["lerf-ovs"], synthetic_data_sets / "lerf-ovs"
     places = Places(str(root / "{scene}" / "point_cloud.ply"), str(root / "{scene}" / "language_features"))
     assert protocol.open(root, "table", places).splat == root / "table" / "point_cloud.ply"
-    with pytest.raises(InputError, match="--gaussians"):
+    with pytest.raises(InputError, match="pass gaussians"):
         protocol.open(root, "table", Places(gaussians=str(tmp_path / "{scene}.ply")))
-    with pytest.raises(InputError, match="--features"):
+    with pytest.raises(InputError, match="pass features"):
         protocol.open(root, "table", Places(features="absent"))
     with pytest.raises(UnknownNameError, match="labelled scene"):
         protocol.find(root, ["tabel"])
-    with pytest.raises(InputError, match="holds no labelled scene"):
+    with pytest.raises(InputError, match="contains no labelled scene"):
         protocol.find(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
         protocol.find(tmp_path / "absent")

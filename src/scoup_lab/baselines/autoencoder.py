@@ -61,7 +61,8 @@ of no published count; with LangSplat's fourth level, which we do not use, there
 
 
 def epochs_of_scene(settings: AutoencoderSettings, rows: int, scene_rows: int = LERF_ROWS) -> int:
-    """Epochs over ``rows`` rows that make as many steps as ``settings.epochs`` do over ``scene_rows``, rounded up."""
+    """Return the epochs over ``rows`` rows that make as many steps as ``settings.epochs`` do over
+    ``scene_rows``, rounded up."""
     steps = settings.epochs * _n_batches(scene_rows, settings.batch)
     return -(-steps // _n_batches(rows, settings.batch))
 
@@ -95,11 +96,11 @@ class Autoencoder:
     report: AutoencoderReport  # how well it does on the rows it was trained on
 
     def encode(self, rows: Tensor) -> Tensor:
-        """[R, C] float32 unit codes of ``rows`` [R, D] of any norm; zeros for rows of norm zero."""
+        """Return [R, C] float32 unit codes of ``rows`` [R, D] of any norm; zeros for rows of norm zero."""
         return _apply(self.encoder, _of_size(normalise_embeddings(rows), self.dim, "rows"), self.code_size)
 
     def decode(self, codes: Tensor) -> Tensor:
-        """[R, D] float32 unit rows of ``codes`` [R, C] of any norm; zeros for codes of norm zero."""
+        """Return [R, D] float32 unit rows of ``codes`` [R, C] of any norm; zeros for codes of norm zero."""
         return _apply(self.decoder, _of_size(normalise_embeddings(codes), self.code_size, "codes"), self.dim)
 
 
@@ -142,7 +143,7 @@ def fit_autoencoder(
 
 
 def reconstruction_loss(found: Tensor, rows: Tensor) -> Tensor:
-    """The loss of LangSplat between reconstructions and rows, both [B, D]."""
+    """Return the loss of LangSplat between reconstructions and rows, both [B, D]."""
     cosine = torch.nn.functional.cosine_similarity(found, rows, dim=1)
     return (found - rows).square().mean() + COSINE_WEIGHT * (1 - cosine.mean())
 
@@ -181,7 +182,7 @@ def _trained(
     random: torch.Generator,
     progress: Progress,
 ) -> nn.Sequential:
-    """The network as it was after the best of the last epochs."""
+    """Return the network as it was after the best of the last epochs."""
     optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     total = settings.epochs * _n_batches(len(rows), settings.batch)
     best, kept, done = -2.0, network, 0
@@ -209,7 +210,7 @@ def _n_batches(rows: int, size: int) -> int:
 
 
 def _batches(order: Tensor, size: int) -> Iterator[Tensor]:
-    """Parts of ``order`` [R], none of one row only."""
+    """Yield parts of ``order`` [R], none of one row only."""
     if len(order) == 1:
         yield order.repeat(2)
         return
@@ -237,14 +238,14 @@ def _reconstructed(network: nn.Sequential, rows: Tensor) -> Tensor:
 
 @torch.no_grad()
 def _cosines(network: nn.Sequential, rows: Tensor) -> Tensor:
-    """[R] cosine between unit rows [R, D] and their reconstructions."""
+    """Return [R] cosine between unit rows [R, D] and their reconstructions."""
     blocks = [(_reconstructed(network, block) * block).sum(1) for block in rows.split(_BLOCK_ROWS)]
     return torch.cat(blocks)
 
 
 @torch.no_grad()
 def _apply(part: nn.Sequential, rows: Tensor, outputs: int) -> Tensor:
-    """[R, outputs] of unit norm; zeros for rows of norm zero."""
+    """Return [R, outputs] of unit norm; zeros for rows of norm zero."""
     parameter = next(part.parameters())
     found = torch.zeros(len(rows), outputs, device=parameter.device)
     for start in range(0, len(rows), _BLOCK_ROWS):

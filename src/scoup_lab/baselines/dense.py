@@ -18,7 +18,7 @@ from scoup_lab.baselines.rasterised_scene import UpliftInputs
 
 
 def dense_features(sums: RegionSums, rows: Tensor, level: int) -> Tensor:
-    """[N, C] float32 unit-norm features of one level; zero rows where nothing painted.
+    """Return [N, C] float32 unit-norm features of one level; zero rows where nothing contributed.
 
     ``rows``: [R, C] of the regions of the level, embeddings or the like, in the order of
     ``Regions.embeddings``.
@@ -28,33 +28,33 @@ def dense_features(sums: RegionSums, rows: Tensor, level: int) -> Tensor:
 
 
 def mean_features(sums: RegionSums, rows: Tensor, level: int) -> Tensor:
-    """[N, C] float32 weighted means of one level, as long as they come out: sum of e F / sum of e over the pixels with
-    a region (the paper's Eq. 3). The more the regions of a Gaussian disagree, the shorter. Zero rows where nothing
-    painted; arguments as of ``dense_features``.
+    """Return [N, C] float32 weighted means of one level, as long as they come out: sum of e F / sum of e over
+    the pixels with a region (the paper's Eq. 3). The more the regions of a Gaussian disagree, the shorter. Zero
+    rows where nothing contributed; arguments as of ``dense_features``.
     """
     matrix = sums.matrix(level)
-    painted = torch.from_numpy(matrix.sum(1))
+    total = torch.from_numpy(matrix.sum(1))
     summed = torch.from_numpy(matrix @ rows.cpu().numpy())
-    return torch.where(painted[:, None] > 0, summed / painted[:, None], 0.0)
+    return torch.where(total[:, None] > 0, summed / total[:, None], 0.0)
 
 
 def weighted_means(sums: RegionSums, rows: Sequence[Tensor]) -> list[Tensor]:
-    """``dense_features`` of every level, of rows [R, C] each."""
+    """Return ``dense_features`` of every level, of rows [R, C] each."""
     return [dense_features(sums, of_level, level) for level, of_level in enumerate(rows)]
 
 
 def dense_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
-    """The weighted mean of embeddings of each Gaussian, scaled to unit norm."""
+    """Return the weighted mean of embeddings of each Gaussian, scaled to unit norm."""
     return fitted_embeddings(weighted_means(inputs.sums, inputs.embeddings))
 
 
 def dense_mean_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
-    """The weighted mean of embeddings of each Gaussian, not rescaled."""
+    """Return the weighted mean of embeddings of each Gaussian, not rescaled."""
     rows = enumerate(inputs.embeddings)
     return fitted_embeddings([mean_features(inputs.sums, of_level, level) for level, of_level in rows])
 
 
 def fitted_embeddings(features: Sequence[Tensor]) -> FittedChannels:
-    """Gaussians that each keep an embedding [N, D] a level, as floats."""
+    """Return Gaussians that each keep an embedding [N, D] a level, as floats."""
     size = 4.0 * sum(rows.shape[1] for rows in features)
     return FittedChannels(features, [embedding_cosines] * len(features), size)

@@ -48,7 +48,7 @@ class FittedMethod(Protocol):
         canonical: Tensor,
         size: tuple[int, int] | None = None,
     ) -> Tensor:
-        """[S, Q, H, W] float32 relevancy of every pixel; 0.5 where nothing is rendered.
+        """Return [S, Q, H, W] float32 relevancy of every pixel; 0.5 where nothing is rendered.
 
         ``projection``: from ``raster.project``; ``queries``, ``canonical``: [Q, D] and [P, D], unit norm;
         ``size``: (width, height) that the rendered channels are resized to first (``resized_image``).
@@ -56,11 +56,11 @@ class FittedMethod(Protocol):
         ...
 
     def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
-        """[S, Q, N] float32 relevancy of every Gaussian by itself, without rendering; 0.5 without channels."""
+        """Return [S, Q, N] float32 relevancy of every Gaussian by itself, without rendering; 0.5 without channels."""
         ...
 
     def coded(self) -> Tensor:
-        """[S, N] boolean: the Gaussians that have channels at each level."""
+        """Return [S, N] boolean: the Gaussians that have channels at each level."""
         ...
 
 
@@ -152,7 +152,7 @@ def fitted_field(
     all_kept: bool = False,
     things: ThingTable | None = None,
 ) -> FittedField:
-    """Codes [N, S, K] over a codebook [S, L, D], as a field of the scene that the sums are of."""
+    """Return codes [N, S, K] over a codebook [S, L, D], as a field of the scene that the sums are of."""
     info = FieldInfo(sums.levels, "", sums.fingerprint, sums.n_gaussians, sums.raster_preset)
     return FittedField(LanguageField(indices, weights, codebook, info, thing_table=things), all_kept)
 
@@ -164,7 +164,7 @@ def _of_images(
     canonical: Tensor,
     size: tuple[int, int] | None,
 ) -> Tensor:
-    """[S, Q, H, W] relevancy of an image [H, W, C] a level, one level at a time."""
+    """Return [S, Q, H, W] relevancy of an image [H, W, C] a level, one level at a time."""
     levels = []
     for image, of_level in zip(images, cosines, strict=True):
         resized = image if size is None else resized_image(image, *size)
@@ -173,7 +173,7 @@ def _of_images(
 
 
 def image_relevancy(image: Tensor, cosines: Cosines, queries: Tensor, canonical: Tensor) -> Tensor:
-    """[Q, H, W] relevancy of rendered channels [H, W, C], some pixels at a time."""
+    """Return [Q, H, W] relevancy of rendered channels [H, W, C], some pixels at a time."""
     both, count = torch.cat([queries, canonical]), len(queries)
     rows = image.reshape(-1, image.shape[2])
     found = torch.empty(count, len(rows))
@@ -184,18 +184,18 @@ def image_relevancy(image: Tensor, cosines: Cosines, queries: Tensor, canonical:
 
 
 def embedding_cosines(rows: Tensor, queries: Tensor) -> Tensor:
-    """``Cosines`` of channels that are embeddings themselves."""
+    """Return ``Cosines`` of channels that are embeddings themselves."""
     norms = torch.linalg.vector_norm(rows, dim=1, keepdim=True).clamp(min=1e-12)
     return (rows @ queries.T) / norms  # a copy of all rows, scaled, would take longer than the products
 
 
 def code_cosines(atoms: Tensor) -> Cosines:
-    """``Cosines`` of channels that are coefficients over atoms [L, D]."""
+    """Return ``Cosines`` of channels that are coefficients over atoms [L, D]."""
     return lambda rows, queries: cosines_from_codes(rows, atoms, queries)
 
 
 def resized_image(image: Tensor, width: int, height: int) -> Tensor:
-    """[height, width, C] of rendered channels [H, W, C], before anything is scaled to unit norm (protocols.md,
+    """Return [height, width, C] of rendered channels [H, W, C], before anything is scaled to unit norm (protocols.md,
     Mip-NeRF360: "features resized to the label size"). *Choice*: bilinear, corners not aligned."""
     if tuple(image.shape[:2]) == (height, width):
         return image

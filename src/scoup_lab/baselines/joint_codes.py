@@ -19,7 +19,7 @@ Where this departs from it:
 * The loss is the mean over pixels with a region; theirs counts the others as a constant, which scales it.
 * k-means is spherical and of all regions of the level; theirs is scikit-learn's in mini-batches.
 * Of equal logits, as at the start, the first atoms are kept; theirs are torch's choice on a GPU.
-* Gaussians that paint no pixel with a region in any view have no code; theirs keep that of the start.
+* Gaussians that contribute to no pixel with a region in any view have no code; theirs keep that of the start.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class JointCodes:
     """What was learned."""
 
     indices: Tensor  # [N, S, K] uint8 (uint16 beyond 256 atoms), the atoms of each Gaussian
-    # [N, S, K] float32, not negative, largest first, summing to 1; zeros for a Gaussian that paints no pixel
+    # [N, S, K] float32, not negative, largest first, summing to 1; zeros for a Gaussian that contributes to no pixel
     # with a region
     weights: Tensor
     codebook: Tensor  # [S, L, D] float32, not of unit norm
@@ -117,8 +117,8 @@ def fit_joint_codes(
 
 
 def kept_codes(logits: Tensor, k: int) -> tuple[Tensor, Tensor]:
-    """Atoms [M, K] int64 and weights [M, K] of logits [M, L]: the softmax, its K largest kept and scaled to sum 1,
-    which is the softmax over the K largest logits. Largest first; of equal ones the first."""
+    """Return atoms [M, K] int64 and weights [M, K] of logits [M, L]: the softmax, its K largest kept and scaled
+    to sum 1, which is the softmax over the K largest logits. Largest first; of equal ones the first."""
     # One largest after the other and not topk, which picks any of equal logits and takes longer for few.
     left = logits.detach().clone()
     found = []
@@ -130,7 +130,7 @@ def kept_codes(logits: Tensor, k: int) -> tuple[Tensor, Tensor]:
 
 
 def rendering_loss(view: ViewWeights, logits: Tensor, atoms: Tensor, targets: ViewTargets, k: int) -> Tensor:
-    """Mean of 1 - cosine of rendered features and embeddings, over the pixels of a view that have a region.
+    """Return the mean of 1 - cosine of rendered features and embeddings, over the pixels of a view that have a region.
 
     ``logits``: [M, L] of its members; ``atoms``: [L, D].
     """
@@ -190,16 +190,16 @@ class _Training:
         self.losses.append(loss.item())
 
     def codes(self) -> tuple[Tensor, Tensor]:
-        """Indices and weights [N, K] as ``JointCodes`` has them."""
+        """Return indices and weights [N, K] as ``JointCodes`` has them."""
         indices, weights = kept_codes(self.logits.detach(), self.settings.k)
-        painted = torch.zeros(len(indices), dtype=torch.bool)
+        contributes = torch.zeros(len(indices), dtype=torch.bool)
         for view, target in zip(self.views, self.targets, strict=True):
-            painted[view.members[view.weights[target.pixels.numpy()].sum(0) > 0]] = True
-        return indices.to(index_dtype(self.settings.n_atoms)), torch.where(painted[:, None], weights, 0.0)
+            contributes[view.members[view.weights[target.pixels.numpy()].sum(0) > 0]] = True
+        return indices.to(index_dtype(self.settings.n_atoms)), torch.where(contributes[:, None], weights, 0.0)
 
 
 def _shuffled(count: int, seed: int) -> Iterator[int]:
-    """Numbers below ``count``, all of them in a new order again and again."""
+    """Yield numbers below ``count``, all of them in a new order again and again."""
     random = torch.Generator().manual_seed(seed)
     while True:
         yield from torch.randperm(count, generator=random).tolist()

@@ -155,5 +155,5 @@ COMPARED = tuple(name for name in METHODS if name not in ("sparse-all", "autoenc
 
 
 def find_method(name: str) -> Method:
-    """A method by name."""
+    """Return a method by name."""
     return looked_up("method", name, METHODS)

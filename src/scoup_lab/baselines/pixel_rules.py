@@ -2,7 +2,7 @@
 
 Dense and sparse uplift count every pixel by its blending weight (``AllPixels``). Other systems count fewer: the pixel
 at the projected centre of a Gaussian (``CentrePixel``), the same where the Gaussian is visible
-(``VisibleCentrePixel``, ``VisibleInView``), or only the Gaussians that paint most of a pixel (``TopContributors``).
+(``VisibleCentrePixel``, ``VisibleInView``), or only those that contribute most to a pixel (``TopContributors``).
 Every rule gives region sums of the same form, so that all that comes after can be shared.
 
 The blending weights come from the rasteriser's contract: region sums of a map in which every pixel is a region of its
@@ -34,19 +34,19 @@ PIXELS_AT_A_TIME = 1 << 17  # a band of rows: some ten million pairs of a Gaussi
 
 @dataclass(frozen=True, eq=False)
 class PixelWeights:
-    """Who paints some pixels, and how much."""
+    """Contributions of Gaussians to some pixels."""
 
     gaussian: np.ndarray  # [T] int64
     pixel: np.ndarray  # [T] int64, row * width + column
     weight: np.ndarray  # [T] float32, the blending weight; positive
 
     def kept(self, chosen: np.ndarray) -> PixelWeights:
-        """The pairs [T] boolean alone."""
+        """Return the pairs [T] boolean alone."""
         return PixelWeights(self.gaussian[chosen], self.pixel[chosen], self.weight[chosen])
 
     @classmethod
     def joined(cls, parts: Sequence[PixelWeights]) -> PixelWeights:
-        """The pairs of all parts, one part after the other."""
+        """Return the pairs of all parts, one part after the other."""
         return cls(
             np.concatenate([part.gaussian for part in parts]),
             np.concatenate([part.pixel for part in parts]),
@@ -60,13 +60,13 @@ class PixelRule(Hashable, Protocol):
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
-        """Region sums of all views that count only what the rule keeps."""
+        """Return region sums of all views that count only what the rule keeps."""
         ...
 
 
 @dataclass(frozen=True)
 class AllPixels:
-    """Every pixel counts, by the weight with which the Gaussian paints it."""
+    """Every pixel counts, by the weight of the Gaussian in it."""
 
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
@@ -92,15 +92,15 @@ class EveryNthPixel:
 
 
 class PairRule(ABC):
-    """A ``PixelRule`` that judges each pair of a Gaussian and a pixel it paints."""
+    """A ``PixelRule`` that judges each pair of a Gaussian and a pixel it contributes to."""
 
     @abstractmethod
     def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
-        """The pairs of a band of rows that count; ``centres`` [N] int64 is the pixel under the centre of each Gaussian,
-        -1 for none."""
+        """Return the pairs of a band of rows that count; ``centres`` [N] int64 is the pixel under the centre of
+        each Gaussian, -1 for none."""
 
     def of_view(self, pairs: PixelWeights) -> PixelWeights:
-        """The pairs of a whole view that count, of those that count in its bands; all of them by default."""
+        """Return the pairs of a whole view that count, of those that count in its bands; all of them by default."""
         return pairs
 
     def region_sums(
@@ -120,7 +120,7 @@ class PairRule(ABC):
 
 @dataclass(frozen=True)
 class CentrePixel(PairRule):
-    """The one pixel under the projected centre, by the weight with which the Gaussian paints it (Occam's LGS)."""
+    """The one pixel under the projected centre, by the weight of the Gaussian in it (Occam's LGS)."""
 
     def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
         return pairs.kept(centres[pairs.gaussian] == pairs.pixel)
@@ -130,7 +130,7 @@ class CentrePixel(PairRule):
 class VisibleCentrePixel(PairRule):
     """The pixel under the centre, in views where the Gaussian is among those that make up that pixel (VALA)."""
 
-    # of a pixel's painted weight. A Gaussian is visible if those with larger weights have less than this.
+    # of a pixel's weight. A Gaussian is visible if those with larger weights have less than this.
     share: float = 0.5
 
     def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
@@ -151,8 +151,8 @@ class VisibleInView(PairRule):
     VALA's public code (``GaussianModel.accumulate_gaussian_feature_per_view_robust``). Their paper describes a gate for
     each ray (arXiv 2509.05515); the code has one for the view.
 
-    Of n Gaussians that paint the pixel under their centre, the heaviest count: as many as make up ``coverage`` of the
-    sum of these weights, as have the weight ``least``, at most n / 2 (but at least one), and no more than are heavier
+    Of n Gaussians that contribute to the pixel under their centre, the heaviest count: as many as make up ``coverage``
+    of their sum, as have the weight ``least``, at most n / 2 (but one at least), no more than are heavier
     than ``clear`` or than the quantile ``quantile``, whichever lets more pass.
     """
 
@@ -182,7 +182,7 @@ class VisibleInView(PairRule):
 
 @dataclass(frozen=True)
 class TopContributors(PairRule):
-    """For each pixel the Gaussians that paint most of it (Dr. Splat)."""
+    """For each pixel the Gaussians that contribute most to it (Dr. Splat)."""
 
     count: int = 10  # so many; of equal weights the lower Gaussian
 
@@ -196,7 +196,7 @@ class TopContributors(PairRule):
 
 
 def every_nth_pixel(regions: Regions, stride: int) -> Regions:
-    """The regions with labels only at every ``stride``-th pixel of every ``stride``-th row."""
+    """Return the regions with labels only at every ``stride``-th pixel of every ``stride``-th row."""
 
     def load(view: str, level: str) -> RegionMap:
         found = regions.load(view, level)
@@ -209,7 +209,7 @@ def every_nth_pixel(regions: Regions, stride: int) -> Regions:
 
 
 def pixel_weights(projection: raster.Projection, pixels: int = PIXELS_AT_A_TIME) -> Iterator[PixelWeights]:
-    """Every pair of a Gaussian and a pixel it paints, band by band of rows; sorted by Gaussian, then pixel."""
+    """Yield all pairs of a Gaussian and a pixel it contributes to, in bands of rows; sorted by Gaussian, then pixel."""
     if pixels < 1:
         raise InputError(f"a band needs at least one pixel, not {pixels}")
     height, width = projection.height, projection.width
@@ -226,8 +226,8 @@ def pixel_weights(projection: raster.Projection, pixels: int = PIXELS_AT_A_TIME)
 
 
 def centre_pixels(gaussians: Gaussians, camera: Camera) -> np.ndarray:
-    """[N] int64: the pixel (row * width + column) under the projected centre of each Gaussian; -1 outside the image or
-    behind the camera."""
+    """Return [N] int64: the pixel (row * width + column) under the projected centre of each Gaussian; -1
+    outside the image or behind the camera."""
     means = gaussians.means.double().cpu()
     places = means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     in_front = torch.isfinite(places).all(1) & (places[:, 2] > 0)
@@ -239,7 +239,8 @@ def centre_pixels(gaussians: Gaussians, camera: Camera) -> np.ndarray:
 
 
 def _strongest_first(pairs: PixelWeights) -> tuple[np.ndarray, np.ndarray]:
-    """Order of the pairs by pixel, then falling weight, then Gaussian; and where in it a new pixel begins."""
+    """Return the order of the pairs by pixel, then falling weight, then Gaussian; and where in it a new
+    pixel begins."""
     # One key: positive floats are in the order of their bits. Stable, as pairs are sorted by Gaussian.
     bits = pairs.weight.astype(np.float32).view(np.int32).astype(np.int64)
     order = np.argsort((pairs.pixel.astype(np.int64) << 32) - bits, kind="stable")
@@ -247,7 +248,7 @@ def _strongest_first(pairs: PixelWeights) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _view_sums(pairs: PixelWeights, labels: Tensor) -> ViewSums:
-    """The pairs whose pixels have a region, summed over the pixels of each combination of regions."""
+    """Return the pairs whose pixels have a region, summed over the pixels of each combination of regions."""
     combined = raster.combine(labels)
     combination = combined.map.flatten()[torch.from_numpy(pairs.pixel)]
     there = combination >= 0

@@ -31,7 +31,7 @@ class ProductQuantiser:
         return self.centroids.shape[0]
 
     def encode(self, rows: Tensor) -> Tensor:
-        """[R, M] uint8 codes of rows [R, D]."""
+        """Return [R, M] uint8 codes of rows [R, D]."""
         parts = _cut(rows.detach().cpu().float().numpy(), self.n_parts)
         codes = np.empty((len(rows), self.n_parts), np.uint8)
         for number in range(self.n_parts):
@@ -41,7 +41,7 @@ class ProductQuantiser:
         return torch.from_numpy(codes)
 
     def decode(self, codes: Tensor) -> Tensor:
-        """[R, D] float32 rows of codes [R, M]."""
+        """Return [R, D] float32 rows of codes [R, M]."""
         numbers = codes.cpu().numpy()
         parts = [of_part[numbers[:, number]] for number, of_part in enumerate(self.centroids)]
         return torch.from_numpy(np.concatenate(parts, axis=1))
@@ -67,12 +67,12 @@ def fit_product_quantiser(
 
 
 def _cut(rows: np.ndarray, n_parts: int) -> np.ndarray:
-    """[M, R, D / M]."""
+    """Return [M, R, D / M]."""
     return rows.reshape(len(rows), n_parts, -1).transpose(1, 0, 2)
 
 
 def _k_means(rows: np.ndarray, rng: np.random.Generator, iterations: int) -> np.ndarray:
-    """[C, d] centroids, C = 256 or fewer where there are fewer rows."""
+    """Return [C, d] centroids, C = 256 or fewer where there are fewer rows."""
     count = min(CENTROIDS, len(rows))
     centroids = rows[rng.choice(len(rows), count, replace=False)].copy()
     for _ in range(iterations):
@@ -89,7 +89,7 @@ def _k_means(rows: np.ndarray, rng: np.random.Generator, iterations: int) -> np.
 
 
 def _nearest(rows: np.ndarray, centroids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Number of the nearest centroid of each row, the first of equals, and the squared distance to it."""
+    """Return the number of the nearest centroid of each row, the first of equals, and the squared distance to it."""
     squared = (centroids**2).sum(1)[None] - 2 * rows @ centroids.T
     nearest = squared.argmin(1)
     return nearest, squared[np.arange(len(rows)), nearest] + (rows**2).sum(1)

@@ -28,7 +28,7 @@ class Coder(Hashable, Protocol):
     """A way to learn codes."""
 
     def __call__(self, embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
-        """Codes of embeddings [R, D] of each level."""
+        """Return codes of embeddings [R, D] of each level."""
         ...
 
 
@@ -46,13 +46,13 @@ class UpliftInputs:
     scene: RasterisedScene | None = None
 
     def codes(self, coder: Coder, settings: BuildSettings) -> Codes:
-        """Codes of the embeddings, learned once for all settings that differ in the vote only."""
+        """Return codes of the embeddings, learned once for all settings that differ in the vote only."""
         if _key(coder, settings) not in self.kept_codes:
             self.keep(coder, settings, coder(self.embeddings, settings))
         return self.kept_codes[_key(coder, settings)]
 
     def things(self) -> ThingTable:
-        """Instances of the scene, made once."""
+        """Return the instances of the scene, made once."""
         if not self.kept_things:
             self.kept_things.append(find_things(self.sums, self.embeddings))
         return self.kept_things[0]
@@ -90,11 +90,11 @@ class RasterisedScene:
         self._codes: dict[float, dict[tuple[Coder, BuildSettings], Codes]] = {}
 
     def with_regions(self, regions: Regions) -> RasterisedScene:
-        """The scene with other regions, not rasterised yet."""
+        """Return the scene with other regions, not rasterised yet."""
         return RasterisedScene(self.gaussians, self.cameras, regions, self.raster_preset)
 
     def region_sums(self, pixels: PixelRule = ALL_PIXELS) -> RegionSums:
-        """Region sums of the pixels that count by a rule."""
+        """Return region sums of the pixels that count by a rule."""
         if pixels not in self._sums:
             started = time.perf_counter()
             made = pixels.region_sums(self.gaussians, self.cameras, self.regions, self.raster_preset)
@@ -103,12 +103,12 @@ class RasterisedScene:
         return self._sums[pixels]
 
     def seconds(self, pixels: PixelRule = ALL_PIXELS) -> float:
-        """How long it took to make the region sums by a rule; 0 for those given."""
+        """Return how long it took to make the region sums by a rule; 0 for those given."""
         self.region_sums(pixels)
         return self._seconds[pixels]
 
     def inputs(self, pixels: PixelRule = ALL_PIXELS, views: float = 1.0) -> UpliftInputs:
-        """What a method is fitted to, from a share of the views, spread evenly."""
+        """Return what a method is fitted to, from a share of the views, spread evenly."""
         sums = self.region_sums(pixels)
         regions = self.regions if views == 1 else spread_views(self.regions, views)
         if views not in self._embeddings:
@@ -125,7 +125,7 @@ class RasterisedScene:
 
 
 def spread_views(regions: Regions, share: float) -> Regions:
-    """The regions of a share of the views, spread evenly, at least one."""
+    """Return the regions of a share of the views, spread evenly, at least one."""
     names = regions.view_names
     count = max(1, round(share * len(names)))
     places = ((np.arange(count) + 0.5) * len(names) / count).astype(int)

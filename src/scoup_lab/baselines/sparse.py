@@ -23,7 +23,7 @@ Half = Literal["highest", "lowest"]
 
 
 def learn_codes(embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
-    """Codes of the regions of each level, as ``scoup.build`` learns them."""
+    """Return codes of the regions of each level, as ``scoup.build`` learns them."""
     books = [fit_codes(rows, **settings.of_fit) for rows in embeddings]
     return [book.codes for book in books], torch.stack([book.atoms for book in books])
 
@@ -51,7 +51,7 @@ class AdamCoder:
         return codes, torch.stack(atoms)
 
     def first_atoms(self, rows: Tensor, n_atoms: int, seed: int) -> Tensor | None:
-        """[L, D] first atoms for unit rows [R, D]; None for the solver's own."""
+        """Return [L, D] first atoms for unit rows [R, D]; None for the solver's own."""
         random = torch.Generator().manual_seed(seed)
         if self.start == "random regions":
             return rows[torch.randint(len(rows), (n_atoms,), generator=random)]
@@ -82,15 +82,16 @@ class SparseUplift:
 def vote_codes(
     inputs: UpliftInputs, build: BuildSettings, coder: Coder = learn_codes, all_kept: bool = False
 ) -> tuple[GaussianCodes, Tensor]:
-    """Codes of the Gaussians, and the codebook [S, L, D]; ``all_kept`` keeps every atom whatever the settings say."""
+    """Return codes of the Gaussians, and the codebook [S, L, D]; ``all_kept`` keeps every atom whatever the
+    settings say."""
     codes, codebook = inputs.codes(coder, build)
     keep = None if all_kept else build.keep or None
     return vote(inputs.sums, codes, codebook, build.rounds, keep, build.keep or build.k), codebook
 
 
 def without_half(found: GaussianCodes, whole: GaussianCodes, half: Half) -> GaussianCodes:
-    """Codes without those of the Gaussians in the half with the highest (or lowest) entropy of their whole votes.
-    *Choice*: halves are taken at each level, among Gaussians that have votes there."""
+    """Return codes without those of the Gaussians in the half with the highest (or lowest) entropy of their
+    whole votes. *Choice*: halves are taken at each level, among Gaussians that have votes there."""
     entropy = vote_entropy(whole.weights)
     voted = whole.weights.any(-1)
     kept = torch.zeros_like(voted)
@@ -103,7 +104,7 @@ def without_half(found: GaussianCodes, whole: GaussianCodes, half: Half) -> Gaus
 
 
 def vote_entropy(weights: Tensor) -> Tensor:
-    """[N, S] float32 entropy of votes, 0 (all views agree) to 1; 1 for a Gaussian without a code.
+    """Return [N, S] float32 entropy of votes, 0 (all views agree) to 1; 1 for a Gaussian without a code.
 
     ``weights``: [N, S, K] not negative: those of codes as stored, or of all atoms.
     """

@@ -68,7 +68,7 @@ LERF_AUTOENCODER = AutoencodedUplift(LERF_ROWS)
 
 
 def learn_joint_codes(inputs: UpliftInputs, settings: MethodSettings) -> JointCodes:
-    """Codebook and codes learned through renderings of the scene."""
+    """Learn codebook and codes through renderings of the scene."""
     sums, scene = inputs.sums, inputs.scene
     if scene is None or sums.rows is None:
         raise InputError("codes learned through renderings need the scene, not its region sums alone")
@@ -85,6 +85,6 @@ def learn_joint_codes(inputs: UpliftInputs, settings: MethodSettings) -> JointCo
 
 
 def joint_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedField:
-    """``learn_joint_codes``, as a field."""
+    """Run ``learn_joint_codes``, and return a field."""
     found = learn_joint_codes(inputs, settings)
     return fitted_field(inputs.sums, found.indices, found.weights, found.codebook)

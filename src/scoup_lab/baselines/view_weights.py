@@ -1,7 +1,7 @@
 """The blending weights of small views, as sparse matrices: rendering channels is a product with them, its gradient one
 with their transpose.
 
-For methods that learn what Gaussians carry by comparing renderings with regions, at every step anew (LangSplatV2).
+For methods that learn what Gaussians carry by comparing renderings with regions, at every step again (LangSplatV2).
 Geometry is frozen, so the weights never change: they are rasterised once and each step only multiplies, which is
 cheaper than rasterising again, as those systems do. Times of such methods here are therefore flattering to them.
 """
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ViewWeights:
-    """Who paints the pixels of a view."""
+    """Contributions of Gaussians to the pixels of a view."""
 
     name: str  # of the view
-    members: Tensor  # [M] int64, the Gaussians that paint any of these pixels
+    members: Tensor  # [M] int64, the Gaussians that contribute to any of these pixels
     weights: csr_array  # [P, M] float32 blending weights, of the pixels that have a region at some level
     labels: Tensor  # [S, P] int64, the region of each pixel at each level; -1 for none
 
 
 def weights_of_views(scene: RasterisedScene, width: int) -> list[ViewWeights]:
-    """The blending weights of all views with regions, in the order of the cameras.
+    """Return the blending weights of all views with regions, in the order of the cameras.
 
     ``width``: of the views in pixels, heights in proportion; views that are narrower keep their size.
     """
@@ -53,7 +53,7 @@ def weights_of_views(scene: RasterisedScene, width: int) -> list[ViewWeights]:
 
 
 def rendered(view: ViewWeights, channels: Tensor) -> Tensor:
-    """[P, C] float32: the channels [M, C] of the view's members as its pixels show them; differentiable."""
+    """Return [P, C] float32: the channels [M, C] of the view's members as its pixels show them; differentiable."""
     return _Rendered.apply(channels, view.weights)
 
 

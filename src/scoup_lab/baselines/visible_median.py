@@ -25,7 +25,7 @@ from scoup_lab.baselines.rasterised_scene import UpliftInputs
 
 
 def streaming_median(sums: RegionSums, embeddings: Tensor, level: int) -> Tensor:
-    """[N, D] float32 unit rows, zero where nothing was seen.
+    """Return [N, D] float32 unit rows, zero where nothing was seen.
 
     ``embeddings``: [R, D] of the regions of the level, any norm.
     """
@@ -40,9 +40,9 @@ def streaming_median(sums: RegionSums, embeddings: Tensor, level: int) -> Tensor
             (weight, (gaussian, region)), shape=(sums.n_gaussians, rows.stop - rows.start), dtype="float32"
         )
         seen = torch.from_numpy(of_view.sum(1) > 0).nonzero()[:, 0]
-        painted = of_view[seen.numpy()]
-        towards = torch.nn.functional.normalize(torch.from_numpy(painted @ unit[rows].numpy()), dim=1)
-        share = torch.from_numpy(painted.sum(1))[:, None]
+        weights = of_view[seen.numpy()]
+        towards = torch.nn.functional.normalize(torch.from_numpy(weights @ unit[rows].numpy()), dim=1)
+        share = torch.from_numpy(weights.sum(1))[:, None]
         total[seen] += share
         before = found[seen]
         across = towards - (towards * before).sum(1, keepdim=True) * before
@@ -51,6 +51,6 @@ def streaming_median(sums: RegionSums, embeddings: Tensor, level: int) -> Tensor
 
 
 def median_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
-    """The streaming median of embeddings of each Gaussian."""
+    """Return the streaming median of embeddings of each Gaussian."""
     rows = enumerate(inputs.embeddings)
     return fitted_embeddings([streaming_median(inputs.sums, of_level, level) for level, of_level in rows])

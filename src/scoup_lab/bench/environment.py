@@ -20,7 +20,7 @@ _CODE = (":/src", ":/native", ":/benchmarks")  # what can change a time; figures
 
 
 def describe_environment() -> dict[str, Any]:
-    """Machine, software and commit, for JSON."""
+    """Return machine, software and commit, for JSON."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {
         "cpu": _cpu_model(),
@@ -41,7 +41,7 @@ def describe_environment() -> dict[str, Any]:
 
 
 def in_one_line(environment: dict[str, Any]) -> str:
-    """The same for the head of a table."""
+    """Return the same for the head of a table."""
     parts = [
         f"{environment['cpu']}, {environment['cores']} cores",
         environment["gpu"],
@@ -69,7 +69,7 @@ def _version(package: str) -> str | None:
 
 
 def _commit() -> str | None:
-    """The commit of the checkout this file is run from, marked where the code has changed since."""
+    """Return the commit of the checkout this file is run from, marked where the code has changed since."""
     here = Path(__file__).resolve().parent.parent
     # A package installed below somebody else's checkout is not of that checkout.
     if _git(here, "ls-files", "--error-unmatch", "__init__.py") is None:
@@ -96,6 +96,6 @@ def _git(folder: Path, *arguments: str) -> str | None:
 
 
 def _instruction_set() -> str | None:
-    """The instruction set the compiled core uses; None where there is no core."""
+    """Return the instruction set the compiled core uses; None where there is no core."""
     core = native_core()
     return None if core is None else str(core.current_isa())

@@ -23,7 +23,7 @@ MOST_IN_A_ROW = 50
 
 @contextmanager
 def torch_threads(count: int | None) -> Iterator[None]:
-    """torch (and every backend that follows it) uses ``count`` threads inside the block; None changes nothing."""
+    """Make torch, and backends that follow it, use ``count`` threads in the block; None changes nothing."""
     before = torch.get_num_threads()
     torch.set_num_threads(before if count is None else count)
     try:
@@ -48,7 +48,8 @@ class DeviceClock:
             torch.cuda.synchronize(self.device)
 
     def seconds(self, run: Callable[[], object], runs: int = 1) -> float:
-        """Of one run, where ``runs`` follow each other. Results are dropped after the clock has stopped."""
+        """Return the seconds of one run, where ``runs`` follow each other. Results are dropped after the
+        clock has stopped."""
         self.settle()
         if not self.on_gpu:
             started = time.perf_counter()
@@ -67,8 +68,8 @@ class DeviceClock:
         return first.elapsed_time(last) / 1e3 / runs
 
     def peak_bytes(self, run: Callable[[], object]) -> dict[str, int | None]:
-        """Most bytes that torch allocated on the device during a run, and how many of them were not allocated before;
-        None on a CPU.
+        """Return most bytes that torch allocated on the device during a run, and how many of them were not
+        allocated before; None on a CPU.
         """
         if not self.on_gpu:
             run()
@@ -102,7 +103,7 @@ class Timing:
         return median(self.seconds)
 
     def record(self) -> dict[str, float | int]:
-        """For JSON: median, least and most seconds, and the number of repetitions."""
+        """Return median, least and most seconds and the number of repetitions, for JSON."""
         return {
             "median_s": self.median,
             "min_s": min(self.seconds),
@@ -115,15 +116,15 @@ class Watch(Generic[Key]):
     """What happens around the runs of ``time_tasks``. This one lets everything run and errors through."""
 
     def may_run(self, key: Key) -> bool:
-        """Called before each run. A task that may not run is left out from then on."""
+        """Decide before each run. A task that may not run is left out from then on."""
         return True
 
     def failed(self, key: Key, error: Exception) -> None:
-        """A task has raised. If this returns, the task is left out from then on."""
+        """Handle the error of a task. If this returns, the task is left out from then on."""
         raise error
 
     def round_done(self, timings: dict[Key, Timing]) -> None:
-        """Called after each round with the timings so far."""
+        """Take the timings so far, after each round."""
 
 
 def time_tasks(
@@ -201,7 +202,7 @@ class Stopwatch:
         self.seconds: dict[str, list[float]] = {}
 
     def __call__(self, name: str, run: Callable[..., Result], *arguments: Any, **named: Any) -> Result:
-        """What ``run`` returns; its seconds are added to those of the name."""
+        """Return what ``run`` returns; its seconds are added to those of the name."""
         started = self._clock()
         result = run(*arguments, **named)
         self.seconds.setdefault(name, []).append(self._clock() - started)
@@ -228,7 +229,7 @@ class StageClock:
             self._turn_to(f"after {stage}")
 
     def stop(self) -> dict[str, float]:
-        """Seconds by stage, in the order they ran."""
+        """Return seconds by stage, in the order they ran."""
         self._turn_to("stopped")
         return self.seconds
 

@@ -60,7 +60,7 @@ def timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
 
 
 def resident_bytes() -> int | None:
-    """Memory of this process that is in RAM; None where the system does not say."""
+    """Return the memory of this process that is in RAM; None where the system does not say."""
     try:
         return int(_STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, IndexError):

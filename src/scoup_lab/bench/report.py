@@ -27,7 +27,7 @@ class Row:
     timing: Timing  # its seconds
 
     def setting(self) -> dict[str, Any]:
-        """What was measured, for JSON."""
+        """Return what was measured, for JSON."""
         return {
             "scene": self.scene,
             "gaussians": self.n_gaussians,
@@ -37,7 +37,7 @@ class Row:
         }
 
     def record(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the record, for JSON."""
         return {**self.setting(), **self.timing.record()}
 
 
@@ -58,14 +58,14 @@ def ratios(rows: Iterable[Row]) -> dict[Row, float]:
 
 
 def comparison(rows: Iterable[Row]) -> dict[str, list[dict[str, Any]]]:
-    """For JSON: the rows and their ratios."""
+    """Return the rows and their ratios, for JSON."""
     rows = list(rows)
     over = [{**row.setting(), f"time_over_{SPECIFICATION}": ratio} for row, ratio in ratios(rows).items()]
     return {"rows": [row.record() for row in rows], "ratios": over}
 
 
 def stage_table(rows: Sequence[Row]) -> str:
-    """Markdown: a line for each scene and stage; milliseconds of each backend and number of threads; ratios.
+    """Return markdown: a line for each scene and stage; milliseconds of each backend and number of threads; ratios.
 
     Where medians come from different numbers of repetitions, the heading of each column says how many.
     """
@@ -100,13 +100,14 @@ def stage_table(rows: Sequence[Row]) -> str:
 
 
 def milliseconds(seconds: float) -> str:
-    """Three figures that matter, without exponent."""
+    """Return milliseconds with three significant figures, without exponent."""
     value = 1e3 * seconds
     return f"{value:,.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.3g}"
 
 
 def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
-    """A Markdown table, padded so that it can be read as it stands; all but the first ``left`` columns to the right."""
+    """Return a Markdown table, padded so that it can be read as it stands; all but the first ``left``
+    columns to the right."""
     table = [list(headers), *map(list, rows)]
     widths = [max(3, *(len(line[column]) for line in table)) for column in range(len(headers))]
 

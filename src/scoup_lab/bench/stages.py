@@ -63,7 +63,7 @@ class Workload:
     values: Tensor  # [N, 3] float32, to render as channels
 
     def to(self, device: str | torch.device) -> Workload:
-        """The same on another device."""
+        """Return the same on another device."""
         names = ("labels", "indices", "weights", "codebook", "queries", "values")
         moved = {name: getattr(self, name).to(device) for name in names}
         codes = [
@@ -82,7 +82,7 @@ def make_workload(
     dim: int = 512,
     n_queries: int = 1,
 ) -> Workload:
-    """Random codes, codebook and queries for a scene and its label maps [S, H, W]."""
+    """Return random codes, codebook and queries for a scene and its label maps [S, H, W]."""
     levels = len(labels)
     generator = torch.Generator().manual_seed(0)
     codes = [
@@ -107,7 +107,7 @@ def make_workload(
 def random_workload(
     n_gaussians: int, width: int = WIDTH, height: int = HEIGHT, regions: Sequence[int] = REGIONS
 ) -> Workload:
-    """The first view of the random scene of ``scoup_lab.synthetic.random_scene``.
+    """Return the first view of the random scene of ``scoup_lab.synthetic.random_scene``.
 
     Args:
         n_gaussians: N.
@@ -120,7 +120,7 @@ def random_workload(
 
 
 def stage_runs(work: Workload, backend: str, names: Iterable[str] = tuple(STAGES)) -> dict[str, Run]:
-    """The stages as callables without arguments; each gives what its function gives.
+    """Return the stages as callables without arguments; each gives what its function gives.
 
     The projection that the later stages share is made here, so that its cost is in ``project`` alone.
 
@@ -154,7 +154,7 @@ def stage_runs(work: Workload, backend: str, names: Iterable[str] = tuple(STAGES
 
 
 def region_sums_of_a_view(work: Workload, projection: raster.Projection) -> RegionSums:
-    """The sums of one view, ready for the vote."""
+    """Return the sums of one view, ready for the vote."""
     levels = [str(level) for level in range(len(work.labels))]
     sums = RegionSums("", morton_order(work.gaussians.means), levels)
     sums.append("view", raster.region_sums(projection, work.labels))
@@ -163,7 +163,7 @@ def region_sums_of_a_view(work: Workload, projection: raster.Projection) -> Regi
 
 
 def vote_of_a_view(work: Workload, sums: RegionSums | None, backend: str) -> GaussianCodes:
-    """One round over one view; most of it is what does not depend on the number of views."""
+    """Return one round over one view; most of it is what does not depend on the number of views."""
     assert sums is not None
     return vote(sums, work.codes, work.codebook, 1, work.indices.shape[2], backend=backend)
 
@@ -176,7 +176,7 @@ def time_stages(
     device: str = "cpu",
     progress: Progress = no_progress,
 ) -> list[Row]:
-    """Interleaved times of all stages.
+    """Time all stages, interleaved.
 
     Args:
         work: what they work on, for the rows.
@@ -197,7 +197,7 @@ def time_stages(
 
 
 def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[list[str], dict[str, str]]:
-    """Backends that work on this machine, and why the others do not.
+    """Return the backends that work on this machine, and why the others do not.
 
     Args:
         wanted: names; all that serve the device if empty.

@@ -21,7 +21,7 @@ Counts = Annotated[tuple[int, ...], tyro.conf.arg(metavar="INT [INT ...]", help_
 class Bench(WritesCommon):
     """Time every stage on one view of a random scene, backend against backend.
 
-    Runs are interleaved and medians are printed, so that ratios hold even where the machine is not idle. Needs no
+    Runs are interleaved and medians are printed, so that ratios are right even where the machine is not idle. Needs no
     data and takes less than a minute; the larger measurements behind the documents are in benchmarks/.
     """
 
@@ -103,7 +103,7 @@ class Bench(WritesCommon):
                 raise UnknownNameError("stage", stage, STAGES)
 
     def _size(self) -> tuple[int, int]:
-        """Pixels across and down."""
+        """Return pixels across and down."""
         by = 3 if self.quick else 1
         return max(1, self.width // by), max(1, self.height // by)
 
@@ -125,7 +125,7 @@ class Bench(WritesCommon):
 
 
 def _say_table(console: Console, rows: list[Row], backends: list[str], reasons: dict[str, str]) -> None:
-    """The table, what its stages are, and which backends do not work here."""
+    """Print the table, what its stages are, and which backends do not work here."""
     from scoup_lab.bench import STAGES, stage_table
     from scoup_lab.bench.report import SPECIFICATION
 

@@ -24,7 +24,7 @@ class Demo(WritesCommon):
     """Make a small scene, build its language field, query every object in it, and score the answers.
 
     Needs no network, no GPU and no data. Regions and embeddings are simulated; the truth comes from the scene's
-    geometry. Afterwards OUT holds the scene as files (try `scoup build OUT/scene`), the field, a contact sheet of
+    geometry. Afterwards OUT contains the scene as files (try `scoup build OUT/scene`), the field, a contact sheet of
     queries, and the scores.
     """
 
@@ -79,7 +79,7 @@ class Demo(WritesCommon):
 
 
 def _page_problem() -> str:
-    """Why no page can be written; empty if it can."""
+    """Return why no page can be written; empty if it can."""
     from scoup.base.errors import ScoupError
     from scoup.view.page import page_files
 
@@ -91,7 +91,7 @@ def _page_problem() -> str:
 
 
 def _write_page(result: DemoResult, folder: Path) -> None:
-    """The page of the demo, with the words of its table."""
+    """Write the page of the demo, with the words of its table."""
     from scoup.view.export import export_page
     from scoup.view.viewed_field import ViewedField
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 
 def _listed(text: str) -> tuple[str, ...]:
-    """Names between commas, over any number of lines."""
+    """Return names between commas, over any number of lines."""
     return tuple(" ".join(name.split()) for name in text.split(","))
 
 

@@ -29,7 +29,7 @@ class LabelledPoints:
 
 
 def read_labelled_ply(path: str | Path) -> LabelledPoints:
-    """The vertices of a PLY with a ``label``, such as ScanNet's ``<scene>_vh_clean_2.labels.ply``."""
+    """Return the vertices of a PLY with a ``label``, such as ScanNet's ``<scene>_vh_clean_2.labels.ply``."""
     path = existing_file(path, "a PLY file of labelled points")
     table = read_ply_table(path)
     missing = [name for name in ("x", "y", "z", "label") if name not in table.names]
@@ -58,7 +58,7 @@ def write_labelled_ply(points: LabelledPoints, path: str | Path, overwrite: bool
 
 
 def read_labelled_npy(coordinates: str | Path, labels: str | Path) -> LabelledPoints:
-    """Points and their classes from two .npy files, as SceneSplat's preprocessing leaves them.
+    """Return points and their classes from two .npy files, as SceneSplat's preprocessing leaves them.
 
     ``coordinates``: [P, 3]; ``labels``: [P], or [P, M] with several classes a point, of which the first
     counts.
@@ -90,7 +90,7 @@ def _finite(path: Path, positions: np.ndarray) -> np.ndarray:
 
 
 def _whole(path: Path, labels: np.ndarray) -> np.ndarray:
-    """[P] float64 as int64."""
+    """Return [P] float64 as int64."""
     if not (np.isfinite(labels) & (labels == np.round(labels)) & (np.abs(labels) < _MAX_LABEL)).all():
         raise FileFormatError(path, "has labels that are no whole numbers", "give the numbers of classes")
     return labels.astype(np.int64)

@@ -41,12 +41,12 @@ class LabelledFrame:
         return tuple(self.masks)
 
     def only(self, label: str) -> LabelledFrame:
-        """This frame with one label."""
+        """Return this frame with one label."""
         masks, boxes = {label: self.masks[label]}, {label: self.boxes[label]}
         return LabelledFrame(self.name, self.width, self.height, masks, boxes)
 
     def resized(self, width: int, height: int) -> LabelledFrame:
-        """The same truth at another image size: masks by nearest neighbour, boxes scaled."""
+        """Return the same truth at another image size: masks by nearest neighbour, boxes scaled."""
         if (width, height) == (self.width, self.height):
             return self
         # Pixel centres: the box corner at column x covers the point x + 0.5 of the photograph.
@@ -57,7 +57,7 @@ class LabelledFrame:
 
 
 def read_labels(folder: str | Path) -> list[LabelledFrame]:
-    """All label files ``*.json`` of a folder, in order of their names."""
+    """Return all label files ``*.json`` of a folder, in order of their names."""
     folder = Path(folder)
     if not folder.is_dir():
         raise MissingFileError(
@@ -66,13 +66,13 @@ def read_labels(folder: str | Path) -> list[LabelledFrame]:
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".json")
     if not paths:
         raise MissingFileError(
-            folder, "holds no label file (*.json)", "name the folder of one scene's labels"
+            folder, "contains no label file (*.json)", "name the folder of one scene's labels"
         )
     return [read_frame(path) for path in paths]
 
 
 def read_frame(path: str | Path) -> LabelledFrame:
-    """One label file. Polygon corners are cut to whole pixels (towards zero) and filled, edges included."""
+    """Return one label file. Polygon corners are cut to whole pixels (towards zero) and filled, edges included."""
     path = Path(path)
     content = read_json(path, "LERF-OVS labels")
     info = content.get("info") if isinstance(content, dict) else None
@@ -107,7 +107,7 @@ def read_frame(path: str | Path) -> LabelledFrame:
 
 
 def match_frames(frames: Iterable[LabelledFrame], cameras: Cameras) -> list[tuple[LabelledFrame, Camera]]:
-    """Frames with their cameras, found by name (never by number: a view that failed to register shifts
+    """Return frames with their cameras, found by name (never by number: a view that failed to register shifts
     those).
 
     Frames without a camera are skipped with a ScoupWarning.

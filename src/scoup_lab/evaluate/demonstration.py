@@ -135,7 +135,7 @@ def run_demo(
 
 
 def _fitted(scene: RasterisedScene, field: LanguageField, settings: BuildSettings) -> dict[str, FittedMethod]:
-    """The field, the same without the top-K step, and dense uplift."""
+    """Return the field, the same without the top-K step, and dense uplift."""
     coded = RegionCodes.kept(scene.region_sums())
     assert coded is not None  # the build has kept them there
     scene.inputs().keep(learn_codes, settings, (list(coded.codes), coded.codebook))
@@ -147,13 +147,13 @@ def _fitted(scene: RasterisedScene, field: LanguageField, settings: BuildSetting
 
 
 def _labelled(scene: DemoScene, folder: Path) -> LabelledScene:
-    """The held-out views with their labels."""
+    """Return the held-out views with their labels."""
     frames = [(scene.labelled_frame(camera.name, LABELLED_LEVELS), camera) for camera in scene.held_out]
     return LabelledScene("", folder, folder, folder, scene.held_out, PROTOCOL, frames)
 
 
 def question_of(scene: DemoScene, labels: Sequence[str]) -> Question:
-    """Labels beside all words that have a vector, as `scoup query` compares them; presence is not judged."""
+    """Return labels beside all words that have a vector, as `scoup query` compares them; presence is not judged."""
     words = [word for word in scene.words.texts if word not in CANONICAL]
     everyday = scene.text_vectors(words)
     vectors = TextVectors(tuple(labels), scene.text_vectors(list(labels)), scene.canonical, everyday)
@@ -181,7 +181,7 @@ def _vectors(scene: DemoScene, labels: list[str]) -> TextVectors:
 
 
 def rows_by_name(result: DemoResult) -> list[NameRow]:
-    """One row a name, best IoU of ours first."""
+    """Return one row a name, best IoU of ours first."""
     by_name: dict[str, dict[str, list[PairScore]]] = {}
     for method, score in result.scores.items():
         for pair in score.pairs:
@@ -200,7 +200,7 @@ def rows_by_name(result: DemoResult) -> list[NameRow]:
 
 
 def summary(result: DemoResult) -> dict[str, dict[str, float | list[float]]]:
-    """By method: mIoU with its 95 % interval over names, localisation accuracy, bytes a Gaussian."""
+    """Return by method mIoU with its 95 % interval over names, localisation accuracy, bytes per Gaussian."""
     table = {}
     for method, score in result.scores.items():
         interval = bootstrap_interval(

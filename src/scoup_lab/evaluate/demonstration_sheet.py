@@ -12,7 +12,7 @@ TRUTH_COLOR = (70, 200, 110)
 
 
 def query_sheet(result: DemoResult) -> Picture:
-    """Rows of truth, relevancy and mask: some favourites, and the worst answer of all.
+    """Return rows of truth, relevancy and mask: some favourites, and the worst answer of all.
 
     Each name is shown in the view of its median score, not of its best.
     """
@@ -29,7 +29,7 @@ def query_sheet(result: DemoResult) -> Picture:
 
 
 def names_to_show(result: DemoResult) -> list[str]:
-    """The layout's favourites that were queried (or the names of best score), then the name of worst score."""
+    """Return the layout's favourites that were queried (or the names of best score), then the name of worst score."""
     rows = rows_by_name(result)
     known = {row.name for row in rows}
     favourites = result.scene.layout.favourites

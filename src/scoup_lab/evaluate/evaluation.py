@@ -98,8 +98,5 @@ def _stored(path: Path, gaussians: Gaussians, settings: BuildSettings) -> Langua
     """Return a field that is built already, on the device of its Gaussians."""
     field = LanguageField.load(path, gaussians).to(gaussians.device)
     if field.info.provenance.get("settings") != asdict(settings):
-        raise InputError(
-            f"{path}: was built with other settings; name another folder with --out, or pass --rebuild to "
-            "build it again"
-        )
+        raise InputError(f"{path}: was built with other settings; use another folder, or rebuild the fields")
     return field

@@ -21,7 +21,7 @@ MOST = 6  # queries on a sheet
 
 
 def worst_pairs(score: SceneScore) -> list[PairScore]:
-    """The worst answered pair of each of the worst queries (by mean IoU), worst query first; ties by name."""
+    """Return the worst answered pair of each of the worst queries (by mean IoU), worst query first; ties by name."""
     by_label: dict[str, list[PairScore]] = {}
     for pair in score.pairs:
         by_label.setdefault(pair.label, []).append(pair)
@@ -38,7 +38,7 @@ def failure_sheet(
     maps: Callable[[PairScore], Tensor],
     preset: QueryPreset,
 ) -> Picture:
-    """Rows of truth, relevancy and mask for the worst queries of a scene.
+    """Return rows of truth, relevancy and mask for the worst queries of a scene.
 
     ``maps``: gives the relevancy [S, H, W] of a pair.
     """

@@ -13,8 +13,8 @@ from scoup_lab.evaluate.scenes import SceneFiles
 
 
 def text_source(root: Path, scene: SceneFiles, wanted: str | None, default: str) -> str:
-    """The table or model that turns labels into vectors: the one wanted, or ``text.npz`` of the scene or of the data
-    set, or ``default``."""
+    """Return the table or model that turns labels into vectors: the one wanted, or ``text.npz`` of the scene or
+    of the data set, or ``default``."""
     if wanted is not None:
         return wanted.replace("{scene}", scene.name)
     for table in (scene.folder / "text.npz", root / "text.npz"):
@@ -24,12 +24,12 @@ def text_source(root: Path, scene: SceneFiles, wanted: str | None, default: str)
 
 
 def encode_labels(scene: LabelledScene, source: str, device: str = "cpu") -> TextVectors:
-    """Vectors of every label of a scene."""
+    """Return vectors of every label of a scene."""
     return encode_words(scene.labels, source, f"a label of {scene.name}", device)
 
 
 def encode_words(words: Sequence[str], source: str, why: str, device: str = "cpu") -> TextVectors:
-    """Vectors of words; ``why`` they are needed, for the error."""
+    """Return vectors of words; ``why`` they are needed, for the error."""
     with TextEncoder.open(source, device=device) as encoder:
         try:
             vectors = encoder.encode(list(words))

@@ -12,7 +12,7 @@ from scoup.base.errors import InputError
 
 
 def iou(predicted: Tensor, truth: Tensor) -> float:
-    """Intersection over union of two boolean masks of one shape; 1 if both are empty."""
+    """Return intersection over union of two boolean masks of one shape; 1 if both are empty."""
     if predicted.shape != truth.shape:
         raise InputError(f"masks of different shapes {list(predicted.shape)} and {list(truth.shape)}")
     union = int((predicted | truth).sum())
@@ -20,7 +20,7 @@ def iou(predicted: Tensor, truth: Tensor) -> float:
 
 
 def any_inside(pixels: Tensor, boxes: Tensor) -> bool:
-    """Whether any pixel lies in any box, borders included.
+    """Return whether any pixel lies in any box, borders included.
 
     ``pixels``: [M, 2] (x, y); ``boxes``: [B, 4] (x1, y1, x2, y2), x1 <= x2 and y1 <= y2.
     """
@@ -42,16 +42,16 @@ class Interval:
         return [self.low, self.high]
 
     def scaled(self, factor: float, digits: int | None = None) -> Interval:
-        """Times a factor, rounded to some digits."""
+        """Return times a factor, rounded to some digits."""
         parts = (factor * self.mean, factor * self.low, factor * self.high)
         return Interval(*(part if digits is None else round(part, digits) for part in parts))
 
     def percent(self) -> tuple[str, str]:
-        """Cells of a table: the mean and the interval of a share, in percent."""
+        """Return cells of a table: the mean and the interval of a share, in percent."""
         return f"{100 * self.mean:.1f}", f"{100 * self.low:.1f} to {100 * self.high:.1f}"
 
     def signed(self) -> str:
-        """A difference in percent points, with signs."""
+        """Return a difference in percent points, with signs."""
         return f"{100 * self.mean:+.1f} [{100 * self.low:+.1f}, {100 * self.high:+.1f}]"
 
     def __str__(self) -> str:
@@ -66,7 +66,7 @@ def bootstrap_interval(
     samples: int = 2000,
     scenes: Sequence[str] | None = None,
 ) -> Interval:
-    """Percentile bootstrap of the mean, drawing whole groups with replacement.
+    """Return the mean with its percentile bootstrap, drawing whole groups with replacement.
 
     The pairs of one query in several frames are not independent, so queries are drawn, not pairs. For a
     paired comparison of two methods pass the differences of their values.
@@ -100,7 +100,7 @@ def bootstrap_interval(
 def _drawn_means(
     numbers: np.ndarray, groups: np.ndarray, generator: np.random.Generator, samples: int
 ) -> np.ndarray:
-    """Means [samples] of values [V] float64 under draws of their groups [V]."""
+    """Return means [samples] of values [V] float64 under draws of their groups [V]."""
     _, members = np.unique(groups, return_inverse=True)
     sums = np.bincount(members, numbers)
     counts = np.bincount(members)

@@ -57,7 +57,7 @@ class PixelScores:
 
 
 def overall_table(scores: PixelScores) -> Table:
-    """Ours with its intervals, then the published rows, marked as such and by a footnote each. Scores in percent."""
+    """Return our row with its intervals, then the published rows, marked by a footnote each; in percent."""
     localizes = scores.localizes
     headers = ["system", "source", "mIoU", "95 % interval"]
     headers += ["localisation", "95 % interval"] if localizes else []
@@ -83,7 +83,7 @@ def overall_table(scores: PixelScores) -> Table:
 
 
 def scene_table(scores: PixelScores) -> Table:
-    """One row a scene."""
+    """Return one row a scene."""
     localizes = scores.localizes
     headers = ["scene", "pairs", "mIoU", "95 % interval"]
     headers += ["localisation", "95 % interval"] if localizes else []
@@ -97,7 +97,7 @@ def scene_table(scores: PixelScores) -> Table:
 
 
 def published_table(scores: PixelScores) -> Table:
-    """What the papers report for the scenes here, below our own; footnotes as in the overall table."""
+    """Return what the papers report for the scenes here, below our own; footnotes as in the overall table."""
     localizes = scores.localizes
     ours = [
         " / ".join(percent(share) for share in (scene.miou, *([scene.accuracy] if localizes else [])))
@@ -121,7 +121,7 @@ def _figures(both: tuple[float | None, float | None], localizes: bool) -> str:
 
 
 def query_table(scores: PixelScores, levels: Sequence[str] = ()) -> Table:
-    """One row for each query of each scene, worst first within a scene."""
+    """Return one row for each query of each scene, worst first within a scene."""
     localizes = scores.localizes
     headers = ["query", "scene", "frames", "mIoU"]
     headers += ["localisation"] if localizes else []
@@ -138,7 +138,7 @@ def query_table(scores: PixelScores, levels: Sequence[str] = ()) -> Table:
 
 
 def query_records(scene: SceneScore) -> list[dict[str, Any]]:
-    """For each query of a scene: frames, mean IoU, share of hits, how often each level answered; worst first."""
+    """Return per query of a scene frames, mean IoU, share of hits, how often each level answered; worst first."""
     by_label: dict[str, list] = {}
     for pair in scene.pairs:
         by_label.setdefault(pair.label, []).append(pair)
@@ -156,7 +156,7 @@ def query_records(scene: SceneScore) -> list[dict[str, Any]]:
 
 
 def report_record(scores: PixelScores) -> dict[str, Any]:
-    """Everything, for JSON: scores 0..1 and not rounded, published figures apart and in percent."""
+    """Return everything, for JSON: scores 0..1 and not rounded, published figures apart and in percent."""
     miou, accuracy = overall(scores.scenes)
     found = accuracy_interval(scores.scenes)
     return {

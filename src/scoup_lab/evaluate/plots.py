@@ -25,7 +25,7 @@ class Plot(Protocol):
     """Something to draw."""
 
     def figure(self) -> Figure:
-        """The drawing."""
+        """Return the drawing."""
         ...
 
 
@@ -107,12 +107,12 @@ class IntervalPlot:
 
 
 def can_draw() -> bool:
-    """Whether matplotlib is installed."""
+    """Return whether matplotlib is installed."""
     return importlib.util.find_spec("matplotlib") is not None
 
 
 def png(plot: Plot) -> bytes:
-    """A plot as PNG: the same bytes for the same plot and version of matplotlib."""
+    """Return a plot as PNG: the same bytes for the same plot and version of matplotlib."""
     if not can_draw():
         raise InputError(HOW_TO_GET_THEM)
     stream = io.BytesIO()
@@ -121,7 +121,7 @@ def png(plot: Plot) -> bytes:
 
 
 def _axes(width: float, height: float, title: str, x_label: str) -> tuple[Figure, Axes]:
-    """An empty figure, in inches; pyplot and its global state stay out of it."""
+    """Return an empty figure, in inches; pyplot and its global state stay out of it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

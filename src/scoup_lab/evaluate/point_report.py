@@ -84,11 +84,12 @@ class PointScores:
         return means | {"accuracy": overall_accuracy, "frequency-weighted IoU": frequency_weighted_iou}
 
     def totals(self, system: str) -> Tensor:
-        """[T, 3, C] float64 of a system's scenes."""
+        """Return [T, 3, C] float64 of a system's scenes."""
         return torch.stack([class_totals(matrix) for matrix in self.matrices[system]])
 
     def interval(self, system: str, score: Score) -> Interval:
-        """A score over all scenes with its interval over them; nothing but its value where there is one scene."""
+        """Return a score over all scenes with its interval over them; nothing but its value where there is
+        one scene."""
         totals = self.totals(system)
         if self.protocol.pooled:
             return interval_of(score(totals.sum(0)), score(drawn_totals(totals)))
@@ -100,7 +101,7 @@ class PointScores:
 
 
 def overall_table(scores: PointScores) -> Table:
-    """One row a system, in percent; the leading score with its interval."""
+    """Return one row a system, in percent; the leading score with its interval."""
     headers = ["system", *scores.scores]
     headers.insert(2, "95 % interval")
     rows = []
@@ -132,7 +133,7 @@ def overall_table(scores: PointScores) -> Table:
 
 
 def scene_table(scores: PointScores) -> Table:
-    """One row a scene and system, in percent."""
+    """Return one row a scene and system, in percent."""
     headers = ["scene", "system", "points", "classes", *scores.scores]
     rows = []
     for number, scene in enumerate(scores.scenes):
@@ -145,7 +146,7 @@ def scene_table(scores: PointScores) -> Table:
 
 
 def class_table(scores: PointScores) -> Table:
-    """One row a class that has points, those of all scenes together, most frequent first."""
+    """Return one row a class that has points, those of all scenes together, most frequent first."""
     systems = list(scores.matrices)
     headers = ["class", "scenes", "share of points"]
     headers += [f"{what}, {system}" for system in systems for what in ("IoU", "accuracy")]
@@ -164,7 +165,7 @@ def class_table(scores: PointScores) -> Table:
 
 
 def class_records(scores: PointScores, system: str) -> list[dict[str, Any]]:
-    """For each class that has points: its number, scenes, points, share of all points, IoU and accuracy."""
+    """Return per class that has points its number, scenes, points, share of all points, IoU and accuracy."""
     by_scene = scores.totals(system)
     totals = by_scene.sum(0)
     ious, accuracies, true = class_ious(totals), class_accuracies(totals), totals[1]
@@ -184,7 +185,7 @@ def class_records(scores: PointScores, system: str) -> list[dict[str, Any]]:
 
 
 def report_record(scores: PointScores) -> dict[str, Any]:
-    """Everything, for JSON: scores 0..1 and not rounded; None where there is none."""
+    """Return everything, for JSON: scores 0..1 and not rounded; None where there is none."""
     systems = {}
     for system, matrices in scores.matrices.items():
         intervals = {name: scores.interval(system, score) for name, score in scores.scores.items()}

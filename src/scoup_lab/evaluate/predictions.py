@@ -38,7 +38,7 @@ class PredictionCache:
         self.made = 0
 
     def get(self, name: str, key: str, predict: Callable[[], Tensor]) -> Tensor:
-        """A map from the cache, or from ``predict``, which is then kept.
+        """Return a map from the cache, or from ``predict``, which is then kept.
 
         ``key``: from ``prediction_key``.
         """
@@ -69,7 +69,7 @@ def prediction_key(
     canonical: Tensor,
     size: tuple[int, int],
 ) -> str:
-    """SHA-256 of all that a map depends on.
+    """Return SHA-256 of all that a map depends on.
 
     ``source``: digest of the field (``file_digest``), or of whatever else gives the maps; ``vectors``,
     ``canonical``: [Q, D] and [P, D] of the words.
@@ -86,13 +86,13 @@ def prediction_key(
 
 
 def tensor_digest(tensor: Tensor) -> str:
-    """SHA-256 of the values of a tensor, as float32."""
+    """Return SHA-256 of the values of a tensor, as float32."""
     values = tensor.detach().cpu().to(torch.float32).contiguous()
     return hashlib.sha256(str(list(values.shape)).encode() + values.numpy().tobytes()).hexdigest()
 
 
 def file_digest(path: str | Path) -> str:
-    """SHA-256 of a file."""
+    """Return SHA-256 of a file."""
     digest = hashlib.sha256()
     with open(path, "rb") as stream:
         while block := stream.read(1 << 20):

@@ -39,14 +39,12 @@ class Places:
         try:
             splat = find_gaussians(splat)
         except MissingFileError as error:
-            remedy = 'name the trained splats with --gaussians, for example "splats/{scene}/point_cloud.ply"'
+            remedy = 'pass gaussians, for example "splats/{scene}/point_cloud.ply"'
             raise MissingFileError(error.path, error.problem, remedy) from error
         features = _placed(self.features, name) or folder / FOLDER_NAME
         if not features.is_dir():
             problem = "there is no such folder (the region features were expected here)"
-            raise MissingFileError(
-                features, problem, 'say where they are with --features, for example "f/{scene}"'
-            )
+            raise MissingFileError(features, problem, 'pass features, for example "f/{scene}"')
         home, lenses = _placed(self.cameras, name) or folder, "undistort" if self.undistort else "refuse"
         cameras = load_cameras(home, _placed(self.images, name), None, lenses)
         return SceneFiles(name, folder, splat, features, cameras)
@@ -69,7 +67,7 @@ def chosen_scenes(
 ) -> list[str]:
     """Return the scenes wanted of those found below ``root``, or all, the published ones first."""
     if not names:
-        raise MissingFileError(root, f"holds no labelled scene: no {expected}", "check the path")
+        raise MissingFileError(root, f"contains no labelled scene: no {expected}", "check the path")
     for name in wanted:
         if name not in names:
             raise UnknownNameError("labelled scene", name, names, str(root))

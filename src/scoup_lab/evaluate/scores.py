@@ -27,12 +27,12 @@ class PairScore:
 
 
 def kept_pairs(scores: Sequence[SceneScore]) -> list[list[str]]:
-    """[scene, frame, label] of all pairs, in order; for JSON."""
+    """Return [scene, frame, label] of all pairs, in order; for JSON."""
     return [[scene.scene, pair.frame, pair.label] for scene in scores for pair in scene.pairs]
 
 
 def kept_ious(ious: Iterable[float]) -> list[float]:
-    """IoU of all pairs for JSON: three decimals."""
+    """Return IoU of all pairs for JSON: three decimals."""
     return [round(value, 3) for value in ious]
 
 
@@ -64,7 +64,7 @@ class SceneScore:
 
 
 def overall(scenes: Iterable[SceneScore]) -> tuple[float, float | None]:
-    """(mIoU, accuracy) over scenes: the plain mean of their scores, each scene counting alike.
+    """Return (mIoU, accuracy) over scenes: the plain mean of their scores, each scene counting alike.
 
     The accuracy is None in protocols without localisation.
     """
@@ -81,7 +81,7 @@ def overall(scenes: Iterable[SceneScore]) -> tuple[float, float | None]:
 
 
 def scene_score(scene: str, preset: str, pairs: Iterable[PairScore], protocol: str) -> SceneScore:
-    """All pairs of a scene."""
+    """Return all pairs of a scene."""
     pairs = tuple(pairs)
     if not pairs:
         raise InputError(f"scene {scene!r}: there are no labels to score")

@@ -22,7 +22,7 @@ class Table:
     notes: tuple[str, ...] = ()  # below
 
     def markdown(self) -> str:
-        """A GitHub table under a heading."""
+        """Return a GitHub table under a heading."""
         lines = [
             f"## {self.title}",
             "",
@@ -35,7 +35,7 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def latex(self) -> str:
-        """A ``table`` of booktabs, with the notes in small print below."""
+        """Return a ``table`` of booktabs, with the notes in small print below."""
         columns = "l" + "r" * (len(self.headers) - 1)
         lines = [r"\begin{table}", r"\centering", rf"\caption{{{_escaped(self.title)}}}"]
         lines += [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", _latex_line(self.headers), r"\midrule"]

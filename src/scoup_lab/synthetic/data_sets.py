@@ -121,8 +121,8 @@ def write_data_set(
 
 
 def _renamed(scene: DemoScene, pattern: str) -> DemoScene:
-    """The scene with its building views renamed as in the data set. The second name is left out, as if that image had
-    failed to register, so that nothing can mistake numbers in names for indices."""
+    """Return the scene with its building views renamed as in the data set. The second name is left out, as if
+    that image had failed to register, so that nothing can mistake numbers in names for indices."""
     first = 0 if pattern.startswith("{:02d}") else 1
     numbers = [number for number in range(first, first + len(scene.building) + 1) if number != first + 1]
     names = {

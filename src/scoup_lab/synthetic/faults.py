@@ -43,7 +43,7 @@ class LevelSums:
         return len(self.matrix.indptr) - 1
 
     def kept(self, regions: np.ndarray) -> LevelSums:
-        """The regions [R] boolean alone."""
+        """Return the regions [R] boolean alone."""
         rows = np.flatnonzero(regions)
         return LevelSums(
             self.matrix.tocsc()[:, rows].tocsr(), self.embeddings[torch.from_numpy(rows)], self.views[rows]
@@ -51,7 +51,7 @@ class LevelSums:
 
 
 def level_sums(sums: RegionSums, regions: Regions) -> list[LevelSums]:
-    """Region sums and the embeddings they belong to, level by level."""
+    """Return region sums and the embeddings they belong to, level by level."""
     levels = []
     for position, level in enumerate(sums.levels):
         rows, of_views = regions.embeddings(level)
@@ -63,7 +63,7 @@ def level_sums(sums: RegionSums, regions: Regions) -> list[LevelSums]:
 
 
 def as_region_sums(levels: Sequence[LevelSums]) -> RegionSums:
-    """The inverse of ``level_sums``, as input to votes of several rounds. Regions must be sorted
+    """Return the inverse of ``level_sums``, as input to votes of several rounds. Regions must be sorted
     by view."""
     n_views = max(int(level.views.max(initial=-1)) for level in levels) + 1
     columns = [level.matrix.tocsc() for level in levels]
@@ -91,7 +91,7 @@ def as_region_sums(levels: Sequence[LevelSums]) -> RegionSums:
 
 
 def wrong_embeddings(level: LevelSums, share: float, rng: np.random.Generator) -> LevelSums:
-    """A ``share`` of the regions get the embedding of another region of the level, drawn at random."""
+    """Return a ``share`` of the regions get the embedding of another region of the level, drawn at random."""
     count = len(level.embeddings)
     if count < 2:
         return level
@@ -103,8 +103,9 @@ def wrong_embeddings(level: LevelSums, share: float, rng: np.random.Generator) -
 
 
 def diffuse_noise(level: LevelSums, length: float, rng: np.random.Generator) -> LevelSums:
-    """Noise of about ``length`` is added to every embedding, which is scaled to unit length again. The noise is partly
-    isotropic, partly along the difference of two embeddings of the level, where it confuses one thing with another."""
+    """Return noise of about ``length`` is added to every embedding, which is scaled to unit length again. The
+    noise is partly isotropic, partly along the difference of two embeddings of the level, where it confuses one
+    thing with another."""
     rows = level.embeddings
     count, dim = rows.shape
     isotropic = torch.from_numpy(rng.normal(size=(count, dim)) / np.sqrt(dim)).float()
@@ -117,7 +118,7 @@ def diffuse_noise(level: LevelSums, length: float, rng: np.random.Generator) -> 
 
 
 def missing_masks(level: LevelSums, share: float, rng: np.random.Generator) -> LevelSums:
-    """A ``share`` of the regions are missing: their pixels have no region."""
+    """Return a ``share`` of the regions are missing: their pixels have no region."""
     return level.kept(rng.random(len(level.embeddings)) >= share)
 
 

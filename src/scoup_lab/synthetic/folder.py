@@ -95,7 +95,7 @@ def _write_all(
 
 
 def label_file(frame: LabelledFrame, image_name: str, groups: dict[str, str]) -> dict[str, Any]:
-    """The content of a LERF-OVS label file of one frame; ``groups`` holds the level of each name."""
+    """Return the content of a LERF-OVS label file of one frame; ``groups`` maps to the level of each name."""
     objects = []
     for name, mask in frame.masks.items():
         for number, (corners, box) in enumerate(mask_polygons(mask.numpy())):

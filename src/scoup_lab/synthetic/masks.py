@@ -19,28 +19,29 @@ _AROUND = ((0, -1), (-1, -1), (-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1))
 
 
 def components(mask: Mask) -> tuple[NDArray[np.int32], int]:
-    """The connected pieces of a mask (by edges, not corners): [H, W] numbers from 1, 0 outside; and their count."""
+    """Return the connected pieces of a mask (by edges, not corners): [H, W] numbers from 1, 0 outside; and
+    their count."""
     labels, count = cast(Any, ndimage.label(mask))
     return labels, int(count)
 
 
 def grown(mask: Mask, steps: int) -> Mask:
-    """The mask and all pixels within ``steps`` of it."""
+    """Return the mask and all pixels within ``steps`` of it."""
     return np.asarray(ndimage.binary_dilation(mask, iterations=steps), bool)
 
 
 def shrunk(mask: Mask, steps: int) -> Mask:
-    """The pixels of the mask further than ``steps`` from its border; the image's edge counts as outside."""
+    """Return the pixels of the mask further than ``steps`` from its border; the image's edge counts as outside."""
     return np.asarray(ndimage.binary_erosion(mask, iterations=steps), bool)
 
 
 def filled(mask: Mask) -> Mask:
-    """The mask without its holes."""
+    """Return the mask without its holes."""
     return np.asarray(ndimage.binary_fill_holes(mask), bool)
 
 
 def piece_boxes(mask: Mask, least: float) -> list[Box]:
-    """The boxes of the connected pieces of at least ``least`` pixels."""
+    """Return the boxes of the connected pieces of at least ``least`` pixels."""
     labels, count = components(mask)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     return [
@@ -51,7 +52,7 @@ def piece_boxes(mask: Mask, least: float) -> list[Box]:
 
 
 def mask_polygons(mask: Mask) -> list[tuple[Polygon, Box]]:
-    """Polygons of a mask [H, W]: ``PIL.ImageDraw.polygon`` with its outline paints the mask again.
+    """Return polygons of a mask [H, W]: ``PIL.ImageDraw.polygon`` with its outline paints the mask again.
 
     Their corners are pixels on the rim. A piece with a hole is cut in two at the hole's row, because a polygon cannot
     have a hole.
@@ -70,7 +71,7 @@ def mask_polygons(mask: Mask) -> list[tuple[Polygon, Box]]:
 
 
 def _without_holes(mask: Mask) -> list[Mask]:
-    """The connected pieces of a mask, cut into parts that have no holes; all of the mask's shape."""
+    """Return the connected pieces of a mask, cut into parts that have no holes; all of the mask's shape."""
     done: list[Mask] = []
     pieces, count = components(mask)
     left = [pieces == number for number in range(1, count + 1)]
@@ -88,7 +89,7 @@ def _without_holes(mask: Mask) -> list[Mask]:
 
 
 def _rim(mask: Mask) -> Polygon:
-    """The rim of one connected piece [H, W], clockwise (Moore's tracing); a straight run is one edge."""
+    """Return the rim of one connected piece [H, W], clockwise (Moore's tracing); a straight run is one edge."""
     padded = np.pad(mask, 1)
     rows, columns = np.nonzero(padded)
     start = (int(rows[0]), int(columns[0]))  # topmost, then leftmost: nothing lies to its left

@@ -59,7 +59,7 @@ class Shown:
 
 
 def observe(part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np.random.Generator) -> Regions:
-    """Region maps and embeddings of all views at three levels.
+    """Return region maps and embeddings of all views at three levels.
 
     ``part_maps``: true part number of each pixel, [H, W] int32, for each view name; -1 = nothing.
     """
@@ -85,7 +85,7 @@ def observe(part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np
 
 
 def make_regions(truth: IntMap, level: str, rng: np.random.Generator) -> IntMap:
-    """A segmenter's map of one level: [H, W] int32 region numbers from 0, -1 where no mask lies.
+    """Return a segmenter's map of one level: [H, W] int32 region numbers from 0, -1 where no mask lies.
 
     ``truth``: [H, W] numbers of names, borders already moved; -1 = nothing.
     """
@@ -123,7 +123,7 @@ def make_regions(truth: IntMap, level: str, rng: np.random.Generator) -> IntMap:
 
 
 def moved_borders(part_map: IntMap, rng: np.random.Generator) -> IntMap:
-    """The map read at smoothly displaced positions."""
+    """Return the map read at smoothly displaced positions."""
     scale = part_map.shape[1] / REFERENCE_WIDTH
     rows, columns = np.indices(part_map.shape)
     shifts = []
@@ -139,7 +139,8 @@ def moved_borders(part_map: IntMap, rng: np.random.Generator) -> IntMap:
 
 
 def _pieces(truth: IntMap, smallest: float) -> list[tuple[tuple[slice, ...], Mask]]:
-    """The connected pieces of each name that have at least ``smallest`` pixels: window and mask in the window."""
+    """Return the connected pieces of each name that have at least ``smallest`` pixels: window and mask in
+    the window."""
     found = []
     for name, box in enumerate(ndimage.find_objects(truth + 1)):
         if box is None:
@@ -165,7 +166,7 @@ def _resize(labels: IntMap, mask: Mask, number: int, scale: float, rng: np.rando
 
 
 def _renumbered(labels: IntMap) -> IntMap:
-    """Regions numbered from 0 without gaps; remains of a few pixels become no region."""
+    """Return regions numbered from 0 without gaps; remains of a few pixels become no region."""
     sizes = np.bincount(labels[labels >= 0], minlength=1)
     kept = sizes >= LEAST_KEPT
     numbers = np.where(kept, np.cumsum(kept) - 1, -1)
@@ -179,7 +180,7 @@ def embed_regions(
     noisiness: float | Floats = 1.0,
     swapped: float = SWAPPED,
 ) -> Floats:
-    """[R, D] unit embeddings of the regions of one map [H, W]: regions from 0, -1 for none.
+    """Return [R, D] unit embeddings of the regions of one map [H, W]: regions from 0, -1 for none.
 
     ``noisiness`` scales the noise of the regions, of all alike or of each [R]; that of the view is in ``shown``. The
     share ``swapped`` carries the embedding of a neighbour.
@@ -218,11 +219,11 @@ def embed_regions(
 
 
 def _share(numbers: IntMap, count: int) -> Floats:
-    """[count] share of each name among ``numbers``; all zero where there is none."""
+    """Return [count] share of each name among ``numbers``; all zero where there is none."""
     found = np.bincount(numbers[numbers >= 0], minlength=count).astype(float)
     return found / max(found.sum(), 1.0)
 
 
 def noise(shape: tuple[int, ...], length: float, rng: np.random.Generator) -> Floats:
-    """Random rows of about the given length."""
+    """Return random rows of about the given length."""
     return rng.normal(size=shape) * (length / np.sqrt(shape[-1]))

@@ -49,7 +49,7 @@ def write_scannet_truth(scene: DemoScene, folder: Path) -> None:
     classes = classes_of_gaussians(scene, NYU40, NYU40_OF)
     real = scene.part_of_gaussian >= 0
     labels = torch.where(real & (classes == _NONE), NYU40.index("otherprop"), classes.clamp(min=0))
-    # At the places that the splat's file holds, which is what makes positions frozen.
+    # At the places in the splat's file, where positions are frozen.
     points = LabelledPoints(as_stored(scene.gaussians).means, labels)
     write_labelled_ply(points, folder / f"{folder.name}_vh_clean_2.labels.ply")
 
@@ -74,7 +74,7 @@ POINT_TRUTHS: dict[str, Callable[[DemoScene, Path], None]] = {
 
 
 def classes_of_gaussians(scene: DemoScene, classes: Sequence[str], things: Mapping[str, str]) -> Tensor:
-    """[N] int64 position of each Gaussian's class, -1 for those of none."""
+    """Return [N] int64 position of each Gaussian's class, -1 for those of none."""
     of_object = [
         classes.index(name) if name in classes else _NONE for name in _classes(scene, classes, things)
     ]
@@ -83,7 +83,7 @@ def classes_of_gaussians(scene: DemoScene, classes: Sequence[str], things: Mappi
 
 
 def with_class_words(scene: DemoScene, data_set: str) -> DemoScene:
-    """The scene with a vector for the text of every class of a data set ("scannet" or "scenesplat")."""
+    """Return the scene with a vector for the text of every class of a data set ("scannet" or "scenesplat")."""
     if data_set == "scannet":
         return with_texts(scene, _vectors(scene, NYU40, NYU40_OF, "{}"))
     every = tuple(dict.fromkeys(name for classes in SEGMENTS.values() for name in classes))
@@ -91,7 +91,7 @@ def with_class_words(scene: DemoScene, data_set: str) -> DemoScene:
 
 
 def _classes(scene: DemoScene, classes: Sequence[str], things: Mapping[str, str]) -> list[str]:
-    """The class of each object of a scene; "" for those of none."""
+    """Return the class of each object of a scene; "" for those of none."""
     book = next((name for name in ("books", "book") if name in classes), "")
     return [things.get(name, book if name.endswith(" book") else "") for name in scene.parts.objects]
 
@@ -99,7 +99,7 @@ def _classes(scene: DemoScene, classes: Sequence[str], things: Mapping[str, str]
 def _vectors(
     scene: DemoScene, classes: Sequence[str], things: Mapping[str, str], prompt: str
 ) -> dict[str, np.ndarray]:
-    """Text -> [D] for every class."""
+    """Return text -> [D] for every class."""
     mean = unit(scene.words.vectors.mean(0))
     random = np.random.default_rng(len(classes)).normal(size=(len(classes), len(mean)))
     concepts = unit(random - (random @ mean)[:, None] * mean)

@@ -34,8 +34,8 @@ _HAZE = 0.04  # share of Gaussians that float in the air
 
 
 def random_scene_gaussians(n_gaussians: int, seed: int = 0) -> Gaussians:
-    """N Gaussians of spherical-harmonics degree 0 on the surfaces of a furnished room, in random order as in trained
-    scenes.
+    """Return N Gaussians of spherical-harmonics degree 0 on the surfaces of a furnished room, in random order
+    as in trained scenes.
 
     Args:
         n_gaussians: N, 1 or more.
@@ -93,7 +93,8 @@ def random_scene_gaussians(n_gaussians: int, seed: int = 0) -> Gaussians:
 
 
 def _surfaces(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Rectangles, corners [F, 3] and both edges [F, 2, 3], the six walls first; balls [B, 4] (centre, radius)."""
+    """Return rectangles, corners [F, 3] and both edges [F, 2, 3], the six walls first; balls [B, 4] (centre,
+    radius)."""
     x, y, _ = SIZE
     across, along, up = np.diag(SIZE)
     faces: list[tuple[Array, Array, Array]] = []
@@ -119,7 +120,7 @@ def _surfaces(rng: np.random.Generator) -> tuple[Array, Array, Array]:
 
 
 def _turned_to(normals: Array, rng: np.random.Generator) -> Array:
-    """[N, 4] unit quaternions (w, x, y, z) that turn z to the normals [N, 3], with a random spin."""
+    """Return [N, 4] unit quaternions (w, x, y, z) that turn z to the normals [N, 3], with a random spin."""
     from scipy.spatial.transform import Rotation
 
     tangent = rng.normal(size=normals.shape)
@@ -133,8 +134,9 @@ def _unit(rows: Array) -> Array:
 
 
 def random_scene_cameras(n_views: int, width: int = WIDTH, height: int = HEIGHT) -> Cameras:
-    """Cameras inside the room: the first in a corner, the others on a loop along the walls above the furniture. Each
-    looks down across the middle, with the field of view of a LERF view (700 pixels at a width of 988).
+    """Return cameras inside the room: the first in a corner, the others on a loop along the walls above the
+    furniture. Each looks down across the middle, with the field of view of a LERF view (700 pixels at a width
+    of 988).
 
     Args:
         n_views: how many.
@@ -155,8 +157,8 @@ def random_scene_cameras(n_views: int, width: int = WIDTH, height: int = HEIGHT)
 
 
 def voronoi_labels(counts: Sequence[int], width: int, height: int, seed: int = 0) -> Tensor:
-    """[S, height, width] int32: at each level, which of ``counts[level]`` random pixels is nearest (of all pixels, if
-    the image has fewer)."""
+    """Return [S, height, width] int32: at each level, which of ``counts[level]`` random pixels is nearest (of
+    all pixels, if the image has fewer)."""
     from scipy.ndimage import distance_transform_edt
 
     rng = np.random.default_rng(seed)
@@ -174,14 +176,15 @@ def voronoi_labels(counts: Sequence[int], width: int, height: int, seed: int = 0
 
 
 def clip_like(count: int, dim: int = 512, seed: int = 0, n_objects: int = 300) -> Tensor:
-    """[count, dim] unit rows: cosine about 0.5 between objects, 0.87 within one, and few objects are frequent."""
+    """Return [count, dim] unit rows: cosine about 0.5 between objects, 0.87 within one, and few objects are
+    frequent."""
     return clip_like_objects(count, dim, seed, n_objects)[0]
 
 
 def clip_like_objects(
     count: int, dim: int = 512, seed: int = 0, n_objects: int = 300
 ) -> tuple[Tensor, Tensor]:
-    """The rows of ``clip_like`` and the object [count] int64 that each of them is, 0 the most frequent."""
+    """Return the rows of ``clip_like`` and the object [count] int64 that each of them is, 0 the most frequent."""
     fixed = torch.Generator().manual_seed(0)  # the same common mean and objects whatever the seed
     common = torch.randn(dim, generator=fixed)
     objects = torch.nn.functional.normalize(torch.randn(n_objects, dim, generator=fixed), dim=1) * dim**0.5
@@ -197,7 +200,7 @@ def clip_like_objects(
 def random_scene_regions(
     cameras: Cameras, counts: Sequence[int] = REGIONS, dim: int = 512, seed: int = 0, distinct: int = 12
 ) -> Regions:
-    """Regions of every camera: Voronoi maps and CLIP-like embeddings.
+    """Return regions of every camera: Voronoi maps and CLIP-like embeddings.
 
     Memory: the embeddings of all views (views x sum of counts x dim x 4 bytes: 123 MB for 200 views) and
     ``distinct`` sets of label maps (8.7 MB each at 988 x 731 and three levels), which views share in turn.
@@ -242,7 +245,8 @@ def random_scene_regions(
 def random_scene_codes(
     means: Tensor, n_levels: int = 3, n_atoms: int = 64, k: int = 4, seed: int = 0
 ) -> tuple[Tensor, Tensor]:
-    """Codes of Gaussians with ``means`` [N, 3] as an uplift leaves them: neighbours share atoms, and weights differ.
+    """Return codes of Gaussians with ``means`` [N, 3] as an uplift leaves them: neighbours share atoms, and
+    weights differ.
 
     Returns indices [N, S, K] uint8 (uint16 beyond 256 atoms) and weights [N, S, K] float32, each code summing
     to 1.

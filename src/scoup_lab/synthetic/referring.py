@@ -42,7 +42,7 @@ def write_referring_truth(scene: DemoScene, tested: Collection[str], folder: Pat
 
 
 def nearest_objects(scene: DemoScene) -> dict[str, str]:
-    """For each object of a scene the other one whose middle (the median of its Gaussians) is nearest."""
+    """Return for each object of a scene the other one whose middle (the median of its Gaussians) is nearest."""
     of_gaussian = torch.from_numpy(scene.parts.at_level(scene.part_of_gaussian.numpy(), "m"))
     names = [name for number, name in enumerate(scene.parts.objects) if bool((of_gaussian == number).any())]
     middles = torch.stack(

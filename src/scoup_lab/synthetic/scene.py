@@ -60,7 +60,7 @@ class DemoScene:
         return self.text_vectors(CANONICAL)
 
     def text_vectors(self, texts: tuple[str, ...] | list[str]) -> Tensor:
-        """[Q, D] float32 unit vectors.
+        """Return [Q, D] float32 unit vectors.
 
         Raises:
             UnknownNameError: a text has no vector; lists the nearest.
@@ -71,7 +71,7 @@ class DemoScene:
         return torch.from_numpy(np.stack([self.words.vector(text) for text in texts])).float()
 
     def level_of(self, name: str) -> str:
-        """The level of a name: "m" for objects, else "l" for groups, else "s" for parts.
+        """Return the level of a name: "m" for objects, else "l" for groups, else "s" for parts.
 
         Raises:
             UnknownNameError: nothing in the scene has that name; lists the nearest.
@@ -83,13 +83,13 @@ class DemoScene:
         raise UnknownNameError("thing", name, known, "the demo scene")
 
     def mask(self, view_name: str, name: str) -> Tensor:
-        """[H, W] bool: the pixels of a view that truly show a part, object or group."""
+        """Return [H, W] bool: the pixels of a view that truly show a part, object or group."""
         level = self.level_of(name)
         number = self.parts.names(level).index(name)
         return torch.from_numpy(self.parts.at_level(self.part_maps[view_name], level) == number)
 
     def labelled_frame(self, view_name: str, levels: tuple[str, ...] = ("m",)) -> LabelledFrame:
-        """The truth of a view in the form that ``scoup_lab.evaluate`` scores.
+        """Return the truth of a view in the form that ``scoup_lab.evaluate`` scores.
 
         A name is labelled where at least ``SMALLEST_LABEL`` pixels (scaled with the image) show it, with one box around
         all of them. A name of several things has a box around each connected piece of that size.
@@ -171,7 +171,7 @@ def make_demo_scene(
 
 
 def with_texts(scene: DemoScene, vectors: Mapping[str, np.ndarray]) -> DemoScene:
-    """The scene with more words; those that it has already keep their vectors."""
+    """Return the scene with more words; those that it has already keep their vectors."""
     words = scene.words
     new = {text: vector for text, vector in vectors.items() if text not in words.texts}
     texts, rows = (*words.texts, *new), np.concatenate([words.vectors, np.stack(list(new.values()))])

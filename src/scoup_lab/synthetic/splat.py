@@ -127,7 +127,7 @@ def _cover(
 
 
 def _around(mesh: Mesh, seen: np.ndarray, size: float) -> Mesh:
-    """The faces seen, and small faces within two steps of them, which may lie between all pixel centres.
+    """Return the faces seen, and small faces within two steps of them, which may lie between all pixel centres.
 
     ``size``: metres per unit of the mesh.
     """
@@ -161,7 +161,7 @@ def _cover_piece(
 
 
 def evenly(mesh: Mesh, count: int, spacing: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """``count`` points spread evenly over a mesh, and their normals, both [count, 3].
+    """Return ``count`` points spread evenly over a mesh, and their normals, both [count, 3].
 
     Candidates are thinned until (almost) none has a near neighbour: random points would leave holes.
     """
@@ -191,7 +191,7 @@ def evenly(mesh: Mesh, count: int, spacing: float, rng: np.random.Generator) -> 
 
 
 def _thinned(points: Floats, radius: float) -> np.ndarray:
-    """Boolean [n]: the points kept when each, in order, is dropped if one kept before lies within ``radius``."""
+    """Return boolean [n]: the points kept when each, in order, is dropped if one kept before lies within ``radius``."""
     pairs = KDTree(points).query_pairs(radius, output_type="ndarray")
     first, second = pairs.min(1), pairs.max(1)
     kept, undecided = np.zeros(len(points), bool), np.ones(len(points), bool)
@@ -208,7 +208,7 @@ def _thinned(points: Floats, radius: float) -> np.ndarray:
 
 
 def _rim(points: Floats, normals: Floats, spacing: float) -> Floats:
-    """[n, 3] away from the neighbours: zero inside a surface, a unit vector along the surface at its rim."""
+    """Return [n, 3] away from the neighbours: zero inside a surface, a unit vector along the surface at its rim."""
     if len(points) <= RIM_NEIGHBOURS:
         return np.zeros_like(points)
     around = np.asarray(KDTree(points).query(points, RIM_NEIGHBOURS + 1)[1])
@@ -220,7 +220,7 @@ def _rim(points: Floats, normals: Floats, spacing: float) -> Floats:
 
 
 def _quats(normals: Floats, first: Floats) -> Floats:
-    """[n, 4] rotations that turn z onto the normals [n, 3] and x towards ``first`` [n, 3], as far as it can."""
+    """Return [n, 4] rotations that turn z onto the normals [n, 3] and x towards ``first`` [n, 3], as far as it can."""
     x_axis = first - np.einsum("nd,nd->n", first, normals)[:, None] * normals
     x_axis /= np.linalg.norm(x_axis, axis=1, keepdims=True)
     frame = np.stack([x_axis, np.cross(normals, x_axis), normals], -1)
@@ -228,7 +228,7 @@ def _quats(normals: Floats, first: Floats) -> Floats:
 
 
 def _haze(samples: _Samples, colors: Floats, count: int, rng: np.random.Generator) -> tuple[Floats, ...]:
-    """Floaters near surfaces and large faint blobs in the air: means, quats, scales, opacities, colours."""
+    """Return floaters near surfaces and large faint blobs in the air: means, quats, scales, opacities, colours."""
     near = rng.integers(0, len(samples.points), count)
     large = rng.random(count) < 0.12
     away = np.abs(rng.normal(0, np.where(large, 0.12, 0.012), count))

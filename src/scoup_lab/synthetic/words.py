@@ -50,17 +50,17 @@ class Words:
     prototypes: dict[str, Floats]  # for each level, [names at that level, D] float64, unit norm
 
     def vector(self, text: str) -> Floats:
-        """[D] unit vector of a word."""
+        """Return [D] unit vector of a word."""
         return self.vectors[self.texts.index(text)]
 
 
 def unit(vectors: Floats) -> Floats:
-    """Rows of length 1; zero rows stay."""
+    """Return rows of length 1; zero rows stay."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def make_words(parts: Parts, rng: np.random.Generator, dimensions: int = DIMENSIONS) -> Words:
-    """Text vectors of every name, canonical phrase and distractor, and image prototypes of the names."""
+    """Return text vectors of every name, canonical phrase and distractor, and image prototypes of the names."""
     names = tuple(dict.fromkeys(name for level in LEVELS for name in parts.names(level)))
     kin = _kinship(parts, names)
     text_mean, image_mean, common = unit(rng.normal(size=(3, dimensions)))
@@ -88,7 +88,7 @@ def make_words(parts: Parts, rng: np.random.Generator, dimensions: int = DIMENSI
 
 
 def _kinship(parts: Parts, names: tuple[str, ...]) -> Floats:
-    """[names, names] how much of each name's own random direction goes into a name's concept."""
+    """Return [names, names] how much of each name's own random direction goes into a name's concept."""
     kin = np.eye(len(names))
     for part, owner in zip(parts.parts, parts.object_of_part, strict=True):
         if part != parts.objects[owner]:
@@ -125,7 +125,8 @@ def _named(prototypes: Floats, vectors: Floats, kin: Floats, rng: np.random.Gene
 
 
 def _kept_away(vectors: Floats, prototypes: Floats) -> Floats:
-    """Text vectors [words, D] of what is not there, moved until they are as far from all prototypes as other names."""
+    """Return text vectors [words, D] of what is not there, moved until they are as far from all prototypes
+    as other names."""
     back = np.linalg.pinv(prototypes).T
     for _ in range(20):
         vectors = unit(vectors - (vectors @ prototypes.T - (OWN_COSINE[0] - MARGIN)).clip(0) @ back)

@@ -31,25 +31,25 @@ class Evaluated(DataSetOptions):
     seed: int = 0
     """Seed of all that is random."""
     rebuild: Flag = False
-    """Build anew the fields that are there already."""
+    """Build fields again that exist already."""
 
     protocol: ClassVar[str]
     """Its name."""
 
     def evaluation(self) -> Evaluation[Any, Any]:
-        """What the options say."""
+        """Return what the options say."""
         raise NotImplementedError
 
     def opened(self, console: Console) -> Iterator[SceneFiles]:
-        """The scenes to score, one after another."""
+        """Yield the scenes to score, one after another."""
         raise NotImplementedError
 
     def made(self) -> str:
-        """What lies in OUT beside the tables."""
+        """Return what lies in OUT beside the tables."""
         return "fields"
 
     def shared(self) -> dict[str, Any]:
-        """What evaluations of all units take."""
+        """Return what evaluations of all units take."""
         from scoup.uplift.build_settings import build_settings
 
         settings = build_settings(self.preset, n_atoms=self.n_atoms, k=self.k, seed=self.seed)
@@ -79,7 +79,7 @@ class Evaluated(DataSetOptions):
 
 
 def _kept(out: Path) -> str:
-    """What an interruption leaves, in words."""
+    """Return what an interruption leaves, in words."""
     if not out.is_dir():
         return "nothing was written"
     return f"fields and predictions so far are kept in {out}, run the same command again to continue"
@@ -210,7 +210,7 @@ class ScanNet(OfPoints):
     """Score the Gaussians of ScanNet's scenes against the labels of their points, by OpenGaussian's 19, 15 and 10
     classes.
 
-    ROOT holds SCENE/SCENE_vh_clean_2.labels.ply; the splat starts from these points, and its Gaussians keep their
+    ROOT contains SCENE/SCENE_vh_clean_2.labels.ply; the splat starts from these points, and its Gaussians keep their
     positions and order.
     """
 
@@ -222,7 +222,7 @@ class SceneSplat(OfPoints):
     """Score by SceneSplat-Bench: labelled points take the class of the nearest Gaussian; f-mIoU is over foreground
     classes.
 
-    ROOT holds val/SCENE (or test/SCENE) with coord.npy and the classes of its points, for which --classes names the
+    ROOT contains val/SCENE (or test/SCENE) with coord.npy and the classes of its points, for which --classes names the
     benchmark: scannet20, scannet200, scannetpp, matterport or holicity.
     """
 

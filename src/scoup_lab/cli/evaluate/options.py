@@ -50,7 +50,7 @@ class DataSetOptions(WritesCommon):
     """Folder for everything that is made. Default: eval_<data set> here."""
 
     def places(self) -> Places:
-        """Where the parts of scenes lie."""
+        """Return where the parts of scenes lie."""
         from scoup_lab.evaluate.scenes import Places
 
         return Places(self.gaussians, self.features, self.images, undistort=self.undistort)
@@ -69,7 +69,7 @@ class DataSetOptions(WritesCommon):
         return opened
 
     def text_source(self, scene: SceneFiles) -> str:
-        """The table or model that turns the texts of a scene into vectors."""
+        """Return the table or model that turns the texts of a scene into vectors."""
         from scoup_lab.evaluate.label_vectors import text_source
 
         return text_source(self.root, scene, self.text, CLIP_MODEL)

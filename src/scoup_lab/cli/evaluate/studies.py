@@ -33,11 +33,11 @@ class StudyOptions(DataSetOptions):
     """Options that go into the record, between spaces."""
 
     def study(self) -> Study[Any]:
-        """What the options say."""
+        """Return what the options say."""
         raise NotImplementedError
 
     def query_preset(self) -> QueryPreset:
-        """The rules of the protocol."""
+        """Return the rules of the protocol."""
         from scoup_lab.evaluate.protocols import PIXELS
 
         return PIXELS[self.data_set].preset(self.rules)
@@ -186,7 +186,7 @@ class Consistency(StudyOptions):
 
 
 def _settings(seed: int, epochs: int) -> MethodSettings:
-    """Settings of methods, with the epochs of the autoencoder."""
+    """Return settings of methods, with the epochs of the autoencoder."""
     from scoup_lab.baselines.autoencoder import LANGSPLAT
     from scoup_lab.baselines.method import MethodSettings
 

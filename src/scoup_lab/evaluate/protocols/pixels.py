@@ -183,7 +183,7 @@ class LabelledScene(SceneFiles):
         return sum(len(frame.labels) for frame, _ in self.frames)
 
     def map_size(self, frame: LabelledFrame, camera: Camera) -> tuple[int, int]:
-        """(width, height) of the maps a frame is scored at."""
+        """Return (width, height) of the maps that a frame is scored at."""
         of_label = self.protocol.at_label_size
         return (frame.width, frame.height) if of_label else (camera.width, camera.height)
 

@@ -38,7 +38,7 @@ class ClassList:
     excluded: frozenset[str] = frozenset()  # classes that foreground means leave out; queried and counted too
     prompt: str = "{}"  # the text of a class, with {} for its name
     described: tuple[tuple[str, int], ...] = ()  # in place of the prompt's: texts, and the class of each
-    file: str = ""  # stem of the file that holds the truth, where the layout has several
+    file: str = ""  # stem of the file that contains the truth, where the layout has several
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -46,7 +46,7 @@ class ClassList:
         return tuple(text for text, _ in self._queried)
 
     def of_texts(self, positions: Tensor) -> Tensor:
-        """Numbers of classes from positions of texts (``label_gaussians``); ``NO_CLASS`` stays."""
+        """Return numbers of classes from positions of texts (``label_gaussians``); ``NO_CLASS`` stays."""
         numbers = torch.tensor([*(number for _, number in self._queried), NO_CLASS], device=positions.device)
         return numbers[positions]  # NO_CLASS is -1, the last
 
@@ -141,7 +141,7 @@ class PointScene(SceneFiles):
 def label_gaussians(
     fitted: FittedMethod, vectors: TextVectors, texts: Sequence[str], level: int | None = None
 ) -> Tensor:
-    """[N] int64 position of the text that fits each Gaussian best; ``NO_CLASS`` where nothing is known of it.
+    """Return [N] int64 position of the text that fits each Gaussian best; ``NO_CLASS`` where nothing is known of it.
 
     At one level this is the argmax of the cosine, as in the protocols: relevancy grows with the cosine, and the
     canonical phrases are the same for all texts. *Choice*: of several levels, each Gaussian is answered by the one
@@ -171,7 +171,8 @@ def label_gaussians(
 def nearest_classes(
     means: Tensor, classes: Tensor, positions: Tensor, n_classes: int, neighbours: int = 1
 ) -> Tensor:
-    """[P] int64 class of each point, by a vote of the nearest Gaussians that have one; of equals the smallest number.
+    """Return [P] int64 class of each point, by a vote of the nearest Gaussians that have one; of equals the
+    smallest number.
 
     ``means``: [N, 3] of the Gaussians; ``classes``: [N] of the Gaussians; those of ``NO_CLASS``, and those
     that are nowhere finite, have no vote; ``positions``: [P, 3].
@@ -192,7 +193,7 @@ def nearest_classes(
 
 
 def confusion_matrix(truth: Tensor, given: Tensor, n_classes: int) -> Tensor:
-    """[C, C + 1] int64: how many points of each true class (row) were given each class; last column: none.
+    """Return [C, C + 1] int64: how many points of each true class (row) were given each class; last column: none.
 
     ``truth``: [P] int64; points of ``NO_CLASS`` do not count; ``given``: [P] int64.
     """
@@ -211,43 +212,44 @@ def confusion_matrix(truth: Tensor, given: Tensor, n_classes: int) -> Tensor:
 
 
 def class_totals(matrix: Tensor) -> Tensor:
-    """[3, C] float64 of a confusion matrix [C, C + 1]: for each class the points that were found, that truly have it,
-    and that were given it. Those of scenes may be added."""
+    """Return [3, C] float64 of a confusion matrix [C, C + 1]: for each class the points that were found, that
+    truly have it, and that were given it. Those of scenes may be added."""
     square = matrix[:, :-1].double()
     return torch.stack([square.diagonal(), matrix.double().sum(1), square.sum(0)])
 
 
 def class_ious(totals: Tensor) -> Tensor:
-    """[..., C] intersection over union of each class from totals [..., 3, C]; NaN where no point truly has it."""
+    """Return [..., C] intersection over union of each class from totals [..., 3, C]; NaN where no point
+    truly has it."""
     found, true, given = totals.unbind(-2)
     return torch.where(true > 0, found / (true + given - found), torch.nan)
 
 
 def class_accuracies(totals: Tensor) -> Tensor:
-    """[..., C] share of each class's points that were found; NaN where there are none."""
+    """Return [..., C] share of each class's points that were found; NaN where there are none."""
     found, true, _ = totals.unbind(-2)
     return torch.where(true > 0, found / true, torch.nan)
 
 
 def class_mean(values: Tensor, counted: Tensor | None = None) -> Tensor:
-    """[...] mean of [..., C] over the classes that have a value, and of these over those ``counted`` ([C] boolean);
-    NaN where there is none."""
+    """Return [...] mean of [..., C] over the classes that have a value, and of these over those ``counted``
+    ([C] boolean); NaN where there is none."""
     return (values if counted is None else values[..., counted]).nanmean(-1)
 
 
 def frequency_weighted_iou(totals: Tensor) -> Tensor:
-    """[...] mean of the classes' IoU, weighted by their shares of the points."""
+    """Return [...] mean of the classes' IoU, weighted by their shares of the points."""
     true = totals[..., 1, :]
     return (class_ious(totals).nan_to_num() * true).sum(-1) / true.sum(-1)
 
 
 def overall_accuracy(totals: Tensor) -> Tensor:
-    """[...] share of all points that were given their class."""
+    """Return [...] share of all points that were given their class."""
     return totals[..., 0, :].sum(-1) / totals[..., 1, :].sum(-1)
 
 
 def drawn_totals(totals: Tensor, samples: int = 2000) -> Tensor:
-    """[samples, 3, C] totals over T scenes drawn with replacement from totals [T, 3, C]."""
+    """Return [samples, 3, C] totals over T scenes drawn with replacement from totals [T, 3, C]."""
     generator = torch.Generator().manual_seed(0)
     draws = torch.randint(len(totals), (samples, len(totals)), generator=generator)
     counts = torch.zeros(samples, len(totals), dtype=totals.dtype).scatter_add_(

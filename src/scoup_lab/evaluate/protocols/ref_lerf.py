@@ -40,14 +40,15 @@ _REMEDY = "the file is damaged or no Ref-LERF file"
 
 
 def sentence_folder(folder: Path) -> Path:
-    """The folder of a scene with the sentences of its test frames, or of all frames; the latter's place if neither is
-    there."""
+    """Return the folder of a scene with the sentences of its test frames, or of all frames; the latter's place
+    if neither is there."""
     found = [folder / name for name in _TEST_FOLDERS if (folder / name).is_dir()]
     return found[0] if found else folder / _ALL
 
 
 def read_frames(folder: str | Path) -> list[LabelledFrame]:
-    """The test frames of a scene: ``json/<frame>.json`` with sentences, and the masks they name below ``gt_mask``.
+    """Return the test frames of a scene: ``json/<frame>.json`` with sentences, and the masks they name below
+    ``gt_mask``.
 
     Labels are sentences; there are no boxes. Sentences of nothing but empty masks are left out, and with them frames
     that have no others.
@@ -62,7 +63,7 @@ def read_frames(folder: str | Path) -> list[LabelledFrame]:
     if home.name == _ALL and folder.name in TEST_FRAMES:
         paths = [path for path in paths if _number(path.stem) in TEST_FRAMES[folder.name]]
     if not paths:
-        raise MissingFileError(home, "holds no sentences of a test frame (*.json)", "check the path")
+        raise MissingFileError(home, "contains no sentences of a test frame (*.json)", "check the path")
     masks = next((folder / name for name in _MASKS if (folder / name).is_dir()), folder / _MASKS[0])
     frames = [_frame(path, masks) for path in paths]
     return [frame for frame in frames if frame.labels]
@@ -79,7 +80,7 @@ PROTOCOL = PixelProtocol(
 
 
 def _number(name: str) -> int | None:
-    """Of ``frame_00006``: 6, the number after the underscore, as ReferSplat's code takes it."""
+    """Return 6 for ``frame_00006``: the number after the underscore, as ReferSplat's code takes it."""
     digits = name.split("_")[1] if "_" in name else ""
     return int(digits) if digits.isascii() and digits.isdigit() and len(digits) < 19 else None
 
@@ -104,7 +105,7 @@ def _frame(path: Path, masks: Path) -> LabelledFrame:
 
 
 def _object(path: Path, item: Any, what: str, masks: Path) -> tuple[Tensor, list[str]]:
-    """[H, W] boolean mask of an object, and its sentences."""
+    """Return [H, W] boolean mask of an object, and its sentences."""
     name = item.get("segmentation") if isinstance(item, dict) else None
     sentences = item.get("sentence") if isinstance(item, dict) else None
     if not isinstance(name, str) or not name:

@@ -36,16 +36,16 @@ NUMBERS = {
 """Of the classes among the 40, by the name of the list."""
 CLASS_LISTS = {name: ClassList(name, tuple(NYU40[n] for n in numbers)) for name, numbers in NUMBERS.items()}
 LEAST_OPACITY = 0.1
-FARTHEST = 1e-3  # metres between a Gaussian and its point: positions are frozen, and files hold float32
+FARTHEST = 1e-3  # metres between a Gaussian and its point: positions are frozen, and files store float32
 
 
 def labels_path(folder: Path) -> Path:
-    """The labelled points of a scene, as ScanNet names them."""
+    """Return the labelled points of a scene, as ScanNet names them."""
     return folder / f"{folder.name}_vh_clean_2.labels.ply"
 
 
 def gaussian_truth(gaussians: Gaussians, points: LabelledPoints, classes: ClassList, where: str) -> Tensor:
-    """[N] int64 true class of each Gaussian, ``NO_CLASS`` for those that do not count.
+    """Return [N] int64 true class of each Gaussian, ``NO_CLASS`` for those that do not count.
 
     ``points``: N, with numbers of NYU's 40 classes; ``classes``: one of ``CLASS_LISTS``.
     """

@@ -24,7 +24,7 @@ from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_npy
 from scoup_lab.evaluate.protocols.points import NO_CLASS, ClassList, PointProtocol, PointTruth
 
 SPLITS = ("val", "test", "")
-"""Folders of ROOT that hold scenes, in the order in which a scene is looked for."""
+"""Folders of ROOT that contain scenes, in the order in which a scene is looked for."""
 COORDINATES, SEGMENT = "coord.npy", "segment"
 SCAN = "pc_"  # prefix of the files with the scan's own points, which count where there are any
 
@@ -50,13 +50,13 @@ CLASS_LISTS = {
 
 
 def scene_folder(root: Path, name: str) -> Path:
-    """The folder of a scene below ``root``; that of the first split where there is none."""
+    """Return the folder of a scene below ``root``; that of the first split where there is none."""
     folders = [root / split / name for split in SPLITS]
     return next((folder for folder in folders if (folder / COORDINATES).is_file()), folders[0])
 
 
 def scene_names(root: Path) -> list[str]:
-    """Names of the folders with points below ``root`` and its splits, sorted."""
+    """Return names of the folders with points below ``root`` and its splits, sorted."""
     homes = [root / split for split in SPLITS]
     return sorted(
         {path.parent.name for home in homes if home.is_dir() for path in home.glob(f"*/{COORDINATES}")}
@@ -64,15 +64,15 @@ def scene_names(root: Path) -> list[str]:
 
 
 def read_truth(folder: Path, classes: ClassList) -> LabelledPoints:
-    """The labelled points of a scene: of the scan (``pc_coord.npy``, ``pc_segment*.npy``), else ``coord.npy`` and
-    ``segment*.npy``, which are points or Gaussians. Negative numbers stand for no class.
+    """Return the labelled points of a scene: of the scan (``pc_coord.npy``, ``pc_segment*.npy``), else
+    ``coord.npy`` and ``segment*.npy``, which are points or Gaussians. Negative numbers stand for no class.
     """
     for prefix in (SCAN, ""):
         labels = folder / f"{prefix}{classes.file}.npy"
         if labels.is_file():
             break
     else:
-        remedy = f"name the benchmark with --classes ({', '.join(CLASS_LISTS)})"
+        remedy = f"pass the classes of the benchmark ({', '.join(CLASS_LISTS)})"
         problem = f"there is no such file (the classes of {classes.name} were expected)"
         raise MissingFileError(folder / f"{classes.file}.npy", problem, remedy)
     points = read_labelled_npy(folder / f"{prefix}{COORDINATES}", labels)
@@ -80,7 +80,7 @@ def read_truth(folder: Path, classes: ClassList) -> LabelledPoints:
         raise FileFormatError(
             labels,
             f"has a class {int(points.labels.max())}, {classes.name} has {len(classes.classes)} classes",
-            "name the benchmark it is of with --classes",
+            "pass the classes of its benchmark",
         )
     return LabelledPoints(points.positions, points.labels.clamp(min=NO_CLASS))
 

@@ -49,7 +49,7 @@ def silhouette(
     raster_preset: str,
     least: float = VALA_3D.silhouette,
 ) -> Tensor:
-    """[H, W] boolean: where the chosen Gaussians [N], drawn alone, are more opaque than ``least``.
+    """Return [H, W] boolean: where the chosen Gaussians [N], drawn alone, are more opaque than ``least``.
 
     Drawn alone means that nothing hides them: a thing behind another one has its whole silhouette.
     """

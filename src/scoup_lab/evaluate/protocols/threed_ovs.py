@@ -1,4 +1,4 @@
-"""The 3D-OVS protocol: masks from relevancy maps of the two coarser levels, against painted masks (docs/protocols.md).
+"""The 3D-OVS protocol: masks from relevancy maps of the two coarser levels, against drawn masks (docs/protocols.md).
 
 Scores are means over all (frame, class) pairs; there is no localisation.
 """
@@ -27,7 +27,7 @@ _REMEDY = "give the scene folder of a 3D-OVS data set"
 
 
 def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
-    """The truth of a scene: ``segmentations/classes.txt`` and ``segmentations/<frame>/<class>.png``, 0 or 255.
+    """Return the truth of a scene: ``segmentations/classes.txt`` and ``segmentations/<frame>/<class>.png``, 0 or 255.
 
     Frames are in the order of their names, classes in that of ``classes.txt``. There are no boxes.
 
@@ -36,7 +36,7 @@ def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
     """
     home = Path(folder) / "segmentations"
     if not home.is_dir():
-        raise MissingFileError(home, "there is no such folder (painted masks were expected)", _REMEDY)
+        raise MissingFileError(home, "there is no such folder (expected masks)", _REMEDY)
     classes = _read_classes(home / _CLASSES)
     frames: list[LabelledFrame] = []
     lacking = 0
@@ -55,7 +55,7 @@ def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
         height, width = next(iter(masks.values())).shape
         frames.append(LabelledFrame(frame.name, width, height, masks, {}))
     if not frames:
-        raise MissingFileError(home, "holds no mask of any class (<frame>/<class>.png)", _REMEDY)
+        raise MissingFileError(home, "contains no mask of any class (<frame>/<class>.png)", _REMEDY)
     if lacking:
         warnings.warn(
             f"{home}: {lacking} of the masks that {_CLASSES} names are not there and are not scored",
@@ -66,7 +66,7 @@ def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
 
 
 def united(frames: Iterable[LabelledFrame], scene: str) -> list[LabelledFrame]:
-    """The frames with the rule of some scenes: in ``room`` the truth of "wood table" also counts as "wood wall".
+    """Return the frames with the rule of some scenes: in ``room`` the truth of "wood table" also counts as "wood wall".
 
     *Choice*: the rule is taken to be about the truth. Both classes stay queries.
     """

@@ -59,7 +59,7 @@ def _changed(
     published: str = "",
     **changes: int,
 ) -> Ablation:
-    """A row with other codes or another vote than the base."""
+    """Return a row with other codes or another vote than the base."""
     of_base = {"n_atoms": 64, "k": 4, "rounds": 1, "effort": "best"}
     uplift = SparseUplift(coder, dropped, **{**of_base, **changes})
     return Ablation(name, group, Method(name, uplift), published=published)
@@ -103,7 +103,7 @@ ABLATIONS: tuple[Ablation, ...] = (
 
 
 def find_ablations(groups: Sequence[str]) -> list[Ablation]:
-    """The base, and the rows of some groups (all, for none)."""
+    """Return the base, and the rows of some groups (all, for none)."""
     known = list(dict.fromkeys(ablation.group for ablation in ABLATIONS))
     for group in groups:
         if group not in known:

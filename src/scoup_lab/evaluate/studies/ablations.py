@@ -30,7 +30,7 @@ class AblationResult:
     scores: dict[int, list[SceneScore]]  # by seed, of each scene
 
     def pair_means(self) -> tuple[list[float], list[float], list[str], list[str]]:
-        """IoU and hit of each pair as means over seeds (hits empty without localisation), queries and scenes."""
+        """Return IoU and hit of each pair as means over seeds (hits empty without localisation), queries and scenes."""
         runs = [[pair for scene in of_seed for pair in scene.pairs] for of_seed in self.scores.values()]
         first = next(iter(self.scores.values()))
         ious = [mean(pair.iou for pair in of_pair) for of_pair in zip(*runs, strict=True)]
@@ -43,17 +43,17 @@ class AblationResult:
         return ious, hits, groups, kinds
 
     def interval(self) -> Interval:
-        """Of mIoU, each scene counting alike."""
+        """Return mIoU, each scene counting alike."""
         ious, _, groups, kinds = self.pair_means()
         return bootstrap_interval(ious, groups, scenes=kinds)
 
     def accuracy(self) -> float | None:
-        """Of localisation."""
+        """Return the accuracy of localisation."""
         _, hits, groups, kinds = self.pair_means()
         return bootstrap_interval(hits, groups, scenes=kinds).mean if hits else None
 
     def by_seed(self) -> list[float]:
-        """mIoU of each seed."""
+        """Return mIoU of each seed."""
         return [mean(scene.miou for scene in of_seed) for of_seed in self.scores.values()]
 
 
@@ -99,7 +99,7 @@ class Ablations(Study[AblationResult]):
 
 
 def ablation_table(results: Sequence[AblationResult], protocol: str) -> Table:
-    """mIoU with intervals, range over seeds, and the paired difference from the base."""
+    """Return mIoU with intervals, range over seeds, and the paired difference from the base."""
     base = next(result for result in results if result.ablation.is_base)
     localizes = base.accuracy() is not None
     headers = ["change", "group", "mIoU", "95 % interval", "least to most over seeds"]
@@ -129,20 +129,20 @@ def ablation_table(results: Sequence[AblationResult], protocol: str) -> Table:
 
 
 def difference(result: AblationResult, base: AblationResult) -> Interval:
-    """mIoU of a row minus that of the base, paired over queries."""
+    """Return mIoU of a row minus that of the base, paired over queries."""
     ious, _, groups, kinds = result.pair_means()
     others = base.pair_means()[0]
     return bootstrap_interval([a - b for a, b in zip(ious, others, strict=True)], groups, scenes=kinds)
 
 
 def ablation_plot(results: Sequence[AblationResult], protocol: str) -> IntervalPlot:
-    """Points with intervals, in groups."""
+    """Return points with intervals, in groups."""
     rows = [(each.ablation.group, each.ablation.name, each.interval().scaled(100, 1)) for each in results]
     return IntervalPlot(rows, f"Ablations, {protocol}", "mIoU, %, with 95 % intervals over queries")
 
 
 def ablation_record(results: Sequence[AblationResult]) -> dict[str, Any]:
-    """For JSON."""
+    """Return the record, for JSON."""
     record = {}
     base = next(result for result in results if result.ablation.is_base)
     for result in results:

@@ -28,7 +28,8 @@ def relevancy_of_coded(
     canonical: Tensor,
     size: tuple[int, int] | None = None,
 ) -> Tensor:
-    """[S, Q, H, W] float32 relevancy, each level drawn from the Gaussians that have a code there; 0.5 where none is.
+    """Return [S, Q, H, W] float32 relevancy, each level drawn from the Gaussians that have a code there; 0.5
+    where none is.
 
     ``queries``, ``canonical``: [Q, D] and [P, D], unit norm.
     """

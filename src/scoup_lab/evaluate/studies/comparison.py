@@ -118,7 +118,7 @@ def _query_seconds(scene: StudyScene, fitted: FittedMethod) -> float:
 
 
 def comparison_table(results: Sequence[MethodResult], title: str) -> Table:
-    """One row a method: means over scenes, each counting alike."""
+    """Return one row a method: means over scenes, each counting alike."""
     localizes = all(result.score.localizes for result in results)
     headers = ["method", "mIoU", "95 % interval", *(["localisation"] if localizes else [])]
     headers += [
@@ -158,7 +158,7 @@ def comparison_table(results: Sequence[MethodResult], title: str) -> Table:
 
 
 def difference_table(results: Sequence[MethodResult], first: str, title: str) -> Table:
-    """mIoU of one method minus each other's, paired over queries."""
+    """Return mIoU of one method minus each other's, paired over queries."""
     grouped = by_method(results)
     rows = []
     for name, own in grouped.items():
@@ -169,7 +169,7 @@ def difference_table(results: Sequence[MethodResult], first: str, title: str) ->
 
 
 def selection_table(results: Sequence[MethodResult], title: str) -> Table | None:
-    """Scores of the 3D-selection protocol; None if it was not wanted."""
+    """Return scores of the 3D-selection protocol; None if it was not wanted."""
     rows = []
     for name, own in by_method(results).items():
         selected = [result.selected for result in own if result.selected is not None]
@@ -182,7 +182,7 @@ def selection_table(results: Sequence[MethodResult], title: str) -> Table | None
 
 
 def paired_difference(first: Sequence[SceneScore], second: Sequence[SceneScore]) -> Interval:
-    """mIoU of the first minus the second, over the same pairs of the same scenes in the same order."""
+    """Return mIoU of the first minus the second, over the same pairs of the same scenes in the same order."""
     differences, groups, kinds = [], [], []
     for a, b in zip(first, second, strict=True):
         for one, other in zip(a.pairs, b.pairs, strict=True):
@@ -193,7 +193,7 @@ def paired_difference(first: Sequence[SceneScore], second: Sequence[SceneScore])
 
 
 def by_method(results: Sequence[MethodResult]) -> dict[str, list[MethodResult]]:
-    """Results of each method, scenes in order."""
+    """Return results of each method, scenes in order."""
     grouped: dict[str, list[MethodResult]] = {}
     for result in results:
         grouped.setdefault(result.method, []).append(result)
@@ -201,7 +201,7 @@ def by_method(results: Sequence[MethodResult]) -> dict[str, list[MethodResult]]:
 
 
 def comparison_record(results: Sequence[MethodResult]) -> dict[str, Any]:
-    """For JSON."""
+    """Return the record, for JSON."""
     record = {}
     for name, own in by_method(results).items():
         miou, accuracy = overall([result.score for result in own])

@@ -48,11 +48,12 @@ class ConsistencyResult:
     source: str = ""  # by what the points were matched
 
     def gaps(self) -> np.ndarray:
-        """[P] what matters: by how much each point's observations are more alike than those of different points."""
+        """Return [P] what matters: by how much each point's observations are more alike than those of
+        different points."""
         return np.subtract(self.cosines, self.unmatched_cosines)
 
     def interval(self) -> Interval:
-        """Of the cosine, over points."""
+        """Return the mean cosine over points."""
         return bootstrap_interval(self.cosines, [str(number) for number in range(len(self.cosines))])
 
 
@@ -65,7 +66,7 @@ def consistency(
     autoencoder: AutoencoderSettings = LANGSPLAT,
     seed: int = 0,
 ) -> list[ConsistencyResult]:
-    """Cosines of raw, autoencoder-decoded and sparse-decoded features between matched observations, at each level.
+    """Compare raw, autoencoder-decoded and sparse-decoded features of matched observations, at each level.
 
     Observations without a region are left out. All three features are of the same pairs.
     """
@@ -138,7 +139,7 @@ class Consistency(Study[ConsistencyResult]):
 
 
 def _pairs(matches: Matches, seed: int) -> tuple[list[Observation], list[Observation], np.ndarray]:
-    """Pairs of observations of one point, and its number."""
+    """Return pairs of observations of one point, and its number."""
     found = [(a, b, number) for number, point in enumerate(matches.points) for a, b in combinations(point, 2)]
     if len(found) > MOST_PAIRS:
         drawn = np.sort(np.random.default_rng(seed).choice(len(found), MOST_PAIRS, replace=False))
@@ -154,7 +155,7 @@ def _labels_of(
     level: str,
     of_views: dict[str, slice],
 ) -> dict[Observation, int]:
-    """Row of the stacked embeddings of each observation; -1 where there is no region."""
+    """Return the row of the stacked embeddings of each observation; -1 where there is no region."""
     by_view: dict[str, list[int]] = {}
     for view, pixel in observations:
         by_view.setdefault(view, []).append(pixel)
@@ -172,7 +173,7 @@ def _labels_of(
 
 
 def consistency_table(results: Sequence[ConsistencyResult]) -> Table:
-    """Mean cosine by scene, level and kind of feature, with intervals over points; then means over all scenes and
+    """Return mean cosines by scene, level and feature, with intervals over points; then means over all scenes and
     levels, each counting alike."""
     rows = []
     means: dict[str, list[tuple[float, float]]] = {}
@@ -214,7 +215,7 @@ def consistency_table(results: Sequence[ConsistencyResult]) -> Table:
 
 
 def gap_differences(results: Sequence[ConsistencyResult]) -> list[tuple[str, str, str, Interval]]:
-    """How much compression widens or narrows the gap between matched and unmatched observations.
+    """Return how much compression widens or narrows the gap between matched and unmatched observations.
 
     Returns scene, level, features, and the mean over points of their gap less that of the raw embeddings,
     with an interval over points: paired, since all features are of the same pairs.
@@ -230,7 +231,7 @@ def gap_differences(results: Sequence[ConsistencyResult]) -> list[tuple[str, str
 
 
 def consistency_plot(results: Sequence[ConsistencyResult]) -> IntervalPlot:
-    """The ``gap_differences`` with their intervals against 0, by scene and level."""
+    """Return the ``gap_differences`` with their intervals against 0, by scene and level."""
     rows = [
         (f"{scene}, level {level}", features, interval)
         for scene, level, features, interval in sorted(gap_differences(results), key=lambda row: row[0])
@@ -247,7 +248,7 @@ def sources_of(results: Sequence[ConsistencyResult]) -> dict[str, str]:
 
 
 def consistency_record(results: Sequence[ConsistencyResult]) -> dict[str, Any]:
-    """For JSON."""
+    """Return the record, for JSON."""
     rows = [
         {
             "scene": result.scene,

@@ -66,7 +66,7 @@ class CurvePoint:
 
 
 def find_fault(name: str) -> FaultScale:
-    """A fault by name."""
+    """Return a fault by name."""
     return looked_up("fault", name, FAULT_SCALES)
 
 
@@ -126,7 +126,7 @@ class Curves(Study[CurvePoint]):
 
 
 def faulty_inputs(scene: StudyScene, method: Method, fault: str, strength: float, draw: int) -> UpliftInputs:
-    """What a method is fitted to, with a fault put into region sums and embeddings."""
+    """Return what a method is fitted to, with a fault put into region sums and embeddings."""
     levels = level_sums(scene.rasterised.region_sums(method.pixels), scene.rasterised.regions)
     if fault == "views":
         count = max(int(level.views.max(initial=0)) for level in levels) + 1
@@ -139,7 +139,7 @@ def faulty_inputs(scene: StudyScene, method: Method, fault: str, strength: float
 
 
 def displaced_masks(regions: Regions, pixels: float, seed: int = 0) -> Regions:
-    """The regions with all borders moved smoothly, by so many pixels of an image 480 wide (standard deviation).
+    """Return the regions with all borders moved smoothly, by so many pixels of an image 480 wide (standard deviation).
 
     Embeddings stay: it is the masks that bleed over edges. Each level of each view is moved in its own way, the same
     for the same seed.
@@ -165,7 +165,7 @@ def displaced_masks(regions: Regions, pixels: float, seed: int = 0) -> Regions:
 
 
 def curve_tables(points: Sequence[CurvePoint], faults: Sequence[FaultScale], protocol: str) -> list[Table]:
-    """A table for each fault: mIoU of each method, then the first method minus each other's."""
+    """Return a table for each fault: mIoU of each method, then the first method minus each other's."""
     tables = []
     for fault in faults:
         mine = [point for point in points if point.fault == fault.name]
@@ -198,7 +198,7 @@ def curve_tables(points: Sequence[CurvePoint], faults: Sequence[FaultScale], pro
 
 
 def curve_plot(points: Sequence[CurvePoint], fault: FaultScale, protocol: str) -> CurvePlot:
-    """mIoU of every method, with bands of the 95 % interval over queries."""
+    """Return mIoU of every method, with bands of the 95 % interval over queries."""
     mine = [point for point in points if point.fault == fault.name]
     curves = []
     for name in dict.fromkeys(point.method for point in mine):
@@ -209,7 +209,7 @@ def curve_plot(points: Sequence[CurvePoint], fault: FaultScale, protocol: str) -
 
 
 def curve_record(points: Sequence[CurvePoint]) -> list[dict[str, Any]]:
-    """For JSON."""
+    """Return the record, for JSON."""
     record = []
     for point in points:
         interval = miou_interval(point.scores)

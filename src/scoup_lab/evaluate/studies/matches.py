@@ -1,5 +1,5 @@
 """Observations of one point in several views: by COLMAP's tracks where the model keeps them; else by Gaussians, in the
-views where they paint most of the pixel under their centre."""
+views where they contribute most to the pixel under their centre."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup_lab.baselines.pixel_rules import centre_pixels, pixel_weights
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 
-DOMINANT = 0.5  # of a pixel's weight: a Gaussian that paints this much is what one sees there
+DOMINANT = 0.5  # of a pixel's weight: a Gaussian that contributes this much is what one sees there
 
 Observation = tuple[str, int]
 """(view, pixel), pixel = row * width + column."""
@@ -34,7 +34,7 @@ class Matches:
 
 
 def matched_points(scene: StudyScene) -> Matches:
-    """By COLMAP's tracks where the model keeps them, else by Gaussians."""
+    """Match by COLMAP's tracks where the model keeps them, else by Gaussians."""
     rasterised = scene.rasterised
     tracked = tracked_points(scene.labelled.folder / "sparse" / "0", rasterised.cameras)
     if tracked is not None:
@@ -44,7 +44,7 @@ def matched_points(scene: StudyScene) -> Matches:
 
 
 def tracked_points(folder: Path, cameras: Cameras) -> Matches | None:
-    """Points of a COLMAP model in the images of their tracks, at the pixels they project to; None if it keeps no
+    """Return points of a COLMAP model in the images of their tracks, at the pixels they project to; None if it keeps no
     tracks."""
     try:
         positions, tracks = read_tracks(folder)
@@ -68,7 +68,7 @@ def tracked_points(folder: Path, cameras: Cameras) -> Matches | None:
 def dominant_gaussians(
     gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str = "inria"
 ) -> Matches:
-    """Gaussians in the views where they paint more than half of the pixel under their centre."""
+    """Return gaussians in the views where they contribute more than half of the pixel under their centre."""
     seen: dict[int, list[Observation]] = {}
     for camera in cameras:
         centres = centre_pixels(gaussians, camera)

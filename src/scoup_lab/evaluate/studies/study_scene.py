@@ -53,7 +53,7 @@ class StudyScene:
     def maps(
         self, fitted: FittedMethod, rules: Iterable[ScoringRule]
     ) -> Iterator[tuple[LabelledFrame, dict[tuple[bool, bool], Tensor]]]:
-        """Each labelled frame with its relevancy [S, Q, H, W] for each kind of rule."""
+        """Yield each labelled frame with its relevancy [S, Q, H, W] for each kind of rule."""
         kinds = sorted({rule.kind for rule in rules})
         plain, scene = self.vectors.canonical, self.rasterised
         phrases = {False: plain, True: with_everyday(plain, self.vectors.everyday)}
@@ -75,11 +75,11 @@ class StudyScene:
             yield frame, found
 
     def score(self, fitted: FittedMethod, preset: QueryPreset) -> SceneScore:
-        """The score by the protocol."""
+        """Return the score by the protocol."""
         return self.scores(fitted, {"": ScoringRule(preset)})[""]
 
     def scores(self, fitted: FittedMethod, rules: Mapping[str, ScoringRule]) -> dict[str, SceneScore]:
-        """Scores by the name of the rule. Maps are made once a frame for each kind of rule."""
+        """Return scores by the name of the rule. Maps are made once a frame for each kind of rule."""
         pairs: dict[str, list] = {name: [] for name in rules}
         protocol = ""
         for frame, maps in self.maps(fitted, rules.values()):
@@ -93,7 +93,7 @@ class StudyScene:
         }
 
     def selection_score(self, fitted: FittedMethod) -> SceneScore:
-        """The score by the 3D-selection protocol."""
+        """Return the score by the 3D-selection protocol."""
         scene = self.rasterised
         return selection.score_method(
             self.labelled, self.vectors, fitted, scene.gaussians, scene.raster_preset

@@ -21,7 +21,7 @@ from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def book(name: str, code: str, length: float = 24.0, width: float = 17.0, height: float = 3.4) -> Thing:
-    """A closed book lying flat, its spine towards -y."""
+    """Return a closed book lying flat, its spine towards -y."""
 
     def paint(points: Floats, normals: Floats) -> Floats:
         x, y, z = points.T
@@ -101,7 +101,7 @@ def laptop() -> Thing:
 
 
 def landscape(u: Floats, v: Floats) -> Floats:
-    """[n, 3]: a picture of hills under an evening sky; u runs right and v up, both 0..1."""
+    """Return [n, 3]: a picture of hills under an evening sky; u runs right and v up, both 0..1."""
     shown = mix(color("fbd08a"), color("4f86c6"), (v - 0.35) * 1.9)
     shown = mix(shown, color("fff3c4"), (0.085 - np.hypot((u - 0.68) * 1.5, v - 0.66)) * 60)
     for height, swing, rate, code in (

@@ -193,7 +193,7 @@ def shelf(length: float) -> Thing:
 
 
 def picture(width: float, height: float) -> Thing:
-    """A framed painting in the x, z plane, facing -y, centred on the origin."""
+    """Return a framed painting in the x, z plane, facing -y, centred on the origin."""
 
     def painted(points: Floats, normals: Floats) -> Floats:
         u, v = points[:, 0] / (width - 8) + 0.5, points[:, 2] / (height - 8) + 0.5
@@ -212,7 +212,7 @@ def picture(width: float, height: float) -> Thing:
 
 
 def window(width: float, height: float) -> Thing:
-    """A window in the x, z plane, facing -y, centred on the origin."""
+    """Return a window in the x, z plane, facing -y, centred on the origin."""
 
     def outside(points: Floats, normals: Floats) -> Floats:
         v = points[:, 2] / height + 0.5
@@ -252,7 +252,7 @@ def rug(radius: float) -> Thing:
 
 
 def room_shell(left: float, back: float, reach: float, height: float) -> tuple[Thing, Thing]:
-    """The floor, and the two walls x = ``left`` and y = ``back``, running ``reach`` away from the corner."""
+    """Return the floor, and the two walls x = ``left`` and y = ``back``, running ``reach`` away from the corner."""
 
     def plaster(points: Floats, normals: Floats) -> Floats:
         tone = 1 + 0.035 * smooth_noise(points, 40, 1) + 0.015 * smooth_noise(points, 7, 2)

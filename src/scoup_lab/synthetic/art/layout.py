@@ -33,6 +33,7 @@ class Layout:
 def aimed_camera(
     eye: Floats, target: Floats, name: str, width: int, height: int, field_of_view: float = FIELD_OF_VIEW
 ) -> Camera:
-    """A camera at ``eye`` [3] that looks at ``target`` [3], z up; ``field_of_view`` is horizontal, in degrees."""
+    """Return a camera at ``eye`` [3] that looks at ``target`` [3], z up; ``field_of_view`` is horizontal, in
+    degrees."""
     focal = width / 2 / np.tan(np.radians(field_of_view) / 2)
     return Camera.look_at(eye, target, name, width, height, focal)

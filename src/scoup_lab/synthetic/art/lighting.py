@@ -49,7 +49,7 @@ def lit(
     light: Light,
     n_directions: int = 30,
 ) -> Floats:
-    """Shaded colours of points on surfaces.
+    """Return shaded colours of points on surfaces.
 
     ``points``, ``normals``: [n, 3] in metres; unit normals; ``albedo``: [n, 3] sRGB, 0..1; ``gloss``,
     ``glow``: [n] 0..1. Returns [n, 3] sRGB, 0..1.
@@ -83,7 +83,8 @@ def lit(
 
 
 def visible(points: Floats, normals: Floats, direction: Floats, blockers: Mesh, light: Light) -> Floats:
-    """[n] share 0..1 of the light from ``direction`` (unit, towards the light) that reaches each point [n, 3]."""
+    """Return [n] share 0..1 of the light from ``direction`` (unit, towards the light) that reaches each
+    point [n, 3]."""
     size, gap = light.shadow_size, light.shadow_gap
     frame = _frame(direction)
     flat = blockers.vertices @ frame.T
@@ -107,7 +108,7 @@ def visible(points: Floats, normals: Floats, direction: Floats, blockers: Mesh, 
 
 
 def _hemisphere(count: int, widest: float) -> Floats:
-    """[count, 3] directions evenly over the cap about +z whose rim has sine ``widest``."""
+    """Return [count, 3] directions evenly over the cap about +z whose rim has sine ``widest``."""
     step = np.arange(count)
     height = 1 - (step + 0.5) / count * (1 - np.sqrt(1 - widest**2))
     turn = step * np.pi * (3 - np.sqrt(5))
@@ -116,7 +117,7 @@ def _hemisphere(count: int, widest: float) -> Floats:
 
 
 def _frame(direction: Floats) -> Floats:
-    """[3, 3] rows: two directions across, and ``direction`` made unit."""
+    """Return [3, 3] rows: two directions across, and ``direction`` made unit."""
     along = direction / np.linalg.norm(direction)
     side = np.cross(along, np.eye(3)[np.abs(along).argmin()])
     side /= np.linalg.norm(side)

@@ -22,26 +22,26 @@ class Mesh:
     faces: Ints  # [F, 3] int64, rows of ``vertices``
 
     def face_areas(self) -> Floats:
-        """[F] areas in squared units of the vertices."""
+        """Return [F] areas in squared units of the vertices."""
         a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
     def moved(
         self, offset: ArrayLike = (0, 0, 0), rotation: Floats | None = None, scale: float = 1.0
     ) -> Mesh:
-        """Scaled, then rotated by a [3, 3] matrix, then shifted."""
+        """Return the mesh scaled, then rotated by a [3, 3] matrix, then shifted."""
         turn = np.eye(3) if rotation is None else rotation
         return Mesh(
             self.vertices * scale @ turn.T + np.asarray(offset, float), self.normals @ turn.T, self.faces
         )
 
     def flipped(self) -> Mesh:
-        """Inside out."""
+        """Return the mesh inside out."""
         return replace(self, normals=-self.normals, faces=self.faces[:, ::-1].copy())
 
 
 def merged(meshes: Sequence[Mesh]) -> Mesh:
-    """All meshes as one."""
+    """Return all meshes as one."""
     starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
     return Mesh(
         np.concatenate([mesh.vertices for mesh in meshes]),
@@ -51,7 +51,7 @@ def merged(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def rotation(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Floats:
-    """[3, 3] rotation by degrees about x, then y, then z."""
+    """Return [3, 3] rotation by degrees about x, then y, then z."""
     turn = np.eye(3)
     for axis, degrees in ((0, x), (1, y), (2, z)):
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
@@ -63,7 +63,7 @@ def rotation(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Floats:
 
 
 def smooth_curve(points: ArrayLike, samples: int = 24) -> Floats:
-    """[samples, d] points on a Catmull-Rom spline through ``points`` [P, d], both ends included."""
+    """Return [samples, d] points on a Catmull-Rom spline through ``points`` [P, d], both ends included."""
     knots = np.asarray(points, float)
     padded = np.concatenate([2 * knots[:1] - knots[1:2], knots, 2 * knots[-1:] - knots[-2:-1]])
     position = np.linspace(0, len(knots) - 1, samples)
@@ -76,7 +76,7 @@ def smooth_curve(points: ArrayLike, samples: int = 24) -> Floats:
 
 
 def sheet(points: ArrayLike, closed_rows: bool = False, closed_columns: bool = False) -> Mesh:
-    """A surface through a grid of points [A, B, 3]; ``closed_*`` joins the last row or column to the first.
+    """Return a surface through a grid of points [A, B, 3]; ``closed_*`` joins the last row or column to the first.
 
     Normals follow rows x columns of the grid.
     """
@@ -93,7 +93,8 @@ def sheet(points: ArrayLike, closed_rows: bool = False, closed_columns: bool = F
 
 
 def with_normals(vertices: Floats, faces: Ints) -> Mesh:
-    """A mesh whose vertex normals are the area-weighted means of the faces around; empty triangles are dropped."""
+    """Return a mesh whose vertex normals are the area-weighted means of the faces around; empty triangles
+    are dropped."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     face_normals = np.cross(b - a, c - a)
     kept = np.linalg.norm(face_normals, axis=1) > 1e-12
@@ -106,7 +107,7 @@ def with_normals(vertices: Floats, faces: Ints) -> Mesh:
 
 
 def lathe(profile: ArrayLike, segments: int = 32) -> Mesh:
-    """A surface of revolution about z.
+    """Return a surface of revolution about z.
 
     ``profile``: [P, 2] radius and height, in the order that keeps the solid on the left (bottom centre,
     outside upwards, top centre). A point given twice is a sharp edge.
@@ -128,7 +129,7 @@ def lathe(profile: ArrayLike, segments: int = 32) -> Mesh:
 def cylinder(
     radius: float, height: float, bevel: float = 0.0, segments: int = 32, top: float | None = None
 ) -> Mesh:
-    """A closed cylinder on z = 0, or a cone frustum where ``top`` gives another radius for its upper end."""
+    """Return a closed cylinder on z = 0, or a cone frustum where ``top`` gives another radius for its upper end."""
     upper = radius if top is None else top
     edge = min(bevel, height / 2, radius, upper if upper > 0 else bevel)
     arc = np.linspace(0, np.pi / 2, 5)
@@ -143,7 +144,8 @@ def cylinder(
 def ellipsoid(
     radii: float | ArrayLike, centre: ArrayLike = (0, 0, 0), segments: int = 24, power: float = 1.0
 ) -> Mesh:
-    """An ellipsoid with the given radii (one number or three); ``power`` below 1 squares it off like a cushion."""
+    """Return an ellipsoid with the given radii (one number or three); ``power`` below 1 squares it off like
+    a cushion."""
     tilt = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)[None, :]
     turn = (np.arange(segments) * (2 * np.pi / segments))[:, None]
 
@@ -162,7 +164,7 @@ def ellipsoid(
 
 
 def tube(path: ArrayLike, radius: float | ArrayLike, segments: int = 12, squash: float = 1.0) -> Mesh:
-    """A round bar along ``path`` [P, 3] with rounded-off flat ends.
+    """Return a round bar along ``path`` [P, 3] with rounded-off flat ends.
 
     ``path``: [P, 3] centre line; ``radius``: one number, or [P].
     """
@@ -185,7 +187,7 @@ def tube(path: ArrayLike, radius: float | ArrayLike, segments: int = 12, squash:
 
 
 def torus(ring: float, radius: float, segments: int = 32, squash: float = 1.0) -> Mesh:
-    """A torus about z, centred on the origin; ``squash`` scales its height."""
+    """Return a torus about z, centred on the origin; ``squash`` scales its height."""
     turn = (np.arange(segments) * (2 * np.pi / segments))[:, None]
     tilt = (np.arange(segments // 2) * (4 * np.pi / segments))[None, :]
     level = ring + radius * np.cos(tilt)
@@ -195,7 +197,7 @@ def torus(ring: float, radius: float, segments: int = 32, squash: float = 1.0) -
 
 
 def box(size: ArrayLike, bevel: float = 0.3, centre: ArrayLike = (0, 0, 0)) -> Mesh:
-    """A box with rounded edges and corners, [3] side lengths, centred on ``centre``."""
+    """Return a box with rounded edges and corners, [3] side lengths, centred on ``centre``."""
     half = np.asarray(size, float) / 2
     edge = min(bevel, float(half.min()))
     inner = half - edge
@@ -223,7 +225,7 @@ def _beveled_steps(half: float, edge: float) -> Floats:
 
 
 def plane(origin: ArrayLike, across: ArrayLike, up: ArrayLike, step: float) -> Mesh:
-    """A rectangle from ``origin`` along two edge vectors [3], cut into cells of about ``step``.
+    """Return a rectangle from ``origin`` along two edge vectors [3], cut into cells of about ``step``.
 
     The normal is across x up. Fine cells keep a wall that runs past the camera drawable: only the triangles
     behind it are dropped.

@@ -14,12 +14,12 @@ Paint = Callable[[Floats, Floats], Floats]
 
 
 def color(code: str) -> Floats:
-    """[3] colour 0..1 of a hexadecimal code such as "d94f3d"."""
+    """Return [3] colour 0..1 of a hexadecimal code such as "d94f3d"."""
     return np.array([int(code[start : start + 2], 16) for start in (0, 2, 4)]) / 255.0
 
 
 def smooth_noise(points: Floats, size: float | ArrayLike, seed: int = 0) -> Floats:
-    """[n] smooth noise between -1 and 1 at ``points`` [n, 3], with blobs of about ``size`` (one number or
+    """Return [n] smooth noise between -1 and 1 at ``points`` [n, 3], with blobs of about ``size`` (one number or
     three).
 
     Random numbers on a lattice, interpolated; the lattice is hashed, so the noise is the same everywhere.
@@ -46,13 +46,13 @@ def _hashed(cells: np.ndarray, seed: int) -> Floats:
 
 
 def mix(first: Floats, second: Floats, share: Floats) -> Floats:
-    """[n, 3]: ``first`` where ``share`` [n] is 0, ``second`` where it is 1."""
+    """Return [n, 3]: ``first`` where ``share`` [n] is 0, ``second`` where it is 1."""
     weight = np.clip(share, 0, 1)[:, None]
     return first * (1 - weight) + second * weight
 
 
 def solid(code: str, grain: float = 0.035, size: float = 1.5) -> Paint:
-    """One colour, with brightness varying by ``grain`` over blobs of ``size``."""
+    """Return one colour, with brightness varying by ``grain`` over blobs of ``size``."""
 
     def paint(points: Floats, normals: Floats) -> Floats:
         tone = 1 + grain * (smooth_noise(points, size, 1) + smooth_noise(points, size / 4, 2))
@@ -62,7 +62,7 @@ def solid(code: str, grain: float = 0.035, size: float = 1.5) -> Paint:
 
 
 def bands(code: str, other: str, axis: int, edges: ArrayLike) -> Paint:
-    """The second colour between pairs of coordinates along an axis: edges [start, end, start, end, ...]."""
+    """Return the second colour between pairs of coordinates along an axis: edges [start, end, start, end, ...]."""
     base, stripe = solid(code), solid(other)
     limits = np.asarray(edges, float)
 
@@ -76,7 +76,7 @@ def bands(code: str, other: str, axis: int, edges: ArrayLike) -> Paint:
 def gradient(
     low: str, high: str, axis: int, start: float, end: float, grain: float = 0.08, size: float = 2.0
 ) -> Paint:
-    """From one colour to the other along an axis, with a blotchy border."""
+    """Blend one colour into the other along an axis, with a blotchy border."""
 
     def paint(points: Floats, normals: Floats) -> Floats:
         share = (points[:, axis] - start) / (end - start) + 0.2 * smooth_noise(points, size, 3)
@@ -87,7 +87,7 @@ def gradient(
 
 
 def spotted(base: str, spots: str, size: float, amount: float = 0.4, seed: int = 0) -> Paint:
-    """Blobs of the second colour of about ``size``; ``amount`` below 0 gives more of them."""
+    """Return blobs of the second colour of about ``size``; ``amount`` below 0 gives more of them."""
 
     def paint(points: Floats, normals: Floats) -> Floats:
         return mix(
@@ -98,7 +98,7 @@ def spotted(base: str, spots: str, size: float, amount: float = 0.4, seed: int =
 
 
 def checked(code: str, other: str, axes: tuple[int, int], size: float) -> Paint:
-    """A woven check: overlapping stripes along two axes."""
+    """Return a woven check: overlapping stripes along two axes."""
 
     def paint(points: Floats, normals: Floats) -> Floats:
         stripes = [np.sin(points[:, axis] * (np.pi / size)) > 0 for axis in axes]
@@ -109,7 +109,7 @@ def checked(code: str, other: str, axes: tuple[int, int], size: float) -> Paint:
 
 
 def wood(code: str, along: int = 0, size: float = 4.0, planks: float = 0.0, contrast: float = 0.16) -> Paint:
-    """Wood grain running along an axis; ``planks`` is the width of boards laid side by side (0: one board)."""
+    """Return wood grain running along an axis; ``planks`` is the width of boards laid side by side (0: one board)."""
     across = 1 if along == 0 else 0
 
     def paint(points: Floats, normals: Floats) -> Floats:
@@ -128,7 +128,7 @@ def wood(code: str, along: int = 0, size: float = 4.0, planks: float = 0.0, cont
 
 
 def fur(code: str, tint: str) -> Paint:
-    """Plush: short-range noise between two tones."""
+    """Return plush: short-range noise between two tones."""
 
     def paint(points: Floats, normals: Floats) -> Floats:
         share = 0.5 + 0.6 * smooth_noise(points, 0.7, 9) + 0.35 * smooth_noise(points, 2.2, 10)

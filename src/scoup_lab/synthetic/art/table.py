@@ -18,7 +18,7 @@ LAMP = np.array([0.5, 0.26, 1.1])  # metres: the light bulb, just below the shad
 
 
 def table_things() -> tuple[Thing, ...]:
-    """All things, placed. z is up, metres; the table's centre is above the origin."""
+    """Return all things, placed. z is up, metres; the table's centre is above the origin."""
     floor, wall = furniture.room_shell(LEFT * 100, BACK * 100, REACH * 100, HEIGHT * 100)
     return (
         floor,
@@ -99,7 +99,7 @@ def _toys() -> tuple[Thing, ...]:
 def make_cameras(
     n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
 ) -> tuple[Cameras, Cameras]:
-    """Building and held-out cameras on a swing around the table's open sides.
+    """Return building and held-out cameras on a swing around the table's open sides.
 
     Height and distance vary along the way, and each camera looks at its own point on the table. No held-out camera
     has the position of a building camera.

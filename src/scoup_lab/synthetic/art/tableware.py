@@ -20,7 +20,7 @@ from scoup_lab.synthetic.art.things import Piece, Thing
 
 
 def flowered(base: str, flowers: str, centre: str, size: float) -> Paint:
-    """Painted china: a grid of round flowers with a dot in the middle, over the angle and height."""
+    """Return painted china: a grid of round flowers with a dot in the middle, over the angle and height."""
 
     def paint(points: Floats, normals: Floats) -> Floats:
         angle = np.arctan2(points[:, 1], points[:, 0])

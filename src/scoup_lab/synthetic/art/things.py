@@ -50,7 +50,7 @@ class Thing:
         group: str = "",
         grow: float = 1.0,
     ) -> Thing:
-        """Placed at a point in metres, first tilted about x and y, then turned about z (degrees)."""
+        """Place at a point in metres, first tilted about x and y, then turned about z (degrees)."""
         lean = np.asarray(tilt, float)
         return replace(
             self,
@@ -61,7 +61,7 @@ class Thing:
         )
 
     def mesh(self, piece: Piece) -> Mesh:
-        """The mesh of a piece where the thing is, in metres."""
+        """Return the mesh of a piece where the thing is, in metres."""
         return piece.mesh.moved(self.place, self.turn, self.size)
 
 
@@ -79,7 +79,7 @@ class Parts:
 
     @classmethod
     def of(cls, things: tuple[Thing, ...]) -> Parts:
-        """Numbers for everything in ``things``."""
+        """Return numbers for everything in ``things``."""
         groups = tuple(dict.fromkeys(thing.group or thing.name for thing in things))
         objects = {thing.name: thing.group or thing.name for thing in things}
         numbers = {name: number for number, name in enumerate(objects)}
@@ -110,7 +110,8 @@ class Parts:
         )
 
     def at_level(self, parts: np.ndarray, level: str) -> np.ndarray:
-        """Part numbers (any shape, -1 = nothing) as numbers of level "s" (parts), "m" (objects) or "l" (groups)."""
+        """Return part numbers (any shape, -1 = nothing) as numbers of level "s" (parts), "m" (objects) or
+        "l" (groups)."""
         lookup = np.arange(len(self.parts))
         if level != "s":
             lookup = self.object_of_part

@@ -16,7 +16,7 @@ CHUNK = 2_000_000  # candidate pixels held at once
 
 
 def visible_faces(vertices: Floats, faces: Ints, camera: Camera) -> NDArray[np.int64]:
-    """The triangle seen at each pixel centre.
+    """Return the triangle seen at each pixel centre.
 
     ``vertices``: [V, 3] world coordinates; ``faces``: [F, 3] rows of ``vertices``. Returns [H, W] int64 rows
     of ``faces``; -1 where nothing is seen. Triangles seen from behind, and those with a corner nearer than
@@ -75,13 +75,13 @@ def draw(
 
 
 def _share(start: Floats, end: Floats, area: Floats) -> Floats:
-    """[F, 3] slopes and level of the share that is 0 on the edge start-end and 1 on the corner across."""
+    """Return [F, 3] slopes and level of the share that is 0 on the edge start-end and 1 on the corner across."""
     slope_x, slope_y = (start[:, 1] - end[:, 1]) / area, (end[:, 0] - start[:, 0]) / area
     return np.stack([slope_x, slope_y, -(slope_x * start[:, 0] + slope_y * start[:, 1])], 1)
 
 
 def _span(shares: Floats, y: Floats, width: int) -> tuple[Ints, Ints]:
-    """First and last pixel of each triangle on a row: where all three shares [3, n, 3] are not negative."""
+    """Return first and last pixel of each triangle on a row: where all three shares [3, n, 3] are not negative."""
     start, end = np.zeros(len(y)), np.full(len(y), width - 1.0)
     for share in shares:
         slope, rest = share[:, 0], share[:, 1] * y + share[:, 2] + 1e-9
@@ -93,6 +93,6 @@ def _span(shares: Floats, y: Floats, width: int) -> tuple[Ints, Ints]:
 
 
 def _repeated(items: Ints, counts: Ints, first: Ints) -> tuple[Ints, Ints]:
-    """Each item ``counts`` times, and beside it the numbers ``first``, ``first + 1``, ..."""
+    """Return each item ``counts`` times, and beside it the numbers ``first``, ``first + 1``, ..."""
     step = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts - first, counts)
     return np.repeat(items, counts), step
