@@ -130,7 +130,7 @@ def test_a_build_checkpoint_that_is_damaged_costs_only_time():
         (PLY, ASK["query"], "point_cloud.ply: is not there", "--gaussians"),
         (PLY, ASK["select"], "point_cloud.ply: is not there", "--gaussians"),
         (PLY, ("render", "f.scoup"), "point_cloud.ply: is not there", "--gaussians"),
-        (TABLE, ASK["query"], "scene/words.npz: is not there", "--text"),
+        (TABLE, ASK["query"], "scene/words.npz: is missing", "--text"),
         (None, (*ASK["query"], "--scene", "no"), "no: there is no such file or folder", "check the path"),
         (None, (*ASK["query"], "--gaussians", "no.ply"), "no.ply: there is no such file", "check the path"),
         (None, (*ASK["select"], "--text", "no.json"), "no.json: there is no such file", "check the path"),
@@ -198,7 +198,7 @@ def test_features_of_another_model_than_the_table():
     )
     assert run("build", "scene", *QUICK, "--out", "a.scoup")[0] == 0
     message = refused("query", "a.scoup", "kettle", "--text", TABLE)
-    assert "scene/words.npz: gives vectors of 16 dimensions, but the field holds embeddings of 8" in message
+    assert "scene/words.npz: has vectors of 16 dimensions, but the field contains embeddings of 8" in message
 
 
 @pytest.mark.parametrize(
@@ -325,14 +325,14 @@ def test_a_table_of_another_dimension():
     save_table("wide.npz", names, np.random.default_rng(0).normal(size=(len(names), 24)))
     for arguments in ASK.values():
         message = refused(*arguments, "--text", "wide.npz")
-        assert "wide.npz: gives vectors of 24 dimensions, but the field holds embeddings of 16" in message
+        assert "wide.npz: has vectors of 24 dimensions, but the field contains embeddings of 16" in message
 
 
 def test_a_table_without_the_canonical_phrases():
     save_table("bare.npz", WORDS, np.random.default_rng(0).normal(size=(len(WORDS), 16)))
     message = refused(*ASK["query"], "--text", "bare.npz")
     assert message.startswith(
-        "bare.npz: lacks 'object'; relevancy compares every text with the phrases object, things"
+        "bare.npz: lacks 'object', but relevancy compares every text with the phrases object, things"
     )
 
 
@@ -451,14 +451,14 @@ def test_words_for_a_field_of_another_model(here):
     save_table("wide.npz", names, np.random.default_rng(0).normal(size=(len(names), 512)))
     wide = ("--text", "wide.npz")
     assert (
-        "the field was built for the table scene/words.npz: give that, or a table of words of 16"
+        "the field was built for the table scene/words.npz: pass that, or a table of words of 16"
         in refused(*ASK["query"], *wide)
     )
     # Features that do not name their model, and that the usual one cannot have made: none is guessed.
     assert run(*BUILD)[0] == 0
     ask = ("query", "a.scoup", "kettle", "--out", "answers")
     assert "a.scoup: names no embedding model; give a table or model with --text" in refused(*ask)
-    assert "the field does not name its model: give a table of words of 16 dimensions" in refused(*ask, *wide)
+    assert "the field does not name its model: pass a table of words of 16 dimensions" in refused(*ask, *wide)
     assert run("build", "scene", *QUICK, "--out", "b.scoup", "--model", "colors")[0] == 0
     for text in ((), wide):
         message = refused("query", "b.scoup", "kettle", "--out", "answers", *text)

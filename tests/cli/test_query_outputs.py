@@ -93,7 +93,7 @@ def test_videos(motion):
         (["--frames", "0"], "--frames must be 1 to"),
         (["--frames-per-second", "0"], "--frames-per-second must be 0.1 to 100"),
         (["--metres-per-unit", "-1"], "--metres-per-unit must be above 0"),
-        (["kettle", "--coco"], "stands twice"),
+        (["kettle", "--coco"], "two texts are equal"),
     ],
 )
 def test_bad_options(options, said):

@@ -98,7 +98,7 @@ def test_nothing_is_replaced_without_overwrite():
 def test_bad_options():
     assert "belong together" in refused("render", "f.scoup", "--what", "relevancy")
     assert "belong together" in refused("render", "f.scoup", "--query", "kettle")
-    assert "there is no level 'x'; levels: s, m, l" in refused(
+    assert "there is no level 'x'; expected one of s, m, l" in refused(
         "render", "f.scoup", "--what", "codes", "--level", "x"
     )
     for number in ("0", "nan", "inf", "-3"):

@@ -116,7 +116,7 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
     nameless = LanguageField(field.code_indices, field.code_weights, field.codebook, other, field.gaussians)
     with pytest.raises(InputError, match="names no embedding model"):
         nameless.answer("word 1", queried.camera)
-    with pytest.raises(InputError, match="holds no cameras"):
+    with pytest.raises(InputError, match="contains no cameras"):
         nameless.answer(nameless.question("word 1", encoder=table))
 
 

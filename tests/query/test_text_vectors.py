@@ -37,10 +37,10 @@ def test_queries_and_what_they_are_compared_with(queried: Queried, tmp_path: Pat
 
 def test_what_does_not_fit_is_refused(queried: Queried, tmp_path: Path) -> None:
     wide = encoder_of(tmp_path / "wide.npz", (*WORDS, *CANONICAL_PHRASES), dim=24)
-    with pytest.raises(InputError, match="wide: gives vectors of 24 dimensions, but the field holds"):
+    with pytest.raises(InputError, match="wide: has vectors of 24 dimensions, but the field contains"):
         encode_texts(wide, queried.field, ["mug"], "wide")
     bare = encoder_of(tmp_path / "bare.npz", WORDS)
-    with pytest.raises(InputError, match="the word table: lacks 'object'; relevancy compares"):
+    with pytest.raises(InputError, match="the word table: lacks 'object', but relevancy compares"):
         encode_texts(bare, queried.field, ["mug"])
     with pytest.raises(UnknownNameError, match="ketle"):
         encode_texts(bare, queried.field, ["ketle"])
@@ -64,20 +64,20 @@ def test_everyday_words_are_one_more_phrase() -> None:
         (
             "words.npz",
             "",
-            "the field was built for the table words.npz: give that, or a table of words of 16",
+            "the field was built for the table words.npz: pass that, or a table of words of 16",
         ),
         (
             "colors",
             "",
             "embedded by their colours, without a model, and cannot be queried in words; extract them with",
         ),
-        ("", "", "the field does not name its model: give a table of words of 16 dimensions"),
+        ("", "", "the field does not name its model: pass a table of words of 16 dimensions"),
         (
             "some/clip",
             "some/clip",
-            "so some/clip, which the field names, did not embed its regions: give a table",
+            "so some/clip, which the field names, did not embed its regions: pass a table",
         ),
-        ("some/clip", "", "the field names the model some/clip: give that, or a table made with it"),
+        ("some/clip", "", "the field names the model some/clip: pass that, or a table made with it"),
     ],
 )
 def test_vectors_of_another_size_are_told_from_what_the_field_names(

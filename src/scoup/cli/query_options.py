@@ -146,11 +146,15 @@ class TextOptions(FieldOptions):
         Raises:
             InputError, UnknownNameError: as there; or neither the options nor the field name a model or table.
         """
-        from scoup.base.errors import InputError
+        from scoup.base.errors import InputError, MissingFileError
 
         if not self.text and not field.embedding_model:
             raise InputError(f"{self.field}: names no embedding model; give a table or model with --text")
-        question = field.question(texts, encoder=self.text, **options)
+        try:
+            encoder = self.text or field.encoder_source
+        except MissingFileError as error:
+            raise MissingFileError(error.path, error.problem, "pass its new path with --text") from error
+        question = field.question(texts, encoder=encoder, **options)
         field.text_encoder().close()  # models are large
         return question
 

@@ -1,4 +1,4 @@
-"""The answer to a query, in one view or in the scene as a whole: what it holds, says and shows."""
+"""The answer to a text, in one view or in the whole scene."""
 
 from __future__ import annotations
 
@@ -24,27 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Answer:
-    """What one query gives in one view. Tensors are on the CPU.
-
-    Attributes:
-        mask: [H, W] boolean; empty if the thing is not there.
-        heat: [H, W] float32 relevancy at the level of the mask, 0..1.
-        main_parts: [H, W] boolean, the mask without strays: the connected part with the point, and those alike in size
-            and relevancy (``scoup.query.segment.main_parts``).
-        box: (x0, y0, x1, y1) around the main parts in pixels, x1 and y1 one past the last; None if it is empty.
-        coverage: share of the view in the mask, 0..1.
-        level: name of the level of the mask.
-        score: the largest smoothed relevancy at that level, 0..1.
-        point: (x, y), the pixel of the mask that fits best; None if the thing is not there.
-        z_score: of what was found (``scoup.query.presence``), minus infinity if nothing was found; None if presence
-            was not judged.
-        presence: whether the thing is there; true if that was not judged.
-        text: the query.
-        view: name of the camera.
-        render: gives the colours of the view, [H, W, 3] 0..1, for those who draw the answer; None if that is not known.
-            It is lost with pickling.
-        depth: gives how far away things in the view are, for ``position``; the same.
-        threshold: of the mask, on the relevancy rescaled over the view; None if that is not known.
+    """The answer to one text in one view. Tensors are on the CPU.
 
     Example:
         >>> field = scoup.LanguageField.load("f.scoup")
@@ -53,26 +33,42 @@ class Answer:
         (torch.bool, True)
     """
 
-    mask: Tensor  # [H, W]
-    heat: Tensor  # [H, W]
-    main_parts: Tensor  # [H, W]
+    mask: Tensor
+    """[H, W] boolean; empty if the thing is not there."""
+    heat: Tensor
+    """[H, W] float32 relevancy at the level of the mask, 0..1."""
+    main_parts: Tensor
+    """[H, W] boolean, the mask without strays: the connected part with the point, and those alike in size and relevancy
+    (``scoup.query.segment.main_parts``)."""
     box: tuple[int, int, int, int] | None
+    """(x0, y0, x1, y1) around the main parts in pixels, x1 and y1 one past the last; None if it is empty."""
     coverage: float
+    """Share of the view in the mask, 0..1."""
     level: str
+    """Name of the level of the mask."""
     score: float
+    """The largest smoothed relevancy at that level, 0..1."""
     point: tuple[int, int] | None
+    """(x, y), the pixel of the mask that fits best; None if the thing is not there."""
     z_score: float | None = None
+    """See ``scoup.query.presence``; minus infinity if nothing was found, None if presence was not judged."""
     presence: bool = True
+    """Whether the thing is there; true if that was not judged."""
     text: str = ""
+    """What was asked."""
     view: str = ""
+    """Name of the camera."""
     render: Callable[[], Tensor] | None = None
+    """Renders the colours of the view, [H, W, 3] 0..1, to draw the answer on. Pickling drops it."""
     depth: ViewDepth | None = None
+    """Renders the depth of the view, for ``position``. Pickling drops it."""
     threshold: float | None = None
+    """Threshold of the mask on the relevancy rescaled over the view; None if things answered."""
 
     @property
     def position(self) -> Tensor | None:
-        """[3] float64 world units, the middle of the surface that the main parts show, by its depth in the view; None
-        if the thing is not there, or its depth is not known. ``location`` finds the thing itself, from all sides."""
+        """The middle of the surface that the main parts show, [3] float64 world units; None if it is not there or its
+        depth is unknown. ``location`` finds the thing itself, from all sides."""
         return None if self.depth is None else self.depth.position(self.main_parts)
 
     def __repr__(self) -> str:
@@ -87,7 +83,7 @@ class Answer:
         return card(f"{_said(self)} in {self.view}", facts, as_picture(self.pictures()["overlay"]))
 
     def remark(self) -> str:
-        """Level, score, coverage and, if presence was judged, z-score in few words; or that the thing is not there."""
+        """Return level, score, coverage and z-score in a few words; or that the thing is not there."""
         judged = self.z_score is not None and math.isfinite(self.z_score)
         z_score = f"z-score {self.z_score:.2f}" if judged else ""
         if not self.presence:
@@ -101,14 +97,14 @@ class Answer:
         return ", ".join(part for part in parts if part)
 
     def pictures(self, rgb: Tensor | None = None) -> dict[str, np.ndarray | Tensor]:
-        """The pictures of the answer, by their kind.
+        """Draw the answer.
 
         Args:
-            rgb: [H, W, 3] float 0..1, what is drawn upon; by default the colours of the view, rendered, or black.
+            rgb: [H, W, 3] float 0..1, the background; by default the colours of the view, or black.
 
         Returns:
-            "heat": the relevancy over the render, [.., .., 3] uint8; "mask": [H, W] boolean; "overlay": mask, box and
-            point over the render, [.., .., 3] uint8.
+            "heat": the relevancy over the background, [.., .., 3] uint8; "mask": [H, W] boolean; "overlay": mask, box
+            and point over the background, [.., .., 3] uint8.
         """
         if rgb is None:
             rgb = torch.zeros(*self.heat.shape, 3) if self.render is None else self.render().cpu()
@@ -119,10 +115,10 @@ class Answer:
         }
 
     def crop(self, image: Tensor | ArrayLike | Image, margin: int = 0) -> Tensor | np.ndarray | None:
-        """The part of an image of the view [H, W, ...] in the box; None if the thing is not there.
+        """Return the part of an image of the view [H, W, ...] in the box; None if the thing is not there.
 
         Args:
-            image: of the view's size: a tensor, an array, or a picture of Pillow, which becomes an array.
+            image: of the view's size; a picture of Pillow becomes an array.
             margin: pixels added on every side, as far as the image reaches.
 
         Raises:
@@ -140,7 +136,7 @@ class Answer:
         return pixels[max(0, y0 - margin) : y1 + margin, max(0, x0 - margin) : x1 + margin]
 
     def record(self) -> dict[str, Any]:
-        """The answer as plain JSON values, rounded; ``z_score`` and ``present`` only if presence was judged."""
+        """Return the answer as plain JSON values, rounded; ``z_score`` and ``present`` only if presence was judged."""
         return {
             "level": self.level,
             "score": round(self.score, 4),
@@ -154,17 +150,7 @@ class Answer:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SceneAnswer:
-    """What one query gives in a scene as a whole, by the Gaussians' own codes. Tensors are on the CPU.
-
-    Attributes:
-        mask: [N] boolean, the Gaussians that answer; empty if the thing is not there.
-        relevancy: [N] float32 at the level chosen, blended with neighbours if that was wanted.
-        level: name of the level chosen.
-        score: the largest relevancy of a Gaussian at that level; minus infinity if none has a code.
-        z_score, presence, text: as in ``Answer``.
-        threshold: the Gaussians that answer are above it, on the relevancy rescaled over the Gaussians with a code at
-            that level, or on the relevancy itself if that was wanted; None if that is not known.
-        parts: of an answer to an expression, those to its texts.
+    """The answer to one text in the whole scene, by the Gaussians' own codes. Tensors are on the CPU.
 
     Example:
         >>> field = scoup.LanguageField.load("f.scoup")
@@ -173,15 +159,25 @@ class SceneAnswer:
         True
     """
 
-    mask: Tensor  # [N]
-    relevancy: Tensor  # [N]
+    mask: Tensor
+    """[N] boolean, the Gaussians that answer; empty if the thing is not there."""
+    relevancy: Tensor
+    """[N] float32 at the level chosen, after blending with neighbours."""
     level: str
+    """Name of the level chosen."""
     score: float
+    """The largest relevancy of a Gaussian at that level; minus infinity if none has a code."""
     z_score: float | None = None
+    """As in ``Answer``."""
     presence: bool = True
+    """As in ``Answer``."""
     text: str = ""
+    """As in ``Answer``."""
     threshold: float | None = None
+    """The Gaussians that answer are above it, on the relevancy (by default rescaled over the Gaussians with a code at
+    that level); None if things answered."""
     parts: tuple[SceneAnswer, ...] = ()
+    """The answers to the texts of an expression."""
 
     def __repr__(self) -> str:
         found = f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians, level {self.level}, score {self.score:.2f}"
@@ -191,7 +187,7 @@ class SceneAnswer:
         return card(f"{_said(self)} in the scene", {**self.record(), "of": f"{len(self.mask):,} Gaussians"})
 
     def record(self) -> dict[str, Any]:
-        """The answer as plain JSON values, rounded; ``z_score`` and ``present`` only if presence was judged."""
+        """Return the answer as plain JSON values, rounded; ``z_score`` and ``present`` only if presence was judged."""
         return {
             "gaussians": int(self.mask.sum()),
             "level": self.level,

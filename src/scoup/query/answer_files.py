@@ -1,4 +1,4 @@
-"""The answers of a query as files: contact sheets, pictures, arrays, COCO's JSON (docs/formats.md, "Answers")."""
+"""Answers as files: contact sheets, pictures, arrays, COCO's JSON (docs/formats.md, "Answers")."""
 
 from __future__ import annotations
 
@@ -24,20 +24,17 @@ NPZ = "relevancy.npz"
 
 
 class AnswerFiles:
-    """Takes the answers view by view and writes them.
+    """The files of a query's answers, written view by view.
 
     Args:
         texts: of the query.
-        cameras: of the views that will be added.
-        pictures: "sheet", "all" (and each picture by itself) or "none".
-        npz: write the relevancies and masks of each view as arrays.
+        cameras: of all views, in the order in which they are added.
+        pictures: "sheet", "all" (each picture by itself, too) or "none".
+        npz: write relevancy and masks of each view as arrays.
         coco: write the masks of all views as COCO's JSON.
 
-    Attributes:
-        names: of all files, within their folder.
-
     Raises:
-        InputError: a text stands twice, which COCO cannot tell apart.
+        InputError: two texts are equal, which COCO cannot tell apart.
     """
 
     def __init__(
@@ -56,9 +53,10 @@ class AnswerFiles:
         self._npz = npz
         self._sheets = None if pictures == "none" else AnswerSheets(texts, len(cameras))
         if coco and len(set(texts)) < len(texts):
-            raise InputError("a text stands twice, and COCO's categories differ by their names")
+            raise InputError("two texts are equal, but COCO's categories differ by name; pass each text once")
         self._coco = CocoAnnotations(tuple(texts)) if coco else None
         singles = [name for of_text in self._singles for name in of_text.values()] + [NPZ] * npz
+        # Of all files, within their folder.
         self.names = [
             *self.sheet_names,
             *[COCO] * coco,
@@ -67,12 +65,12 @@ class AnswerFiles:
 
     @property
     def n_views(self) -> int:
-        """How many will be added."""
+        """Number of views."""
         return len(self._folders)
 
     @property
     def sheet_names(self) -> list[str]:
-        """Of the contact sheets."""
+        """File names of the contact sheets."""
         if self._sheets is None:
             return []
         count = len(self._sheets)
@@ -80,11 +78,11 @@ class AnswerFiles:
 
     @property
     def needs_colors(self) -> bool:
-        """Whether anything is drawn upon the colours of the views."""
+        """Whether ``add`` needs the colours of the views."""
         return self._sheets is not None
 
     def of_view(self, camera: Camera, out: Path) -> list[dict[str, str]]:
-        """Where a view's files of each text will be, by their kind."""
+        """Return the paths of a view's files: one dict per text, by kind."""
         folder = out / self._folders[camera.name]
         arrays = {"npz": (folder / NPZ).as_posix()} if self._npz else {}
         return [
@@ -93,14 +91,7 @@ class AnswerFiles:
         ]
 
     def add(self, camera: Camera, answers: Sequence[Answer], rgb: Tensor | None, hidden: Path) -> None:
-        """Write what belongs to one view.
-
-        Args:
-            camera: of the view.
-            answers: one a text.
-            rgb: [H, W, 3] its colours; needed if ``needs_colors``.
-            hidden: the folder to write into.
-        """
+        """Write the files of one view, given one answer per text and its colours [H, W, 3], into a folder."""
         folder = hidden / self._folders[camera.name]
         if self._sheets is not None and rgb is not None:
             self._sheets.add(camera.name, answers, rgb)
@@ -117,7 +108,7 @@ class AnswerFiles:
             self._coco.add(camera.name, size, masks, [answer.score for answer in answers])
 
     def finish(self, hidden: Path) -> None:
-        """Write what belongs to all views."""
+        """Write the files of all views together."""
         if self._sheets is not None:
             for name, sheet in zip(self.sheet_names, self._sheets.pictures(), strict=True):
                 save_png(sheet, hidden / name)
@@ -126,7 +117,7 @@ class AnswerFiles:
 
 
 def answer_arrays(answers: Sequence[Answer]) -> dict[str, np.ndarray]:
-    """The answers of one view as arrays: texts [Q] and levels [Q] as strings, relevancy [Q, H, W] float32 at the
+    """Return the answers of one view as arrays: texts [Q] and levels [Q] as strings, relevancy [Q, H, W] float32 at the
     level of each mask, mask [Q, H, W] boolean, score, threshold (NaN if it is not known) and present [Q].
     """
     thresholds = [np.nan if answer.threshold is None else answer.threshold for answer in answers]

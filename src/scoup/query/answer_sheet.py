@@ -1,4 +1,4 @@
-"""All answers of a query on contact sheets."""
+"""Contact sheets of the answers of a query."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from scoup.query.answer import Answer
 
 MOST_VIEWS = 12  # on a sheet
 MOST_TEXTS = 6  # on a sheet; more are spread evenly over several
-VIEWS_BESIDE = 4  # of one text
+VIEWS_BESIDE = 4  # in a row, of one text
 WIDTH, HEIGHT = 1600, 3600  # of a sheet, in pixels, more or less
 NARROWEST, WIDEST = 320, 960  # of a cell, in pixels
 LEAST_SPAN = 0.05  # of the relevancy that the colours stand for
@@ -32,7 +32,7 @@ HOW_TO_READ = (
 
 @dataclass(frozen=True)
 class _Cell:
-    """An answer at the size of a cell; ``largest`` relevancy is that before it was resized."""
+    """An answer at the size of a cell."""
 
     heat: np.ndarray
     mask: np.ndarray
@@ -41,12 +41,12 @@ class _Cell:
     remark: str
     presence: bool
     score: float
-    largest: float
+    largest: float  # relevancy before resizing
 
 
 @dataclass(frozen=True)
 class _Row:
-    """A view with its answers, one a text."""
+    """A view with its answers, one per text."""
 
     number: int
     view: str
@@ -55,15 +55,14 @@ class _Row:
 
 
 class AnswerSheets:
-    """Takes the answers view by view and draws them: rows are views and columns texts; of one text, views beside each
-    other.
+    """Contact sheets: rows are views and columns texts; the views of a single text stand beside each other.
 
-    Of more views than ``MOST_VIEWS`` those are kept that answer best: the texts choose in turn, each the view in which
-    it is present with the largest score among those not yet chosen. No more than these are held in memory.
+    Of more views than ``MOST_VIEWS`` only the best are kept: the texts choose in turn, each the view in which it is
+    present with the largest score among those not yet chosen.
 
     Args:
         texts: of the query.
-        views: how many will be added.
+        views: number of views that will be added.
 
     Raises:
         InputError: no text or no view.
@@ -81,17 +80,11 @@ class AnswerSheets:
         self._added = 0
 
     def __len__(self) -> int:
-        """How many sheets there are."""
+        """Number of sheets."""
         return -(-len(self.texts) // MOST_TEXTS)
 
     def add(self, view: str, answers: Sequence[Answer], rgb: Tensor) -> None:
-        """Add a view.
-
-        Args:
-            view: its name.
-            answers: one a text.
-            rgb: [H, W, 3] float 0..1, the colour render.
-        """
+        """Add a view by its name, one answer per text, and its colour render [H, W, 3] float 0..1."""
         picture = as_picture(rgb)
         width = self._cell_width
         size = (width, max(1, round(picture.shape[0] * width / picture.shape[1])))
@@ -100,11 +93,11 @@ class AnswerSheets:
         self._rows.append(_Row(self._added, view, small, cells))
         self._added += 1
         if len(self._rows) > MOST_VIEWS:
-            # Whoever is not chosen among fewer views is not chosen among more.
+            # A view not chosen among fewer is not chosen among more.
             self._rows = _best_rows(self._rows, MOST_VIEWS)
 
     def pictures(self) -> list[Picture]:
-        """The sheets, at least one view having been added."""
+        """Draw the sheets, after at least one view was added."""
         high = max(cell.largest for row in self._rows for cell in row.cells)
         span = (min(0.5, high - LEAST_SPAN), high)
         ends = [len(self.texts) * number // len(self) for number in range(len(self) + 1)]
@@ -138,7 +131,7 @@ class AnswerSheets:
 
 
 def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
-    """The rows of the best answers, the texts choosing in turn; in the order in which they came."""
+    """The rows of the best answers, chosen by the texts in turn, in their order."""
     left, chosen = list(rows), []
     for turn in range(min(count, len(rows))):
         column = turn % len(rows[0].cells)

@@ -1,4 +1,4 @@
-"""Queries answered: in one view, or in the scene as a whole."""
+"""Answers to questions, in one view or in the whole scene."""
 
 from __future__ import annotations
 
@@ -31,16 +31,7 @@ def answer_view(
     question: Question,
     projection: raster.Projection | None = None,
 ) -> list[Answer]:
-    """Return where each text is in one view, and which pixels are it; ``field.answer`` calls this.
-
-    Args:
-        field: to be queried.
-        camera: of the view, or its name or position among the field's.
-        question: from ``field.question``.
-        projection: what ``field.project(camera)`` returned, if it is known; keep it for further questions.
-
-    Returns:
-        One answer per text, in their order.
+    """Answer each text in one view; ``field.answer`` calls this and documents the arguments.
 
     Raises:
         InputError: the vectors do not fit the field, there is no such level, or there are too few everyday words to
@@ -79,14 +70,7 @@ def answer_view(
 
 
 def answer_scene(field: CodedScene, question: Question) -> list[SceneAnswer]:
-    """Return which Gaussians answer each text, without rendering; ``field.select`` and ``field.location`` call this.
-
-    Args:
-        field: to be queried.
-        question: from ``field.question``.
-
-    Returns:
-        One answer per text, in their order.
+    """Answer each text in the scene, without rendering; ``field.select`` and ``field.location`` call this.
 
     Raises:
         InputError: as ``answer_view``, or ``neighbours`` is below 0.
@@ -111,9 +95,9 @@ def answer_scene(field: CodedScene, question: Question) -> list[SceneAnswer]:
 
 
 def judged_selections(field: CodedScene, question: Question) -> Iterator[tuple[Selection, float | None]]:
-    """Yield what each text selects in the scene, and its z-score.
+    """Yield the selection of each text in the scene, and its z-score.
 
-    Things answer where the field has them, unless a threshold or neighbours of choice say how the votes are read.
+    Things answer where the field has them, unless the question has rules for the votes: a threshold or neighbours.
     """
     threshold, neighbours = question.threshold, question.neighbours or None
     things = field.thing_table if threshold is None and neighbours is None and question.rescaled else None
@@ -136,14 +120,14 @@ def judged_selections(field: CodedScene, question: Question) -> Iterator[tuple[S
 
 
 def _segmented(relevancy: Tensor, preset: QueryPreset, level: int | None) -> Segmentation:
-    """The mask that the votes give in relevancy [S, H, W], of one level if that is given."""
+    """The mask of the votes in relevancy [S, H, W], at one level if given."""
     if level is None:
         return segment(relevancy, preset)
     return replace(segment(relevancy[level : level + 1], preset), level=level)
 
 
 def _of_thing(voted: Segmentation, relevancy: Tensor, mask: Tensor, level: int) -> Segmentation:
-    """The mask of a thing in the place of the votes'."""
+    """The mask of a thing instead of the votes'."""
     smoothed = 0.5 * (
         relevancy[level] + averaged_relevancy(relevancy[level][None], QUERY_PRESETS["default"])[0]
     )
@@ -155,7 +139,7 @@ def _of_thing(voted: Segmentation, relevancy: Tensor, mask: Tensor, level: int) 
 def _selected_thing(
     field: CodedScene, voted: Selection, query: Tensor, canonical: Tensor, mask: Tensor, level: int
 ) -> Selection:
-    """The Gaussians of a thing in the place of those that the votes select."""
+    """The Gaussians of a thing instead of those that the votes select."""
     relevancy = voted.relevancy
     if level != voted.level:
         relevancy = field.gaussian_relevancy(query, canonical)[level, 0]

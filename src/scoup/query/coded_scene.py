@@ -1,4 +1,4 @@
-"""A scene whose Gaussians have codes: its geometry, its renders, and its relevancy to vectors."""
+"""A scene with coded Gaussians: its geometry, its renders, and its relevancy to vectors."""
 
 from __future__ import annotations
 
@@ -33,18 +33,15 @@ class CodedScene:
 
     Args:
         code_indices: [N, S, K] uint8 (uint16 beyond 256 atoms).
-        code_weights: [N, S, K] float16; a Gaussian that contributes to no region has only zeros.
+        code_weights: [N, S, K] float16; all zero for a Gaussian that contributes to no region.
         codebook: [S, L, D] float32.
         info: levels, model, fingerprint, provenance.
-        gaussians: the geometry; None loads it from ``geometry_path`` when first needed.
+        gaussians: the geometry; None: loaded from ``geometry_path`` at first use.
         geometry_path: the file with the geometry.
-        cameras: of the views it was built from, so that it can be queried without its scene folder.
-        thing_table: instances of the scene; None where none are known, and the votes of the Gaussians answer alone.
+        cameras: of the views it was built from.
+        thing_table: instances of the scene; with None, the votes of the Gaussians answer alone.
 
-    Codes and codebook may be given as numpy arrays.
-
-    Attributes:
-        path: the file it was read from or last saved to, if any.
+    Codes and codebook may be numpy arrays.
 
     Raises:
         InputError: shapes, dtypes or values do not fit together.
@@ -74,14 +71,12 @@ class CodedScene:
         self.geometry_path = geometry_path
         self.cameras = cameras
         self.thing_table = thing_table
-        self.path: Path | None = None
+        self.path: Path | None = None  # the file it was read from or last saved to
         self._gaussians = None
         self._cosines = FieldCosines()
         self._known = Recent(MOST_KEPT, MOST_BYTES)
         if gaussians is not None:
             self.attach(gaussians)
-
-    # ---- what it is
 
     @property
     def levels(self) -> tuple[str, ...]:
@@ -89,17 +84,17 @@ class CodedScene:
 
     @property
     def embedding_model(self) -> str:
-        """Id of the model, or file of the word table, that queries must come from; "" if it is not known."""
+        """Id of the model, or file of the word table, that encodes texts for it; "" if unknown."""
         return self.info.embedding_model
 
     @property
     def fingerprint(self) -> str:
-        """Of the geometry the codes belong to (``Gaussians.fingerprint``)."""
+        """Fingerprint of the geometry (``Gaussians.fingerprint``)."""
         return self.info.fingerprint
 
     @property
     def raster_preset(self) -> str:
-        """The rasteriser's constants that the field was built with and is rendered with."""
+        """The rasteriser's constants, for building and rendering."""
         return self.info.raster_preset
 
     @property
@@ -115,15 +110,15 @@ class CodedScene:
         return self.code_indices.shape[0]
 
     def coded(self) -> Tensor:
-        """Boolean [N]: Gaussians with a code at any level."""
+        """Return which Gaussians have a code at any level, boolean [N]."""
         return (self.code_weights > 0).flatten(1).any(1)
 
     def coded_levels(self) -> Tensor:
-        """Boolean [S, N]: Gaussians with a code at each level; not to be changed."""
+        """Return which Gaussians have a code at each level, boolean [S, N]; do not change it."""
         return self._cosines.coded(self._codes())
 
     def _parts(self) -> list[Any]:
-        """What answers depend on."""
+        """The tensors that answers depend on."""
         known = self._gaussians
         geometry = () if known is None else (known.means, known.scales, known.opacities)
         return [self.code_indices, self.code_weights, self.codebook, self.thing_table, *geometry]
@@ -132,20 +127,18 @@ class CodedScene:
         return FieldCodes(self.code_indices, self.code_weights, self.codebook)
 
     def level_index(self, level: str | int) -> int:
-        """Position of a level given by name or position."""
+        """Return the position of a level, given by name or position."""
         if isinstance(level, int):
             if not 0 <= level < len(self.levels):
-                raise InputError(f"there is no level {level}; levels: {', '.join(self.levels)}")
+                raise InputError(f"there is no level {level}; expected one of {', '.join(self.levels)}")
             return level
         if level not in self.levels:
-            raise InputError(f"there is no level {level!r}; levels: {', '.join(self.levels)}")
+            raise InputError(f"there is no level {level!r}; expected one of {', '.join(self.levels)}")
         return self.levels.index(level)
-
-    # ---- geometry and cameras
 
     @property
     def has_geometry(self) -> bool:
-        """Whether the geometry is in memory: given, embedded in the file, or loaded before."""
+        """Whether the geometry is in memory."""
         return self._gaussians is not None
 
     @property
@@ -153,7 +146,7 @@ class CodedScene:
         """The geometry, loaded on first use.
 
         Raises:
-            GeometryMismatchError: the file holds other Gaussians than the field was built on.
+            GeometryMismatchError: the file contains other Gaussians than the field was built on.
             InputError: the field does not say where its geometry is.
         """
         if self._gaussians is None:
@@ -169,10 +162,15 @@ class CodedScene:
         return self._gaussians
 
     def attach(self, gaussians: Gaussians, source: str = "the Gaussians given", known: bool = False) -> None:
-        """Use this geometry, after checking that it is the right one; ``known`` says that it is.
+        """Use this geometry.
+
+        Args:
+            gaussians: the geometry.
+            source: its name in messages.
+            known: do not compare fingerprints.
 
         Raises:
-            GeometryMismatchError: it is not.
+            GeometryMismatchError: the field was built on other Gaussians.
         """
         check_arguments("LanguageField.attach", gaussians=(gaussians, Gaussians))
         as_many = len(gaussians) == self.info.n_gaussians
@@ -182,12 +180,12 @@ class CodedScene:
                 difference = f"{counted(len(gaussians), 'Gaussian')}, the field has {self.info.n_gaussians:,}"
             raise GeometryMismatchError(
                 f"{source}: not the geometry this field was built on ({difference}); "
-                "give the original splat, or build the field again"
+                "pass the original splat, or build the field again"
             )
         self._gaussians = gaussians
 
     def camera(self, camera: Camera | str | int) -> Camera:
-        """A camera by its name (with or without extension) or position among ``cameras``; a camera is itself.
+        """Return a camera by its name (with or without extension) or position among ``cameras``; or itself.
 
         Raises:
             UnknownNameError: there is no camera of that name.
@@ -198,37 +196,35 @@ class CodedScene:
             return camera
         if self.cameras is None or not len(self.cameras):
             raise InputError(
-                "this field holds no cameras; give a Camera (scoup.load_cameras reads those of a scene)"
+                "this field contains no cameras; pass a Camera (scoup.load_cameras reads those of a scene)"
             )
         try:
             return self.cameras[camera]
         except IndexError:
             raise InputError(f"there is no camera {camera}; this field has {len(self.cameras)}") from None
 
-    # ---- renders and relevancy
-
     def project(self, camera: Camera | str | int, backend: str | None = None) -> raster.Projection:
-        """The scene projected to a camera; pass it to the methods below to do several things with one camera.
+        """Project the scene to a camera; pass the result to the methods below to do several things with one camera.
 
-        The first ``relevancy`` with it takes longest: for as long as the projection lives, the field keeps what further
-        queries reuse (``scoup.query.cosines``), 8 bytes a pixel and level.
+        The first ``relevancy`` with it takes longest: while the projection lives, the field keeps what further queries
+        reuse (``scoup.query.cosines``), 8 bytes per pixel and level.
         """
         return raster.project(self.gaussians, self.camera(camera), self.raster_preset, backend)
 
     def is_visible(self, projection: raster.Projection) -> bool:
-        """Whether a Gaussian with a code contributes to any pixel."""
+        """Return whether a Gaussian with a code contributes to any pixel."""
         image, _ = raster.render_channels(projection, self.coded()[:, None].float())
         return bool(image.any())
 
     def render_codes(self, camera: Camera | str | int, projection: raster.Projection | None = None) -> Tensor:
-        """[S, H, W, L] float32 rendered coefficients of every level."""
+        """Render the coefficients of every level, [S, H, W, L] float32."""
         projection = self.project(camera) if projection is None else projection
         return raster.render_codes(projection, self.code_indices, self.code_weights, self.n_atoms)
 
     def render_features(
         self, camera: Camera | str | int, level: str | int, projection: raster.Projection | None = None
     ) -> Tensor:
-        """[H, W, D] float32 decoded features of one level, unit norm per pixel, zero where nothing is rendered."""
+        """Render decoded features of one level, [H, W, D] float32, unit norm or, where nothing is rendered, zero."""
         index = self.level_index(level)
         projection = self.project(camera) if projection is None else projection
         chosen = slice(index, index + 1)
@@ -242,24 +238,23 @@ class CodedScene:
         canonical: Tensor | ArrayLike,
         projection: raster.Projection | None = None,
     ) -> Tensor:
-        """Relevancy of every pixel to every query at every level (method.md, stage 3).
+        """Return the relevancy of every pixel to every query at every level (method.md, stage 3).
 
-        Another query with the same ``projection`` takes less time: the norms of its pixels and the canonical phrases'
-        largest cosine are known by then. Results differ from those of a fresh projection by rounding, about 1e-6.
+        Another query with the same ``projection`` takes less time (``project``) and differs from one with a fresh
+        projection by rounding, about 1e-6.
 
         Args:
             camera: of the view, or its name or position among ``cameras``.
             queries: [Q, D] or [D] text embeddings; scaled to unit norm.
             canonical: [P, D] embeddings of the canonical phrases. Rows longer than 1 are scaled to unit norm; shorter
                 ones stay, as the mean of everyday words does (``scoup.models.words.with_everyday``).
-            projection: what ``project`` gave for this camera, if it is known; keep it for further queries.
+            projection: what ``project`` returned for this camera; keep it for further queries.
 
         Returns:
             [S, Q, H, W] float32 in 0..1; 0.5 where no code is rendered.
 
         Raises:
-            InputError: there is no query or no phrase, one is zero or not finite, or they have another size than the
-                field's embeddings.
+            InputError: there is no query or no phrase, or one is zero, not finite or not of the field's dimensions.
         """
         both, count = self._checked_vectors(queries, canonical)
         codes = self._codes()
@@ -271,21 +266,15 @@ class CodedScene:
         return self._cosines.of_pixels(projection, codes, both[:count], both[count:])
 
     def gaussian_relevancy(self, queries: Tensor | ArrayLike, canonical: Tensor | ArrayLike) -> Tensor:
-        """Relevancy of every Gaussian's own code, without rendering: [S, Q, N] float32; 0.5 without a code.
+        """Return the relevancy of every Gaussian's own code, without rendering: [S, Q, N] float32; 0.5 without a code.
 
-        What depends on the codes and the phrases alone is kept for the next call.
-
-        Args:
-            queries, canonical: as for ``relevancy``.
-
-        Raises:
-            InputError: as ``relevancy``.
+        Arguments and errors are those of ``relevancy``.
         """
         both, count = self._checked_vectors(queries, canonical)
         return self._cosines.of_gaussians(self._codes(), both[:count], both[count:])
 
     def gaussian_features(self, level: str | int) -> Tensor:
-        """The decoded codes of all Gaussians at one level: [N, D] float32, unit norm; zero without a code.
+        """Return the decoded codes of all Gaussians at one level: [N, D] float32, unit norm; zero without a code.
 
         Raises:
             InputError: there is no such level.
@@ -303,13 +292,13 @@ class CodedScene:
     def _checked_vectors(
         self, queries: Tensor | ArrayLike, canonical: Tensor | ArrayLike
     ) -> tuple[Tensor, int]:
-        """Queries and phrases in one [Q + P, D] float32 on the field's device, and Q."""
+        """Queries and phrases together, [Q + P, D] float32 on the field's device, and Q."""
         try:
             queries = query_vectors(queries, self.dim)
             canonical = query_vectors(canonical, self.dim, "canonical", lengthen=False)
         except InputError as error:
             raise InputError(
-                f"{error}; this field holds embeddings of {self.embedding_model or 'an unnamed model'} with "
+                f"{error}; this field contains embeddings of {self.embedding_model or 'an unnamed model'} with "
                 f"{self.dim} dimensions"
             ) from error
         device = self.codebook.device

@@ -35,16 +35,11 @@ LEGEND_ATOMS = 20  # whose colours a code picture lists, if there is room
 LEVEL_NAMES = {"s": "s (fine)", "m": "m (medium)", "l": "l (coarse)"}
 
 Draw: TypeAlias = Callable[[Camera, raster.Projection], Picture]
-"""Draws one view, given its camera and the field's projection to it."""
+"""A function that draws one view, given its camera and the field's projection to it."""
 
 
 def color_drawing(field: CodedScene, plain: bool = False) -> Draw:
-    """Draws the splat of a field.
-
-    Args:
-        field: to be drawn.
-        plain: only the pixels of the camera, without a title; as for the other drawings.
-    """
+    """Return what draws the splat of a field; ``plain``, here and below: without title and legend."""
 
     def draw(camera: Camera, projection: raster.Projection) -> Picture:
         picture = as_picture(raster.render_colors(field.gaussians, camera, projection))
@@ -54,13 +49,7 @@ def color_drawing(field: CodedScene, plain: bool = False) -> Draw:
 
 
 def relevancy_drawing(field: CodedScene, question: Question, plain: bool = False) -> Draw:
-    """Draws a heat map of the relevancy to the first text of a question, at the level of its mask.
-
-    Args:
-        field: to be queried.
-        question: from ``field.question``.
-        plain: without title and legend.
-    """
+    """Return what draws a heat map of the relevancy to the first text of a question, at the level of its mask."""
 
     def draw(camera: Camera, projection: raster.Projection) -> Picture:
         answer = answer_view(field, camera, question, projection)[0]
@@ -73,18 +62,14 @@ def relevancy_drawing(field: CodedScene, question: Question, plain: bool = False
 
 
 def placed_atoms(atoms: Tensor) -> Tensor:
-    """[L, ``AXES``] places of atoms [L, D] by their embeddings: colours of places tell meanings apart."""
+    """Return places [L, ``AXES``] of atoms [L, D] by their embeddings: colours of places tell meanings apart."""
     return atoms @ torch.linalg.svd(atoms, full_matrices=False).Vh[:AXES].T
 
 
 def code_drawing(field: CodedScene, level: str | int, plain: bool = False) -> Draw:
-    """Draws the codes of one level as colours: the same code has the same colour in every view.
+    """Return what draws the codes of one level as colours: the same code has the same colour in every view.
 
-    Args:
-        field: to be drawn.
-        level: its name or number.
-        plain: without title and legend. The legend lists the atoms that lead the codes of most Gaussians, each with the
-            mean colour of these.
+    The legend lists the atoms that lead the codes of most Gaussians, each with the mean colour of these.
 
     Raises:
         InputError: there is no such level.
@@ -110,12 +95,7 @@ def code_drawing(field: CodedScene, level: str | int, plain: bool = False) -> Dr
 
 
 def _code_legend(indices: Tensor, weights: Tensor, colors: Picture) -> Callable[[int], Picture]:
-    """Makes the legend of a code picture, given its width.
-
-    Args:
-        indices, weights: [N, K], the codes of the Gaussians.
-        colors: [N, 3] uint8 of the Gaussians.
-    """
+    """What draws the legend of a code picture of a width, from the codes [N, K] and colours [N, 3] of the Gaussians."""
     coded = weights.sum(1) > 0
     leading = indices.long().gather(1, weights.argmax(1, keepdim=True))[:, 0][coded].numpy()
     counts = np.bincount(leading)

@@ -16,27 +16,16 @@ from scoup.query.coded_scene import CodedScene
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 
-MOST_TRIED = 12  # cameras, among which the one that sees most of a selection is chosen
+MOST_TRIED = 12  # cameras from which the one that sees most of a selection is chosen
 TRIED_SIDE = 160  # pixels of their longer side
-COVERED = 0.5  # share of a pixel's light from which it counts as painted by the selection
+COVERED = 0.5  # share of a pixel's light from which it belongs to the selection
 
 
 def edit_picture(field: CodedScene, after: Gaussians, mask: Tensor, camera: Camera, title: str) -> Picture:
-    """Before, selection and after beside each other.
-
-    Args:
-        field: with the Gaussians before.
-        after: the Gaussians after; any number.
-        mask: [N] boolean, those of the field that were selected.
-        camera: of the view.
-        title: what was selected.
-
-    Returns:
-        [H, W, 3] uint8.
-    """
+    """Draw before, selection [N] boolean and after beside each other, [H, W, 3] uint8."""
     projection = field.project(camera)
     before = raster.render_colors(field.gaussians, camera, projection).cpu()
-    inside = _painted(field, projection, mask) > COVERED
+    inside = _share_of(field, projection, mask) > COVERED
     later = torch.zeros(camera.height, camera.width, 3)
     if len(after):
         later = raster.render_colors(after, camera, raster.project(after, camera, field.raster_preset)).cpu()
@@ -46,22 +35,22 @@ def edit_picture(field: CodedScene, after: Gaussians, mask: Tensor, camera: Came
 
 
 def best_camera(field: CodedScene, mask: Tensor, cameras: Sequence[Camera]) -> Camera:
-    """Of cameras, that in which a selection [N] paints the largest share; at most ``MOST_TRIED``, evenly spread.
+    """Return the camera in which a selection [N] takes the largest share, of at most ``MOST_TRIED``, evenly spread.
 
     Raises:
         InputError: there is none.
     """
     if not cameras:
-        raise InputError("there is no camera to draw a picture with")
+        raise InputError("no camera to draw a picture with; pass at least one")
     shares: list[tuple[float, Camera]] = []
     for camera in spread(cameras, MOST_TRIED):
         scale = min(1.0, TRIED_SIDE / max(camera.width, camera.height))
         small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-        shares.append((float(_painted(field, field.project(small), mask).mean()), camera))
+        shares.append((float(_share_of(field, field.project(small), mask).mean()), camera))
     return max(shares, key=lambda pair: pair[0])[1]
 
 
-def _painted(field: CodedScene, projection: raster.Projection, mask: Tensor) -> Tensor:
-    """[H, W] on the CPU: the share of each pixel that the Gaussians in a mask [N] paint."""
+def _share_of(field: CodedScene, projection: raster.Projection, mask: Tensor) -> Tensor:
+    """The share of each pixel that the Gaussians in a mask [N] contribute, [H, W] on the CPU."""
     values = mask[:, None].float().to(field.codebook.device)
     return raster.render_channels(projection, values)[0][..., 0].cpu()

@@ -1,4 +1,4 @@
-"""Selections kept, removed, recoloured and faded: what an edit makes of a scene."""
+"""Edits of a scene: selections kept, removed, recoloured and faded."""
 
 from __future__ import annotations
 
@@ -25,23 +25,16 @@ def combined_answer(
     answers: Sequence[SceneAnswer],
     wanted: Reshaping = UNCHANGED,
 ) -> SceneAnswer:
-    """Return the answer to an expression, from those to its texts; ``field.select`` calls this.
+    """Return the answer to an expression, from one answer of ``answer_scene`` per text; ``field.select`` calls this.
 
-    Args:
-        field: that was queried.
-        expression: of the texts.
-        answers: one for each of ``expression.texts``, from ``answer_scene``.
-        wanted: what is done to the selection afterwards.
-
-    Returns:
-        Relevancy, level, score, z-score and threshold are those of the text looked for with the largest score;
-        relevancy is the largest of all that are looked for. Of a single text it is that text's answer.
+    Level, score, z-score and threshold are those of the wanted text with the largest score; relevancy is the largest of
+    all wanted texts.
     """
     of_text = {answer.text: answer for answer in answers}
     mask = expression.combine({text: answer.mask for text, answer in of_text.items()})
-    looked_for = [of_text[text] for text in expression.wanted]
-    best = max(looked_for, key=lambda answer: (answer.presence, answer.score))
-    relevancy = torch.stack([answer.relevancy for answer in looked_for]).amax(0)
+    wanted_answers = [of_text[text] for text in expression.wanted]
+    best = max(wanted_answers, key=lambda answer: (answer.presence, answer.score))
+    relevancy = torch.stack([answer.relevancy for answer in wanted_answers]).amax(0)
     if wanted.changes:
         mask = reshaped(field.gaussians, mask, relevancy, wanted)
     text = best.text if len(of_text) == 1 and expression.is_plain else str(expression)
@@ -56,21 +49,21 @@ def edited(
     color: tuple[float, float, float] = (1.0, 0.36, 0.16),
     opacity: float = 0.15,
 ) -> Gaussians:
-    """What an edit of the Gaussians in a selection leaves.
+    """Edit the Gaussians in a selection.
 
     Args:
         gaussians: N of them.
         mask: [N] boolean, the selection.
-        edit: "keep" leaves only the selection, "remove" all others; "recolor" gives the selection a colour, but leaves
-            it its light and shade, as far as they do not depend on the direction of view; "fade" scales its opacities.
+        edit: "keep" keeps only the selection, "remove" all others; "recolor" gives the selection a colour, with its
+            light and shade as far as they do not depend on the direction of view; "fade" scales its opacities.
         color: of "recolor": red, green and blue, 0 to 1.
-        opacity: of "fade": what opacities are multiplied with, 0 to 1.
+        opacity: of "fade": factor, 0 to 1.
 
     Raises:
         InputError: a number is out of range.
     """
     if not 0 <= opacity <= 1 or not all(0 <= part <= 1 for part in color):
-        raise InputError(f"opacity and colour are 0 to 1, got {opacity} and {list(color)}")
+        raise InputError(f"opacity and colour must be 0 to 1, got {opacity} and {list(color)}")
     mask = mask.to(gaussians.device)
     if edit in ("keep", "remove"):
         return gaussians.select(mask if edit == "keep" else ~mask)
@@ -85,7 +78,7 @@ def edited(
 
 
 def _shaded(rgb: Tensor, color: tuple[float, float, float]) -> Tensor:
-    """[M, 3]: a colour, as light as the colours [M, 3] are beside the usual one among them."""
+    """A colour with the lightness of colours [M, 3] relative to their median."""
     lightness = rgb.clamp(0, 1).mean(1)
     usual = lightness.median().clamp(min=0.05) if len(lightness) else lightness.new_ones(())
     share = (lightness / usual).clamp(0.25, 1.75)[:, None]

@@ -1,4 +1,4 @@
-"""Expressions over texts, such as "mug and not handle": which Gaussians or pixels answer several texts together."""
+"""Expressions over texts, such as "mug and not handle"."""
 
 from __future__ import annotations
 
@@ -32,51 +32,47 @@ Node: TypeAlias = "str | Operation"
 
 @dataclass(frozen=True)
 class Expression:
-    """Texts joined by operators.
-
-    Attributes:
-        root: see ``Node``.
-    """
+    """Texts joined by operators."""
 
     root: Node
 
     @classmethod
     def of(cls, texts: Sequence[str]) -> Expression:
-        """Texts of which any may answer."""
+        """Combine texts with `or`."""
         return cls(texts[0] if len(texts) == 1 else Operation("or", tuple(texts)))
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """The texts, each once, in the order in which they stand."""
+        """The texts in their order, each once."""
         return tuple(dict.fromkeys(_texts(self.root)))
 
     @property
     def wanted(self) -> tuple[str, ...]:
-        """Those of the texts that are looked for, which stand under no "not" or under two; all if there are none."""
+        """The texts under an even number of "not"; all if there are none."""
         return tuple(dict.fromkeys(_wanted(self.root, True))) or self.texts
 
     @property
     def is_plain(self) -> bool:
-        """Whether it is texts alone, of which any may answer."""
+        """Whether its only operator is "or"."""
         return all(operator == "or" for operator in _operators(self.root))
 
     def __str__(self) -> str:
         return _said(self.root)
 
     def combine(self, masks: Mapping[str, Tensor]) -> Tensor:
-        """The mask of the whole from boolean masks of its texts, of one shape."""
+        """Combine boolean masks of its texts, of one shape."""
         return _combined(self.root, masks)
 
 
 def parse_expression(words: Iterable[str]) -> Expression:
-    """An expression from the words of a command line.
+    """Parse the words of a command line.
 
-    ``not`` binds closest, then ``and``, then ``or``, ``+`` (the same) and ``-`` (and not), which stand for themselves
-    only between spaces; brackets group. A text may have several words. One in double quotes is taken as it stands, so
-    that ``'"salt and pepper"'`` is one text. Of words without an operator between them any may answer.
+    ``not`` binds closest, then ``and``, then ``or``, ``+`` (the same) and ``-`` (and not), which are operators only
+    between spaces; brackets group. A text may have several words. Double quotes make one text of operators, as in
+    ``'"salt and pepper"'``. Texts without an operator are combined with ``or``.
 
     Args:
-        words: each a text, an operator, or an expression.
+        words: texts, operators, or expressions.
 
     Raises:
         InputError: it is not an expression.
@@ -100,7 +96,7 @@ def parse_expression(words: Iterable[str]) -> Expression:
 
 
 def _tokens(text: str) -> list[str]:
-    """Operators as they are, and texts with a mark before them that tells them from operators."""
+    """Operators as they are, and texts after a mark, `=` or a double quote, that tells them from operators."""
     tokens: list[str] = []
     quotes = text.count('"')
     if quotes % 2:
@@ -116,7 +112,7 @@ def _tokens(text: str) -> list[str]:
 
 
 class _Reader:
-    """Takes tokens from the left."""
+    """A parser by recursive descent, which takes tokens from the left."""
 
     def __init__(self, tokens: list[str], source: str) -> None:
         self.rest, self.source, self.depth = tokens, source, 0
@@ -130,9 +126,9 @@ class _Reader:
             operator = self.rest.pop(0)
             right = self.intersection()
             if operator == "-":
-                left = self.joined("and", left, Operation("not", (right,)))
+                left = self.combine("and", left, Operation("not", (right,)))
             else:
-                left = self.joined("or", left, right)
+                left = self.combine("or", left, right)
         self.depth = before
         return left
 
@@ -140,10 +136,10 @@ class _Reader:
         left = self.factor()
         while self.rest and self.rest[0] == "and":
             self.rest.pop(0)
-            left = self.joined("and", left, self.factor())
+            left = self.combine("and", left, self.factor())
         return left
 
-    def joined(self, operator: str, left: Node, right: Node) -> Node:
+    def combine(self, operator: str, left: Node, right: Node) -> Node:
         if isinstance(left, Operation) and left.operator == operator:
             return Operation(operator, (*left.parts, right))
         self.deeper()
@@ -152,7 +148,7 @@ class _Reader:
     def deeper(self) -> None:
         self.depth += 1
         if self.depth > _DEEPEST:
-            raise self.refusal("too many operators stand within each other")
+            raise self.refusal("operators are nested too deeply")
 
     def factor(self) -> Node:
         if not self.rest:
@@ -207,5 +203,5 @@ def _said(node: Node, outer: str = "") -> str:
 
 
 def parses_as_text(text: str) -> bool:
-    """Whether a text stands for itself without double quotes."""
+    """Return whether a text is read as itself without double quotes."""
     return _tokens(text) == [f"={text}"] if '"' not in text else False

@@ -1,4 +1,4 @@
-"""What a notebook shows of a language field."""
+"""The card of a language field in a notebook."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scoup.query.drawing import code_drawing
 
 
 def field_card(field: CodedScene) -> str:
-    """HTML: the codes in one view, and what the field consists of."""
+    """Return the HTML of the codes in one view and of the field's facts."""
     names = () if field.cameras is None else field.cameras.names
     facts = {
         "levels": ", ".join(field.levels),
@@ -24,7 +24,7 @@ def field_card(field: CodedScene) -> str:
 
 
 def _codes(field: CodedScene) -> Picture | None:
-    """The codes of the middle level in the first camera; None if there is no camera or no geometry."""
+    """The codes of the middle level in the first camera; None without a camera or geometry."""
     if field.cameras is None or not len(field.cameras) or not len(field):
         return None
     camera = field.cameras[0]
@@ -32,6 +32,6 @@ def _codes(field: CodedScene) -> Picture | None:
     camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
     try:
         projection = field.project(camera)
-    except InputError:  # the geometry is not where it was; a notebook shows the rest all the same
+    except InputError:  # the geometry was moved; show the facts alone
         return None
     return code_drawing(field, len(field.levels) // 2, plain=True)(camera, projection)

@@ -1,4 +1,4 @@
-"""Everything that a field says of one text: in its views, and in the world."""
+"""All answers of a field to one text: in its views, and in the world."""
 
 from __future__ import annotations
 
@@ -16,12 +16,7 @@ from scoup.query.locate import Location
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Finding:
-    """What one text gives in the views of some cameras, and in the world.
-
-    Attributes:
-        text: of the query.
-        answers: one a camera, in their order; as `scoup query` finds them.
-        location: where the thing is, by the Gaussians' own codes.
+    """The answers to one text in the views of some cameras, and its place in the world.
 
     Example:
         >>> field = scoup.LanguageField.load("f.scoup")
@@ -31,8 +26,11 @@ class Finding:
     """
 
     text: str
+    """What was asked."""
     answers: tuple[Answer, ...]
+    """One per camera, in their order."""
     location: Location
+    """Where the thing is in the world."""
 
     def __repr__(self) -> str:
         seen = sum(answer.presence for answer in self.answers)
@@ -46,26 +44,26 @@ class Finding:
 
     @property
     def presence(self) -> bool:
-        """Whether the thing is in the scene, or in a view."""
+        """Whether the thing is in the scene or in a view."""
         return self.location.presence or any(answer.presence for answer in self.answers)
 
     @property
     def best(self) -> Answer | None:
-        """The answer in the view that fits best: present there, and with the largest score; None without a camera."""
+        """The answer in the best view: present there, with the largest score; None without a camera."""
         return max(self.answers, key=lambda answer: (answer.presence, answer.score), default=None)
 
     @property
     def position(self) -> Tensor | None:
-        """[3] float64 world units, the middle of the thing; None if it is not there."""
+        """The middle of the thing, [3] float64 world units; None if it is not there."""
         return self.location.position
 
     @property
     def confidence(self) -> float:
-        """Of the location, 0..1; 0.5 is a draw with the canonical phrases."""
+        """Confidence of the location, 0..1; 0.5 is a draw with the canonical phrases."""
         return self.location.confidence
 
 
 def answer_record(answer: Answer) -> dict[str, Any]:
-    """An answer as `scoup query` writes it into query.json: its record, and where its mask is in the world."""
+    """Return an answer as `scoup query` writes it into query.json: its record, and the position of its mask."""
     position = answer.position
     return {**answer.record(), "position": None if position is None else rounded_vector(position.tolist())}

@@ -1,4 +1,4 @@
-"""One of several words for each Gaussian."""
+"""Labels: one of several words per Gaussian."""
 
 from __future__ import annotations
 
@@ -16,21 +16,13 @@ from scoup.query.question import Question
 from scoup.query.select import Selection
 
 NONE = -1
-"""The class of a Gaussian that none of the words fits."""
+"""The id of a Gaussian that no word fits."""
 NONE_NAME = "none"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GaussianLabels:
     """The class of every Gaussian. Tensors are on the CPU.
-
-    Attributes:
-        ids: [N] int32, the position of a word in ``names``; -1 for none of them.
-        names: Q words.
-        scores: [N] float32 relevancy to the word; minus infinity for none of them.
-        z_scores: per word, as in ``Answer``; None if presence was not judged.
-        presence: per word, whether the thing is in the scene; true if that was not judged.
-        levels: per word, the name of the level that answers it.
 
     Example:
         >>> field = scoup.LanguageField.load("f.scoup")
@@ -39,12 +31,18 @@ class GaussianLabels:
         ('kettle', 'wooden table')
     """
 
-    ids: Tensor  # [N]
+    ids: Tensor
+    """[N] int32, the position of a word in ``names``; -1 for none of them."""
     names: tuple[str, ...]
-    scores: Tensor  # [N]
+    """Q words."""
+    scores: Tensor
+    """[N] float32 relevancy to the word; minus infinity for none of them."""
     z_scores: tuple[float, ...] | None
+    """Per word, as in ``Answer``; None if presence was not judged."""
     presence: tuple[bool, ...]
+    """Per word, whether the thing is in the scene; true if that was not judged."""
     levels: tuple[str, ...]
+    """Per word, the name of the level that answers it."""
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{name}: {count:,}" for name, count in self.counts().items())
@@ -54,10 +52,10 @@ class GaussianLabels:
         return card(f"Labels of {len(self.ids):,} Gaussians", self.counts())
 
     def mask(self, name: str) -> Tensor:
-        """[N] boolean: the Gaussians of a word, or of "none".
+        """Return the Gaussians of a word, or of "none", [N] boolean.
 
         Raises:
-            InputError: it is none of the words.
+            UnknownNameError: it is another word.
         """
         if name in self.names:
             return self.ids == self.names.index(name)
@@ -66,31 +64,32 @@ class GaussianLabels:
         raise UnknownNameError("class", name, (*self.names, NONE_NAME))
 
     def counts(self) -> dict[str, int]:
-        """How many Gaussians each word has, and "none"."""
+        """Return the number of Gaussians per word, and of "none"."""
         found = torch.bincount(self.ids.long() + 1, minlength=len(self.names) + 1).tolist()
         return {**dict(zip(self.names, found[1:], strict=True)), NONE_NAME: found[0]}
 
 
 def label(field: CodedScene, question: Question) -> GaussianLabels:
-    """Return the word that fits each Gaussian best, of several, or none; ``field.label`` calls this.
+    """Return the word that fits each Gaussian best, or "none"; ``field.label`` calls this.
 
-    A word fits the Gaussians that ``answer_scene`` gives for it, unless the thing is not in the scene. Of several
-    words that fit, the one that a finer level answers counts, for the name of a part says more than that of its whole;
-    of words of one level the most relevant, which is the one with the largest cosine.
+    A word fits the Gaussians that ``answer_scene`` returns for it. Of several words that fit, the one answered by the
+    finest level counts, for the name of a part says more than that of its whole; of words of one level the most
+    relevant.
 
     Raises:
-        InputError: the vectors do not fit the field, a word is given twice or is "none", or there are too few everyday
-            words to judge presence.
+        InputError: as ``answer_scene``, or words are equal or "none".
     """
     names, present_from = question.texts, question.present_from
     if len(set(names)) < len(names) or NONE_NAME in names:
-        raise InputError(f"labels need words that differ, and other than {NONE_NAME!r}: {', '.join(names)}")
+        raise InputError(
+            f"labels need words that differ from each other and from {NONE_NAME!r} (got {', '.join(names)})"
+        )
     judged: list[float] = []
     presence: list[bool] = []
     levels: list[str] = []
 
-    def there() -> Iterator[tuple[Selection, bool]]:
-        """The selections one after the other, so that only one relevancy is in memory, and whether each counts."""
+    def selections() -> Iterator[tuple[Selection, bool]]:
+        """One after the other, so that only one relevancy is in memory."""
         for found, z_score in judged_selections(field, question):
             if z_score is not None:
                 judged.append(z_score)
@@ -98,7 +97,7 @@ def label(field: CodedScene, question: Question) -> GaussianLabels:
             levels.append(field.levels[found.level])
             yield found, presence[-1]
 
-    ids, scores = label_by_selections(there(), len(field), field.codebook.device)
+    ids, scores = label_by_selections(selections(), len(field), field.codebook.device)
     z_scores = tuple(judged) if present_from is not None else None
     return GaussianLabels(ids.cpu(), names, scores.cpu(), z_scores, tuple(presence), tuple(levels))
 
@@ -106,12 +105,7 @@ def label(field: CodedScene, question: Question) -> GaussianLabels:
 def label_by_selections(
     found: Iterable[tuple[Selection, bool]], count: int, device: torch.device | str = "cpu"
 ) -> tuple[Tensor, Tensor]:
-    """``label`` from what each word selects, whatever that comes from.
-
-    Args:
-        found: of each word the selection, and whether it counts.
-        count: N, of Gaussians.
-        device: of the selections.
+    """Label ``count`` Gaussians by the selection of each word, and whether it counts.
 
     Returns:
         [N] int32 numbers of words, ``NONE`` for none, and [N] float32 relevancy to them.

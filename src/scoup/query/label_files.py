@@ -35,11 +35,10 @@ GREY = 0.35  # of Gaussians without a word
 
 
 def label_files(words: Sequence[str], outputs: Sequence[str], views: Sequence[str]) -> list[str]:
-    """The names of all files that outputs make, within their folder.
+    """Return the names of all files of some outputs (``LabelOutput``), within their folder.
 
     Args:
         words: of the labels.
-        outputs: ``LabelOutput`` each.
         views: names of the label maps, without extension.
     """
     clouds = [f"{CLOUDS}/{name}.ply" for name in unique_slugs([*words, NONE_NAME])]
@@ -62,14 +61,14 @@ def save_labels(
     outputs: Sequence[str],
     geometry: Path | None = None,
 ) -> None:
-    """Write all outputs but those of views, into an empty folder.
+    """Write all outputs (``LabelOutput``) except "maps" and "sheet" into an empty folder.
 
     Args:
         field: that was labelled, with its geometry.
         labels: of its Gaussians.
-        folder: made if it is missing.
-        outputs: ``LabelOutput`` each.
-        geometry: where the splat is; by default where the field says.
+        folder: created if missing.
+        outputs: others are ignored.
+        geometry: file of the splat; by default the one the field names.
     """
     gaussians = field.gaussians.to("cpu")
     folder.mkdir(parents=True, exist_ok=True)
@@ -103,12 +102,12 @@ def save_label_views(
 
     Args:
         field, labels, outputs: as for ``save_labels``.
-        cameras: the views, by the names of their maps without extension; for a sheet alone some are chosen.
+        cameras: of the views, by the names of their maps without extension; a sheet alone takes some of them.
         folder: to write into.
         progress: called after each view.
 
     Returns:
-        The cameras that see nothing of the field.
+        The cameras that see no coded Gaussian.
     """
     maps, colors = "maps" in outputs, label_colors(len(labels.names))
     shown = set(spread(list(cameras), MOST_VIEWS)) if "sheet" in outputs else set()
@@ -135,7 +134,7 @@ def save_label_views(
 
 
 def label_record(labels: GaussianLabels) -> dict[str, Any]:
-    """What the numbers of a file of labels mean, as plain JSON values."""
+    """Return the meaning of the numbers in a file of labels, as plain JSON values."""
     counts, colors = labels.counts(), label_colors(len(labels.names)).tolist()
     classes = [
         {
@@ -154,7 +153,7 @@ def label_record(labels: GaussianLabels) -> dict[str, Any]:
 
 
 def labelled_colors(gaussians: Gaussians, labels: GaussianLabels) -> Gaussians:
-    """The Gaussians in the colours of their words, with their own light and shade; those of none of the words grey."""
+    """Return the Gaussians in the colours of their words, grey without a word, with their own light and shade."""
     colors = torch.from_numpy(label_colors(len(labels.names)).copy()).double() / 255
     shown = edited(gaussians, labels.ids == NONE, "recolor", (GREY, GREY, GREY))
     for number, color in enumerate(colors.tolist()):
@@ -163,7 +162,7 @@ def labelled_colors(gaussians: Gaussians, labels: GaussianLabels) -> Gaussians:
 
 
 def point_cloud(gaussians: Gaussians) -> PlyTable:
-    """Centres and colours of Gaussians as vertices of a PLY, for programs that know point clouds only."""
+    """Return centres and colours of Gaussians as vertices of a PLY, for programs that only read point clouds."""
     kinds = [*((name, "<f4") for name in "xyz"), *((name, "u1") for name in ("red", "green", "blue"))]
     rows = np.zeros(len(gaussians), dtype=kinds)
     rgb = (gaussians.sh[:, 0] * SH_C0 + 0.5).clamp(0, 1).mul(255).round().byte().numpy()

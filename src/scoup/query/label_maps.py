@@ -1,4 +1,4 @@
-"""The labels of Gaussians in the views of cameras: maps of numbers, and pictures of them."""
+"""Labels of Gaussians in views: maps of numbers, and pictures of them."""
 
 from __future__ import annotations
 
@@ -13,21 +13,14 @@ from scoup.query.coded_scene import CodedScene
 from scoup.query.label import NONE, NONE_NAME, GaussianLabels
 
 AT_A_TIME = 16  # words rendered together
-LEAST_PAINTED = 0.5  # share of a pixel's light from which it has a label at all
+LEAST_ALPHA = 0.5  # of a pixel with a label
 COLUMNS, SHEET_WIDTH = 3, 1500
 MOST_VIEWS = 6  # on a sheet
 
 
 def label_map(field: CodedScene, projection: raster.Projection, labels: GaussianLabels) -> Tensor:
-    """[H, W] int32 on the CPU: at each pixel the word whose Gaussians paint most of it, ``NONE`` where those of none
-    of the words do, or where less than half of the pixel is painted.
-
-    All views show the same labels: they are looked up, not decided again in each.
-
-    Args:
-        field: that was labelled.
-        projection: of its Gaussians to the camera.
-        labels: from ``scoup.query.label.label``.
+    """Return the word whose Gaussians contribute most to each pixel, [H, W] int32 on the CPU; ``NONE`` where Gaussians
+    without a word do, or where alpha is below ``LEAST_ALPHA``.
     """
     ids = labels.ids.to(field.codebook.device)
     numbers = torch.arange(NONE, len(labels.names), device=ids.device, dtype=ids.dtype)
@@ -39,15 +32,11 @@ def label_map(field: CodedScene, projection: raster.Projection, labels: Gaussian
         found, places = image.max(2)
         given = torch.where(found > most, part[places], given)
         most = torch.maximum(found, most)
-    return torch.where(painted >= LEAST_PAINTED, given, NONE).int().cpu()
+    return torch.where(painted >= LEAST_ALPHA, given, NONE).int().cpu()
 
 
 class LabelSheet:
-    """Takes views with their label maps and draws them beside each other, over a legend of the words.
-
-    Args:
-        labels: of the Gaussians.
-    """
+    """Views with their label maps beside each other, over a legend of the words."""
 
     def __init__(self, labels: GaussianLabels) -> None:
         self._labels = labels
@@ -55,18 +44,12 @@ class LabelSheet:
         self._names: list[str] = []
 
     def add(self, view: str, numbers: Tensor, rgb: Tensor) -> None:
-        """Add a view.
-
-        Args:
-            view: its name.
-            numbers: [H, W] from ``label_map``.
-            rgb: [H, W, 3] float 0..1.
-        """
+        """Add a view by its name, its ``label_map`` and its colours [H, W, 3] float 0..1."""
         self._tiles.append(region_overlay(numbers, rgb))
         self._names.append(view)
 
     def picture(self) -> Picture:
-        """[H, W, 3] uint8."""
+        """Draw the sheet, [H, W, 3] uint8."""
         sheet = contact_sheet(self._tiles, self._names, COLUMNS, SHEET_WIDTH)
         counts = self._labels.counts()
         order = sorted(range(len(self._labels.names)), key=lambda number: -counts[self._labels.names[number]])

@@ -16,19 +16,16 @@ from scoup.query.smoothing import box_mean
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """Where a query is.
+    """The most relevant place in a view."""
 
-    Attributes:
-        pixels: [M, 2] int64 (x, y), all pixels of maximal averaged relevancy, M >= 1, row by row.
-        pixel: (x, y), the one of them nearest to their mean.
-        level: position of the level chosen.
-        score: the maximum, 0..1.
-    """
-
-    pixels: Tensor  # [M, 2]
+    pixels: Tensor
+    """[M, 2] int64 (x, y), all pixels of maximal averaged relevancy, M >= 1, row by row."""
     pixel: tuple[int, int]
+    """(x, y), the pixel of them nearest to their mean."""
     level: int
+    """Position of the level chosen."""
     score: float
+    """The maximum, 0..1."""
 
     __repr__ = brief
 
@@ -38,15 +35,15 @@ def localize(
     preset: QueryPreset = QUERY_PRESETS["default"],
     averaged: Tensor | None = None,
 ) -> Localization:
-    """The most relevant place in one view.
+    """Return the most relevant place in one view.
 
-    Each level is averaged by the preset's box; the level with the largest maximum is chosen, the first of
-    equals, whatever the preset's ``level_choice``.
+    Each level is averaged by the preset's box; the level with the largest maximum is chosen, the first of equals,
+    whatever the preset's ``level_choice``.
 
     Args:
         relevancy: [S, H, W] of one query, 0..1.
         preset: its box is used.
-        averaged: what ``averaged_relevancy`` gives for both, if it is known already.
+        averaged: ``averaged_relevancy`` of both, if known.
 
     Raises:
         InputError: relevancy has another shape, or is empty.
@@ -67,20 +64,20 @@ def localize(
 
 
 def best_pixel(values: Tensor, mask: Tensor | None = None) -> tuple[int, int]:
-    """(x, y) of the largest value [H, W], in a mask that is not empty, if one is given; of equals the one nearest to
-    their mean.
+    """Return (x, y) of the largest value [H, W], within a mask unless it is empty; of equals the one nearest to their
+    mean.
     """
     if mask is not None and mask.any():
         values = torch.where(mask, values, -torch.inf)
     pixels = (values == values.max()).nonzero().flip(1)
-    # Of a plateau, a pixel in its middle says more than its first corner.
+    # A pixel in the middle of a plateau says more than its first corner.
     offsets = pixels.double() - pixels.double().mean(0)
     x, y = pixels[int(offsets.square().sum(1).argmin())].tolist()
     return x, y
 
 
 def averaged_relevancy(relevancy: Tensor, preset: QueryPreset) -> Tensor:
-    """[S, H, W] means of relevancy [S, H, W] over the preset's box, which ``localize`` and ``segment`` both use.
+    """Return the means [S, H, W] of relevancy over the preset's box, which ``localize`` and ``segment`` both use.
 
     Raises:
         InputError: relevancy has another shape, or is empty.

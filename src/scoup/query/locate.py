@@ -1,4 +1,4 @@
-"""Where a thing is in the world: position and oriented box of the Gaussians that answer a query."""
+"""The place of a thing in the world: position and oriented box of the Gaussians that answer a query."""
 
 from __future__ import annotations
 
@@ -20,29 +20,26 @@ from scoup.query.select import true_rows
 NEIGHBOURS = 8
 """Each Gaussian of an answer is linked to so many of its nearest others in the answer."""
 LONGEST_LINK = 3.0
-"""Links longer than this many times their median length are cut, so that strays fall off."""
+"""Links longer than this times the median are cut, so that strays fall off."""
 INSIDE = 0.98
-"""Share of the weight that an oriented box holds along each of its axes."""
+"""Share of the weight inside an oriented box along each of its axes."""
 
 
 @dataclass(frozen=True, eq=False)
 class OrientedBox:
-    """A box in the world, turned as the thing in it. Tensors are float64 on the CPU.
+    """An oriented box in the world. Tensors are float64 on the CPU."""
 
-    Attributes:
-        centre: [3] world units.
-        axes: [3, 3] one unit direction a row, right-handed, along the longest extent first.
-        extent: [3] full lengths along the axes in world units.
-    """
-
-    centre: Tensor  # [3]
-    axes: Tensor  # [3, 3]
-    extent: Tensor  # [3]
+    centre: Tensor
+    """[3] world units."""
+    axes: Tensor
+    """[3, 3] one unit direction per row, right-handed, longest extent first."""
+    extent: Tensor
+    """[3] full lengths along the axes in world units."""
 
     __repr__ = brief
 
     def record(self) -> dict[str, Any]:
-        """The box as plain JSON values, rounded."""
+        """Return the box as plain JSON values, rounded."""
         axes = [[round(each, 6) for each in row] for row in self.axes.tolist()]
         return {
             "centre": _rounded(self.centre),
@@ -51,22 +48,14 @@ class OrientedBox:
         }
 
     def corners(self) -> Tensor:
-        """[8, 3] float64."""
+        """Return the corners [8, 3]."""
         signs = torch.cartesian_prod(*[torch.tensor([-0.5, 0.5], dtype=torch.float64)] * 3)
         return self.centre + (signs * self.extent) @ self.axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Location:
-    """Where a thing is in the world. Tensors are on the CPU.
-
-    Attributes:
-        position: [3] float64 world units, the middle of the Gaussians of the thing; None if it is not there.
-        box: around them; None if the thing is not there.
-        confidence: mean relevancy of these Gaussians, 0..1, where 0.5 is a draw with the canonical phrases; 0 if the
-            thing is not there.
-        gaussians: [M] int64, the thing: of the Gaussians that answer, those connected in space that weigh most.
-        answer: all Gaussians that answer, with level, score and presence.
+    """The place of a thing in the world. Tensors are on the CPU.
 
     Example:
         >>> field = scoup.LanguageField.load("f.scoup")
@@ -75,11 +64,17 @@ class Location:
         torch.Size([3])
     """
 
-    position: Tensor | None  # [3]
+    position: Tensor | None
+    """[3] float64 world units, the median of the thing's Gaussians; None if it is not there."""
     box: OrientedBox | None
+    """Around these Gaussians; None if the thing is not there."""
     confidence: float
-    gaussians: Tensor  # [M]
+    """Mean relevancy of these Gaussians, 0..1, where 0.5 is a draw with the canonical phrases; 0 if the thing is not
+    there."""
+    gaussians: Tensor
+    """[M] int64, the thing: the connected part of the answer that weighs most."""
     answer: SceneAnswer
+    """All Gaussians that answer, with level, score and presence."""
 
     def __repr__(self) -> str:
         if self.position is None or self.box is None:
@@ -101,7 +96,7 @@ class Location:
         return self.position is not None
 
     def said(self, metres_per_unit: float | None = None) -> str:
-        """Position, extent and confidence in few words; in metres, too, if the length of the scene's unit is known."""
+        """Return position, extent and confidence in a few words; in metres, too, if the length of the unit is known."""
         if self.position is None or self.box is None:
             return "nowhere"
         extent = " x ".join(f"{side:.3g}" for side in self.box.extent.tolist())
@@ -113,11 +108,7 @@ class Location:
         return f"[{position}], extent {extent}, confidence {self.confidence:.2f}"
 
     def record(self, metres_per_unit: float | None = None) -> dict[str, Any]:
-        """The location as plain JSON values, rounded.
-
-        Args:
-            metres_per_unit: length of the scene's unit; with it, position and extent are given in metres, too.
-        """
+        """Return the location as plain JSON values, rounded; in metres, too, if the length of the unit is known."""
         metres = {}
         if metres_per_unit is not None and self.position is not None and self.box is not None:
             metres = {
@@ -135,15 +126,10 @@ class Location:
 
 
 def location(field: CodedScene, answer: SceneAnswer) -> Location:
-    """Position and extent of what answers a query in a scene.
+    """Return the place of an answer of ``answer_scene``.
 
-    The Gaussians of the answer fall into parts that are connected in space: each is linked to its nearest others, and
-    links much longer than usual are cut. The part that weighs most is the thing. A Gaussian weighs its opacity times
-    its relevancy.
-
-    Args:
-        field: that was queried, with its geometry.
-        answer: from ``answer_scene``.
+    The thing is the connected part (``connected_parts``) of its Gaussians that weighs most. A Gaussian weighs its
+    opacity times its relevancy.
     """
     members = true_rows(answer.mask)
     gaussians = field.gaussians.select(members.to(field.gaussians.device)).to("cpu")
@@ -163,7 +149,10 @@ def location(field: CodedScene, answer: SceneAnswer) -> Location:
 
 
 def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """The number [M] of the part that each of the points [M, 3] belongs to."""
+    """Return the number [M] of the connected part of each point [M, 3].
+
+    Each point is linked to its nearest others, and links much longer than usual are cut.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
@@ -181,7 +170,7 @@ def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def oriented_box(points: Tensor, weights: Tensor) -> OrientedBox:
-    """The box along the principal axes of weighted points that holds ``INSIDE`` of the weight along each.
+    """Return the box along the principal axes of points that contains ``INSIDE`` of the weight along each.
 
     Args:
         points: [M, 3] float64, M >= 1.
@@ -191,8 +180,7 @@ def oriented_box(points: Tensor, weights: Tensor) -> OrientedBox:
     middle = share @ points
     spread = (points - middle) * share.sqrt()[:, None]
     axes = torch.linalg.eigh(spread.T @ spread).eigenvectors.T.flip(0)
-    # A direction and its opposite serve alike: the one whose largest component is positive, so that it is always the
-    # same; the third makes the axes right-handed.
+    # Of a direction and its opposite, the one with a positive largest component; the third makes them right-handed.
     largest = axes.gather(1, axes.abs().argmax(1, keepdim=True))
     axes = axes * largest.sign()
     axes[2] = torch.linalg.cross(axes[0], axes[1])
@@ -208,7 +196,7 @@ def oriented_box(points: Tensor, weights: Tensor) -> OrientedBox:
 
 
 def weighted_quantiles(values: Tensor, weights: Tensor, shares: list[float]) -> Tensor:
-    """The values [M] below which these shares of the weight [M] lie; one of the values each."""
+    """Return the values below which shares of the weight lie, each one of the values [M]."""
     order = values.argsort(stable=True)
     sums = weights[order].cumsum(0)
     places = torch.searchsorted(sums, sums[-1] * torch.tensor(shares, dtype=sums.dtype))

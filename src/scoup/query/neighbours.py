@@ -1,4 +1,4 @@
-"""Smoothing of per-Gaussian values over nearest neighbours in space."""
+"""Values of Gaussians smoothed over nearest neighbours in space."""
 
 from __future__ import annotations
 
@@ -13,25 +13,14 @@ _CHUNK = 65536
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
-    """The nearest neighbours of some of N points.
+    """The nearest neighbours of some of N points."""
 
-    Attributes:
-        members: [M] int64, the points that have neighbours and may be one.
-        nearest: [M, B] int64, the B nearest other members of each, nearest first; B may be 0.
-    """
-
-    members: Tensor  # [M]
-    nearest: Tensor  # [M, B]
+    members: Tensor  # [M] int64, the points that have neighbours and may be one
+    nearest: Tensor  # [M, B] int64, the B nearest other members of each, nearest first; B may be 0
 
     @classmethod
     def of(cls, points: Tensor, included: Tensor, count: int) -> Neighbourhood:
-        """The ``count`` nearest neighbours (fewer if there are not so many) among the points included.
-
-        Args:
-            points: [N, 3] positions; those that are not finite are left out.
-            included: boolean [N].
-            count: neighbours wanted, the point itself not counted.
-        """
+        """Find ``count`` nearest neighbours, without the point itself, of points [N, 3] included [N] and finite."""
         from scipy.spatial import KDTree
 
         members = (included.cpu() & torch.isfinite(points).all(1).cpu()).nonzero()[:, 0]
@@ -48,14 +37,8 @@ class Neighbourhood:
         return cls(members, members[torch.from_numpy(np.concatenate(blocks))])
 
     def blend(self, values: Tensor, included: Tensor) -> Tensor:
-        """Half of each member's value and half of the mean over its neighbours; others keep theirs.
-
-        Args:
-            values: [S, N].
-            included: boolean [S, N]; neighbours not included do not count, and where none is, values stay.
-
-        Returns:
-            [S, N] as ``values``.
+        """Return half of each member's value [S, N] and half of the mean over its neighbours included [S, N]; without
+        any, values stay.
         """
         out = values.clone()
         for level in range(len(values)):
@@ -69,9 +52,10 @@ class Neighbourhood:
 
 
 def _without_self(found: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """[M, B] neighbours without the point itself, which may be anywhere among points at its place.
+    """Neighbours [M, B] without the point itself.
 
-    If more points share the place than were searched for, it may be missing; then the last neighbour is left out.
+    It may be anywhere among points at its place, or missing if these are more than were searched for; then the last
+    neighbour is left out.
     """
     itself = found == own[:, None]
     itself[:, -1] |= ~itself.any(1)

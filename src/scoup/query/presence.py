@@ -1,21 +1,20 @@
-"""Whether the thing is there at all, so that a query for something absent can return nothing.
+"""Presence: whether the thing is there at all, so that a query for something absent can return nothing.
 
 The protocols rescale relevancy over the view before they cut it, so that every query gets a mask. The relevancy of the
-mask says little: some places are near to any word. The z-score compares the query with other words *there*: the
-embedding of what was found has a cosine with the query and one with each of many everyday words, and
+mask says little, as some places are near to any word. The z-score compares the query with other words *there*: the
+embedding of what was found has a cosine with the query and with each of many everyday words, and
 
     z = 1.645 + (cosine with the query - 95 % quantile of those with everyday words) / their standard deviation,
 
-which for normally distributed cosines is how many standard deviations the query lies above the mean word. The quantile
-asks more: where many words fit as well, what was found is rather one of those. It is the same for tables of a hundred
-words and of thousands, as the best word would not be, and other names of the query do not count (``other_words``).
-Fewer than ``LEAST_GAUSSIANS`` Gaussians in the scene are nothing found.
+which for normally distributed cosines is the number of standard deviations of the query above the mean word. The
+quantile asks more: where many words fit as well, what was found is rather one of those. Unlike the best word, it does
+not depend on the size of the table. Other names of the query do not count (``other_words``). Fewer than
+``LEAST_GAUSSIANS`` Gaussians in the scene count as nothing found.
 
-Where a field has things, the score is the sum of this and of what the thing that fits the query best says
-(``scoup.query.things.ThingFits.presence``).
+In a field with things, the score of the best thing is added (``scoup.query.things.ThingFits.presence``).
 
-The query counts as present from a score of 1.4 on. This is ours; the method's paper and the protocols have nothing of
-the kind, and scores by their rules never use it. Measured in docs/answers.md.
+The query counts as present from a score of 1.4 on. This is ours; neither the paper nor the protocols judge presence.
+Measured in docs/answers.md.
 """
 
 from __future__ import annotations
@@ -37,26 +36,22 @@ from scoup.query.text_vectors import TextVectors
 from scoup.scene.codes import signed
 
 PRESENT_FROM = 1.4
-"""The z-score from which a query counts as present, unless another is given."""
+"""The default z-score from which a query counts as present."""
 UPPER, NORMAL = 0.95, 1.645
-"""The quantile of everyday words that a query is compared with, and the z-score of that among normal numbers."""
+"""The quantile of everyday words that a query is compared with, and its z-score in a normal distribution."""
 SIMILAR, SAME = 3.0, 0.99
-"""A word is another name of a query if it is nearer to it than words are by so many standard deviations; and the query
-itself from this cosine on."""
+"""A word is another name of a query from so many standard deviations of words above their mean, and the query itself
+from this cosine."""
 LEAST_GAUSSIANS = 10
-"""So few Gaussians are a stray, not a thing."""
+"""Fewer are a stray, not a thing."""
 _AT_A_TIME = 8  # masks in one pass over a view
 
 
 def presence_threshold(texts: TextVectors, wanted: float | None = None) -> float | None:
-    """The z-score from which a text counts as present; None where there are too few everyday words to judge it.
-
-    Args:
-        texts: with the everyday words to compare with.
-        wanted: instead of ``PRESENT_FROM``.
+    """Return the z-score from which a text counts as present; None with too few everyday words to judge it.
 
     Raises:
-        InputError: there are too few words, and a z-score is wanted; or it is not finite.
+        InputError: a z-score is wanted, and there are too few words or it is not finite.
     """
     if wanted is not None and not math.isfinite(wanted):
         raise InputError(f"the z-score from which a text counts as present must be a number, got {wanted}")
@@ -64,18 +59,16 @@ def presence_threshold(texts: TextVectors, wanted: float | None = None) -> float
         return PRESENT_FROM if wanted is None else wanted
     if wanted is not None:
         raise InputError(
-            f"{texts.source}: has {counted(len(texts.everyday), 'word')}; presence is judged against {LEAST_WORDS} or "
-            "more, so add any words to the table"
+            f"{texts.source}: has {counted(len(texts.everyday), 'word')}, but presence is judged against {LEAST_WORDS} "
+            "or more; add any words to the table"
         )
     return None
 
 
 def other_words(queries: Tensor, words: Tensor) -> Tensor:
-    """Return which words a query is compared with: [Q, B] boolean, all but the query itself and other names of it.
+    """Return the words [B, D] that queries [Q, D] are compared with, [Q, B] boolean: all but other names of the query.
 
-    Args:
-        queries: [Q, D] unit vectors.
-        words: [B, D] unit vectors of everyday words.
+    Vectors have unit norm.
     """
     near = queries @ words.T
     alike = near > near.mean(1, keepdim=True) + SIMILAR * near.std(1, keepdim=True)
@@ -83,12 +76,12 @@ def other_words(queries: Tensor, words: Tensor) -> Tensor:
 
 
 def word_leads(own: Tensor, to_words: Tensor, others: Tensor) -> Tensor:
-    """How far queries fit better than the ``UPPER`` quantile of other words, in standard deviations of their cosines.
+    """Return the lead of queries over the ``UPPER`` quantile of other words, in standard deviations of their cosines.
 
     Args:
         own: [Q] cosines of what was found with the queries.
         to_words: [Q, B] cosines with everyday words.
-        others: [Q, B] boolean, those that count (``other_words``).
+        others: [Q, B] boolean, from ``other_words``.
 
     Returns:
         [Q] float64; minus infinity where fewer than two words count.
@@ -104,7 +97,7 @@ def word_leads(own: Tensor, to_words: Tensor, others: Tensor) -> Tensor:
 
 
 def z_scores(embeddings: Tensor, queries: Tensor, words: Tensor) -> Tensor:
-    """How much better each query fits its embedding than everyday words do, in standard deviations of their cosines.
+    """Return the z-score of each query.
 
     Args:
         embeddings: [Q, D] of what was found for each query; of any length, zero if nothing was found.
@@ -120,7 +113,7 @@ def z_scores(embeddings: Tensor, queries: Tensor, words: Tensor) -> Tensor:
     if embeddings.shape != queries.shape or words.dim() != 2 or words.shape[1:] != queries.shape[1:]:
         raise InputError(
             f"embeddings {list(embeddings.shape)}, queries {list(queries.shape)} and words {list(words.shape)} "
-            "do not fit"
+            "do not fit together; expected [Q, D], [Q, D] and [B, D]"
         )
     if len(words) < LEAST_WORDS:
         raise InputError(f"presence is judged against {LEAST_WORDS} everyday words or more, got {len(words)}")
@@ -133,7 +126,7 @@ def z_scores(embeddings: Tensor, queries: Tensor, words: Tensor) -> Tensor:
 
 
 def with_evidence(z_score: float, selected: Tensor) -> float:
-    """A score in the scene, minus infinity where fewer than ``LEAST_GAUSSIANS`` are selected [N]."""
+    """Return a score in the scene, minus infinity where fewer than ``LEAST_GAUSSIANS`` are selected [N]."""
     return z_score if int(selected.sum()) >= LEAST_GAUSSIANS else -math.inf
 
 
@@ -144,18 +137,7 @@ def view_z_scores(
     queries: Tensor,
     words: Tensor,
 ) -> Tensor:
-    """[Q] z-scores of what was found in a view: the Gaussians that paint the more relevant half of each mask.
-
-    Args:
-        field: that was queried.
-        projection: of its Gaussians to the camera.
-        segmentations: one a query, from ``segment``.
-        queries: [Q, D] unit vectors.
-        words: [B, D] unit vectors of everyday words.
-
-    Raises:
-        InputError: as ``z_scores``.
-    """
+    """Return the z-scores [Q] of the Gaussians that contribute to the more relevant half of each mask in a view."""
     embeddings = torch.zeros(len(segmentations), field.dim)
     for start in range(0, len(segmentations), _AT_A_TIME):
         part = segmentations[start : start + _AT_A_TIME]
@@ -170,17 +152,7 @@ def view_z_scores(
 def scene_z_scores(
     field: CodedScene, selections: Iterable[Selection], queries: Tensor, words: Tensor
 ) -> Tensor:
-    """[Q] z-scores of the more relevant half of the Gaussians selected, without rendering.
-
-    Args:
-        field: that was queried.
-        selections: one a query, from ``scoup.query.select.select_each``.
-        queries: [Q, D] unit vectors.
-        words: [B, D] unit vectors of everyday words.
-
-    Raises:
-        InputError: as ``z_scores``.
-    """
+    """Return the z-scores [Q] of the more relevant half of the Gaussians that each query selects."""
     embeddings = torch.zeros(len(queries), field.dim)
     for row, found in enumerate(selections):
         selected = true_rows(found.mask)
@@ -192,7 +164,7 @@ def scene_z_scores(
 
 
 def mean_embedding(field: CodedScene, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
-    """[D] on the CPU: sum of the decoded codes of some Gaussians [M] by weights [M], at one level."""
+    """Return the sum of the decoded codes of Gaussians [M] by weights [M] at one level, [D] on the CPU."""
     # On the CPU: sums by index on a GPU are not the same twice.
     atoms = signed(field.code_indices)[gaussians, level].view(field.code_indices.dtype).cpu().long()
     shares = (field.code_weights[gaussians, level].float() * weights[:, None]).cpu()

@@ -1,4 +1,4 @@
-"""Named settings of a query: how relevancy maps become points and masks (docs/protocols.md)."""
+"""Presets of queries: how relevancy maps become points and masks (docs/protocols.md)."""
 
 from __future__ import annotations
 
@@ -13,38 +13,35 @@ LevelChoice = Literal["peak", "mask", "evidence"]
 
 @dataclass(frozen=True)
 class QueryPreset:
-    """How relevancy maps become points and masks.
-
-    Attributes:
-        name: of the system it follows.
-        kernel: side of the box that averages the relevancy, in pixels.
-        border: "inside" averages over the pixels of the box inside the image; "reflect" mirrors the image at
-            its edge pixels (which are not repeated).
-        threshold: a pixel belongs to the mask if its rescaled relevancy is above this; None: of each map the threshold
-            at which the area changes least (``scoup.query.stable_threshold``).
-        smoothing: side of the box that smooths the mask by majority; 1 leaves it alone.
-        smoothing_border: which pixels of that box have a vote. "inside": those inside the image; "but last": those
-            inside it but for its last row and column, as LangSplat's code has it.
-        level_choice: which level answers. "peak": the level with the largest smoothed relevancy, as in the papers'
-            protocol for LERF-OVS; "mask": the level whose own mask has the largest mean of smoothed relevancy;
-            "evidence": that mean, and how stable the mask is and whether it holds another level's
-            (``scoup.query.segment.choose_level``).
+    """Rules by which relevancy maps become points and masks.
 
     Raises:
         InputError: a value is out of range.
     """
 
     name: str
+    """Name of the system it follows."""
     kernel: int
+    """Side of the box that averages the relevancy, in pixels."""
     border: Border
+    """"inside" averages over the pixels of the box inside the image; "reflect" mirrors the image at its edge pixels
+    (which are not repeated)."""
     threshold: float | None
+    """A pixel belongs to the mask if its rescaled relevancy is above this; None: of each map the threshold at which the
+    area changes least (``scoup.query.stable_threshold``)."""
     smoothing: int
+    """Side of the box that smooths the mask by majority; 1 is off."""
     level_choice: LevelChoice = "peak"
+    """Which level answers. "peak": the level with the largest smoothed relevancy, as in the papers' protocol for
+    LERF-OVS; "mask": the level whose own mask has the largest mean of smoothed relevancy; "evidence": that mean, how
+    stable the mask is, and whether it contains another level's (``scoup.query.segment.choose_level``)."""
     smoothing_border: VoteBorder = "inside"
+    """Which pixels of that box have a vote. "inside": those inside the image; "but last": those inside it but for its
+    last row and column, as LangSplat's code has it."""
 
     @property
     def follows_things(self) -> bool:
-        """Whether instances answer where a field has them; a threshold of choice, and papers' rules, are for votes."""
+        """Whether things answer where a field has them; thresholds and the papers' rules are for votes."""
         return self.level_choice == "evidence" and self.threshold is None
 
     def __post_init__(self) -> None:
@@ -54,7 +51,7 @@ class QueryPreset:
             raise InputError(f"the threshold must be 0 to 1, got {self.threshold}")
         if self.level_choice not in get_args(LevelChoice):
             raise InputError(
-                f"the level is chosen by 'peak', 'mask' or 'evidence', not by {self.level_choice!r}"
+                f"the level choice must be 'peak', 'mask' or 'evidence', got {self.level_choice!r}"
             )
 
 
@@ -68,19 +65,18 @@ QUERY_PRESETS: dict[str, QueryPreset] = {
         "langsplat", kernel=30, border="reflect", threshold=0.4, smoothing=7, smoothing_border="but last"
     ),
 }
-"""Presets by name: "default" for everyday use, the others by the rules of the systems of their names for LERF-OVS."""
+"""Presets by name: "default" for everyday use, the others with their systems' rules for LERF-OVS."""
 
 DATASET_THRESHOLDS: dict[str, dict[str, float | None]] = {
     "lerf-ovs": {"default": None, "scoup": 0.6, "langsplatv2": 0.4, "langsplat": 0.4},
     "3d-ovs": {"default": None, "scoup": 0.3, "langsplatv2": 0.25},
     "mipnerf360": {"default": None, "scoup": 0.45, "langsplatv2": 0.4},
 }
-"""Thresholds as the papers tuned them per data set; ours needs none. Only the thresholds: ``scoup_lab.evaluate``
-has one file a data set with the rest of its rules."""
+"""Thresholds that the papers tuned per data set; ours needs none."""
 
 
 def query_preset(name: str, dataset: str = "lerf-ovs", threshold: float | None = None) -> QueryPreset:
-    """A preset by name, with the threshold of a data set or the one given.
+    """Return a preset by name, with the threshold of a data set or the one given.
 
     Raises:
         UnknownNameError: there is no such preset, or it has no threshold for that data set.

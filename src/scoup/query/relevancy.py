@@ -1,4 +1,4 @@
-"""From cosines to relevancy (method.md, stage 3)."""
+"""Relevancy from cosines (method.md, stage 3)."""
 
 from __future__ import annotations
 
@@ -14,23 +14,18 @@ def relevancy(
     canonical: Tensor,  # [S, P, ...]
     temperature: float = TEMPERATURE,
 ) -> Tensor:
-    """How much more a query fits than the best-fitting canonical phrase, 0..1; 0.5 is a draw.
+    """Return how much better a query fits than the best canonical phrase, [S, Q, ...] in 0..1; 0.5 is a draw.
 
-    method.md, stage 3: min over k of exp(a q) / (exp(a q) + exp(a canon_k)), which is
-    sigmoid(a (q - max_k canon_k)) and computed so. Where nothing is rendered all cosines are 0: relevancy
-    0.5.
+    It is min over k of exp(a q) / (exp(a q) + exp(a canon_k)), computed as sigmoid(a (q - max_k canon_k)). Where
+    nothing is rendered, all cosines are 0 and relevancy is 0.5.
 
     Args:
-        cosines: [S, Q, ...] cosine of each of Q queries, per level; the trailing shape is free (pixels,
-            Gaussians).
-        canonical: [S, P, ...] cosines of the P >= 1 canonical phrases, same trailing shape.
+        cosines: of Q queries, per level; the trailing shape is free (pixels, Gaussians).
+        canonical: of P >= 1 canonical phrases.
         temperature: a.
 
-    Returns:
-        [S, Q, ...], dtype of ``cosines``.
-
     Raises:
-        InputError: if the shapes do not belong together, or there is no canonical phrase.
+        InputError: shapes do not fit together, or there is no canonical phrase.
     """
     if cosines.dim() < 2 or cosines.dim() != canonical.dim():
         raise InputError(

@@ -1,4 +1,4 @@
-"""Selections of Gaussians made larger, smaller or whole by who is near whom in space."""
+"""Selections of Gaussians grown, shrunk or reduced to their largest part."""
 
 from __future__ import annotations
 
@@ -19,13 +19,7 @@ MOST_STEPS = 1000
 
 @dataclass(frozen=True)
 class Reshaping:
-    """How a selection is changed; in this order.
-
-    Attributes:
-        largest: keep only the connected part that weighs most, as ``scoup.query.locate`` does.
-        shrink: so many times, leave out the Gaussians that have a neighbour outside.
-        grow: so many times, add the neighbours of those inside.
-        within: add every Gaussian whose centre is at most this far from the centre of one inside, in world units.
+    """Changes to a selection, applied in this order.
 
     Raises:
         InputError: a number is negative, not finite or beyond ``MOST_STEPS``.
@@ -39,9 +33,13 @@ class Reshaping:
     """
 
     largest: bool = False
+    """Keep only the connected part that weighs most, as ``scoup.query.locate`` does."""
     shrink: int = 0
+    """Remove the Gaussians that have a neighbour outside, so many times."""
     grow: int = 0
+    """Add the neighbours of those inside, so many times."""
     within: float = 0.0
+    """Add every Gaussian whose centre is at most this far from the centre of one inside, in world units."""
 
     def __post_init__(self) -> None:
         for name in ("shrink", "grow"):
@@ -52,7 +50,7 @@ class Reshaping:
 
     @property
     def changes(self) -> bool:
-        """Whether it does anything."""
+        """Whether it changes anything."""
         return self != UNCHANGED
 
 
@@ -60,16 +58,16 @@ UNCHANGED = Reshaping()
 
 
 def reshaped(gaussians: Gaussians, mask: Tensor, relevancy: Tensor, wanted: Reshaping) -> Tensor:
-    """[N] boolean: a selection, changed.
+    """Reshape a selection, [N] boolean.
 
-    Neighbours of a Gaussian are the ``NEIGHBOURS`` nearest, as far as they are not much further away than usual among
-    those inside. Gaussians with values that are not finite have none, and are not added.
+    Neighbours of a Gaussian are the ``NEIGHBOURS`` nearest that are not much further away than usual among those
+    inside. Gaussians that are not finite have none, and are not added.
 
     Args:
         gaussians: N of them, on any device.
         mask: [N] boolean, the selection.
-        relevancy: [N], by which parts are weighed, with the opacities.
-        wanted: see there.
+        relevancy: [N]; parts weigh relevancy times opacity.
+        wanted: the changes.
     """
     means = gaussians.means.cpu().double()
     usable = torch.isfinite(means).all(1)
@@ -94,7 +92,7 @@ def reshaped(gaussians: Gaussians, mask: Tensor, relevancy: Tensor, wanted: Resh
 
 
 def near_points(points: NDArray[np.float64], inside: NDArray[np.bool_], distance: float) -> NDArray[np.bool_]:
-    """[N] boolean: the points [N, 3] at most this far from one of those inside."""
+    """Return which points [N, 3] are at most this far from one of those inside, [N] boolean."""
     from scipy.spatial import KDTree
 
     nearest = KDTree(points[inside]).query(points, workers=-1)[0]
@@ -102,7 +100,7 @@ def near_points(points: NDArray[np.float64], inside: NDArray[np.bool_], distance
 
 
 class _Neighbours:
-    """The links from points to their nearest others that are not much longer than usual among those inside."""
+    """Links from points to their nearest others, as long as usual among those inside."""
 
     def __init__(self, points: NDArray[np.float64], inside: NDArray[np.bool_]) -> None:
         from scipy.spatial import KDTree
@@ -115,5 +113,5 @@ class _Neighbours:
         self._linked = lengths <= LONGEST_LINK * np.median(lengths[inside][:, -1])
 
     def any_of(self, members: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """[N] boolean: whether a point is linked to any of these, itself included."""
+        """Return which points are linked to any of these, themselves included, [N] boolean."""
         return (members[self._nearest] & self._linked).any(1)

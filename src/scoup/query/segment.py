@@ -16,41 +16,37 @@ from scoup.query.smoothing import mask_sums, smoothed_masks
 from scoup.query.stable_threshold import stable_thresholds
 
 LEAST_SHARE, LEAST_PEAK = 0.02, 0.8
-"""Parts of a mask are strays if they are smaller than this share of the part that holds the point, or if their largest
-relevancy exceeds a draw (0.5) by less than this share of what that of the part exceeds it by (docs/benchmarks.md,
-"Where things are")."""
+"""A part of a mask is a stray if its area, or the excess of its largest relevancy over a draw (0.5), is below this
+share of that of the part with the point (docs/benchmarks.md, "Where things are")."""
 DRAW = 0.5
 STABLE, WHOLE, LEAST_INSTABILITY = 0.08, 0.05, 0.005
-"""What stability and holding another level's mask count beside the relevancy in a mask; a mask that changes less counts
-as one that changes so much."""
+"""Weights of stability and of containing another level's mask, beside the mean relevancy in a mask; and the least
+instability that counts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Which pixels a query is.
+    """The pixels that answer a query."""
 
-    Attributes:
-        mask: [H, W] boolean.
-        smoothed: [H, W] smoothed relevancy at the level chosen, dtype of the relevancy.
-        level: position of the level chosen.
-        score: the largest smoothed relevancy at that level, 0..1.
-        coverage: share of the image in the mask, 0..1.
-        threshold: of the mask, on the rescaled relevancy; None for the mask of a thing.
-    """
-
-    mask: Tensor  # [H, W]
-    smoothed: Tensor  # [H, W]
+    mask: Tensor
+    """[H, W] boolean."""
+    smoothed: Tensor
+    """[H, W] smoothed relevancy at the level chosen, dtype of the relevancy."""
     level: int
+    """Position of the level chosen."""
     score: float
+    """The largest smoothed relevancy at that level, 0..1."""
     coverage: float
+    """Share of the image in the mask, 0..1."""
     threshold: float | None
+    """Threshold of the mask on the rescaled relevancy; None for the mask of a thing."""
 
     __repr__ = brief
 
     def core(self) -> Tensor:
-        """[H, W] boolean: the more relevant half of the mask; of an empty mask, the most relevant pixels.
+        """Return the more relevant half of the mask, [H, W] boolean; of an empty mask, the most relevant pixels.
 
-        Borders, where things mix, are not in it.
+        It leaves out borders, where things mix.
         """
         if not self.mask.any():
             return self.smoothed == self.smoothed.max()
@@ -62,12 +58,12 @@ def segment(
     preset: QueryPreset = QUERY_PRESETS["default"],
     averaged: Tensor | None = None,
 ) -> Segmentation:
-    """The pixels of one view that answer a query.
+    """Return the pixels of one view that answer a query.
 
     Args:
         relevancy: [S, H, W] of one query, 0..1.
         preset: box, threshold, mask smoothing and choice of the level.
-        averaged: what ``averaged_relevancy`` gives for both, if it is known already.
+        averaged: ``averaged_relevancy`` of both, if known.
 
     Raises:
         InputError: relevancy has another shape, or is empty.
@@ -93,45 +89,23 @@ def segment(
 def localize_and_segment(
     relevancy: Tensor, preset: QueryPreset = QUERY_PRESETS["default"]
 ) -> tuple[Localization, Segmentation]:
-    """Point and mask of one view; the box means are computed once.
-
-    Args:
-        relevancy: [S, H, W] of one query, 0..1.
-        preset: how relevancy becomes points and masks.
-
-    Raises:
-        InputError: relevancy has another shape, or is empty.
-    """
+    """Return ``localize`` and ``segment`` of one query, computing box means once."""
     averaged = averaged_relevancy(relevancy, preset)
     return localize(relevancy, preset, averaged), segment(relevancy, preset, averaged)
 
 
 @dataclass(frozen=True, eq=False)
 class LevelMasks:
-    """The mask of every level.
+    """The mask of every level."""
 
-    Attributes:
-        smoothed: [S, H, W] smoothed relevancy, dtype of the relevancy.
-        masks: [S, H, W] boolean.
-        thresholds: [S] float32 on the CPU, of the masks, on the rescaled relevancy.
-        instability: [S] float32 on the CPU, how much the masks depend on their thresholds
-            (``scoup.query.stable_threshold``).
-    """
-
-    smoothed: Tensor  # [S, H, W]
-    masks: Tensor  # [S, H, W]
-    thresholds: Tensor  # [S]
-    instability: Tensor  # [S]
+    smoothed: Tensor  # [S, H, W] smoothed relevancy
+    masks: Tensor  # [S, H, W] boolean
+    thresholds: Tensor  # [S] float32 on the CPU, of the masks, on the rescaled relevancy
+    instability: Tensor  # [S] float32 on the CPU, from ``stable_thresholds``
 
 
 def level_masks(relevancy: Tensor, preset: QueryPreset, averaged: Tensor | None = None) -> LevelMasks:
-    """The mask of every level (protocols.md, LERF-OVS, steps 1 to 3).
-
-    Args:
-        relevancy: [S, H, W] of one query, 0..1.
-        preset: box, threshold and mask smoothing.
-        averaged: what ``averaged_relevancy`` gives for both, if it is known already.
-    """
+    """Return the mask of every level (protocols.md, LERF-OVS, steps 1 to 3); arguments as for ``segment``."""
     averaged = averaged_relevancy(relevancy, preset) if averaged is None else averaged
     thresholds, instability = stable_thresholds((0.5 * (relevancy + averaged)).flatten(1), preset.threshold)
     smoothed, masks = smoothed_masks(
@@ -141,18 +115,13 @@ def level_masks(relevancy: Tensor, preset: QueryPreset, averaged: Tensor | None 
 
 
 def choose_level(found: LevelMasks, choice: LevelChoice) -> int:
-    """Position of the level that answers (protocols.md, LERF-OVS, step 4); the first of equals.
+    """Return the position of the level that answers (protocols.md, LERF-OVS, step 4); the first of equals.
 
     With "mask" and "evidence", a level with an empty mask is never chosen, unless all are empty: then the peak decides.
 
     A part may outscore its whole: the head of a person is nearer to "person" than the whole is, clothes included. So
-    "evidence" adds to the mean relevancy in the mask what speaks for a thing of its own: ``-STABLE`` times the
-    logarithm of the mask's instability, and ``WHOLE`` times the largest share of a smaller mask of another level that
-    lies inside (docs/answers.md).
-
-    Args:
-        found: from ``level_masks``.
-        choice: see ``QueryPreset``.
+    "evidence" adds to the mean relevancy in the mask ``-STABLE`` times the logarithm of the mask's instability, and
+    ``WHOLE`` times the largest share of a smaller mask of another level that lies inside (docs/answers.md).
     """
     return _chosen_level(found, choice, *mask_sums(found.smoothed, found.masks))
 
@@ -164,17 +133,12 @@ def _chosen_level(found: LevelMasks, choice: LevelChoice, peaks: Tensor, areas: 
     evidence = (sums / areas).cpu()
     if choice == "evidence":
         stability = -found.instability.double().clamp(min=LEAST_INSTABILITY).log()
-        evidence += STABLE * stability + WHOLE * _held(found.masks, areas)
+        evidence += STABLE * stability + WHOLE * _contained(found.masks, areas)
     return int(torch.where(areas.cpu() > 0, evidence, -torch.inf).argmax())
 
 
-def _held(masks: Tensor, areas: Tensor) -> Tensor:
-    """[S] float64: the largest share of a smaller mask of another level that lies in each mask; 0 where there is none.
-
-    Args:
-        masks: [S, H, W] boolean.
-        areas: [S] their pixels.
-    """
+def _contained(masks: Tensor, areas: Tensor) -> Tensor:
+    """[S] float64, the largest share of a smaller mask of another level that lies in each mask; 0 without one."""
     sizes = areas.tolist()
     held = torch.zeros(len(masks), dtype=torch.float64)
     for level, mask in enumerate(masks):
@@ -185,9 +149,7 @@ def _held(masks: Tensor, areas: Tensor) -> Tensor:
 
 
 def mask_box(mask: Tensor) -> tuple[int, int, int, int] | None:
-    """(x0, y0, x1, y1) around the true pixels of [H, W], x1 and y1 one past the last; None if there are
-    none.
-    """
+    """Return (x0, y0, x1, y1) around the true pixels of [H, W], x1 and y1 one past the last; None of an empty mask."""
     if not mask.numel():
         return None
     bits = mask.view(torch.uint8)  # torch finds their largest much sooner than any of a boolean
@@ -200,20 +162,16 @@ def mask_box(mask: Tensor) -> tuple[int, int, int, int] | None:
 def main_parts(
     mask: Tensor, point: tuple[int, int], heat: Tensor, least_share: float = LEAST_SHARE
 ) -> Tensor:
-    """A mask without strays: the connected part that holds a point, and those alike in size and relevancy.
+    """Return a mask without strays: the connected part with a point, and parts alike in size and relevancy.
 
-    Pixels that touch at a corner are connected. Things are often seen in pieces, with something in front of them: the
-    part with the point alone would be too little. Strays are specks, and patches of other things that resemble it.
+    Pixels that touch at a corner are connected. Things are often seen in pieces, with something in front of them, so
+    the part with the point alone would be too little. Strays are specks, and patches of other things that resemble it.
 
     Args:
         mask: [H, W] boolean, on the CPU.
-        point: (x, y).
-        heat: [H, W] relevancy at the level of the mask, on the CPU; where the point is not in the mask, the mask's most
-            relevant pixel takes its place.
-        least_share: see ``LEAST_SHARE``; infinity leaves the part with the point alone.
-
-    Returns:
-        [H, W] boolean; empty if the mask is.
+        point: (x, y); if it is not in the mask, the mask's most relevant pixel takes its place.
+        heat: [H, W] relevancy at the level of the mask, on the CPU.
+        least_share: see ``LEAST_SHARE``; infinity returns the part with the point alone.
     """
     from scipy import ndimage
 

@@ -1,4 +1,4 @@
-"""The Gaussians that answer a query by their own codes, without rendering (docs/protocols.md, "3D-selection")."""
+"""Gaussians that answer a query by their own codes, without rendering (docs/protocols.md, "3D selection")."""
 
 from __future__ import annotations
 
@@ -19,34 +19,25 @@ from scoup.query.smoothing import rescale
 from scoup.query.stable_threshold import STABILITY, stable_thresholds
 
 ABSOLUTE_THRESHOLD = 0.6
-"""Threshold on the relevancy itself, where none is given. The most stable one nearly always selects something; who puts
-the threshold on the relevancy itself wants nothing to be selected where nothing is relevant enough."""
+"""Default threshold on relevancy that is not rescaled. The most stable one nearly always selects something, but here
+nothing is to be selected where nothing is relevant enough."""
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The Gaussians that one query selects.
+    """The Gaussians that one query selects."""
 
-    Attributes:
-        mask: [N] boolean.
-        relevancy: [N] float32 at the level chosen, blended with neighbours if that was wanted.
-        level: position of the level chosen.
-        score: the largest relevancy of a Gaussian with a code at that level; minus infinity if there is none.
-        threshold: the Gaussians of the mask are above it, once relevancy is rescaled over the Gaussians with a code at
-            that level; on the relevancy itself if that was wanted; None for the Gaussians of a thing.
-    """
-
-    mask: Tensor  # [N]
-    relevancy: Tensor  # [N]
-    level: int
-    score: float
-    threshold: float | None
+    mask: Tensor  # [N] boolean
+    relevancy: Tensor  # [N] float32 at the level chosen, after blending with neighbours
+    level: int  # position of the level chosen
+    score: float  # the largest relevancy of a Gaussian with a code at that level; minus infinity if there is none
+    threshold: float | None  # see ``SceneAnswer``
 
     __repr__ = brief
 
 
 def true_rows(mask: Tensor) -> Tensor:
-    """[M] int64: where a boolean mask [N] is true. Numpy finds few among many sooner than torch."""
+    """Return where a boolean mask [N] is true, [M] int64. Numpy finds few among many faster than torch."""
     if mask.device.type != "cpu":
         return mask.nonzero()[:, 0]
     return torch.from_numpy(np.flatnonzero(mask.numpy()))
@@ -63,16 +54,16 @@ def select_each(
 ) -> Iterator[Selection]:
     """Yield the Gaussians that answer each of several queries, by the votes alone.
 
-    Per query one level answers, after blending with neighbours if that is wanted. With a threshold given, it is the
-    level with the largest relevancy, as in VALA-3D; otherwise that whose selected Gaussians have the largest mean
-    relevancy. Gaussians without a code at that level are never selected.
+    One level answers each query, after blending with neighbours (10 in VALA-3D). With a threshold, it is the level with
+    the largest relevancy, as in VALA-3D; otherwise that whose selected Gaussians have the largest mean relevancy.
+    Gaussians without a code at that level are never selected.
 
     Args:
         field: the language field; its geometry is needed only for ``neighbours``.
         queries: [Q, D] unit-norm text embeddings.
         canonical: [P, D] unit-norm embeddings of the canonical phrases.
-        threshold, neighbours, rescaled, level: see ``scoup.query.question.Question``; 10 neighbours in VALA-3D. Without
-            a threshold, and not rescaled, it is ``ABSOLUTE_THRESHOLD`` and the level with the largest relevancy.
+        threshold, neighbours, rescaled, level: see ``scoup.query.question.Question``. Without a threshold, and not
+            rescaled, it is ``ABSOLUTE_THRESHOLD``.
 
     Raises:
         InputError: shapes do not fit, ``neighbours`` is below 1, or the threshold is not 0 to 1.
@@ -98,14 +89,7 @@ def select_by_relevancy(
     threshold: float | None = None,
     rescaled: bool = True,
 ) -> Selection:
-    """``select_each`` for one query from its relevancy, whatever that comes from.
-
-    Args:
-        relevancy: [S, N] of every Gaussian at every level.
-        coded: [S, N] boolean, those that may be selected.
-        around: neighbours to blend with.
-        threshold, rescaled: see ``select_each``.
-    """
+    """Select by the relevancy of one query among coded Gaussians, as ``select_each`` does."""
     values = relevancy if around is None else around.blend(relevancy, coded)
     if threshold is None and rescaled:
         return _most_stable([_Level.of(*rows) for rows in zip(values, coded, strict=True)])
@@ -118,43 +102,30 @@ def select_by_relevancy(
 
 
 def level_thresholds(values: Tensor, coded: Tensor) -> Tensor:
-    """[S] float32 on the CPU: the most stable threshold of each level, on the relevancy rescaled over its Gaussians.
-
-    Args:
-        values: [S, N] relevancy.
-        coded: [S, N] boolean, those that count.
-    """
+    """Return the most stable threshold of relevancy [S, N] rescaled over the coded Gaussians [S, N], [S] on the CPU."""
     return torch.tensor([_Level.of(*rows).threshold for rows in zip(values, coded, strict=True)])
 
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """The Gaussians of one level that may be selected by a stable threshold: a few per cent of all, as a rule.
+    """The Gaussians of one level that a stable threshold may select: a few per cent of all, as a rule."""
 
-    Attributes:
-        values: [N] relevancy of all Gaussians.
-        rows: [M] those above the lowest threshold.
-        rescaled: [M] their rescaled relevancy.
-        peak: the largest relevancy of a coded Gaussian; minus infinity if there is none.
-        threshold: the most stable one.
-    """
-
-    values: Tensor
-    rows: Tensor
-    rescaled: Tensor
-    peak: float
-    threshold: float
+    values: Tensor  # [N] relevancy of all Gaussians
+    rows: Tensor  # [M] those above the lowest threshold
+    rescaled: Tensor  # [M] their rescaled relevancy
+    peak: float  # the largest relevancy of a coded Gaussian; minus infinity if there is none
+    threshold: float  # the most stable one
 
     @classmethod
     def of(cls, values: Tensor, coded: Tensor) -> _Level:
-        """Of relevancy [N] and the Gaussians that count [N] boolean."""
+        """Find them in relevancy [N] of the coded Gaussians [N]."""
         inside = values if bool(coded.all()) else values[coded]
         low, high = (
             inside.aminmax()
             if inside.numel()
             else (values.new_tensor(torch.inf), values.new_tensor(-torch.inf))
         )
-        # A little lower than need be, for rounding.
+        # A little lower than needed, for rounding.
         rows = true_rows(values >= low + (high - low) * (0.5 + 0.5 * STABILITY.lowest_counted) - 1e-6)
         rows = rows[coded[rows]]
         rescaled = rescale(values[rows], low, high)
@@ -164,7 +135,7 @@ class _Level:
 
 
 def _most_stable(levels: list[_Level]) -> Selection:
-    """``select_by_relevancy`` with the most stable threshold of each level."""
+    """Select by the most stable threshold of each level."""
     found = [level.rows[level.rescaled > level.threshold] for level in levels]
     # In float64, so that levels alike to the last bit have equal means, and the first of them answers.
     means = [
@@ -181,7 +152,7 @@ def _most_stable(levels: list[_Level]) -> Selection:
 
 
 def _above(values: Tensor, members: Tensor, threshold: float, rescaled: bool = True) -> Tensor:
-    """[N] boolean: the members [N] whose value [N], rescaled over them if that is wanted, is above the threshold."""
+    """The members [N] whose value [N], perhaps rescaled over them, is above the threshold, [N] boolean."""
     mask = torch.zeros_like(members)
     if members.any():
         candidates = values[members]

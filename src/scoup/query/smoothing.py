@@ -1,7 +1,7 @@
-"""Box means of maps, and which pixels relevancy singles out (docs/protocols.md, LERF-OVS, steps 1 to 3).
+"""Box means of maps, and masks of relevancy (docs/protocols.md, LERF-OVS, steps 1 to 3).
 
-On a CPU the compiled core does the work. The torch code (``plain_...``) is its specification, and is used where there
-is no core, on other devices and for other types; box means and masks are the same to the last bit.
+The compiled core does the work on a CPU. The torch code (``plain_...``) is its specification, and is used without the
+core, on other devices and for other types; box means and masks are the same to the last bit.
 """
 
 from __future__ import annotations
@@ -19,17 +19,15 @@ VoteBorder = Literal["inside", "but last"]
 
 
 def box_mean(maps: Tensor, kernel: int, border: Border = "inside") -> Tensor:
-    """Mean over a kernel x kernel box around each pixel, same size as the input.
+    """Return the mean over a kernel x kernel box around each pixel, same size as the input.
 
-    The box of pixel x covers x - kernel // 2 ... x - kernel // 2 + kernel - 1 on each axis; for even kernels
-    this is where OpenCV's filter2D puts it. Summed in float64, so that equal neighbourhoods give equal
-    means.
+    The box of pixel x covers x - kernel // 2 ... x - kernel // 2 + kernel - 1 on each axis, as in OpenCV's filter2D for
+    even kernels. Sums are float64, so that equal neighbourhoods have equal means.
 
     Args:
         maps: [..., H, W] floating point; may be smaller than the kernel.
         kernel: side of the box in pixels.
-        border: "inside" averages over the pixels of the box inside the image; "reflect" mirrors the image at
-            its edge pixels (which are not repeated).
+        border: see ``QueryPreset``.
     """
     core = _core_for(maps, kernel)
     if core is None or not maps.numel():
@@ -50,15 +48,13 @@ def plain_box_mean(maps: Tensor, kernel: int, border: Border = "inside") -> Tens
 def smoothed_masks(
     relevancy: Tensor, averaged: Tensor, thresholds: Tensor, smoothing: int, border: VoteBorder = "inside"
 ) -> tuple[Tensor, Tensor]:
-    """Smoothed relevancy, and the majority of the pixels above the threshold once it is rescaled.
+    """Return smoothed relevancy, and the majority of pixels above the threshold on it, rescaled.
 
     Args:
         relevancy: [S, H, W] of one query, not empty.
         averaged: [S, H, W] its ``box_mean``.
-        thresholds: [S] float32 on the CPU, of each level, on the rescaled relevancy.
-        smoothing: side in pixels of the box in which the majority decides; 1 leaves the mask alone.
-        border: "inside": all pixels of the box inside the image have a vote; "but last": the last row and column of
-            the image have none (``majority_but_last``).
+        thresholds: [S] float32 on the CPU.
+        smoothing, border: see ``smoothing`` and ``smoothing_border`` of ``QueryPreset``.
 
     Returns:
         smoothed relevancy [S, H, W], dtype of ``relevancy``, and masks [S, H, W] boolean.
@@ -86,12 +82,8 @@ def plain_smoothed_masks(
 
 
 def majority_but_last(masks: Tensor, side: int) -> Tensor:
-    """[S, H, W] boolean: whether most pixels of the box around each pixel are true, where those of the last row and
-    column of the image have no vote (``smooth`` in LangSplat's ``eval/utils.py``). A tie, or no pixel with a vote: no.
-
-    Args:
-        masks: [S, H, W] boolean.
-        side: of the box, in pixels.
+    """Return whether most pixels of the box around each pixel of masks [S, H, W] are true, without votes of the last
+    row and column of the image (``smooth`` in LangSplat's ``eval/utils.py``); false for a tie and without a vote.
     """
     voters = torch.zeros(masks.shape[-2:], device=masks.device)
     voters[:-1, :-1] = 1
@@ -99,15 +91,8 @@ def majority_but_last(masks: Tensor, side: int) -> Tensor:
 
 
 def mask_sums(smoothed: Tensor, masks: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """What the level is chosen by.
-
-    Args:
-        smoothed: [S, H, W] smoothed relevancy, not empty.
-        masks: [S, H, W] boolean.
-
-    Returns:
-        The largest smoothed relevancy of each level [S], the pixels of its mask [S] int64, and the sum of smoothed
-        relevancy over them [S] float64, so that levels alike to the last bit give equal means.
+    """Return the largest smoothed relevancy of each level [S], the pixels of its mask [S] int64, and the sum of
+    smoothed relevancy over them [S] float64, so that levels equal to the last bit have equal means.
     """
     core = _core_for(smoothed)
     if core is None:
@@ -124,10 +109,10 @@ def plain_mask_sums(smoothed: Tensor, masks: Tensor) -> tuple[Tensor, Tensor, Te
 
 
 def rescale(values: Tensor, low: Tensor | None = None, high: Tensor | None = None) -> Tensor:
-    """Stretch values of any shape to 0..1 and cut the lower half off: clip(2 n - 1, 0, 1) with
+    """Stretch values of any shape to 0..1 and cut off the lower half: clip(2 n - 1, 0, 1) with
     n = (v - min) / (max - min + 1e-9) (protocols.md, LERF-OVS, step 2). Constant values become 0.
 
-    Minimum and maximum may be given, for some of the values."""
+    Pass minimum and maximum where these are only some of the values."""
     low = values.min() if low is None else low
     high = values.max() if high is None else high
     # float64, in which 1e-9 does not vanish beside the range.
@@ -136,7 +121,7 @@ def rescale(values: Tensor, low: Tensor | None = None, high: Tensor | None = Non
 
 
 def _core_for(maps: Tensor, kernel: int = 1) -> ModuleType | None:
-    """The compiled core where it serves these maps."""
+    """The compiled core if it serves these maps."""
     if maps.device.type != "cpu" or maps.dtype != torch.float32:
         return None
     core = native_core()
@@ -144,7 +129,7 @@ def _core_for(maps: Tensor, kernel: int = 1) -> ModuleType | None:
 
 
 def _mean_along(values: Tensor, axis: int, kernel: int, border: Border) -> Tensor:
-    """[..., H, W] float64 running means along one axis, by differences of running sums."""
+    """Running means along one axis of float64 values [..., H, W], by differences of running sums."""
     size = values.shape[axis]
     before, after = kernel // 2, kernel - 1 - kernel // 2
     counts: Tensor | int = kernel
@@ -161,9 +146,7 @@ def _mean_along(values: Tensor, axis: int, kernel: int, border: Border) -> Tenso
 
 
 def _reflected(size: int, before: int, after: int) -> Tensor:
-    """Source of each position from -before to size + after, mirrored about the edge pixels as often as
-    needed.
-    """
+    """The source of each position from -before to size + after, mirrored at the edge pixels as often as needed."""
     positions = torch.arange(-before, size + after)
     period = max(2 * (size - 1), 1)
     positions = positions % period

@@ -1,4 +1,4 @@
-"""The selected Gaussians as rows of a 3DGS PLY, copied byte for byte where the field was built on one."""
+"""Selected Gaussians as rows of a 3DGS PLY, copied byte for byte where the field was built on one."""
 
 from __future__ import annotations
 
@@ -17,23 +17,18 @@ from scoup.scene.gaussians import Gaussians
 
 @dataclass(frozen=True, eq=False)
 class SplatTable:
-    """The PLY rows of a splat, and which of them are the N Gaussians of a field.
+    """The PLY rows of a splat, and which of them are the N Gaussians of a field."""
 
-    Attributes:
-        table: M rows.
-        is_gaussian: [M] boolean, true N times; rows that are not finite are no Gaussians.
-    """
-
-    table: PlyTable
-    is_gaussian: Tensor  # [M]
+    table: PlyTable  # M rows
+    is_gaussian: Tensor  # [M] boolean, true N times; false for rows that are not finite
 
     @classmethod
     def of(cls, field: CodedScene, geometry: Path | None = None) -> SplatTable:
-        """The rows of the PLY the field was built on; made from its Gaussians if it was built on something else.
+        """Read the PLY the field was built on, or make rows of its Gaussians if it was built on another file.
 
         Args:
             field: whose Gaussians are wanted.
-            geometry: where its splat is; by default where the field says.
+            geometry: file of its splat; by default the one the field names.
         """
         path = geometry or field.geometry_path
         try:
@@ -44,18 +39,17 @@ class SplatTable:
                 if gaussians.fingerprint() == field.fingerprint:
                     return cls(table, torch.from_numpy(kept))
         except InputError:
-            pass  # compressed, so its rows cannot be copied; or gone, and the field has its geometry embedded
+            pass  # compressed, so its rows cannot be copied; or missing, and the field has its geometry embedded
         return cls(table_from_gaussians(field.gaussians.to("cpu")), torch.ones(len(field), dtype=torch.bool))
 
     def select(self, mask: Tensor) -> PlyTable:
-        """The rows of the Gaussians in ``mask`` [N] boolean."""
+        """Return the rows of the Gaussians in ``mask`` [N] boolean."""
         rows = torch.zeros(len(self.is_gaussian), dtype=torch.bool)
         rows[self.is_gaussian] = mask
         return self.table.select(rows.numpy())
 
     def edited(self, mask: Tensor, gaussians: Gaussians) -> PlyTable:
-        """All rows, those of the Gaussians in ``mask`` [N] boolean with the colours and opacities of ``gaussians``
-        (N)."""
+        """Return all rows, those in ``mask`` [N] boolean with the colours and opacities of ``gaussians`` (N)."""
         chosen = gaussians.select(mask.to(gaussians.device)).to("cpu")
         rows = torch.zeros(len(self.is_gaussian), dtype=torch.bool)
         rows[self.is_gaussian] = mask
@@ -67,16 +61,14 @@ class SplatTable:
         return replace(self.table, rows=changed)
 
     def with_column(self, name: str, values: Tensor, missing: int = 0) -> PlyTable:
-        """All rows with one more integer property: ``values`` [N] of the Gaussians, ``missing`` for rows that are
-        none."""
+        """Return all rows with an integer property: ``values`` [N] of the Gaussians, ``missing`` for other rows."""
         column = torch.full((len(self.is_gaussian),), missing, dtype=torch.int32)
         column[self.is_gaussian] = values.int()
         return self.table.with_column(name, column.numpy())
 
     def with_ids(self, masks: list[Tensor]) -> PlyTable:
-        """All rows with a property `selected`: 1 for the first of ``masks`` [N], 2 for the second ..., 0 for none.
-
-        Of several masks that hold a Gaussian, the last counts.
+        """Return all rows with a property `selected`: the number, from 1, of the last of ``masks`` [N] that contains
+        the Gaussian; 0 for none.
         """
         ids = torch.zeros(int(self.is_gaussian.sum()), dtype=torch.int32)
         for number, mask in enumerate(masks, start=1):

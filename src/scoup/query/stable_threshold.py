@@ -1,8 +1,8 @@
-"""A threshold that no one has to tune: where the answer changes least as the threshold moves.
+"""A threshold without tuning: the one at which the answer changes least as the threshold moves.
 
-The papers fix one threshold a data set (0.6, 0.3, 0.45). Where a thing stands out, relevancy falls steeply at its
-border, and the area above a threshold hardly depends on it. So the threshold is taken where the logarithm of that area
-changes least over a window, as maximally stable extremal regions are found in pictures (Matas, Chum, Urban and Pajdla
+The papers fix one threshold per data set (0.6, 0.3, 0.45). Where a thing stands out, relevancy falls steeply at its
+border, and the area above a threshold hardly depends on it. So the threshold is the one at which the logarithm of that
+area changes least over a window, like maximally stable extremal regions of pictures (Matas, Chum, Urban and Pajdla
 2002). Measured in docs/answers.md.
 """
 
@@ -20,24 +20,21 @@ _BINS = 100
 
 @dataclass(frozen=True)
 class Stability:
-    """What counts as stable. All values are on the rescaled relevancy, which the papers' thresholds are on.
+    """The rule of stability. All values are on the rescaled relevancy, as the papers' thresholds are.
 
-    Attributes:
-        lowest, highest: thresholds considered.
-        window: width of the window over which the change of area is taken.
-        centre, pull: of thresholds that are almost as stable, the one nearer to the centre is taken: its distance times
-            the pull is added to the change.
+    Of thresholds that are almost as stable, the one nearer to the centre is taken: its distance times the pull is added
+    to the change.
     """
 
-    lowest: float = 0.44
+    lowest: float = 0.44  # threshold considered
     highest: float = 0.84
-    window: float = 0.1
+    window: float = 0.1  # over which the change of area is taken
     centre: float = 0.64
     pull: float = 0.05
 
     @property
     def lowest_counted(self) -> float:
-        """Where the lowest window begins: values below it count for nothing."""
+        """Where the lowest window begins; lower values do not count."""
         return self.lowest - self.window / 2
 
 
@@ -50,18 +47,18 @@ def stable_thresholds(
     stability: Stability = STABILITY,
     is_rescaled: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    """The most stable threshold of each row, and how unstable the answer is there.
+    """Return the most stable threshold of each row, and the instability of the answer there.
 
     Args:
-        values: [S, M] relevancy of pixels or Gaussians, finite, each row for itself.
-        fixed: take this threshold instead, and say how unstable the answer is there.
-        stability: what counts as stable.
+        values: [S, M] relevancy of pixels or Gaussians, finite.
+        fixed: take this threshold instead.
+        stability: the rule.
         is_rescaled: the values are rescaled already; those below ``Stability.lowest_counted`` may be left out.
 
     Returns:
-        thresholds [S] float32 on the rescaled relevancy (``rescale``), and [S] float32, the change of the logarithm of
-        the area over the window there: 0 for a step, 2 and more for what fades away. Both on the CPU. Rows that are
-        empty, constant or not finite have the centre and 0.
+        thresholds [S] on the rescaled relevancy (``rescale``), and the change [S] of the logarithm of the area over the
+        window there: 0 for a step, 2 and more for what fades away. Both float32 on the CPU. Rows that are empty,
+        constant or not finite have the centre and 0.
     """
     middle = stability.centre if fixed is None else fixed
     found = [
@@ -73,7 +70,7 @@ def stable_thresholds(
 
 
 def _stable(rescaled: Tensor, fixed: float | None, stability: Stability) -> tuple[float, float]:
-    """Of rescaled relevancy [M]."""
+    """Threshold and change of rescaled relevancy [M]."""
     counts = torch.histc(rescaled.float(), _BINS, 0, 1).double().cpu()
     above = counts.flip(0).cumsum(0).flip(0)  # values in bin b and further up
     area = above.clamp(min=1).log()

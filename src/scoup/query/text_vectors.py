@@ -1,4 +1,4 @@
-"""Texts as vectors: the queries, and what they are compared with."""
+"""Vectors of texts, and of what they are compared with."""
 
 from __future__ import annotations
 
@@ -19,39 +19,24 @@ from scoup.models.word_table import is_table
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.coded_scene import CodedScene
 
-_PUBLISHERS = {
-    "open",
-    "clip",
-    "laion",
-    "openai",
-    "google",
-    "hf",
-    "hub",
-}  # words that do not tell models apart
+# Words that do not tell models apart.
+_PUBLISHERS = {"open", "clip", "laion", "openai", "google", "hf", "hub"}
 
 
 @dataclass(frozen=True, eq=False)
 class TextVectors:
-    """Queries, and the vectors that they are compared with; all of unit norm and from one encoder.
+    """Queries, and the vectors that they are compared with; all of unit norm and from one encoder."""
 
-    Attributes:
-        texts: Q queries.
-        queries: [Q, D], of the texts.
-        canonical: [P, D] of the canonical phrases.
-        everyday: [B, D] of everyday words.
-        source: the table or model they are from.
-    """
-
-    texts: tuple[str, ...]
-    queries: Tensor  # [Q, D]
-    canonical: Tensor  # [P, D]
-    everyday: Tensor  # [B, D]
-    source: str = ""
+    texts: tuple[str, ...]  # Q queries
+    queries: Tensor  # [Q, D], of the texts
+    canonical: Tensor  # [P, D] of the canonical phrases
+    everyday: Tensor  # [B, D] of everyday words
+    source: str = ""  # the table or model they are from
 
     __repr__ = brief
 
     def of(self, texts: Sequence[str]) -> Tensor:
-        """[len(texts), D] vectors of some of the texts."""
+        """Return the vectors of some of the texts, [len(texts), D]."""
         return torch.stack([self.queries[self.texts.index(text)] for text in texts])
 
     @property
@@ -60,9 +45,8 @@ class TextVectors:
         return len(self.everyday) >= LEAST_WORDS
 
     def with_everyday(self) -> TextVectors:
-        """The same, with the mean of the everyday words as one more canonical phrase, which only protocols do without.
-
-        The same as before where there are too few words.
+        """Add the mean of the everyday words to the canonical phrases, which only protocols do without, unless there
+        are too few words.
         """
         return replace(self, canonical=with_everyday(self.canonical, self.everyday))
 
@@ -70,27 +54,27 @@ class TextVectors:
 def encode_texts(
     encoder: TextEncoder, field: CodedScene, texts: Sequence[str], source: str | None = None
 ) -> TextVectors:
-    """Vectors of texts to query a field with, of the canonical phrases, and of everyday words.
+    """Encode texts to query a field with, the canonical phrases, and everyday words.
 
     Args:
-        encoder: of the model whose embeddings the field holds.
+        encoder: of the model whose embeddings the field contains.
         field: to be queried.
-        texts: Q phrases, encoded as they stand.
-        source: what messages call the encoder; by default its model.
+        texts: Q phrases.
+        source: name of the encoder in messages; by default its model.
 
     Warns:
         ScoupWarning: encoder and field name different models, or the table lacks the canonical phrases.
 
     Raises:
         UnknownNameError: a text is not in the encoder's table; the nearest names are listed.
-        InputError: the vectors have another size than the field's embeddings, or the table lacks the canonical phrases
-            and has too few names to stand in for them.
+        InputError: the vectors have other dimensions than the field's embeddings, or the table lacks the canonical
+            phrases and has too few names to replace them.
     """
     check_arguments("encode_texts", encoder=(encoder, TextEncoder), field=(field, CodedScene))
     source = source or encoder.name or "the word table"
     if encoder.dim != field.dim:
         raise InputError(
-            f"{source}: gives vectors of {counted(encoder.dim, 'dimension')}, but the field holds embeddings of "
+            f"{source}: has vectors of {counted(encoder.dim, 'dimension')}, but the field contains embeddings of "
             f"{field.dim}; " + _where_words_are(field, encoder)
         )
     _warn_of_another_model(encoder.name, field.embedding_model, source)
@@ -103,13 +87,13 @@ def encode_texts(
 
 
 def _mean_phrase(encoder: TextEncoder, source: str, error: UnknownNameError) -> Tensor:
-    """[1, D] unit mean of a table's names, which stands in for canonical phrases that the table lacks."""
+    """The unit mean [1, D] of a table's names, for canonical phrases that the table lacks."""
     words = encoder.everyday()
     phrases = ", ".join(CANONICAL_PHRASES)
     if len(words) < LEAST_WORDS:
         raise InputError(
-            f"{source}: lacks {error.name!r}; relevancy compares every text with the phrases {phrases}; encode them "
-            f"into the table too, or give a table of {LEAST_WORDS} names or more"
+            f"{source}: lacks {error.name!r}, but relevancy compares every text with the phrases {phrases}; encode "
+            f"them into the table too, or pass a table of {LEAST_WORDS} names or more"
         ) from error
     warnings.warn(
         f"{source}: lacks {error.name!r}; texts are compared with the mean of its {len(words):,} names in place of the "
@@ -121,7 +105,7 @@ def _mean_phrase(encoder: TextEncoder, source: str, error: UnknownNameError) -> 
 
 
 def _warn_of_another_model(given: str, wanted: str, source: str) -> None:
-    """Vectors of another model fit in size only: cosines with them mean nothing."""
+    """Warn of vectors of another model: they may have the same size, but cosines with them mean nothing."""
     if given and wanted and not is_table(wanted) and _words_of(given) != _words_of(wanted):
         warnings.warn(
             f"{source}: its vectors come from {given}, the field's embeddings from {wanted}; answers mean nothing "
@@ -132,20 +116,20 @@ def _warn_of_another_model(given: str, wanted: str, source: str) -> None:
 
 
 def _words_of(model: str) -> set[str]:
-    """What tells models apart in their names, which transformers and open_clip write differently."""
+    """The words that tell models apart in their names, which transformers and open_clip write differently."""
     return set(re.findall(r"[a-z]+[0-9]+[a-z]*|[a-z]+|[0-9]+", model.lower())) - _PUBLISHERS
 
 
 def _where_words_are(field: CodedScene, other: TextEncoder) -> str:
-    """The remedy for vectors of another size than the field's embeddings; ``other`` is what gave them."""
+    """The remedy for vectors of another size than the field's embeddings, from the encoder ``other``."""
     named = field.embedding_model
     if named == COLORS:
         return NO_WORDS_FOR_COLORS
     table = f"a table of words of {field.dim} dimensions, made with the model that embedded its regions"
     if not named:
-        return f"the field does not name its model: give {table}"
+        return f"the field does not name its model: pass {table}"
     if is_table(named):
-        return f"the field was built for the table {named}: give that, or {table}"
+        return f"the field was built for the table {named}: pass that, or {table}"
     if named == other.name:
-        return f"so {named}, which the field names, did not embed its regions: give {table}"
-    return f"the field names the model {named}: give that, or a table made with it"
+        return f"so {named}, which the field names, did not embed its regions: pass {table}"
+    return f"the field names the model {named}: pass that, or a table made with it"

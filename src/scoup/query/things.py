@@ -1,16 +1,16 @@
-"""Which things answer a text: instances compared by the mean embedding of their regions.
+"""Things that answer a text: instances compared by the mean embedding of their regions.
 
-The fit of a thing to a text is the cosine of the two, less half of what the thing reaches with the words that fit it
-best: some things are near to any word (local scaling of cosines, Conneau et al. 2018, one side of it). Fits are counted
-in units of the scene's spread, how far the cosines of one thing's regions with a text differ (``ThingTable.spread``),
-so that a gap means the same for every embedding model. Things of few regions, and those that views segment differently,
-fit less: their means are less sure, and they are more often a part or a blend of what people name.
+The fit of a thing to a text is their cosine, less half of the cosine with the words that fit the thing best: some
+things are near to any word (local scaling of cosines, one side of it; Conneau et al. 2018). Its unit is the scene's
+spread, by how much the cosines of one thing's regions with a text differ (``ThingTable.spread``), so that a gap means
+the same for every embedding model. Things of few regions, and those that views segment differently, fit less: their
+means are less certain, and they are more often a part or a blend of what people name.
 
-Of each level the things with the largest fits may answer together, for a text may mean several, or one that is seen in
-pieces. A set is judged by the gap behind it, by how far its mean fit lies below the best of all levels, and by its
-overlap with what the votes of the Gaussians select (``scoup.query.segment``, ``scoup.query.select``): the less the
-regions of one thing agree over the views, the more that counts, and the votes alone answer where no set is convincing.
-Own; measured in docs/answers.md.
+At each level, the things with the largest fits may answer together, for a text may mean several, or one seen in pieces.
+A set is judged by the gap behind it, by the distance of its mean fit from the best of all levels, and by its overlap
+with what the votes of the Gaussians select (``scoup.query.segment``, ``scoup.query.select``). The less the regions of
+one thing agree over the views, the more the votes count; they alone answer where no set is convincing. Ours; measured
+in docs/answers.md.
 """
 
 from __future__ import annotations
@@ -31,41 +31,33 @@ from scoup.scene.things import NO_THING, ThingTable
 HUB_QUANTILE, HUB_SHARE = 0.99, 0.5
 """The words that fit a thing best are those above this quantile; this share of their cosine is subtracted."""
 FEW_REGIONS, UNSTABLE, LEAST_STABILITY = 2.0, 0.25, 0.02
-"""The fit of a thing of R regions is lowered by the first divided by sqrt(R), as the error of a mean falls, and by the
-second times the logarithm of 1 / its stability."""
+"""The fit of a thing of R regions is lowered by the first / sqrt(R), as the error of a mean falls, and by the second
+times the logarithm of 1 / its stability."""
 MOST_GAP = 3.0
-"""A gap behind a set counts up to so many spreads."""
+"""The most spreads that a gap behind a set counts."""
 VOTES, LEAST_SCORE = 8.0, 0.5
-"""What overlap with the votes counts, times the disagreement of the things' regions; and the score, without that, from
-which a set is convincing."""
+"""The weight of overlap with the votes, times the disagreement of the things' regions; and the score, without that,
+from which a set is convincing."""
 STANDS_OUT = 2.25
-"""Standard deviations by which the best of some hundred things stands out among them for any text."""
+"""The best of some hundred things stands out among them by so many standard deviations for any text."""
 AT_A_TIME = 7  # texts in one pass over a view
 LEAST_PART = 1e-4
-"""Things with a smaller share of the whole mass are not seen in a view."""
+"""Things with a smaller share of the whole mass are not visible in a view."""
 
 
 @dataclass(frozen=True, eq=False)
 class ThingFits:
-    """How well things fit texts.
-
-    Attributes:
-        things: T of them.
-        fits: [T, Q] float32 in units of the spread.
-        cosines: [T, Q] float32, with the texts.
-        to_words: [T, B] float32 cosines with everyday words.
-        others: [Q, B] boolean, the words that are not other names of a text (``scoup.query.presence.other_words``).
-    """
+    """The fits of T things to Q texts."""
 
     things: ThingTable
-    fits: Tensor  # [T, Q]
-    cosines: Tensor  # [T, Q]
-    to_words: Tensor  # [T, B]
-    others: Tensor  # [Q, B]
+    fits: Tensor  # [T, Q] float32 in units of the spread
+    cosines: Tensor  # [T, Q] float32, with the texts
+    to_words: Tensor  # [T, B] float32 cosines with everyday words
+    others: Tensor  # [Q, B] boolean, from ``other_words``
 
     @classmethod
     def of(cls, things: ThingTable, texts: TextVectors) -> ThingFits:
-        """Of all things to all texts, on the CPU; canonical phrases take the place of too few everyday words."""
+        """Compare all things with all texts, on the CPU; canonical phrases replace too few everyday words."""
         embeddings = things.embeddings.float().cpu()
         words = (texts.everyday if texts.can_judge_presence else texts.canonical).float().cpu()
         queries = texts.queries.float().cpu()
@@ -78,14 +70,14 @@ class ThingFits:
 
     @cached_property
     def counts(self) -> Tensor:
-        """[T] float64: the Gaussians of each thing, at least 1."""
+        """The number of Gaussians of each thing, at least 1, [T] float64."""
         return self.things.sums(torch.ones(len(self.things.owners))).clamp(min=1)
 
     def presence(self, query: int, seen: Tensor | None = None) -> float:
-        """How surely a text names one of the things seen [T] boolean, or of all; minus infinity if there is none.
+        """Return the score of a text among the things seen [T] boolean, or all; minus infinity if there is none.
 
-        Of the thing that fits it best: how much better the text fits this thing than other words do, and how much
-        better than the text fits other things, beyond what it does for any text; both in standard deviations.
+        It is the lead of the text over other words at the best thing, plus the lead of this thing over other things
+        beyond that of any text; both in standard deviations.
         """
         fits = self.fits[:, query].double()
         if seen is None:
@@ -102,7 +94,7 @@ class ThingFits:
 
 
 def _upper(values: Tensor) -> Tensor:
-    """[T] of values [T, B], B >= 1: the one at ``HUB_QUANTILE`` of each row."""
+    """[T], the value at ``HUB_QUANTILE`` of each row of values [T, B], B >= 1."""
     rank = max(1, math.ceil(HUB_QUANTILE * values.shape[1]))
     return values.kthvalue(rank, dim=1).values
 
@@ -110,9 +102,7 @@ def _upper(values: Tensor) -> Tensor:
 def thing_of_scene(
     fits: ThingFits, query: int, selected: Tensor, level: int | None = None
 ) -> tuple[Tensor, int] | None:
-    """The Gaussians [N] boolean of the things that answer a text in the scene, and their level; None where the votes
-    answer. Arguments as for ``things_of_scene``.
-    """
+    """Return the Gaussians [N] boolean of ``things_of_scene``, and their level."""
     chosen, things = things_of_scene(fits, query, selected, level), fits.things
     return None if chosen is None else (things.members(chosen), int(things.levels[chosen[0]]))
 
@@ -122,7 +112,7 @@ def things_of_scene(fits: ThingFits, query: int, selected: Tensor, level: int | 
 
     Args:
         fits: of all texts.
-        query: which of them.
+        query: position of the text.
         selected: [N] boolean, the Gaussians that the votes select.
         level: the one that answers; None: the best.
     """
@@ -136,23 +126,20 @@ def things_of_scene(fits: ThingFits, query: int, selected: Tensor, level: int | 
 
 @dataclass(frozen=True, eq=False)
 class ThingsSeen:
-    """The things that answer in a view.
+    """The things that answer texts in a view."""
 
-    Attributes:
-        masks: per text [H, W] boolean on the CPU, and the level; None where the votes answer.
-        presence: per text, see ``ThingFits.presence``.
-    """
-
-    masks: list[tuple[Tensor, int] | None]
-    presence: list[float]
+    masks: list[
+        tuple[Tensor, int] | None
+    ]  # per text [H, W] on the CPU, and the level; None: the votes answer
+    presence: list[float]  # per text, see ``ThingFits.presence``
 
 
 def things_of_view(
     fits: ThingFits, projection: raster.Projection, voted: Sequence[Tensor], level: int | None = None
 ) -> ThingsSeen:
-    """The pixels of the things that answer each text in a view.
+    """Return the pixels of the things that answer each text in a view.
 
-    To these pixels they contribute more than all other things of their level. Gaussians of no thing, such as haze
+    The things contribute more to these pixels than all other things of their level. Gaussians of no thing, such as haze
     before the camera, do not count.
 
     Args:
@@ -216,14 +203,14 @@ def choose_things(
     voted_mass: Tensor,
     level: int | None = None,
 ) -> Tensor | None:
-    """The things of one level that answer a text together; None where the votes answer.
+    """Return the things of one level that answer a text together; None where the votes answer.
 
     Args:
         things: of the scene.
         fits: [T] of the text.
-        mass: [T] float64, what of each thing is seen: in a view, or in the scene.
-        voted: [T] float64, how much of that lies in what the votes select.
-        voted_mass: [S] float64, all that the votes select, as each level sees it.
+        mass: [T] float64, weight of each thing in a view, or in the scene.
+        voted: [T] float64, the part of it that the votes select.
+        voted_mass: [S] float64, all that the votes select, per level.
         level: the one that answers, judged by the best fit of all levels; None: the best.
 
     Returns:
@@ -233,7 +220,7 @@ def choose_things(
     weight = VOTES * things.disagreement
     best_score, chosen = LEAST_SCORE + weight, None
     top = float(fits[seen].max()) if bool(seen.any()) else 0.0
-    # What stands behind all things of a level: a thing like any other.
+    # Behind all things of a level stands a thing like any other.
     middle = (
         fits[seen].double().median().reshape(1) if bool(seen.any()) else torch.zeros(1, dtype=torch.float64)
     )

@@ -1,4 +1,4 @@
-"""The relevancy of a scene to a text from cameras on the move, frame by frame."""
+"""Videos of the relevancy of a scene to a text, frame by frame."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.paths import camera_path, turntable, upwards
 
 Motion = Literal["path", "turntable"]
-SHARE = 0.35  # of the picture's height that a thing takes on a turntable
+SHARE = 0.35  # of the picture's height for a thing on a turntable
 
 
 def moving_cameras(
     field: CodedScene, place: Location, cameras: Cameras, motion: Motion, count: int
 ) -> Cameras:
-    """The cameras of a video.
+    """Return the cameras of a video with ``count`` frames.
 
-    Args:
-        field: that is shown.
-        place: of the thing, for a turntable.
-        cameras: through which the path leads, or one of which the turntable begins at.
-        motion: "path" leads through the cameras; "turntable" goes around the thing.
-        count: of frames.
+    "path" leads through the cameras; "turntable" goes around the thing at ``place``, from the camera that sees most of
+    it.
 
     Raises:
-        InputError: the thing is nowhere, or the cameras make no path.
+        InputError: the thing is not in the scene, or the cameras do not make a path.
     """
     if motion == "path":
         return camera_path(cameras, count)
     if place.position is None or place.box is None:
-        raise InputError(f"{place.answer.text}: is not in this scene, so there is nothing to turn around")
+        raise InputError(
+            f"{place.answer.text}: is not in this scene, so there is nothing to turn around; use a path"
+        )
     up = upwards(cameras)
     if up is None:
-        raise InputError("these cameras do not tell which direction is up, which a turntable needs")
+        raise InputError(
+            "these cameras do not tell which direction is up, which a turntable needs; use a path"
+        )
     first = best_camera(field, place.answer.mask, list(cameras))
     size = float(place.box.extent.norm())
     arm = first.position - place.position
@@ -66,14 +66,8 @@ def moving_cameras(
 def heat_frames(
     field: CodedScene, query: Tensor, canonical: Tensor, place: Location, cameras: Cameras
 ) -> Iterator[Picture]:
-    """Heat maps of one text with one title, at one level and with one scale of colours, [H, W, 3] uint8 each.
-
-    Args:
-        field: that is queried.
-        query: [D] unit vector of the text.
-        canonical: [P, D].
-        place: of the text, whose answer names the level.
-        cameras: of the frames.
+    """Yield heat maps of one text [D] beside canonical phrases [P, D], at the level of its answer and with one scale of
+    colours, [H, W, 3] uint8 each.
     """
     answer = place.answer
     level = field.level_index(answer.level)
