@@ -58,7 +58,7 @@ def test_scenesplat(here: Path) -> None:
         for system in ("this run", "dense"):
             assert 0.1 < record["systems"][system]["overall"]["f-mIoU"] < 1
             assert record["systems"][system]["intervals"]["f-mIoU"] is None  # of one scene
-    assert "pass the classes of its benchmark" in refused(
+    assert "pass the classes of the benchmark" in refused(
         "eval", "scenesplat", "scenesplat", *QUICK, "--classes", "matterport"
     )
 
