@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.endurance_runs import Run, run, snapshot
+from benchmarks.endurance_runs import Run, snapshot
 from benchmarks.endurance_verbs import VERBS, Scene, Verb, make_scene
 from benchmarks.study import Record, Study
 from scoup.base.errors import looked_up
@@ -149,7 +149,7 @@ def undisturbed(verb: Verb, scene: Scene) -> Plain:
     """Return a run that nobody kills."""
     verb.prepare(scene)
     before = snapshot(scene.work)
-    found = run(verb, scene)
+    found = verb.run(scene)
     if found.code != 0:
         raise SystemExit(f"{verb.name} ended with {found.code}: {found.said}")
     return Plain(found.seconds, found.notes, snapshot(scene.work), before)
@@ -169,7 +169,7 @@ def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int
         kept = verb.n_kept(scene)
         if len(kills) == most or dice.random() >= AGAIN:
             break
-    last = run(verb, scene)
+    last = verb.run(scene)
     files = snapshot(scene.work)
     wanted = 0 if verb.is_finished(last) else verb.n_views(scene) - kept
     return Trial(
@@ -188,8 +188,8 @@ def killed(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, outside:
     """Return a run that is killed at a random moment, if it is not over before."""
     moment, point = dice.random(), dice.randint(1, len(plain.notes))
     if dice.random() < outside:
-        return run(verb, scene, after=moment * EARLY * plain.seconds)
-    return run(verb, scene, point=point)
+        return verb.run(scene, after=moment * EARLY * plain.seconds)
+    return verb.run(scene, point=point)
 
 
 def judged(verb: Verb, scene: Scene, plain: Plain, found: Run, kept_before: int) -> Kill:

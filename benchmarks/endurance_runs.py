@@ -7,12 +7,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
-
-if TYPE_CHECKING:
-    from benchmarks.endurance_verbs import Scene, Verb
+from typing import ClassVar
 
 CHILD = Path(__file__).with_name("endurance_child.py")
 HANGS = 600
@@ -50,19 +48,18 @@ class Run:
         return " ".join(self.notes[-1].split()[:2]) if self.by_itself and self.notes else "outside"
 
 
-def run(verb: Verb, scene: Scene, point: int = 0, after: float | None = None) -> Run:
-    """Run a verb in a process of its own.
+def run(arguments: Sequence[str], work: Path, point: int = 0, after: float | None = None) -> Run:
+    """Run a verb in a process of its own, in the folder ``work``.
 
-    ``point``: at which it kills itself; 0 for none; ``after``: seconds after which it is killed; None for
-    never.
+    It kills itself at a point (0: at none), or is killed after some seconds (None: never).
     """
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "notes"
-        command = [sys.executable, str(CHILD), str(log), str(scene.work), str(point), *verb.command(scene)]
+        command = [sys.executable, str(CHILD), str(log), str(work), str(point), *arguments]
         start = time.perf_counter()
         with subprocess.Popen(
             command,
-            cwd=scene.work,
+            cwd=work,
             env=environment(),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.endurance_runs import Run, environment
+from benchmarks.endurance_runs import Run, environment, run
 from scoup.base.errors import ScoupError
 from scoup.io import save_gaussians, save_png
 from scoup.io.regions.store import RegionStore
@@ -60,6 +60,10 @@ class Verb:
         """Return the arguments of the program."""
         return [argument.replace("SCENE", str(scene.folder)) for argument in self.arguments]
 
+    def run(self, scene: Scene, point: int = 0, after: float | None = None) -> Run:
+        """Run the verb; see ``endurance_runs.run``."""
+        return run(self.command(scene), scene.work, point, after)
+
     def prepare(self, scene: Scene) -> None:
         """Make the folder of work new."""
         shutil.rmtree(scene.work, ignore_errors=True)
@@ -93,32 +97,22 @@ class Verb:
         return any(path.split("/")[0].endswith((".ready", ".unwanted")) for path in files)
 
 
-def views_of_build(work: Path) -> int:
-    """Return views in the region sums that an interrupted build has left."""
-    return _n_views(work / f"{FIELD}.partial")
-
-
-def views_of_shard(work: Path) -> int:
-    """Return views in the region sums that an interrupted shard has left."""
-    return _n_views(work / f"{SHARD}.partial")
-
-
-def no_views(_: Path) -> int:
-    """Return 0: the verb keeps no views for its next run."""
-    return 0
-
-
-def views_of_update(work: Path) -> int:
-    """Return views that an interrupted update has added."""
-    return max(0, _n_views(work / f"{FIELD}.update.partial") - _n_views(work / f"{FIELD}.sums"))
-
-
 def views_extracted(work: Path) -> int:
     """Return views in a folder of regions that can be read."""
     try:
         return len(RegionStore.open(work / "regions").stems())
     except ScoupError:
         return 0
+
+
+def views_of_build(work: Path) -> int:
+    """Return views in the region sums that an interrupted build has left."""
+    return _n_views(work / f"{FIELD}.partial")
+
+
+def views_of_update(work: Path) -> int:
+    """Return views that an interrupted update has added."""
+    return max(0, _n_views(work / f"{FIELD}.update.partial") - _n_views(work / f"{FIELD}.sums"))
 
 
 def _n_views(path: Path) -> int:
@@ -146,25 +140,21 @@ THERE, NO_WORK = "already exists", "nothing to do"
 WITH_SUMS = (FIELD, f"{FIELD}.sums")
 
 
-def all_views(scene: Scene) -> int:
-    """Return the number of views of the scene."""
-    return scene.views
-
-
-# What a merge rasterises is nothing; what follows an edit is made again.
+# A merge rasterises nothing, and what follows an edit is made again: both keep no views for their next run.
 VERBS = {
     verb.name: verb
     for verb in (
-        Verb("build", BUILD, views_of_build, 1, THERE, all_views, new=(FIELD,)),
-        Verb("build --keep-sums", (*BUILD, "--keep-sums"), views_of_build, 1, THERE, all_views, new=WITH_SUMS),
-        Verb("build --shard", (*OF_SHARD, "1/2"), views_of_shard, 1, THERE,
+        Verb("build", BUILD, views_of_build, 1, THERE, lambda scene: scene.views, new=(FIELD,)),
+        Verb("build --keep-sums", (*BUILD, "--keep-sums"), views_of_build, 1, THERE, lambda scene: scene.views,
+             new=WITH_SUMS),
+        Verb("build --shard", (*OF_SHARD, "1/2"), lambda work: _n_views(work / f"{SHARD}.partial"), 1, THERE,
              lambda scene: scene.views // 2, new=(SHARD,)),
-        Verb("merge", MERGE, no_views, 0, THERE, lambda _: 0, SHARDS, WITH_SUMS),
+        Verb("merge", MERGE, lambda _: 0, 0, THERE, lambda _: 0, SHARDS, WITH_SUMS),
         Verb("update --add", (*UPDATE, "--add", "all"), views_of_update, 1, NO_WORK,
              lambda scene: scene.views - scene.earlier, FIELD_KEPT, WITH_SUMS),
-        Verb("update --edited", (*UPDATE, "--edited", "SCENE/../edited.ply"), no_views, 4, NO_WORK,
+        Verb("update --edited", (*UPDATE, "--edited", "SCENE/../edited.ply"), lambda _: 0, 4, NO_WORK,
              lambda scene: scene.earlier, FIELD_KEPT, WITH_SUMS),
-        Verb("extract", EXTRACT, views_extracted, 1, NO_WORK, all_views),
+        Verb("extract", EXTRACT, views_extracted, 1, NO_WORK, lambda scene: scene.views),
     )
 }  # fmt: skip
 

@@ -8,10 +8,9 @@ import numpy as np
 from benchmarks.scenes import hall_things
 from benchmarks.scenes import large_furniture as large
 from benchmarks.scenes.alterations import broader, called, finer, painted, several
-from scoup.scene.cameras import Camera, Cameras
 from scoup_lab.synthetic.art import desk_things as desk
 from scoup_lab.synthetic.art import furniture, tableware
-from scoup_lab.synthetic.art.layout import Layout, aimed_camera
+from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.lighting import Light
 from scoup_lab.synthetic.art.meshes import Floats, box, merged, plane
 from scoup_lab.synthetic.art.paints import checked, color, smooth_noise, solid, wood
@@ -179,35 +178,21 @@ def _east() -> tuple[Thing, ...]:
     )
 
 
-def make_cameras(
-    n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
-) -> tuple[Cameras, Cameras]:
-    """Return cameras that turn once around, looking outwards from the loop; held-out ones look between them."""
-    return (
-        Cameras(_loop("view", n_building, 0.0, width, height, rng)),
-        Cameras(_loop("held_out", n_held_out, 0.37, width, height, rng)),
-    )
-
-
-def _loop(
-    kind: str, count: int, phase: float, width: int, height: int, rng: np.random.Generator
-) -> list[Camera]:
-    cameras = []
-    for step in range(count):
-        turn = 2 * np.pi * (step + phase + rng.uniform(-0.1, 0.1)) / count
-        rise = 0.22 * np.sin(5 * turn + 2 * np.pi * phase)
-        eye = np.array([LOOP[0] * np.cos(turn), LOOP[1] * np.sin(turn), 1.45 + rise])
-        away = turn + np.radians(rng.uniform(-8, 8))
-        aim = eye + np.array([3 * np.cos(away), 3 * np.sin(away), -0.42 - rise + rng.uniform(-0.12, 0.12)])
-        cameras.append(aimed_camera(eye, aim, f"{kind}_{step:02d}.png", width, height, field_of_view=66))
-    return cameras
+def look(step: int, count: int, held_out: bool, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Turn once around, looking outwards from the loop; held-out cameras look between the others."""
+    phase = 0.37 * held_out
+    turn = 2 * np.pi * (step + phase + rng.uniform(-0.1, 0.1)) / count
+    rise = 0.22 * np.sin(5 * turn + 2 * np.pi * phase)
+    eye = np.array([LOOP[0] * np.cos(turn), LOOP[1] * np.sin(turn), 1.45 + rise])
+    away = turn + np.radians(rng.uniform(-8, 8))
+    return eye, eye + np.array([3 * np.cos(away), 3 * np.sin(away), -0.42 - rise + rng.uniform(-0.12, 0.12)])
 
 
 HALL = Layout(
     "hall",
     "hall seen from its middle",
     make_hall,
-    make_cameras,
+    look,
     Light(
         np.array([-2.15, -NORTH + 0.42, 1.3]),
         frozenset({"wall", "floor", "ceiling"}),
@@ -218,4 +203,5 @@ HALL = Layout(
         shadow_gap=0.025,
     ),
     ("sofa", "television", "dining table set", "fireplace", "globe"),
+    field_of_view=66,
 )

@@ -11,10 +11,9 @@ from benchmarks.scenes import garden_things as garden
 from benchmarks.scenes import large_furniture as large
 from benchmarks.scenes import shelf_things as small
 from benchmarks.scenes.alterations import broader, called, painted, several
-from scoup.scene.cameras import Camera, Cameras
 from scoup_lab.synthetic.art import desk_things as desk
 from scoup_lab.synthetic.art import furniture, tableware
-from scoup_lab.synthetic.art.layout import Layout, aimed_camera
+from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.lighting import Light
 from scoup_lab.synthetic.art.meshes import Floats, box, merged, plane
 from scoup_lab.synthetic.art.paints import bands, checked, color, fur, gradient, smooth_noise, solid, wood
@@ -255,37 +254,22 @@ def _lowest() -> list[list[Thing]]:
     ]
 
 
-def make_cameras(
-    n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
-) -> tuple[Cameras, Cameras]:
-    """Return a flat arc before the shelves at changing heights; each camera looks at its own part of the wall."""
-    return (
-        Cameras(_arc("view", n_building, 0.0, width, height, rng)),
-        Cameras(_arc("held_out", n_held_out, 0.37, width, height, rng)),
-    )
-
-
-def _arc(
-    kind: str, count: int, phase: float, width: int, height: int, rng: np.random.Generator
-) -> list[Camera]:
-    cameras = []
-    for step in range(count):
-        along = (step + 0.5) / count
-        swing = np.radians(-32 + 64 * along + rng.uniform(-2, 2))
-        rise = np.sin(2 * np.pi * (along * 4 + phase))
-        away = 2.15 + 0.25 * np.cos(2 * np.pi * (along * 3 + phase))
-        aim = np.array([1.05 * np.sin(swing * 1.6), -0.1, 1.08 + 0.36 * rise])
-        aim += rng.uniform(-1, 1, 3) * [0.1, 0.0, 0.06]
-        eye = np.array([2.1 * np.sin(swing), -0.1 - away * np.cos(swing), 1.3 + 0.3 * rise])
-        cameras.append(aimed_camera(eye, aim, f"{kind}_{step:02d}.png", width, height))
-    return cameras
+def look(step: int, count: int, held_out: bool, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Move along a flat arc before the shelves at changing heights; each camera looks at its own part of the wall."""
+    along, phase = (step + 0.5) / count, 0.37 * held_out
+    swing = np.radians(-32 + 64 * along + rng.uniform(-2, 2))
+    rise = np.sin(2 * np.pi * (along * 4 + phase))
+    away = 2.15 + 0.25 * np.cos(2 * np.pi * (along * 3 + phase))
+    aim = np.array([1.05 * np.sin(swing * 1.6), -0.1, 1.08 + 0.36 * rise])
+    aim += rng.uniform(-1, 1, 3) * [0.1, 0.0, 0.06]
+    return np.array([2.1 * np.sin(swing), -0.1 - away * np.cos(swing), 1.3 + 0.3 * rise]), aim
 
 
 SHELVES = Layout(
     "shelves",
     "wall of shelves",
     make_shelves,
-    make_cameras,
+    look,
     Light(
         np.array([-0.02, -0.25, 1.2]),
         frozenset({"wall", "floor"}),

@@ -8,11 +8,11 @@ import numpy as np
 from benchmarks.scenes import garden_grounds as grounds
 from benchmarks.scenes import garden_things as garden
 from benchmarks.scenes.alterations import broader, called, finer, several
-from scoup.scene.cameras import Camera, Cameras
 from scoup_lab.synthetic.art import desk_things as desk
 from scoup_lab.synthetic.art import furniture
-from scoup_lab.synthetic.art.layout import Layout, aimed_camera
+from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.lighting import Light
+from scoup_lab.synthetic.art.meshes import Floats
 from scoup_lab.synthetic.art.things import Thing
 
 HALF = 7.0  # metres: half the width of the garden inside its hedge
@@ -87,42 +87,21 @@ def _middle() -> tuple[Thing, ...]:
     )
 
 
-def make_cameras(
-    n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
-) -> tuple[Cameras, Cameras]:
-    """Return a ring at two heights, one camera below and the next above; the held-out ones stand between the
-    heights."""
-    return (
-        Cameras(_ring("view", n_building, HEIGHTS, 0.0, width, height, rng)),
-        Cameras(_ring("held_out", n_held_out, (1.5,), 0.31, width, height, rng)),
-    )
-
-
-def _ring(
-    kind: str,
-    count: int,
-    heights: tuple[float, ...],
-    phase: float,
-    width: int,
-    height: int,
-    rng: np.random.Generator,
-) -> list[Camera]:
-    cameras = []
-    for step in range(count):
-        turn = 2 * np.pi * (step + phase + rng.uniform(-0.15, 0.15)) / count
-        away = RADIUS + rng.uniform(-0.15, 0.15)
-        level = heights[step % len(heights)] + rng.uniform(-0.08, 0.08)
-        eye = np.array([away * np.cos(turn), away * np.sin(turn), level])
-        aim = TARGET + rng.uniform(-1, 1, 3) * [0.15, 0.15, 0.08]
-        cameras.append(aimed_camera(eye, aim, f"{kind}_{step:02d}.png", width, height))
-    return cameras
+def look(step: int, count: int, held_out: bool, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Turn once around at two heights in turn; held-out cameras stand between them and between the heights."""
+    heights, phase = ((1.5,), 0.31) if held_out else (HEIGHTS, 0.0)
+    turn = 2 * np.pi * (step + phase + rng.uniform(-0.15, 0.15)) / count
+    away = RADIUS + rng.uniform(-0.15, 0.15)
+    level = heights[step % len(heights)] + rng.uniform(-0.08, 0.08)
+    eye = np.array([away * np.cos(turn), away * np.sin(turn), level])
+    return eye, TARGET + rng.uniform(-1, 1, 3) * [0.15, 0.15, 0.08]
 
 
 YARD = Layout(
     "yard",
     "fountain in a garden",
     make_yard,
-    make_cameras,
+    look,
     Light(
         np.array([0.3, 6.6, 1.4]),  # by the door of the shed, where it lights nothing that matters
         frozenset({"sky", "lawn", "hedge", "tree", "garden shed"}),

@@ -10,7 +10,6 @@ import shutil
 import pytest
 from benchmarks.endurance import endure, undisturbed
 from benchmarks.endurance_runs import Run, snapshot
-from benchmarks.endurance_runs import run as run_verb
 from benchmarks.endurance_verbs import VERBS, Scene, make_scene
 
 from cli_support import run
@@ -44,7 +43,7 @@ def test_killed_between_field_and_sums(name: str, scene: Scene, monkeypatch: pyt
         row for row, note in enumerate(plain.notes) if note == "file os.rename .a.scoup.sums.ready"
     )
     verb.prepare(scene)
-    assert run_verb(verb, scene, point=point).code == Run.KILLED
+    assert verb.run(scene, point).code == Run.KILLED
     left = snapshot(scene.work)
     assert left["a.scoup"] == plain.files["a.scoup"]
     assert any(

@@ -12,10 +12,8 @@ from scoup_lab.synthetic.art.lighting import Light
 from scoup_lab.synthetic.art.meshes import Floats
 from scoup_lab.synthetic.art.things import Thing
 
-FIELD_OF_VIEW = 58.0  # degrees, horizontal
-
-CameraMaker = Callable[[int, int, int, int, np.random.Generator], tuple[Cameras, Cameras]]
-"""``cameras(n_building, n_held_out, width, height, rng)``: building cameras, and held-out cameras."""
+Path = Callable[[int, int, bool, np.random.Generator], tuple[Floats, Floats]]
+"""``path(step, count, held_out, rng)``: eye [3] and aim [3] of one of ``count`` cameras, z up, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,15 +23,22 @@ class Layout:
     name: str  # of scenes of this layout
     title: str  # what it shows, in words that follow "A"
     things: Callable[[], tuple[Thing, ...]]  # makes all things, placed; z is up, metres
-    cameras: CameraMaker  # makes the cameras; no held-out camera has the position of a building camera
-    light: Light  # the light of the scene
+    path: Path  # no held-out camera has the position of a building camera
+    light: Light
     favourites: tuple[str, ...]  # names worth showing in pictures, the best known first
+    field_of_view: float = 58.0  # degrees, horizontal
 
+    def cameras(
+        self, n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
+    ) -> tuple[Cameras, Cameras]:
+        """Return building cameras and held-out cameras along the path."""
+        focal = width / 2 / np.tan(np.radians(self.field_of_view) / 2)
 
-def aimed_camera(
-    eye: Floats, target: Floats, name: str, width: int, height: int, field_of_view: float = FIELD_OF_VIEW
-) -> Camera:
-    """Return a camera at ``eye`` [3] that looks at ``target`` [3], z up; ``field_of_view`` is horizontal, in
-    degrees."""
-    focal = width / 2 / np.tan(np.radians(field_of_view) / 2)
-    return Camera.look_at(eye, target, name, width, height, focal)
+        def along(name: str, count: int, held_out: bool) -> Cameras:
+            ends = (self.path(step, count, held_out, rng) for step in range(count))
+            return Cameras(
+                Camera.look_at(eye, aim, f"{name}_{step:02d}.png", width, height, focal)
+                for step, (eye, aim) in enumerate(ends)
+            )
+
+        return along("view", n_building, False), along("held_out", n_held_out, True)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.scene.cameras import Camera, Cameras
 from scoup_lab.synthetic.art import desk_things as desk
 from scoup_lab.synthetic.art import furniture, tableware
-from scoup_lab.synthetic.art.layout import Layout, aimed_camera
+from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.lighting import Light
+from scoup_lab.synthetic.art.meshes import Floats
 from scoup_lab.synthetic.art.things import Thing
 
 LEFT, BACK, REACH, HEIGHT = -1.55, 1.3, 5.4, 2.3  # metres: the walls x = LEFT and y = BACK
@@ -96,40 +96,21 @@ def _toys() -> tuple[Thing, ...]:
     )
 
 
-def make_cameras(
-    n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator
-) -> tuple[Cameras, Cameras]:
-    """Return building and held-out cameras on a swing around the table's open sides.
-
-    Height and distance vary along the way, and each camera looks at its own point on the table. No held-out camera
-    has the position of a building camera.
-    """
-    return (
-        Cameras(_swing("view", n_building, 0.0, width, height, rng)),
-        Cameras(_swing("held_out", n_held_out, 0.37, width, height, rng)),
-    )
-
-
-def _swing(
-    kind: str, count: int, phase: float, width: int, height: int, rng: np.random.Generator
-) -> list[Camera]:
-    cameras = []
-    for step in range(count):
-        along = (step + 0.5) / count
-        azimuth = np.radians(-122 + 132 * along + rng.uniform(-2, 2))
-        rise = np.sin(2 * np.pi * (along * 3 + phase))
-        distance = 1.42 + 0.2 * np.cos(2 * np.pi * (along * 2 + phase)) + 0.25 * along
-        eye = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), 1.44 + 0.24 * rise])
-        aim = TARGET + rng.uniform(-1, 1, 3) * [0.1, 0.08, 0.04]
-        cameras.append(aimed_camera(eye, aim, f"{kind}_{step:02d}.png", width, height))
-    return cameras
+def look(step: int, count: int, held_out: bool, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Swing around the table's open sides at changing heights and distances; each camera has an aim of its own."""
+    along, phase = (step + 0.5) / count, 0.37 * held_out
+    azimuth = np.radians(-122 + 132 * along + rng.uniform(-2, 2))
+    rise = np.sin(2 * np.pi * (along * 3 + phase))
+    distance = 1.42 + 0.2 * np.cos(2 * np.pi * (along * 2 + phase)) + 0.25 * along
+    eye = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), 1.44 + 0.24 * rise])
+    return eye, TARGET + rng.uniform(-1, 1, 3) * [0.1, 0.08, 0.04]
 
 
 TABLE = Layout(
     "table",
     "table-top",
     table_things,
-    make_cameras,
+    look,
     Light(LAMP, frozenset({"wall", "floor"})),
     ("teapot", "rubber duck", "fruit bowl", "alarm clock", "sunflowers"),
 )
