@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -36,6 +36,7 @@ from benchmarks.selection import Selections
 from benchmarks.server_load import ServerLoad
 from benchmarks.study import Study
 from benchmarks.viewer import ViewerCost
+from scoup.extract.registry import EMBEDDERS, SEGMENTERS, Choice
 from scoup_lab.bench import markdown
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -101,6 +102,12 @@ def bench() -> str:
             cells = [f"{1e3 * row['median_s']:.1f}", f"{ratios[key]:.1f} x" if key in ratios else "-"]
             body.append([f"{row['gaussians']:,}", row["stage"], str(row["threads"]), *cells])
     return markdown(["Gaussians", "stage", "threads", "compiled core, ms", "reference takes"], body)
+
+
+def choices(of: Sequence[Choice]) -> str:
+    """Return the table of segmenters or embedders, as `scoup extract --list` prints it."""
+    headers = [*of[0].cells(), "what it is"]
+    return markdown(headers, [[*choice.cells().values(), choice.what] for choice in of], left=len(headers))
 
 
 def study(name: str, number: int) -> str:
@@ -183,6 +190,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "scannet": lambda: points("eval-scannet", "mIoU"),
     "scenesplat": lambda: points("eval-scenesplat", "f-mIoU"),
     "bench": bench,
+    "segmenters": lambda: choices(SEGMENTERS),
+    "embedders": lambda: choices(EMBEDDERS),
     **{name: lambda of=of: of[0].table(record(of[1])) for name, of in STUDIES.items()},
 }
 """By name."""

@@ -11,13 +11,16 @@ import torch
 from PIL import Image
 
 from cli_support import QUICK, refused, run, run_json, snapshot
+from scoup.cli.build import CLIP_MODEL
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_regions
 from scoup.io.regions.manifest import MANIFEST
+from scoup.models.sam import SHORT_NAMES
 
 pytestmark = pytest.mark.usefixtures("here")
 
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
+ROOT = Path(__file__).parents[2]
 
 
 def photographs(count: int = 4) -> None:
@@ -170,3 +173,28 @@ def test_manifest_says_how_the_regions_were_made(here) -> None:
     record = json.loads(Path("scene/language_features", MANIFEST).read_text())
     assert record["settings"]["segmenter"] == "felzenszwalb"
     assert record["settings"]["max_height"] is None
+
+
+def test_list_shows_every_model_and_whether_its_weights_are_here(tmp_path: Path, monkeypatch) -> None:
+    commit = tmp_path / "models--facebook--sam-vit-base" / "snapshots" / "abc"
+    commit.mkdir(parents=True)
+    (commit / "model.safetensors").touch()
+    (commit.parents[1] / "refs").mkdir()
+    (commit.parents[1] / "refs" / "main").write_text("abc")
+    pytest.importorskip("huggingface_hub")
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path))
+    listed = run_json("extract", "--list")
+    rows = {row["name"]: row for rows in listed.values() for row in rows}
+    assert {"mobile-sam", *SHORT_NAMES, "felzenszwalb", CLIP_MODEL, "colors"} <= set(rows)
+    assert [name for name, row in rows.items() if row["weights"] == "here"] == ["sam-vit-b"]
+    assert (rows["mobile-sam"]["weights"], rows["colors"]["weights"]) == ("not here", "-")
+    measured = json.loads((ROOT / "docs/benchmarks/extract.json").read_text())["rows"]
+    seconds = {row["way"]: f"{row['seconds']:.1f}" for row in measured}
+    assert rows["mobile-sam"]["CPU seconds"] == seconds["fast"]
+    assert rows["onnx:FOLDER"]["CPU seconds"] == seconds["fast, SAM 2 tiny"]
+    assert [row["CPU seconds"] for row in rows.values()].count("-") == len(rows) - 2
+    code, out, _ = run("extract", "--list")
+    assert code == 0
+    assert len(out.split()) > 5 * len(rows)
+    assert all(name in out for name in rows)
+    assert "or --list" in refused("extract")

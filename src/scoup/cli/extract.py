@@ -33,12 +33,14 @@ class Extract(WritesCommon):
 
     option_groups: ClassVar[OptionGroups] = {
         "photograph": "images max_height",
-        "model": "segmenter embedder segmenter_revision embedder_revision",
+        "model": "segmenter embedder segmenter_revision embedder_revision list_models",
         "mask": "preset points_per_side points_per_batch with_default",
         "output": "out layout bits shard",
     }
 
-    scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
+    scene: Annotated[
+        tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")
+    ] = None
     """Folder with cameras and photographs, or of photographs alone."""
     images: OptionalPath = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
@@ -55,6 +57,8 @@ class Extract(WritesCommon):
     """Branch, tag or commit of the segmenter. The commit found is recorded, and kept when work is resumed."""
     embedder_revision: OptionalText = None
     """Branch, tag or commit of the embedder; the same holds."""
+    list_models: Annotated[bool, tyro.conf.arg(name="list", help_behavior_hint="")] = False
+    """Print a table of segmenters and embedders, and whether their weights are on this machine; do nothing else."""
     preset: Annotated[
         Literal["langsplat", "fast"] | None, tyro.conf.arg(metavar="{langsplat,fast}", help_behavior_hint="")
     ] = None
@@ -78,12 +82,17 @@ class Extract(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Extract and report."""
+        if self.list_models:
+            _list_models(console)
+            return
         from scoup.base.errors import InputError
         from scoup.base.shares import device_of_process
         from scoup.extract import Output, extract, find_photographs
         from scoup.extract.registry import open_pair
         from scoup.io.scene_parts import usual_features
 
+        if self.scene is None:
+            raise InputError("pass the folder of the scene, or --list")
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
         device = device_of_process(self.device)
@@ -106,14 +115,9 @@ class Extract(WritesCommon):
             report = extract(photographs, out, segmenter, embedder, output, self.overwrite, share, progress)
         seconds = time.perf_counter() - started
         _say(console, report, out, seconds, share)
-        record = {
-            "out": out,
-            "photographs": len(photographs),
-            **_record(report),
-            "seconds": round(seconds, 2),
-        }
         shares = {} if share.is_everything else {"shard": share.number + 1, "of_shards": share.count}
-        console.result({**record, "embedding_model": embedder.name, **shares})
+        record = {**_record(report), "seconds": round(seconds, 2), "embedding_model": embedder.name, **shares}
+        console.result({"out": out, "photographs": len(photographs), **record})
 
     def _share(self) -> Share:
         """The photographs to do: by torchrun's rank, or as named."""
@@ -139,6 +143,26 @@ class Extract(WritesCommon):
         console.say(f"segmenter {segmenter}, preset {preset}, embedder {self.embedder}")
         points = {"points_per_side": self.points_per_side, "points_per_batch": self.points_per_batch}
         return segmenter, mask_settings(preset, **points)
+
+
+def _list_models(console: Console) -> None:
+    from scoup.extract.registry import EMBEDDERS, SEGMENTERS
+
+    rows = {
+        title: [
+            {**choice.cells(), "weights": choice.weights(), "what it is": choice.what} for choice in choices
+        ]
+        for title, choices in (("segmenters", SEGMENTERS), ("embedders", EMBEDDERS))
+    }
+    for records in rows.values():
+        lines = [list(records[0]), *(list(record.values()) for record in records)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        for line in lines:
+            console.say(
+                "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+            )
+        console.say("")
+    console.result(rows)
 
 
 @contextmanager

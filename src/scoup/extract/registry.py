@@ -1,7 +1,8 @@
-"""Segmenters and embedders by name."""
+"""Segmenters and embedders by name, and the table of them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -11,6 +12,85 @@ from scoup.extract import felzenszwalb, plain_colors
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
 from scoup.io.regions.manifest import read_manifest
+from scoup.models import dense, mobile_sam, onnx_sam, sam
+from scoup.models.hub import OPEN_CLIP, is_cached
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A row of the table of segmenters and embedders."""
+
+    name: str
+    what: str
+    size: str = "-"  # of the weights in 32 bits
+    licence: str = "-"  # of the weights, or of the package where there are none
+    seconds: float | None = (
+        None  # of a CPU per photograph, preset fast: docs/benchmarks/extract.json; None: not measured
+    )
+    extra: str = ""  # of scoup, which brings the packages that it needs
+    file: tuple[str, str] | None = (
+        None  # hub id, and the file of the weights; None where the user names the weights
+    )
+
+    def cells(self) -> dict[str, str]:
+        """Return column -> text, of all but ``what`` and ``weights``."""
+        return {
+            "name": self.name,
+            "size": self.size,
+            "licence": self.licence,
+            "CPU seconds": "-" if self.seconds is None else f"{self.seconds:.1f}",
+            "needs": f"scoup[{self.extra}]" if self.extra else "-",
+        }
+
+    def weights(self) -> str:
+        """Return "here" or "not here" for weights of a hub, "-" where there are none or the user names them."""
+        if self.file is None:
+            return "-"
+        return "here" if is_cached(*self.file) else "not here"
+
+
+def _sam(name: str, what: str, size: str, licence: str = "Apache-2.0") -> Choice:
+    file = (sam.SHORT_NAMES[name], "model.safetensors")
+    return Choice(name, what, size, licence, None, "models", file)
+
+
+_CLIP = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+SEGMENTERS = (
+    Choice(
+        sam.MOBILE_SAM, "MobileSAM: the default without a GPU", "41 MB", "Apache-2.0", 10.6, "models",
+        (mobile_sam.HUB_ID, mobile_sam.FILE),
+    ),
+    _sam("sam-vit-b", "SAM ViT-B", "375 MB"),
+    _sam("sam-vit-l", "SAM ViT-L", "1.2 GB"),
+    _sam("sam-vit-h", "SAM ViT-H, as LangSplat: the default on a GPU", "2.6 GB"),
+    _sam("sam2.1-tiny", "SAM 2.1 Hiera-T", "156 MB"),
+    _sam("sam2.1-small", "SAM 2.1 Hiera-S", "184 MB"),
+    _sam("sam2.1-base-plus", "SAM 2.1 Hiera-B+", "323 MB"),
+    _sam("sam2.1-large", "SAM 2.1 Hiera-L", "898 MB"),
+    _sam("sam3", "the tracker of SAM 3, which takes points", "1.8 GB", "SAM License"),
+    Choice("FOLDER or hub id", "any SAM, SAM 2 or SAM 3 of transformers", extra="models"),
+    Choice(
+        f"{onnx_sam.PREFIX}FOLDER", "SAM or SAM 2 exported to ONNX, on the CPU (seconds: SAM 2 tiny)", seconds=45.7,
+        extra="onnx",
+    ),
+    Choice(
+        felzenszwalb.NAME, "no model: regions of even colour at three scales", licence="BSD-3-Clause",
+        extra="segment",
+    ),
+)  # fmt: skip
+EMBEDDERS = (
+    Choice(
+        _CLIP, "CLIP ViT-B/16, as LangSplat: the default", "598 MB", "MIT", None, "models",
+        (_CLIP, "model.safetensors"),
+    ),
+    Choice("FOLDER or hub id", "any CLIP or SigLIP of transformers", extra="models"),
+    Choice(
+        f"{dense.PREFIX}MODEL", "the same models in one pass per photograph instead of one per region",
+        extra="models",
+    ),
+    Choice(f"{OPEN_CLIP}ARCHITECTURE/PRETRAINED", "open_clip", extra="open-clip"),
+    Choice(plain_colors.NAME, "no model: colours and edges of a crop; a field of it cannot be queried by text"),
+)  # fmt: skip
 
 
 def open_segmenter(
@@ -20,12 +100,10 @@ def open_segmenter(
     device: torch.device | str = "cpu",
     with_default: bool = False,
 ) -> Segmenter:
-    """The segmenter of a name.
+    """Open a segmenter by name.
 
     Args:
-        name: "felzenszwalb" (no model), "mobile-sam" or the path of its checkpoint (.pt), a short name of
-            ``sam.SHORT_NAMES`` such as "sam-vit-h", a folder or hub id of a SAM, SAM 2 or SAM 3 model that
-            transformers knows, or "onnx:FOLDER" (see ``onnx_sam``).
+        name: of ``SEGMENTERS``, or the path of MobileSAM's checkpoint (.pt).
         settings: of the masks, for models.
         revision: branch, tag or commit of a hub model.
         with_default: also make LangSplat's level "default" (models only).
@@ -38,7 +116,6 @@ def open_segmenter(
             raise InputError(f"{name} has no level default: it does not predict masks from points")
         return felzenszwalb.Felzenszwalb()
     from scoup.extract.automatic_masks import SamSegmenter
-    from scoup.models import onnx_sam, sam
 
     settings = settings or MaskSettings()
     if name.startswith(onnx_sam.PREFIX):
@@ -50,23 +127,20 @@ def open_segmenter(
 
 
 def open_embedder(name: str, revision: str | None = None, device: torch.device | str = "cpu") -> Embedder:
-    """The embedder of a name.
+    """Open an embedder by name.
 
     Args:
-        name: "colors" (no model), a folder or hub id of a CLIP or SigLIP model that transformers knows, or
-            "open_clip:ARCHITECTURE/PRETRAINED"; or "dense:" and the folder or hub id, for one pass over each
-            photograph.
+        name: of ``EMBEDDERS``.
         revision: branch, tag or commit of a hub model.
 
     Raises:
         ScoupError: the package or the weights that it needs are missing.
     """
-    from scoup.extract.dense import DenseEmbedder
-    from scoup.models import dense
-
     if name == plain_colors.NAME:
         return plain_colors.PlainColors(device)
     if name.startswith(dense.PREFIX):
+        from scoup.extract.dense import DenseEmbedder
+
         return DenseEmbedder(dense.open_dense_model(name, revision, device))
     from scoup.models.image import open_image_model
 
@@ -82,20 +156,20 @@ def open_pair(
     resumed: Path | None = None,
     with_default: bool = False,
 ) -> tuple[Segmenter, Embedder]:
-    """A segmenter and an embedder; where a folder is resumed, of the commits it was begun with.
+    """Open a segmenter and an embedder; in a folder that is resumed, of the commits it was begun with.
 
     A hub model that has changed meanwhile would otherwise be another model for the rest of the views.
 
     Args:
         revisions: of both, where the user names them.
-        resumed: folder that may hold views already.
-        with_default: as in ``open_segmenter``.
+        resumed: folder that may contain views already.
     """
     manifest = read_manifest(resumed) if resumed is not None and resumed.is_dir() else None
     begun = manifest.settings if manifest is not None else {}
 
     def revision_of(role: str, name: str, given: str | None) -> str | None:
-        same = begun.get(role) in (name, _full_name(name))
+        # The manifest names a model by its hub id.
+        same = begun.get(role) in (name, sam.SHORT_NAMES.get(name, name.removeprefix(dense.PREFIX)))
         return given or (begun.get(f"{role}_revision") or None if same else None)
 
     first = revision_of("segmenter", segmenter, revisions[0])
@@ -104,11 +178,3 @@ def open_pair(
         open_segmenter(segmenter, settings, first, device, with_default),
         open_embedder(embedder, second, device),
     )
-
-
-def _full_name(name: str) -> str:
-    """As the manifest names the model."""
-    from scoup.models import dense
-    from scoup.models.sam import SHORT_NAMES
-
-    return SHORT_NAMES.get(name, name.removeprefix(dense.PREFIX))

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
@@ -190,6 +191,15 @@ def hub_file(request: ModelRequest, name: str) -> Path:
     return Path(
         _here_or_from_hub(request, lambda options: hub.hf_hub_download(request.source, name, **options))
     )
+
+
+def is_cached(model_id: str, name: str) -> bool:
+    """Return whether a file of a hub model is in this machine's cache of Hugging Face."""
+    if find_spec("huggingface_hub") is None:
+        return False
+    from huggingface_hub import try_to_load_from_cache
+
+    return isinstance(try_to_load_from_cache(model_id, name), str)
 
 
 def _here_or_from_hub(request: ModelRequest, load: Callable[[dict[str, Any]], Loaded]) -> Loaded:
