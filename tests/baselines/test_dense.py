@@ -17,42 +17,26 @@ from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from support import small_scene, unit
 
 
-def test_dense_features_are_the_weighted_mean_of_embeddings() -> None:
-    gaussians, cameras, regions = small_scene(count=60, views=2)
-    sums = region_sums(gaussians, cameras, regions)
-    stacked = [regions.embeddings(level)[0] for level in regions.levels]
-    for s, level in enumerate(regions.levels):
-        expected = torch.zeros(60, 16)
-        for camera in cameras:
-            region_map = regions.load(camera.name, level)
-            weights, _ = raster.render_channels(raster.project(gaussians, camera), torch.eye(60))
-            has = region_map.labels >= 0
-            expected += weights[has].T @ region_map.embeddings[region_map.labels[has].long()]
-        actual = dense_features(sums, stacked[s], s)
-        assert torch.allclose(actual, unit(expected), atol=1e-4)
-
-
-def test_means_keep_their_length() -> None:
-    """The paper's Eq. 3: the sum of e F over the sum of e, both over the pixels with a region."""
+def test_features_are_sums_and_means_of_embeddings() -> None:
+    """``dense_features`` of unit norm; ``mean_features`` as long as the paper's Eq. 3 makes them."""
     gaussians, cameras, regions = small_scene(count=60, views=2)
     sums = region_sums(gaussians, cameras, regions)
     for s, level in enumerate(regions.levels):
         rows, _ = regions.embeddings(level)
-        summed, painted = torch.zeros(60, 16), torch.zeros(60)
+        summed, total = torch.zeros(60, 16), torch.zeros(60)
         for camera in cameras:
             region_map = regions.load(camera.name, level)
             weights, _ = raster.render_channels(raster.project(gaussians, camera), torch.eye(60))
             has = region_map.labels >= 0
             summed += weights[has].T @ region_map.embeddings[region_map.labels[has].long()]
-            painted += weights[has].sum(0)
-        found = mean_features(sums, rows, s)
-        seen = painted > 1e-4
-        assert torch.allclose(found[seen], (summed / painted[:, None])[seen], atol=1e-4)
+            total += weights[has].sum(0)
+        assert torch.allclose(dense_features(sums, rows, s), unit(summed), atol=1e-4)
+        found, seen = mean_features(sums, rows, s), total > 1e-4
+        assert torch.allclose(found[seen], (summed / total[:, None])[seen], atol=1e-4)
         lengths = found.norm(dim=1)
         assert lengths.max() <= 1 + 1e-5
         assert lengths[seen].min() < 0.9  # regions differ
-        assert not found[painted == 0].any()
-        assert torch.allclose(unit(found), dense_features(sums, rows, s), atol=1e-4)
+        assert not found[total == 0].any()
 
 
 def test_relevancy_is_that_of_the_rendered_features() -> None:

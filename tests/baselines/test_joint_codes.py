@@ -15,7 +15,6 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.joint_codes import (
-    LANGSPLATV2,
     JointCodes,
     JointSettings,
     ViewTargets,
@@ -208,11 +207,6 @@ def test_a_share_of_the_views(scene: RasterisedScene) -> None:
     assert isinstance(expected, FittedField)
     assert torch.equal(few.field.code_weights, expected.field.code_weights)
     assert torch.equal(few.field.codebook, expected.field.codebook)
-
-
-def test_the_settings_are_those_of_langsplatv2() -> None:
-    chosen = (LANGSPLATV2.iterations, LANGSPLATV2.n_atoms, LANGSPLATV2.k, LANGSPLATV2.learning_rate)
-    assert chosen == (10_000, 64, 4, 0.0025)
 
 
 def test_progress(scene: RasterisedScene) -> None:

@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from evaluate.study_scenes import study_scene
 from scoup import raster
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
@@ -19,20 +20,16 @@ from scoup_lab.baselines.autoencoder import AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.methods import find_method
-from scoup_lab.baselines.rasterised_scene import RasterisedScene
-from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate import pixel_evaluation
 from scoup_lab.evaluate.label_vectors import encode_labels
 from scoup_lab.evaluate.pixel_evaluation import predict
 from scoup_lab.evaluate.predictions import PredictionCache
 from scoup_lab.evaluate.protocols import selection
-from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
-from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.studies.ablation_rows import BASE, BESIDE_EVERYDAY, Ablation, find_ablations
 from scoup_lab.evaluate.studies.ablations import Ablations
 from scoup_lab.evaluate.studies.comparison import Comparison
 from scoup_lab.evaluate.studies.study_scene import StudyScene
-from support import small_scene, unit
+from support import unit
 
 BUILD = BuildSettings(n_atoms=8, k=2, effort="fast")
 PRESET = QUERY_PRESETS["scoup"]
@@ -84,17 +81,8 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Tensor]:
 
 @pytest.fixture(scope="module")
 def scene(table: tuple[Path, Tensor], tmp_path_factory: pytest.TempPathFactory) -> StudyScene:
-    gaussians, cameras, regions = small_scene(120)
-    frames = []
-    for camera in list(cameras)[:2]:
-        found = regions.load(camera.name, "m").labels
-        masks = {"cup": found == 0, "pot": found == 1}
-        boxes = {label: torch.tensor([[0.0, 0.0, 39.0, 29.0]]) for label in masks}
-        frames.append((LabelledFrame(camera.name, 40, 30, masks, boxes), camera))
     folder = tmp_path_factory.mktemp("scene")
-    labelled = LabelledScene("s", folder, folder, folder, cameras, PROTOCOL, frames)
-    vectors = encode_labels(labelled, str(table[0]))
-    return StudyScene(labelled, vectors, RasterisedScene(gaussians, cameras, regions))
+    return study_scene("s", folder, lambda labelled, _: encode_labels(labelled, str(table[0])))
 
 
 def check(given: list[Tensor], canonical: Tensor) -> None:

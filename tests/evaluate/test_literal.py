@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evaluate import literal
-from scoup.query.presets import QUERY_PRESETS, query_preset
+from scoup.query.presets import query_preset
 from scoup.query.smoothing import box_mean
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import PIXELS
@@ -59,83 +59,42 @@ def test_box_means_at_every_border(kernel: int, border: str) -> None:
     np.testing.assert_allclose(found.numpy(), literal.box(values, kernel, border), atol=1e-12)
 
 
-LERF_OVS = given(maps(), truths(), st.sampled_from(["scoup", "langsplatv2", "langsplat"]))
+SYSTEMS = [
+    *(("lerf-ovs", system) for system in ("scoup", "langsplatv2", "langsplat")),
+    *((data_set, system) for data_set in ("3d-ovs", "mipnerf360") for system in ("scoup", "langsplatv2")),
+]
+ANY_MAPS = given(maps(), truths(), st.sampled_from(SYSTEMS))
+BY_MASK = {("3d-ovs", "scoup"): (0.3, 7), ("3d-ovs", "langsplatv2"): (0.25, 29),
+           ("mipnerf360", "scoup"): (0.45, 7), ("mipnerf360", "langsplatv2"): (0.4, 29)}  # fmt: skip
+"""Threshold and kernel of the protocols that choose the level by its mask; 3D-OVS leaves the finest level out."""
 
 
-def check_lerf_ovs(levels: np.ndarray, frame: LabelledFrame, system: str) -> None:
-    preset = query_preset(system, "lerf-ovs")
-    (pair,) = PIXELS["lerf-ovs"].score_frame(frame, torch.from_numpy(levels)[:, None], preset)
+def check(levels: np.ndarray, frame: LabelledFrame, case: tuple[str, str]) -> None:
+    protocol = PIXELS[case[0]]
+    (pair,) = protocol.score_frame(frame, torch.from_numpy(levels)[:, None], protocol.preset(case[1]))
     truth, boxes = frame.masks["cup"].numpy(), frame.boxes["cup"].tolist()
-    rules = preset.kernel, preset.border, preset.threshold, preset.smoothing, preset.smoothing_border
-    iou, level, hit = literal.lerf_ovs(levels, truth, boxes, *rules)
+    if case in BY_MASK:
+        first, (threshold, kernel), hit = int(case[0] == "3d-ovs"), BY_MASK[case], None
+        iou, level = literal.mask_mean_level(levels[first:], truth, kernel, threshold)
+        level += first
+    else:
+        preset = query_preset(case[1], "lerf-ovs")
+        rules = preset.kernel, preset.border, preset.threshold, preset.smoothing, preset.smoothing_border
+        iou, level, hit = literal.lerf_ovs(levels, truth, boxes, *rules)
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, hit)
 
 
-@settings(max_examples=examples(5))
-@LERF_OVS
-def test_lerf_ovs(levels: np.ndarray, frame: LabelledFrame, system: str) -> None:
-    check_lerf_ovs(levels, frame, system)
+@settings(max_examples=examples(15))
+@ANY_MAPS
+def test_protocols(levels: np.ndarray, frame: LabelledFrame, case: tuple[str, str]) -> None:
+    check(levels, frame, case)
 
 
 @pytest.mark.slow
-@settings(max_examples=examples(50))
-@LERF_OVS
-def test_lerf_ovs_on_many_maps(levels: np.ndarray, frame: LabelledFrame, system: str) -> None:
-    check_lerf_ovs(levels, frame, system)
-
-
-THREED_OVS = given(maps(), truths(), st.sampled_from([("scoup", 0.3, 7), ("langsplatv2", 0.25, 29)]))
-
-
-def check_threed_ovs(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
-    system, threshold, kernel = rules
-    (pair,) = PIXELS["3d-ovs"].score_frame(
-        frame, torch.from_numpy(levels)[:, None], PIXELS["3d-ovs"].preset(system)
-    )
-    iou, level = literal.mask_mean_level(levels[1:], frame.masks["cup"].numpy(), kernel, threshold)
-    assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level + 1, None)
-
-
-@settings(max_examples=examples(5))
-@THREED_OVS
-def test_threed_ovs(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
-    check_threed_ovs(levels, frame, rules)
-
-
-@pytest.mark.slow
-@settings(max_examples=examples(50))
-@THREED_OVS
-def test_threed_ovs_on_many_maps(
-    levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]
-) -> None:
-    check_threed_ovs(levels, frame, rules)
-
-
-MIPNERF360 = given(maps(), truths(), st.sampled_from([("scoup", 0.45, 7), ("langsplatv2", 0.4, 29)]))
-
-
-def check_mipnerf360(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
-    system, threshold, kernel = rules
-    (pair,) = PIXELS["mipnerf360"].score_frame(
-        frame, torch.from_numpy(levels)[:, None], PIXELS["mipnerf360"].preset(system)
-    )
-    iou, level = literal.mask_mean_level(levels, frame.masks["cup"].numpy(), kernel, threshold)
-    assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, None)
-
-
-@settings(max_examples=examples(5))
-@MIPNERF360
-def test_mipnerf360(levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]) -> None:
-    check_mipnerf360(levels, frame, rules)
-
-
-@pytest.mark.slow
-@settings(max_examples=examples(50))
-@MIPNERF360
-def test_mipnerf360_on_many_maps(
-    levels: np.ndarray, frame: LabelledFrame, rules: tuple[str, float, int]
-) -> None:
-    check_mipnerf360(levels, frame, rules)
+@settings(max_examples=examples(150))
+@ANY_MAPS
+def test_protocols_on_many_maps(levels: np.ndarray, frame: LabelledFrame, case: tuple[str, str]) -> None:
+    check(levels, frame, case)
 
 
 @pytest.mark.parametrize("size", [(WIDTH * 2, HEIGHT * 3), (7, 5), (WIDTH + 1, HEIGHT - 1)])
@@ -164,12 +123,3 @@ def test_presets_are_those_of_the_protocols() -> None:
             preset.level_choice,
         ) == expected  # fmt: skip
     assert PIXELS["3d-ovs"].preset().level_choice == PIXELS["mipnerf360"].preset().level_choice == "mask"
-    assert (
-        PIXELS["3d-ovs"].preset("langsplatv2").kernel,
-        PIXELS["3d-ovs"].preset("langsplatv2").threshold,
-    ) == (29, 0.25)
-    assert (
-        PIXELS["mipnerf360"].preset().threshold,
-        PIXELS["mipnerf360"].preset("langsplatv2").threshold,
-    ) == (0.45, 0.4)
-    assert QUERY_PRESETS["scoup"].level_choice == "peak"

@@ -12,10 +12,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from evaluate.known_methods import NothingRendered
 from scoup.base.errors import InputError, MissingFileError, UnknownNameError
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
-from scoup.raster import Projection
 from scoup.uplift.build_settings import build_settings
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.methods import find_method
@@ -46,18 +46,11 @@ def opened(root: Path, name: str, scene: str = "table") -> tuple[PointScene, str
 
 
 @dataclass(frozen=True)
-class Oracle:
+class Oracle(NothingRendered):
     """Knows the class of every Gaussian [N] and is asked for the classes by their texts' vectors."""
 
     classes: Tensor
     queries: Tensor
-    bytes_per_gaussian: float = 0.0
-    shared_bytes: float = 0.0
-
-    def relevancy(
-        self, projection: Projection, queries: Tensor, canonical: Tensor, size: tuple[int, int] | None = None
-    ) -> Tensor:
-        raise AssertionError("nothing is rendered")
 
     def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
         # Texts of one vector are one thing: what is asked for is compared, not counted.

@@ -8,9 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from evaluate.known_methods import NothingRendered
 from scoup.base.errors import InputError
 from scoup.query.text_vectors import TextVectors
-from scoup.raster import Projection
 from scoup_lab.evaluate.protocols.points import (
     NO_CLASS,
     ClassList,
@@ -107,18 +107,11 @@ def test_texts_of_classes() -> None:
 
 
 @dataclass(frozen=True)
-class Known:
+class Known(NothingRendered):
     """A fitted method of known relevancy [S, Q, N]."""
 
     known: Tensor
     codes: Tensor
-    bytes_per_gaussian: float = 0.0
-    shared_bytes: float = 0.0
-
-    def relevancy(
-        self, projection: Projection, queries: Tensor, canonical: Tensor, size: tuple[int, int] | None = None
-    ) -> Tensor:
-        raise AssertionError("nothing is rendered")
 
     def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
         return self.known[:, queries[:, 0].long()]

@@ -11,18 +11,18 @@ from typing import Any
 import pytest
 import torch
 
+from evaluate.study_scenes import LABELS, study_scene
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.codes import SparseCodes
+from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.methods import find_method
-from scoup_lab.baselines.rasterised_scene import RasterisedScene
-from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.plots import can_draw
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
@@ -33,11 +33,10 @@ from scoup_lab.evaluate.studies.comparison import Comparison
 from scoup_lab.evaluate.studies.consistency import Consistency
 from scoup_lab.evaluate.studies.curves import Curves, find_fault
 from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
-from support import small_scene, unit
+from support import unit
 
 PRESET = QUERY_PRESETS["scoup"]
 SETTINGS = MethodSettings(build=BuildSettings(n_atoms=8, effort="fast", epochs=3))
-LABELS = ("cup", "pot")
 
 
 def vectors(*texts: str, seed: int = 0) -> TextVectors:
@@ -50,18 +49,13 @@ def vectors(*texts: str, seed: int = 0) -> TextVectors:
 
 
 def make_study_scene(seed: int, folder: Path) -> StudyScene:
-    """Four views, two of them labelled: each label is a region of the middle level, and its vector the region's."""
-    gaussians, cameras, regions = small_scene(120, seed=seed)
-    known = vectors(*LABELS, seed=seed)
-    frames = []
-    for camera in list(cameras)[:2]:
-        found = regions.load(camera.name, "m")
-        masks = {label: found.labels == number for number, label in enumerate(LABELS)}
-        boxes = {label: torch.tensor([[0.0, 0.0, 39.0, 29.0]]) for label in LABELS}
-        frames.append((LabelledFrame(camera.name, 40, 30, masks, boxes), camera))
-    known = replace(known, queries=unit(regions.load(frames[0][1].name, "m").embeddings[:2]))
-    labelled = LabelledScene(f"scene {seed}", folder, folder, folder, cameras, PROTOCOL, frames)
-    return StudyScene(labelled, known, RasterisedScene(gaussians, cameras, regions))
+    """The vector of each label is that of its region."""
+
+    def of_regions(labelled: LabelledScene, regions: Regions) -> TextVectors:
+        rows = regions.load(labelled.frames[0][1].name, "m").embeddings[:2]
+        return replace(vectors(*LABELS, seed=seed), queries=unit(rows))
+
+    return study_scene(f"scene {seed}", folder, of_regions, seed)
 
 
 @pytest.fixture(scope="module")
