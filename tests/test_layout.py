@@ -20,6 +20,7 @@ INNER = {
         "base.atomic",
         "base.backends",
         "base.counts",
+        "base.digests",
         "base.locks",
         "base.native",
         "base.progress",

@@ -12,7 +12,8 @@ import pytest
 from scoup.base import heartbeats as module
 from scoup.base.errors import ProcessLostError, is_said_elsewhere
 from scoup.base.heartbeats import heartbeats, reported_once, wait_for_parts, wait_until_taken
-from scoup.base.locks import lock_path, locked_output, read_record
+from scoup.base.lock_files import read_record
+from scoup.base.locks import lock_path, locked_output
 from scoup.base.shares import Share
 from support import HANGS
 

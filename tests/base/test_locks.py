@@ -60,7 +60,7 @@ def test_the_second_is_refused_with_the_name_of_the_holder(tmp_path: Path) -> No
         assert message.startswith(start)
         since = message.removeprefix(start).partition(";")[0]
         assert re.fullmatch(r"(\d{4}-\d\d-\d\d )?\d\d:\d\d", since)  # the date where midnight has passed
-        assert message.endswith("; wait for it or give another --out")
+        assert message.endswith("; wait for it, or choose another output")
         assert str(pickle.loads(pickle.dumps(refused.value))) == message
         with locked_output(tmp_path / "b.scoup"):  # another output
             pass
@@ -274,7 +274,7 @@ def test_hidden_folders_of_killed_processes_are_removed(tmp_path: Path) -> None:
 def test_a_file_of_other_contents_is_no_lock(tmp_path: Path, contents: str) -> None:
     path = tmp_path / "a.scoup.lock"
     path.write_text(contents)
-    with pytest.raises(InputError, match=f"^{path}: is no lock that scoup has written; move it"), \
+    with pytest.raises(InputError, match=f"^{path}: is not a SCOUP lock file; move it"), \
             locked_output(tmp_path / "a.scoup"):  # fmt: skip
         pass
     assert path.read_text() == contents
@@ -291,7 +291,7 @@ def test_an_empty_file_is_a_lock(tmp_path: Path) -> None:
 def test_a_link_is_no_lock(tmp_path: Path, contents: str) -> None:
     (tmp_path / "target").write_text(contents)
     (tmp_path / "a.scoup.lock").symlink_to("target")
-    with pytest.raises(InputError, match="is no lock that scoup has written"), \
+    with pytest.raises(InputError, match="is not a SCOUP lock file"), \
             locked_output(tmp_path / "a.scoup"):  # fmt: skip
         pass
     assert (tmp_path / "target").read_text() == contents

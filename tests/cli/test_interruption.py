@@ -106,7 +106,7 @@ def test_verbs_that_find_their_output_in_use() -> None:
         for verb, output in ((BUILD, "a.scoup"), (update, "kept.scoup"), (EXTRACT, "regions")):
             message = refused(*verb)
             assert message.startswith(f"{output}: is being written by process {os.getpid()} on ")
-            assert message.endswith("; wait for it or give another --out")
+            assert message.endswith("; wait for it, or choose another output")
         again = (*BUILD[:-1], "b.scoup", "--sums", "kept.scoup.sums")
         assert run(*again)[0] == 0  # sums are only read, and the output is another
 

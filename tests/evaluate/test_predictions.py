@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from scoup_lab.evaluate.predictions import PredictionCache, file_digest, prediction_key, tensor_digest
+from scoup.base.digests import file_sha256
+from scoup_lab.evaluate.predictions import PredictionCache, prediction_key, tensor_digest
 from support import make_camera
 
 
@@ -70,5 +71,5 @@ def test_without_a_folder_nothing_is_kept() -> None:
 def test_digests(tmp_path: Path) -> None:
     path = tmp_path / "f"
     path.write_bytes(b"abc")
-    assert file_digest(path).startswith("ba7816bf")  # SHA-256 of "abc"
+    assert file_sha256(path).startswith("ba7816bf")  # SHA-256 of "abc"
     assert tensor_digest(torch.zeros(2, 3)) != tensor_digest(torch.zeros(3, 2))

@@ -191,7 +191,7 @@ class OutputInUseError(InputError):
     def __init__(self, path: str | Path, holder: str) -> None:
         self.path = Path(path)
         self.holder = holder
-        super().__init__(f"{path}: is being written by {holder}; wait for it or give another --out")
+        super().__init__(f"{path}: is being written by {holder}; wait for it, or choose another output")
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.path, self.holder)

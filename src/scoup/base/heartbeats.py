@@ -15,7 +15,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from scoup.base.errors import SAID_ELSEWHERE, ProcessLostError, WriteError
-from scoup.base.locks import Output, read_record
+from scoup.base.lock_files import read_record
+from scoup.base.locks import Output
 from scoup.base.shares import Share
 
 SILENCE = 60.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import warnings
 from collections.abc import Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -15,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.errors import MissingFileError, ScoupError, refused_read
+from scoup.base.digests import file_sha256
+from scoup.base.errors import MissingFileError, ScoupError
 from scoup.io import camera_photographs
 from scoup.io.camera_images import FACTORS
 from scoup.io.image_folder import EXTENSIONS
@@ -93,22 +93,6 @@ def _image_folders(scene: Path) -> list[Path]:
     return [scene / name for name in names if (scene / name).is_dir()] or [scene]
 
 
-def digest_of(path: Path) -> str:
-    """SHA-256 of a file.
-
-    Raises:
-        FileFormatError: it cannot be read.
-    """
-    try:
-        with path.open("rb") as stream:
-            digest = hashlib.sha256()
-            while block := stream.read(1 << 20):
-                digest.update(block)
-    except OSError as error:
-        raise refused_read(path, error) from error
-    return digest.hexdigest()
-
-
 def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
     """Decode a photograph: upright by its EXIF orientation, RGB, 8 bits.
 
@@ -136,7 +120,7 @@ def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
     upright = np.rot90(array, turns)
     if mirrored:
         upright = upright[:, ::-1]
-    return Pixels(np.array(upright, order="C"), turns, mirrored, digest_of(path))
+    return Pixels(np.array(upright, order="C"), turns, mirrored, file_sha256(path))
 
 
 def _to_rgb(image: Any) -> Any:

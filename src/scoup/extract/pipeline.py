@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.counts import counted, none_of
+from scoup.base.digests import file_sha256
 from scoup.base.errors import ScoupError, ScoupWarning
 from scoup.base.progress import Progress, no_progress
 from scoup.base.shares import Share
 from scoup.extract.crops import mask_crops
 from scoup.extract.interfaces import CropEmbedder, Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint
-from scoup.extract.photographs import Photograph, Pixels, digest_of, read_ahead
+from scoup.extract.photographs import Photograph, Pixels, read_ahead
 from scoup.io.regions.manifest import Layout, RegionManifest
 from scoup.io.regions.store import RegionStore
 from scoup.io.regions.views import ViewRegions, check_stems
@@ -168,7 +169,7 @@ def _of_crops(crops: Iterator[Tensor], embedder: CropEmbedder) -> Tensor:
 
 def _is_made(store: RegionStore, item: Photograph) -> bool:
     try:
-        return store.has(item.name, digest_of(item.path))
+        return store.has(item.name, file_sha256(item.path))
     except ScoupError:
         return False  # cannot be read: counted when its turn comes
 

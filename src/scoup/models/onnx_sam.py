@@ -8,7 +8,6 @@ for the encoder, which takes an image [H, W, 3] in 0..255 or [1, 3, S, S] normal
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup.base.digests import file_sha256
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.models.hub import ModelRequest
 from scoup.models.normalization import IMAGENET
@@ -126,7 +126,7 @@ def open_onnx_sam(name: str) -> OnnxSam:
     _check(paths, encoder, decoder)
     size = encoder.get_inputs()[0].shape[-1]
     side = size if isinstance(size, int) and size > 3 else SIDE
-    first, second = (hashlib.sha256(path.read_bytes()).hexdigest() for path in paths)
+    first, second = map(file_sha256, paths)
     return OnnxSam(encoder, decoder, f"{PREFIX}{folder.resolve().name}", (first, second), side)
 
 

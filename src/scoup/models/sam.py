@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from scoup.base.digests import file_sha256
 from scoup.base.errors import MissingFileError, ScoupError
 from scoup.models import mobile_sam
 from scoup.models.hub import ModelRequest, Pretrained, hub_file, load_pretrained
@@ -227,7 +227,7 @@ def _open_mobile_sam(name: str, revision: str | None, device: torch.device | str
     path = hub_file(request, mobile_sam.FILE) if name == MOBILE_SAM else Path(name)
     try:
         model = mobile_sam.sam_of_checkpoint(transformers, path)
-        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+        sha256 = file_sha256(path)
     except ScoupError as error:
         raise request.failed(str(error)) from error
     except Exception as error:  # torch raises nearly everything for damaged and foreign files

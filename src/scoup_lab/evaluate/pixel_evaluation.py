@@ -9,6 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
+from scoup.base.digests import file_sha256
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io import save_png
@@ -19,7 +20,7 @@ from scoup_lab.evaluate.evaluation import Evaluation, Say, say_nothing
 from scoup_lab.evaluate.failures import failure_sheet
 from scoup_lab.evaluate.label_vectors import encode_labels
 from scoup_lab.evaluate.pixel_report import PixelScores
-from scoup_lab.evaluate.predictions import PredictionCache, file_digest, prediction_key
+from scoup_lab.evaluate.predictions import PredictionCache, prediction_key
 from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.pixels import LabelledScene, PixelProtocol
 from scoup_lab.evaluate.report import Report
@@ -61,7 +62,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
         vectors = encode_labels(scene, source, self.device)
         path = out / "fields" / f"{scene.name}.scoup"
         field = self.field(scene, path, source, progress, say)
-        cache, digest = PredictionCache(out / "cache"), file_digest(path)
+        cache, digest = PredictionCache(out / "cache"), file_sha256(path)
         preset = self.protocol.preset(self.rules)
         maps = predict(scene, vectors, field, digest, cache, progress=progress)
         score = self.protocol.score(scene.name, maps, preset, field.levels)

@@ -71,7 +71,7 @@ def prediction_key(
 ) -> str:
     """Return SHA-256 of all that a map depends on.
 
-    ``source``: digest of the field (``file_digest``), or of whatever else gives the maps; ``vectors``,
+    ``source``: digest of the field (``file_sha256``), or of whatever else gives the maps; ``vectors``,
     ``canonical``: [Q, D] and [P, D] of the words.
     """
     described = {
@@ -89,12 +89,3 @@ def tensor_digest(tensor: Tensor) -> str:
     """Return SHA-256 of the values of a tensor, as float32."""
     values = tensor.detach().cpu().to(torch.float32).contiguous()
     return hashlib.sha256(str(list(values.shape)).encode() + values.numpy().tobytes()).hexdigest()
-
-
-def file_digest(path: str | Path) -> str:
-    """Return SHA-256 of a file."""
-    digest = hashlib.sha256()
-    with open(path, "rb") as stream:
-        while block := stream.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
