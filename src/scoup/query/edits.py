@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Literal
 
 import torch
@@ -24,6 +25,7 @@ def combined_answer(
     expression: Expression,
     answers: Sequence[SceneAnswer],
     wanted: Reshaping = UNCHANGED,
+    phrases: Mapping[str, Tensor] = MappingProxyType({}),  # [N] boolean of each of its phrases, by its text
 ) -> SceneAnswer:
     """Return the answer to an expression, from one answer of ``answer_scene`` per text; ``field.select`` calls this.
 
@@ -31,7 +33,7 @@ def combined_answer(
     all wanted texts.
     """
     of_text = {answer.text: answer for answer in answers}
-    mask = expression.combine({text: answer.mask for text, answer in of_text.items()})
+    mask = expression.combine({**{text: answer.mask for text, answer in of_text.items()}, **phrases})
     wanted_answers = [of_text[text] for text in expression.wanted]
     best = max(wanted_answers, key=lambda answer: (answer.presence, answer.score))
     relevancy = torch.stack([answer.relevancy for answer in wanted_answers]).amax(0)

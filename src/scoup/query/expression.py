@@ -11,6 +11,7 @@ from typing import TypeAlias
 from torch import Tensor
 
 from scoup.base.errors import InputError
+from scoup.query.phrases import Phrase, is_plain_text, parse_phrase, texts_of
 
 OPERATORS = ("and", "or", "not", "+", "-", "(", ")")
 _TOKEN = re.compile(r'"([^"]*)"|([()])|([^\s()"]+)')
@@ -26,8 +27,8 @@ class Operation:
     parts: tuple[Node, ...]
 
 
-Node: TypeAlias = "str | Operation"
-"""A text or an operation."""
+Node: TypeAlias = "str | Phrase | Operation"
+"""A text, a phrase over things, or an operation."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Expression:
     @property
     def texts(self) -> tuple[str, ...]:
         """The texts in their order, each once."""
-        return tuple(dict.fromkeys(_texts(self.root)))
+        return tuple(dict.fromkeys(text for leaf in _leaves(self.root) for text in texts_of(leaf)))
 
     @property
     def wanted(self) -> tuple[str, ...]:
@@ -52,15 +53,31 @@ class Expression:
         return tuple(dict.fromkeys(_wanted(self.root, True))) or self.texts
 
     @property
+    def phrases(self) -> tuple[Phrase, ...]:
+        """Its parts that single out things by relation or order."""
+        return tuple(dict.fromkeys(part for part in _leaves(self.root) if isinstance(part, Phrase)))
+
+    @property
+    def targets(self) -> tuple[str | Phrase, ...]:
+        """Texts and phrases, any of which may answer.
+
+        Raises:
+            InputError: they are joined by "and" or "not", which say nothing about things.
+        """
+        if any(operator != "or" for operator in _operators(self.root)):
+            raise InputError(f'{self}: things are joined by "or" only; "and" and "not" are for selections')
+        return tuple(_leaves(self.root))
+
+    @property
     def is_plain(self) -> bool:
-        """Whether its only operator is "or"."""
-        return all(operator == "or" for operator in _operators(self.root))
+        """Whether it is texts without phrases, and its only operator is "or"."""
+        return not self.phrases and all(operator == "or" for operator in _operators(self.root))
 
     def __str__(self) -> str:
         return _said(self.root)
 
     def combine(self, masks: Mapping[str, Tensor]) -> Tensor:
-        """Combine boolean masks of its texts, of one shape."""
+        """Combine boolean masks of its texts and phrases (by their ``str``), of one shape."""
         return _combined(self.root, masks)
 
 
@@ -69,7 +86,9 @@ def parse_expression(words: Iterable[str]) -> Expression:
 
     ``not`` binds closest, then ``and``, then ``or``, ``+`` (the same) and ``-`` (and not), which are operators only
     between spaces; brackets group. A text may have several words. Double quotes make one text of operators, as in
-    ``'"salt and pepper"'``. Texts without an operator are combined with ``or``.
+    ``'"salt and pepper"'``. Texts without an operator are combined with ``or``. A text with a relation or an order,
+    such as "mug left of the laptop" or "largest mug", is a phrase over things (``scoup.query.phrases``), unless it
+    stands in double quotes.
 
     Args:
         words: texts, operators, or expressions.
@@ -154,8 +173,18 @@ class _Reader:
         if not self.rest:
             raise self.refusal("a text is missing at the end")
         token = self.rest.pop(0)
-        if token[0] in '="':
+        if token[0] == '"':
             return token[1:]
+        if token[0] == "=":
+            if (
+                " between " in token
+                and self.rest[:1] == ["and"]
+                and self.rest[1:2]
+                and self.rest[1][0] == "="
+            ):
+                token += f" and {self.rest[1][1:]}"
+                self.rest = self.rest[2:]
+            return parse_phrase(token[1:])
         if token not in ("not", "("):
             raise self.refusal(f"a text is missing before {token!r}")
         before = self.depth
@@ -167,26 +196,26 @@ class _Reader:
         return inner
 
 
-def _texts(node: Node) -> list[str]:
-    return [node] if isinstance(node, str) else [text for part in node.parts for text in _texts(part)]
+def _leaves(node: Node) -> list[str | Phrase]:
+    return [leaf for part in node.parts for leaf in _leaves(part)] if isinstance(node, Operation) else [node]
 
 
 def _operators(node: Node) -> list[str]:
-    if isinstance(node, str):
+    if not isinstance(node, Operation):
         return []
     return [node.operator, *(operator for part in node.parts for operator in _operators(part))]
 
 
 def _wanted(node: Node, positive: bool) -> list[str]:
-    if isinstance(node, str):
-        return [node] if positive else []
+    if not isinstance(node, Operation):
+        return [texts_of(node)[0]] if positive else []
     positive = positive != (node.operator == "not")
     return [text for part in node.parts for text in _wanted(part, positive)]
 
 
 def _combined(node: Node, masks: Mapping[str, Tensor]) -> Tensor:
-    if isinstance(node, str):
-        return masks[node]
+    if not isinstance(node, Operation):
+        return masks[str(node)]
     found = [_combined(part, masks) for part in node.parts]
     if node.operator == "not":
         return ~found[0]
@@ -194,6 +223,8 @@ def _combined(node: Node, masks: Mapping[str, Tensor]) -> Tensor:
 
 
 def _said(node: Node, outer: str = "") -> str:
+    if isinstance(node, Phrase):
+        return str(node)
     if isinstance(node, str):
         return node if parses_as_text(node) else f'"{node}"'
     if node.operator == "not":
@@ -204,4 +235,4 @@ def _said(node: Node, outer: str = "") -> str:
 
 def parses_as_text(text: str) -> bool:
     """Return whether a text is read as itself without double quotes."""
-    return _tokens(text) == [f"={text}"] if '"' not in text else False
+    return '"' not in text and _tokens(text) == [f"={text}"] and is_plain_text(text)

@@ -18,10 +18,14 @@ from scoup.query.cosines import versions
 from scoup.query.edits import combined_answer
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.finding import Finding
+from scoup.query.frame import Frame, scene_frame
 from scoup.query.label import GaussianLabels, label
 from scoup.query.locate import Location, location
+from scoup.query.phrases import counted_text
 from scoup.query.question import Question
+from scoup.query.relations import phrase_masks, things_of_question
 from scoup.query.reshape import UNCHANGED, Reshaping
+from scoup.query.scene_things import Thing, all_things
 from scoup.scene.cameras import Camera, Cameras
 
 View: TypeAlias = "Camera | str | int"
@@ -150,15 +154,67 @@ class FieldQueries(AskedScene):
         ]
         return found[0] if question.is_single else found
 
+    def things(
+        self, question: Question | str | Sequence[str] | None = None, frame: Frame | None = None
+    ) -> list[Thing]:
+        """Return the things of the scene, or every one that answers a text or phrase, best first.
+
+        Args:
+            question: a text ("mug"), a phrase ("mug left of the laptop", "largest box", "second chair from the left",
+                "how many cups": ``scoup.query.phrases``), several of them combined with `or`, or what ``question``
+                made of them. None: every thing, finer levels first.
+            frame: what left, front and up mean in phrases; by default ``field.frame()``.
+
+        Returns:
+            Things of the field's table; in a field without it, and where a threshold of choice says how the votes are
+            read, the connected parts of the selection. Empty where the text is not in the scene.
+
+        Raises:
+            InputError, UnknownNameError: as ``question``, or a relation is not known.
+
+        Example:
+            >>> [thing.text for thing in field.things(field.question("kettle", always=True))]
+            ['kettle']
+        """
+        if question is None:
+            return self._recent(("things",), lambda: all_things(self))
+        if isinstance(question, str):
+            question = self._singular(counted_text(question)) or question
+        asked = self._asked_expression(question)
+        return self._recent(
+            (asked, frame, Thing), lambda: things_of_question(self, asked, answer_scene(self, asked), frame)
+        )
+
+    def frame(self, camera: View | None = None, up: Sequence[float] | None = None) -> Frame:
+        """Return what left, front and up mean in phrases such as "mug left of the laptop".
+
+        Args:
+            camera: from which left, right, front and back are meant, or its name or position among ``cameras``; by
+                default the camera that sees the most Gaussians.
+            up: world direction; by default estimated from the cameras, which people hold level.
+
+        Raises:
+            InputError, UnknownNameError: there is no such camera, or ``up`` is not a direction.
+
+        Example:
+            >>> field.frame("view_00.png").seen_from
+            'view_00.png'
+        """
+        return scene_frame(self, camera, up)
+
     def select(
-        self, question: Question | str | Sequence[str], reshaping: Reshaping = UNCHANGED
+        self,
+        question: Question | str | Sequence[str],
+        reshaping: Reshaping = UNCHANGED,
+        frame: Frame | None = None,
     ) -> SceneAnswer:
-        """Return the Gaussians that answer an expression over texts, such as "mug and not handle".
+        """Return the Gaussians that answer an expression, such as "mug and not handle" or "mug left of the laptop".
 
         Args:
             question: an expression (``scoup.parse_expression``), or what ``question`` made of one. Texts without an
                 operator are combined with `or`.
             reshaping: changes the selection afterwards.
+            frame: what left, front and up mean in phrases; by default ``field.frame()``.
 
         Returns:
             One answer; its ``parts`` are the answers to its texts.
@@ -172,18 +228,14 @@ class FieldQueries(AskedScene):
             (torch.Size([150]), ['kettle', 'wooden table'])
         """
         check_arguments("select", reshaping=(reshaping, Reshaping))
-        if not isinstance(question, Question):
-            words = [question] if isinstance(question, str) else question
-            if not isinstance(words, (list, tuple)) or not all(isinstance(word, str) for word in words):
-                raise InputError(
-                    f"select: expected an expression, got {type(question).__name__}; a part of a field is field[mask]"
-                )
-            question = self.question(parse_expression(words))
-        expression, asked = question.expression or Expression.of(question.texts), question
-        return self._recent(
-            (asked, reshaping),
-            lambda: [combined_answer(self, expression, answer_scene(self, asked), reshaping)],
-        )[0]
+        asked = self._asked_expression(question)
+
+        def selected() -> list[SceneAnswer]:
+            expression, answers = asked.expression or Expression.of(asked.texts), answer_scene(self, asked)
+            phrases = phrase_masks(self, asked, answers, frame)
+            return [combined_answer(self, expression, answers, reshaping, phrases)]
+
+        return self._recent((asked, reshaping, frame), selected)[0]
 
     def label(self, question: Question | Texts) -> GaussianLabels:
         """Return the word that fits each Gaussian best, or "none".
@@ -199,6 +251,24 @@ class FieldQueries(AskedScene):
             ['kettle', 'none', 'wooden table']
         """
         return label(self, self._asked(question))
+
+    def _asked_expression(self, question: Question | str | Sequence[str]) -> Question:
+        if isinstance(question, Question):
+            return question
+        words = [question] if isinstance(question, str) else question
+        if not isinstance(words, (list, tuple)) or not all(isinstance(word, str) for word in words):
+            raise InputError(
+                f"expected an expression, got {type(question).__name__}; a part of a field is field[mask]"
+            )
+        return self.question(parse_expression(words))
+
+    def _singular(self, text: str | None) -> str | None:
+        """Return a text of which several are counted in the form that the words of a table have."""
+        known = getattr(self.text_encoder(), "names", ()) if text else ()
+        if not text or not known or text in known:
+            return text
+        forms = (text.removesuffix("s"), text.removesuffix("es"), f"{text.removesuffix('ies')}y")
+        return next((form for form in forms if form in known), text)
 
     def _recent(self, key: tuple[Any, ...], make: Callable[[], list[Any]]) -> list[Any]:
         """Return a copy of the answers kept for the same question, or make them."""

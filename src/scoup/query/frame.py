@@ -1,0 +1,123 @@
+"""Directions of a scene: what is up, and what is left and in front of something as seen from a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from scoup.base.brief import brief
+from scoup.base.errors import InputError
+from scoup.base.records import rounded_vector
+from scoup.query.coded_scene import CodedScene
+from scoup.scene.cameras import Camera
+
+UPRIGHT = 0.1
+"""How much the cameras' own up counts beside their right sides being level."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Right, up and away from the viewer in a scene.
+
+    Example:
+        >>> field.frame("view_00.png").axes.shape
+        torch.Size([3, 3])
+    """
+
+    axes: Tensor
+    """[3, 3] float64 on the CPU: rows right, up and away, orthonormal, in world coordinates."""
+    seen_from: str
+    """Name of the camera that left, right, front and back are meant from; "" where no camera is known."""
+    up_source: str
+    """Where up comes from, in words."""
+
+    __repr__ = brief
+
+    def said(self) -> str:
+        """The directions in words, for people."""
+        up = ", ".join(f"{part:g}" for part in rounded_vector(self.axes[1].tolist()))
+        seen = f"left, right, front and back as seen from {self.seen_from}; " if self.seen_from else ""
+        return f"{seen}up is [{up}], {self.up_source}"
+
+    def record(self) -> dict[str, Any]:
+        """The frame as plain JSON values, rounded."""
+        right, up, away = (rounded_vector(axis) for axis in self.axes.tolist())
+        return {
+            "seen_from": self.seen_from,
+            "right": right,
+            "up": up,
+            "away": away,
+            "up_source": self.up_source,
+        }
+
+
+def estimate_up(cameras: Sequence[Camera]) -> Tensor:
+    """Return the up direction [3] float64 for which the cameras are level: people hold them so.
+
+    It is orthogonal to the right sides of all images as far as possible; where they all point the same way, the
+    images' own up decides.
+    """
+    rotations = torch.stack([torch.as_tensor(camera.viewmat)[:3, :3].double().cpu() for camera in cameras])
+    right, own_up = rotations[:, 0], -rotations[:, 1].mean(0)
+    own_up = own_up / own_up.norm().clamp(min=1e-9)
+    tilt = right.T @ right / len(right) - UPRIGHT * own_up[:, None] * own_up
+    up = torch.linalg.eigh(tilt).eigenvectors[:, 0]
+    return up if float(up @ own_up) >= 0 else -up
+
+
+def scene_frame(
+    field: CodedScene, camera: Camera | str | int | None = None, up: Sequence[float] | None = None
+) -> Frame:
+    """Return the directions that relations mean; ``field.frame`` calls this.
+
+    Args:
+        field: that is asked.
+        camera: from which left, right, front and back are meant; by default the field's camera that sees the most.
+        up: world direction; by default estimated from the field's cameras.
+
+    Raises:
+        InputError: ``up`` is not a direction, or there is no such camera.
+    """
+    cameras = list(field.cameras or ())
+    if up is not None:
+        direction, source = torch.as_tensor(up).double().flatten(), "as given"
+        if direction.shape != (3,) or not bool(direction.isfinite().all()) or not float(direction.norm()) > 0:
+            raise InputError(f"up: expected three numbers that are not all 0, got {list(up)}")
+    elif cameras:
+        direction, source = estimate_up(cameras), f"estimated from {len(cameras)} cameras"
+    else:
+        direction, source = torch.tensor([0.0, 0.0, 1.0]).double(), "assumed, for the field has no cameras"
+    direction = direction / direction.norm()
+    viewer = field.camera(camera) if camera is not None else _widest(field, cameras)
+    if viewer is None:
+        away = torch.eye(3, dtype=torch.float64)[int(direction.abs().argmin())]
+    else:
+        rotation = torch.as_tensor(viewer.viewmat)[:3, :3].double().cpu()
+        away = rotation[2]
+        if float(torch.linalg.cross(away, direction).norm()) < 1e-3:  # looking straight down
+            away = -rotation[1]
+    away = away - (away @ direction) * direction
+    away = away / away.norm()
+    right = torch.linalg.cross(away, direction)
+    return Frame(torch.stack([right, direction, away]), viewer.name if viewer else "", source)
+
+
+def _widest(field: CodedScene, cameras: Sequence[Camera]) -> Camera | None:
+    """The camera with the largest share of the Gaussians in its image; of several the first."""
+    if not cameras:
+        return None
+    step = max(1, len(field) // 20_000)
+    means = field.gaussians.means[::step].double().cpu()
+    counts = []
+    for camera in cameras:
+        viewmat, K = (torch.as_tensor(each).double().cpu() for each in (camera.viewmat, camera.K))
+        seen = (means @ viewmat[:3, :3].T + viewmat[:3, 3]) @ K.T
+        x, y, depth = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2], seen[:, 2]
+        counts.append(
+            int(((depth > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)).sum())
+        )
+    return cameras[counts.index(max(counts))]

@@ -1,0 +1,196 @@
+"""Phrases that single out things: "mug left of the laptop", "largest box", "second chair from the left"."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from scoup.base.errors import InputError
+
+RELATIONS: dict[str, tuple[str, ...]] = {
+    "left of": ("to the left of", "on the left of", "left of"),
+    "right of": ("to the right of", "on the right of", "right of"),
+    "in front of": ("in front of",),
+    "behind": ("behind",),
+    "on": ("on top of", "on", "upon", "atop"),
+    "above": ("above", "over"),
+    "under": ("under", "below", "beneath", "underneath"),
+    "between": ("in between", "between"),
+    "nearest to": ("nearest to", "closest to", "nearest", "closest"),
+    "near": ("next to", "close to", "near to", "near", "beside"),
+    "inside": ("inside of", "inside", "within", "in"),
+}
+"""Relations between two things (for "between" three), and the words for each."""
+SIDES = ("left", "right", "top", "bottom", "front", "back")
+SIZES = {"largest": "largest", "biggest": "largest", "smallest": "smallest"}
+ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
+_NUMBERED = re.compile(r"([1-9][0-9]?)(?:st|nd|rd|th)")
+_UNKNOWN = frozenset(
+    (
+        "across",
+        "against",
+        "along",
+        "alongside",
+        "amid",
+        "among",
+        "around",
+        "beyond",
+        "facing",
+        "off",
+        "opposite",
+    )
+    + ("outside", "past", "through", "touching", "toward", "towards")
+)
+_ARTICLES = ("the", "a", "an")
+_COUNTING = re.compile(r"\s*(?:how many|number of|count of|count)\s+(.*?)\s*\??\s*", re.IGNORECASE)
+_DEEPEST = 8  # relations within relations
+KNOWN_PHRASES = (
+    f"known relations: {', '.join(RELATIONS)}; also largest, smallest, second largest, second ... from the "
+    f"{', '.join(SIDES[:-1])} or {SIDES[-1]}; double quotes keep a text as it is"
+)
+
+
+@dataclass(frozen=True)
+class Phrase:
+    """A text, and what singles out some of the things that answer it. Relations count first, then the order."""
+
+    text: str
+    relation: str = ""  # a key of RELATIONS; "" for none
+    anchors: tuple[Target, ...] = ()  # what the relation refers to: one, for "between" two
+    order: str = ""  # "largest", "smallest", or one of SIDES to count from; "" keeps all
+    rank: int = 1  # in that order
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """All texts to look for: its own first."""
+        return self.text, *(text for anchor in self.anchors for text in texts_of(anchor))
+
+    def __str__(self) -> str:
+        ordinal = "" if self.rank == 1 else ORDINALS[self.rank - 1] + " "
+        said = f"{ordinal}{self.order} {self.text}" if self.order in SIZES else self.text
+        if self.order in SIDES:
+            said = f"{ORDINALS[self.rank - 1]} {self.text} from the {self.order}"
+        anchors = " and ".join(map(str, self.anchors))
+        return f"{said} {self.relation} {anchors}" if self.relation else said
+
+
+Target: TypeAlias = "str | Phrase"
+"""A text alone, all of whose things are meant, or a phrase."""
+
+
+def texts_of(target: Target) -> tuple[str, ...]:
+    """Return the texts of a target, its own first."""
+    return (target,) if isinstance(target, str) else target.texts
+
+
+def counted_text(text: str) -> str | None:
+    """Return what is to be counted in "how many cups?": "cups"; None if the text does not ask for a number."""
+    found = _COUNTING.fullmatch(text)
+    return found[1] if found else None
+
+
+def parse_phrase(text: str) -> Target:
+    """Return the phrase that a text is, or the text itself if it names things without relation or order.
+
+    Raises:
+        InputError: it has a relation that is not known, a part is missing, or an ordinal does not say from which side.
+
+    Example:
+        >>> parse_phrase("the largest mug left of the laptop")
+        Phrase(text='mug', relation='left of', anchors=('laptop',), order='largest', rank=1)
+        >>> parse_phrase("coffee mug")
+        'coffee mug'
+    """
+    return _parse(text.split(), text, 0)
+
+
+def is_plain_text(text: str) -> bool:
+    """Return whether a text stands for itself, without relation or order."""
+    try:
+        return parse_phrase(text) == text
+    except InputError:
+        return False
+
+
+def _parse(words: Sequence[str], source: str, depth: int) -> Target:
+    if depth > _DEEPEST:
+        raise InputError(
+            f"{source}: more than {_DEEPEST} relations within each other; ask for fewer at a time"
+        )
+    lowered = [word.lower() for word in words]
+    place = next(_relations(lowered), None)
+    end = len(words) if place is None else place[0]
+    head, order, rank = _ordered(words[:end], source)
+    if place is None:
+        text = " ".join(words)
+        return Phrase(_noun(head, source), order=order, rank=rank) if order else text
+    _, relation, length = place
+    rest = words[end + length :]
+    if relation == "between":
+        middle = next((k for k, word in enumerate(rest) if word.lower() == "and"), None)
+        if middle is None:
+            raise _refusal(source, '"between" needs two things joined by "and"')
+        parts = [rest[:middle], rest[middle + 1 :]]
+    else:
+        parts = [rest]
+    anchors = tuple(_anchor(part, source, depth) for part in parts)
+    return Phrase(_noun(head, source), relation, anchors, order, rank)
+
+
+def _relations(words: Sequence[str]) -> Iterator[tuple[int, str, int]]:
+    """Places of relations after the first word, from the left: start, relation and length in words."""
+    for start in range(1, len(words)):
+        if words[start] in _UNKNOWN:
+            raise _refusal(" ".join(words), f"unknown relation {words[start]!r}")
+        found = [
+            (len(form.split()), relation)
+            for relation, forms in RELATIONS.items()
+            for form in forms
+            if list(words[start : start + len(form.split())]) == form.split()
+        ]
+        if found:
+            length, relation = max(found)
+            yield start, relation, length
+
+
+def _ordered(words: Sequence[str], source: str) -> tuple[Sequence[str], str, int]:
+    """The words without what says an order; the order, and the rank in it."""
+    lowered = [word.lower() for word in words]
+    first = 1 if lowered[:1] and lowered[0] in _ARTICLES else 0
+    rank = _rank(lowered[first]) if len(lowered) > first else None
+    after = first + (rank is not None)
+    if len(lowered) > after and lowered[after] in SIZES:
+        return words[after + 1 :], SIZES[lowered[after]], rank or 1
+    if len(lowered) > 3 and lowered[-3:-1] == ["from", "the"]:
+        if lowered[-1] in SIDES:
+            return words[after:-3], lowered[-1], rank or 1
+        if rank is not None:
+            raise _refusal(source, f"unknown side {lowered[-1]!r}")
+    if rank is not None and rank > 1 and len(lowered) > after:
+        raise _refusal(source, f"{lowered[first]!r} does not say from which side it is counted")
+    return words, "", 1
+
+
+def _rank(word: str) -> int | None:
+    if word in ORDINALS:
+        return ORDINALS.index(word) + 1
+    numbered = _NUMBERED.fullmatch(word)
+    return int(numbered[1]) if numbered and int(numbered[1]) <= len(ORDINALS) else None
+
+
+def _noun(words: Sequence[str], source: str) -> str:
+    words = words[1:] if words and words[0].lower() in _ARTICLES else words
+    if not words:
+        raise _refusal(source, "a thing is missing")
+    return " ".join(words)
+
+
+def _anchor(words: Sequence[str], source: str, depth: int) -> Target:
+    found = _parse(words, source, depth + 1)
+    return _noun(words, source) if isinstance(found, str) else found
+
+
+def _refusal(source: str, problem: str) -> InputError:
+    return InputError(f"{source}: {problem}; {KNOWN_PHRASES}")

@@ -1,0 +1,217 @@
+"""The things of a scene as objects: every instance with position, box and Gaussians, or those that a text selects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.html import card
+from scoup.base.records import rounded_vector
+from scoup.query.answer import SceneAnswer
+from scoup.query.coded_scene import CodedScene
+from scoup.query.locate import OrientedBox, connected_parts
+from scoup.query.presence import LEAST_GAUSSIANS
+from scoup.query.question import Question
+from scoup.query.select import true_rows
+from scoup.query.thing_shapes import ThingPoints
+from scoup.query.things import ThingFits
+from scoup.scene.things import NO_THING
+
+LEAST_SHARE = 0.1
+"""Where the votes answer, connected parts with less than this share of the weight of the largest are strays."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Thing:
+    """One instance in a scene.
+
+    Example:
+        >>> thing = field.things(field.question("kettle", always=True))[0]
+        >>> thing.position.shape, thing.box.extent.shape, thing.n_gaussians == len(thing.gaussians)
+        (torch.Size([3]), torch.Size([3]), True)
+    """
+
+    number: int | None
+    """Its row in ``field.thing_table``, the same for every question; None for a part of a selection."""
+    level: str
+    """Name of its level."""
+    parent: int | None
+    """Number of the thing of the next coarser level that contains most of it."""
+    text: str
+    """The text it answers, or its name in a catalogue; "" if nothing was asked."""
+    score: float | None
+    """How well the text fits it, in units of the scene's spread, by which the things of a text are ranked; None if
+    nothing was asked, and for a part of a selection."""
+    confidence: float | None
+    """Mean relevancy of its Gaussians, 0 to 1, where 0.5 is a draw with the canonical phrases; None if nothing was
+    asked."""
+    position: Tensor
+    """[3] float64 world units: the weighted median of its Gaussians."""
+    box: OrientedBox
+    """Around it."""
+    gaussians: Tensor
+    """[M] int64, the Gaussians of it."""
+    n_regions: int | None
+    """How many regions of photographs it was merged from, about one per view; None for a part of a selection."""
+
+    @property
+    def n_gaussians(self) -> int:
+        """How many Gaussians it has."""
+        return len(self.gaussians)
+
+    @property
+    def size(self) -> float:
+        """Diagonal of its box in world units."""
+        return float(self.box.extent.norm())
+
+    def __repr__(self) -> str:
+        what = f"thing {self.number}" if self.number is not None else "part"
+        named = f" {self.text!r}" if self.text else ""
+        place = rounded_vector(self.position.tolist())
+        return f"Thing({what}{named} at {place}, level {self.level}, {self.n_gaussians:,} Gaussians)"
+
+    def _repr_html_(self) -> str:
+        return card(f"Thing {self.text}", {**self.record(), "box": str(self.box.record())})
+
+    def record(self, metres_per_unit: float | None = None) -> dict[str, Any]:
+        """The thing as plain JSON values, rounded.
+
+        Args:
+            metres_per_unit: length of the scene's unit; with it, position and extent are given in metres, too.
+        """
+        metres = {}
+        if metres_per_unit is not None:
+            metres = {
+                "position_metres": rounded_vector((self.position * metres_per_unit).tolist()),
+                "extent_metres": rounded_vector((self.box.extent * metres_per_unit).tolist()),
+            }
+        return {
+            "thing": self.number,
+            "text": self.text,
+            "level": self.level,
+            "parent": self.parent,
+            "score": None if self.score is None else round(self.score, 3),
+            "confidence": None if self.confidence is None else round(self.confidence, 4),
+            "position": rounded_vector(self.position.tolist()),
+            "box": self.box.record(),
+            **metres,
+            "gaussians": self.n_gaussians,
+            "regions": self.n_regions,
+        }
+
+
+def all_things(field: CodedScene) -> list[Thing]:
+    """Return every instance of a field with at least ``LEAST_GAUSSIANS`` Gaussians, finer levels first.
+
+    Empty for a field without things.
+    """
+    table = field.thing_table
+    if table is None:
+        return []
+    counts = torch.zeros(len(table), dtype=torch.int64)
+    for owners in table.owners.cpu().T:
+        counts += torch.bincount(owners.long() + 1, minlength=len(table) + 1)[1:]
+    numbers = (counts >= LEAST_GAUSSIANS).nonzero()[:, 0].tolist()
+    return _things_of_table(field, numbers)
+
+
+def things_of_answer(field: CodedScene, question: Question, number: int, answer: SceneAnswer) -> list[Thing]:
+    """Return the things that answer one text of a question, best first; none where it is not present.
+
+    Where the votes answer, or in a field without things, they are the parts of the selection that are connected in
+    space.
+
+    Args:
+        field: that was asked.
+        question: from ``field.question``.
+        number: of the text in the question.
+        answer: to this text, from ``answer_scene``.
+    """
+    if not answer.presence or not bool(answer.mask.any()):
+        return []
+    table = field.thing_table
+    if table is None or answer.threshold is not None:
+        return _connected_things(field, answer)
+    level = field.levels.index(answer.level)
+    owners = table.owners[:, level].cpu()[answer.mask]
+    numbers = owners[owners != NO_THING].unique()
+    fits = ThingFits.of(table, question.one(number)).fits[:, 0]
+    ranked = numbers[fits[numbers.long()].argsort(descending=True, stable=True)].tolist()
+    return [
+        replace(
+            thing,
+            text=answer.text,
+            score=float(fits[thing.number or 0]),
+            confidence=float(answer.relevancy[thing.gaussians].mean()),
+        )
+        for thing in _things_of_table(field, ranked)
+    ]
+
+
+def _things_of_table(field: CodedScene, numbers: Sequence[int]) -> list[Thing]:
+    table = field.thing_table
+    assert table is not None
+    members: list[Tensor] = [torch.empty(0, dtype=torch.int64)] * len(numbers)
+    place = torch.full((len(table) + 1,), -1, dtype=torch.int64)
+    place[torch.tensor(numbers, dtype=torch.int64)] = torch.arange(len(numbers))
+    for owners in table.owners.cpu().T:
+        places = place[owners.long()]  # NO_THING reads the last, which is none
+        rows = true_rows(places >= 0)
+        order = places[rows].argsort(stable=True)
+        of_thing, counts = places[rows].unique(return_counts=True)
+        for number, part in zip(of_thing.tolist(), rows[order].split(counts.tolist()), strict=True):
+            members[number] = part
+    parents, n_regions = table.parents.tolist(), table.n_regions.tolist()
+    made = [
+        (number, field.levels[int(table.levels[number])], None if parents[number] < 0 else parents[number])
+        for number in numbers
+    ]
+    return _shaped(field, made, members, [n_regions[number] for number in numbers])
+
+
+def _shaped(
+    field: CodedScene,
+    made: Sequence[tuple[int | None, str, int | None]],
+    members: Sequence[Tensor],
+    n_regions: Sequence[int | None],
+) -> list[Thing]:
+    """Things of (number, level, parent) with their Gaussians; without those that have no usable Gaussian."""
+    points = ThingPoints.of(field.gaussians, members)
+    boxes, positions = points.boxes(), points.medians()
+    return [
+        Thing(
+            *which, "", None, None, torch.from_numpy(positions[row].copy()), box, members[row], n_regions[row]
+        )
+        for row, (which, box) in enumerate(zip(made, boxes, strict=True))
+        if box is not None
+    ]
+
+
+def _connected_things(field: CodedScene, answer: SceneAnswer) -> list[Thing]:
+    """The connected parts of a selection, those that weigh most first; a Gaussian weighs opacity times relevancy."""
+    rows = true_rows(answer.mask)
+    gaussians = field.gaussians.select(rows.to(field.gaussians.device)).to("cpu")
+    usable = torch.isfinite(gaussians.means).all(1) & torch.isfinite(gaussians.opacities)
+    rows, means = rows[usable], gaussians.means[usable].double().numpy()
+    if not len(rows):
+        return []
+    relevancy = answer.relevancy[rows].double()
+    parts = connected_parts(means)
+    weights = np.bincount(parts, (gaussians.opacities[usable].double().clamp(0, 1) * relevancy).numpy())
+    sizes = np.bincount(parts)
+    largest = [
+        part
+        for part in np.argsort(-weights, kind="stable").tolist()
+        if sizes[part] >= LEAST_GAUSSIANS and weights[part] >= LEAST_SHARE * weights.max()
+    ]
+    members = [rows[torch.from_numpy(parts == part)] for part in largest]
+    things = _shaped(field, [(None, answer.level, None)] * len(members), members, [None] * len(members))
+    return [
+        replace(thing, text=answer.text, confidence=float(answer.relevancy[thing.gaussians].mean()))
+        for thing in things
+    ]
