@@ -23,7 +23,6 @@ DESKS = {"desk": "language_features", "desk-all": "language_features_all"}
 class Desk:
     """The scene without its Gaussians."""
 
-    # cameras, regions: of all photographs
     cameras: Cameras
     regions: Regions
     frames: list[tuple[LabelledFrame, Camera]]  # labelled photographs with their cameras

@@ -74,7 +74,6 @@ NOISINESS = 1.25  # of the regions: with it, regions of one object are as alike 
 class Truth:
     """What the Gaussians are, before anything is drawn."""
 
-    # gaussians, cameras: as given, views in the size wanted
     gaussians: Gaussians
     cameras: Cameras
     ids: NDArray[np.int64]  # [N] int64 object of each Gaussian; 0 for none

@@ -70,7 +70,6 @@ class FittedChannels:
 
     channels: Sequence[Tensor]  # per level [N, C] float32; zero rows for Gaussians that nothing is known of
     cosines: Sequence[Cosines]  # per level, how channels are compared with texts
-    # bytes_per_gaussian, shared_bytes: stored
     bytes_per_gaussian: float
     shared_bytes: float = 0.0
 

@@ -55,8 +55,7 @@ class Workload:
     camera: Camera  # the view
     labels: Tensor  # [S, H, W] int32 regions
     codes: list[SparseCodes]  # S codes of those regions
-    # indices, weights: [N, S, K] codes of the Gaussians
-    indices: Tensor
+    indices: Tensor  # [N, S, K] codes of the Gaussians
     weights: Tensor
     codebook: Tensor  # [S, L, D] float32
     queries: Tensor  # [Q, D] float32, unit norm

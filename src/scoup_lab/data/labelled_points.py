@@ -22,10 +22,8 @@ _MAX_LABEL = 1 << 31
 class LabelledPoints:
     """Points of a scan."""
 
-    # [P, 3] float32
-    positions: Tensor  # [P, 3]
-    # [P] int64 number of the class; what stands for none depends on the data set
-    labels: Tensor  # [P]
+    positions: Tensor  # [P, 3] float32
+    labels: Tensor  # [P] int64 number of the class; what stands for none depends on the data set
 
 
 def read_labelled_ply(path: str | Path) -> LabelledPoints:

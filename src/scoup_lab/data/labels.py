@@ -29,8 +29,7 @@ class LabelledFrame:
     """The ground truth of one frame."""
 
     name: str  # of the frame: the stem of its label file, which is that of its image
-    # width, height: in pixels, of the image that was labelled
-    width: int
+    width: int  # in pixels, of the image that was labelled
     height: int
     # per label, boolean [H, W]: all its polygons united. Labels are in the order of the file.
     masks: dict[str, Tensor]

@@ -48,8 +48,7 @@ class DemoSettings:
 
     seed: int = 0  # of the scene and of the codebook
     n_gaussians: int = 160_000  # of the scene
-    # width, height: of its views, in pixels
-    width: int = 480
+    width: int = 480  # of its views, in pixels
     height: int = 360
     n_building: int = 24  # views the field is built from; a quarter as many are held out for scoring
     layout: Layout = TABLE  # the kind of scene

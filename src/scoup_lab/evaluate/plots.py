@@ -43,7 +43,6 @@ class CurvePlot:
     """Curves with bands, and a legend on the right."""
 
     curves: Sequence[Curve]  # at least one, each of one point or more
-    # title, x_label, y_label: written around
     title: str
     x_label: str
     y_label: str
@@ -69,7 +68,6 @@ class IntervalPlot:
     """Points with intervals, a row each, from top to bottom, under the heading of their group."""
 
     rows: Sequence[tuple[str, str, Interval]]  # (group, name, interval); rows of a group follow each other
-    # title, x_label: written around
     title: str
     x_label: str
     digits: int = 1  # of the means, after the point

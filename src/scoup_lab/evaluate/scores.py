@@ -13,7 +13,6 @@ from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 class PairScore:
     """One label in one frame."""
 
-    # frame, label: which
     frame: str
     label: str
     iou: float  # of the mask at the level the mask was taken from, 0..1

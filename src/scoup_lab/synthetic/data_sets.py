@@ -69,8 +69,7 @@ class DataSetSize:
     """How large a synthetic data set is made."""
 
     n_gaussians: int = 60_000  # of each scene
-    # width, height: of its views, in pixels
-    width: int = 320
+    width: int = 320  # of its views, in pixels
     height: int = 240
     n_views: int = 16  # views with regions
     n_labelled: int = 4  # how many of them have labels, spread evenly

@@ -31,11 +31,9 @@ class LevelSums:
     """What coding, uplift and vote need of one level."""
 
     # [N, R] float32 scipy CSR, A[i, r] = blending weight of Gaussian i in region r (``RegionSums.matrix``)
-    matrix: csr_array  # [N, R]
-    # [R, D] float32, unit norm; a zero row means "unknown"
-    embeddings: Tensor  # [R, D]
-    # [R] int64, the view each region lies in
-    views: np.ndarray  # [R]
+    matrix: csr_array
+    embeddings: Tensor  # [R, D] float32, unit norm; a zero row means "unknown"
+    views: np.ndarray  # [R] int64, the view each region lies in
 
     @property
     def n_gaussians(self) -> int:

@@ -48,14 +48,10 @@ IntMap = NDArray[np.int32]
 class Shown:
     """What one view truly shows, and what the embeddings of its regions are made of."""
 
-    # [H, W] numbers of names, -1 = nothing
-    truth: IntMap  # [H, W]
-    # [names, D]
+    truth: IntMap  # [H, W] numbers of names, -1 = nothing
     prototypes: Floats  # [names, D]
-    # [names, D] added to the prototypes in every view
-    offsets: Floats  # [names, D]
-    # [names, D] noise of this view, which all regions of a name share
-    shifts: Floats  # [names, D]
+    offsets: Floats  # [names, D] added to the prototypes in every view
+    shifts: Floats  # [names, D] noise of this view, which all regions of a name share
 
 
 def observe(part_maps: Mapping[str, IntMap], parts: Parts, words: Words, rng: np.random.Generator) -> Regions:
@@ -122,16 +118,19 @@ def make_regions(truth: IntMap, level: str, rng: np.random.Generator) -> IntMap:
     return _renumbered(labels)
 
 
-def moved_borders(part_map: IntMap, rng: np.random.Generator) -> IntMap:
-    """Return the map read at smoothly displaced positions."""
+def moved_borders(
+    part_map: IntMap,
+    rng: np.random.Generator,
+    pixels: float = BORDER_NOISE,
+    smoothness: float = BORDER_SMOOTHNESS,
+) -> IntMap:
+    """Return the map [H, W] read at smoothly displaced positions; ``pixels`` is a standard deviation."""
     scale = part_map.shape[1] / REFERENCE_WIDTH
     rows, columns = np.indices(part_map.shape)
     shifts = []
     for _ in range(2):
-        field = ndimage.gaussian_filter(
-            rng.normal(size=part_map.shape), BORDER_SMOOTHNESS * scale, mode="wrap"
-        )
-        shifts.append(field / max(field.std(), 1e-12) * BORDER_NOISE * scale)
+        field = ndimage.gaussian_filter(rng.normal(size=part_map.shape), smoothness * scale, mode="wrap")
+        shifts.append(field / max(field.std(), 1e-12) * pixels * scale)
     height, width = part_map.shape
     take_rows = np.rint(rows + shifts[0]).astype(int).clip(0, height - 1)
     take_columns = np.rint(columns + shifts[1]).astype(int).clip(0, width - 1)

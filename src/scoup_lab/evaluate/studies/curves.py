@@ -9,7 +9,7 @@ from statistics import mean
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy import ndimage
+import torch
 
 from scoup.base.errors import looked_up
 from scoup.base.progress import Progress, no_progress
@@ -25,6 +25,7 @@ from scoup_lab.evaluate.studies.study import Study
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 from scoup_lab.evaluate.tables import CAVEATS, Table
 from scoup_lab.synthetic.faults import as_region_sums, level_sums, perturbed
+from scoup_lab.synthetic.observe import moved_borders
 
 SMOOTHNESS = 6.0  # pixels of an image 480 wide: how far displacements of neighbouring pixels go together
 
@@ -147,19 +148,9 @@ def displaced_masks(regions: Regions, pixels: float, seed: int = 0) -> Regions:
 
     def load(view: str, level: str) -> RegionMap:
         found = regions.load(view, level)
-        height, width = found.labels.shape
         random = np.random.default_rng([seed, *f"{view} {level}".encode()])
-        scale = width / 480
-        rows, columns = np.indices((height, width))
-        shifts = []
-        for _ in range(2):
-            noise = ndimage.gaussian_filter(
-                random.normal(size=(height, width)), SMOOTHNESS * scale, mode="wrap"
-            )
-            shifts.append(noise / max(noise.std(), 1e-12) * pixels * scale)
-        take_rows = np.rint(rows + shifts[0]).astype(int).clip(0, height - 1)
-        take_columns = np.rint(columns + shifts[1]).astype(int).clip(0, width - 1)
-        return RegionMap(found.labels[take_rows, take_columns], found.embeddings)
+        labels = moved_borders(found.labels.numpy(), random, pixels, SMOOTHNESS)
+        return RegionMap(torch.from_numpy(labels), found.embeddings)
 
     return Regions(regions.levels, regions.view_names, load, regions.load_embeddings)
 
