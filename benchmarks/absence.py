@@ -1,4 +1,4 @@
-"""Whether absent things are refused, and present ones are not."""
+"""A study of presence: absent things must be refused, and present ones must not."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ from scoup_lab.synthetic.words import CANONICAL, DISTRACTORS
 
 @dataclass(frozen=True)
 class SceneSize:
-    """How large scenes are made."""
+    """Sizes of scenes."""
 
     # n_gaussians, width, height, n_building, n_held_out: of procedural scenes; those held out are asked
     n_gaussians: int = 120_000

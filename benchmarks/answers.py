@@ -1,4 +1,4 @@
-"""How good answers are, by ways of building a field and rules of reading an answer from it."""
+"""The quality of answers, by ways of building a field and rules of reading an answer from it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two claims of the paper on synthetic scenes with their truth: what the entropy of votes tells, what glass does."""
+"""Two claims of the paper on synthetic scenes with ground truth: the entropy of votes, and glass."""
 
 from __future__ import annotations
 

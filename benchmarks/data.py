@@ -1,4 +1,4 @@
-"""Where the real scenes are that some benchmarks measure."""
+"""The folder of the real scenes that some benchmarks measure."""
 
 from __future__ import annotations
 

@@ -197,7 +197,7 @@ TABLES: dict[str, Callable[[], str]] = {
 """By name."""
 
 
-def made(text: str) -> str:
+def fill_tables(text: str) -> str:
     """Return a document with its tables made again, without what aligns their columns."""
 
     def block(found: re.Match[str]) -> str:
@@ -219,7 +219,7 @@ def main(arguments: Arguments) -> list[Path]:
     changed = []
     for path in DOCUMENTS:
         before = path.read_text(encoding="utf-8")
-        after = made(before)
+        after = fill_tables(before)
         if after != before:
             changed.append(path)
             print(path.relative_to(ROOT))

@@ -1,4 +1,4 @@
-"""The paper's claims, one by one, beside what the records say."""
+"""The table of the paper's claims and of what the records say about each."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ PHRASE_SPREAD = 0.01  # standard deviation of a prototype's cosine with a canoni
 
 @dataclass(frozen=True)
 class RegionErrors:
-    """How regions and their embeddings differ from the truth. The defaults are those of a draw without a kind."""
+    """Errors of regions and their embeddings. The defaults are those of a draw without a kind."""
 
     noise: float = 1.0  # factor of all noise of the embeddings
     # spread of the noise over regions: the standard deviation of the logarithm of its factor

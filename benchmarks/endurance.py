@@ -89,7 +89,7 @@ class Endurance(Study):
 
 @dataclass(frozen=True)
 class Plain:
-    """What an undisturbed run of a verb does."""
+    """An undisturbed run of a verb."""
 
     seconds: float  # that it takes
     notes: tuple[str, ...]  # of the points that it passes
@@ -134,7 +134,7 @@ def endure(verb: Verb, scene: Scene, kills: int, seed: int, outside: float = 0.5
     ``outside``: see ``Endurance``.
     """
     dice = random.Random(f"{verb.name} {seed}")
-    plain = undisturbed(verb, scene)
+    plain = run_undisturbed(verb, scene)
     trials: list[Trial] = []
     for _ in range(3 * kills):
         left = kills - sum(len(trial.kills) for trial in trials)
@@ -145,7 +145,7 @@ def endure(verb: Verb, scene: Scene, kills: int, seed: int, outside: float = 0.5
 
 
 @functools.cache
-def undisturbed(verb: Verb, scene: Scene) -> Plain:
+def run_undisturbed(verb: Verb, scene: Scene) -> Plain:
     """Return a run that nobody kills."""
     verb.prepare(scene)
     before = snapshot(scene.work)
@@ -161,11 +161,11 @@ def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int
     kills: list[Kill] = []
     late, kept = 0, verb.n_kept(scene)
     for _ in range(MOST_RUNS):
-        found = killed(verb, scene, plain, dice, outside)
+        found = run_and_kill(verb, scene, plain, dice, outside)
         if found.code != Run.KILLED:
             late += 1
             break
-        kills.append(judged(verb, scene, plain, found, kept))
+        kills.append(judge_kill(verb, scene, plain, found, kept))
         kept = verb.n_kept(scene)
         if len(kills) == most or dice.random() >= AGAIN:
             break
@@ -184,7 +184,7 @@ def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int
     )
 
 
-def killed(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, outside: float) -> Run:
+def run_and_kill(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, outside: float) -> Run:
     """Return a run that is killed at a random moment, if it is not over before."""
     moment, point = dice.random(), dice.randint(1, len(plain.notes))
     if dice.random() < outside:
@@ -192,7 +192,7 @@ def killed(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, outside:
     return verb.run(scene, point=point)
 
 
-def judged(verb: Verb, scene: Scene, plain: Plain, found: Run, kept_before: int) -> Kill:
+def judge_kill(verb: Verb, scene: Scene, plain: Plain, found: Run, kept_before: int) -> Kill:
     """Return what a kill has left."""
     files = snapshot(scene.work)
     finished = verb.is_new(files, plain.files)

@@ -23,7 +23,7 @@ _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 
 class Points:
-    """What is counted and noted.
+    """A counter of points that notes each in a log.
 
     ``last``: the point at which the process ends; 0 for none.
     """

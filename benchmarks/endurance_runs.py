@@ -20,7 +20,7 @@ _STAGES = {"region sums": "views", "regions": "views", "vote": "vote", "outputs"
 
 @dataclass(frozen=True)
 class Run:
-    """What one run of a verb did."""
+    """One run of a verb."""
 
     KILLED: ClassVar[int] = -9
 
@@ -36,7 +36,7 @@ class Run:
 
     @property
     def stage(self) -> str:
-        """The last one that it began: start, codes, views, vote, outputs or end."""
+        """The last stage that it began: start, codes, views, vote, outputs or end."""
         names = [note.removeprefix("stage ") for note in self.notes if note.startswith("stage ")]
         if not names:
             return "start"

@@ -29,7 +29,7 @@ _PROGRAM = "from scoup.cli.app import entry; entry()"
 
 @dataclass(frozen=True)
 class Scene:
-    """What verbs work on."""
+    """The scene that verbs work on."""
 
     folder: Path  # of the scene: photographs, splat, cameras, regions; ``photographs`` in it has plainer ones
     views: int  # of it

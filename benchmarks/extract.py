@@ -1,4 +1,4 @@
-"""From real photographs to masks on a CPU: which things get a region, and what it takes."""
+"""Masks of real photographs on a CPU: the share of things with a region, and the time."""
 
 from __future__ import annotations
 

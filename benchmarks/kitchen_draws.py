@@ -72,7 +72,7 @@ NOISINESS = 1.25  # of the regions: with it, regions of one object are as alike 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What the Gaussians are, before anything is drawn."""
+    """The true objects of the Gaussians, before anything is drawn."""
 
     gaussians: Gaussians
     cameras: Cameras

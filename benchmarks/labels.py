@@ -1,4 +1,4 @@
-"""One of several words for each Gaussian, against the truth."""
+"""The word of each Gaussian, one of several, against the ground truth."""
 
 from __future__ import annotations
 

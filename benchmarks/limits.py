@@ -1,4 +1,4 @@
-"""A child process that is held to a limit of memory, and watched."""
+"""A child process with a limit of memory, whose memory is sampled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where things are in the world and in views, against the truth."""
+"""Positions of things in the world and in views, against the ground truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a query costs: with a new camera, and a further one with the same camera."""
+"""The cost of a query with a new camera, and of a further one with the same camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Gaussians selected for a text, against those that truly are the thing."""
+"""The Gaussians selected for a text, against the ground truth."""
 
 from __future__ import annotations
 

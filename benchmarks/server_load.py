@@ -1,4 +1,4 @@
-"""Many visitors of `scoup view` at once."""
+"""A load test of `scoup view`: many visitors at once."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TIMEOUT = 120  # seconds for an answer
 
 @dataclass
 class Book:
-    """What visitors have written down; several threads write."""
+    """The log of all visitors; several threads write."""
 
     counts: Counter[str] = field(default_factory=Counter)
     seconds: dict[str, list[float]] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What the viewer costs: bytes sent for a scene and for a query, and the start of the server."""
+"""The cost of the viewer: bytes sent for a scene and for a query, and the start of the server."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What studies of answers share: ways of building a field, scenes that were held out, and the fields of both."""
+"""Ways of building a field, held-out scenes, and the fields of both, for the studies of answers."""
 
 from __future__ import annotations
 

@@ -94,9 +94,9 @@ def test_what_stands_between_tables_is_kept(monkeypatch: pytest.MonkeyPatch) -> 
     empty = (
         "<!-- table: one -->\n<!-- end of table -->\nwords\n<!-- table: two -->\nold\n<!-- end of table -->\n"
     )
-    full = documents.made(empty)
+    full = documents.fill_tables(empty)
     assert full == empty.replace("one -->\n", "one -->\n| a |\n| --- |\n").replace("old", "| b |")
-    assert documents.made(full) == full
+    assert documents.fill_tables(full) == full
 
 
 def test_tables_are_up_to_date() -> None:

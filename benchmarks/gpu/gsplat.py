@@ -31,7 +31,7 @@ def compile_gsplat(stage: Stage) -> None:
         # More channels than are drawn at a time.
         values = torch.zeros(100, 40, device=stage.device, requires_grad=True)
         gaussians, camera = random_scene_gaussians(100).to(stage.device), random_scene_cameras(1, 32, 32)[0]
-        image = render(found_gsplat(stage), gaussians, camera, values)
+        image = render(load_gsplat(stage), gaussians, camera, values)
         (gradient,) = torch.autograd.grad(image, values, torch.ones_like(image))
         if not float(gradient.sum()) > 0:
             raise Unavailable("the gradients of gsplat's render are zero")
@@ -40,7 +40,7 @@ def compile_gsplat(stage: Stage) -> None:
     stage.no_gsplat = row.get("reason", "")
 
 
-def found_gsplat(stage: Stage) -> Any:
+def load_gsplat(stage: Stage) -> Any:
     """Return the module (github.com/nerfstudio-project/gsplat), or Unavailable and why."""
     if stage.no_gsplat:
         raise Unavailable(stage.no_gsplat)

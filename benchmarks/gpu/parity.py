@@ -38,7 +38,7 @@ class Tests:
 
     def pytest_collectreport(self, report: Any) -> None:
         if report.failed:
-            self.problem = what_it_says(report.longreprtext)
+            self.problem = failure_line(report.longreprtext)
 
     def pytest_collection_modifyitems(self, session: Any, items: list[Any]) -> None:
         """Leave out tests whose outcome is known, or which have ended an earlier process."""
@@ -59,7 +59,7 @@ class Tests:
         if report.outcome != "passed":
             self.row["outcome"] = report.outcome
         if report.failed:
-            self.row["reason"] = what_it_says(report.longreprtext)
+            self.row["reason"] = failure_line(report.longreprtext)
 
     def pytest_runtest_logfinish(self) -> None:
         if self.row["outcome"] != "skipped":  # there are many where there is no GPU
@@ -70,7 +70,7 @@ class Tests:
             self.session.shouldstop = self.stage.result["reason"] = NO_TIME
 
 
-def what_it_says(text: str) -> str:
+def failure_line(text: str) -> str:
     """Return the line of a traceback that says what is wrong."""
     lines = [line.strip() for line in text.splitlines() if line.strip()] or [""]
     return next((line for line in lines if line.startswith("E ")), lines[-1]).replace("`", "'")[:300]

@@ -1,4 +1,4 @@
-"""What the precision of the matrix products costs and changes, against plain float32 ("ieee")."""
+"""Cost and effect of the precision of the matrix products, against plain float32 ("ieee")."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def precision(stage: Stage) -> None:
     stage.row(answers_name("reference backend"), of_reference)
 
 
-def projected_in(work: Workload, name: str) -> raster.Projection:
+def project_with(work: Workload, name: str) -> raster.Projection:
     """Project by the kernels in that precision, or by the reference backend."""
     from scoup.raster.triton import rendering as gpu
 
@@ -61,7 +61,7 @@ def projected_in(work: Workload, name: str) -> raster.Projection:
 
 def runs_of(work: Workload, name: str) -> Runs:
     n_atoms, codes = work.codebook.shape[1], (work.indices, work.weights)
-    projection = cache(partial(projected_in, work, name))
+    projection = cache(partial(project_with, work, name))
     return {
         "coefficient maps": lambda: raster.render_codes(projection(), *codes, n_atoms),
         "cosines": lambda: raster.render_cosines(projection(), *codes, work.codebook, work.queries),

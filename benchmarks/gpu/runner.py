@@ -1,4 +1,4 @@
-"""Runs stages, each in a process of its own, and keeps what they find.
+"""The runner of stages: each runs in a process of its own, and its results are kept.
 
 A process of its own because a kernel that goes wrong can leave a device that answers nothing more. What ends a process,
 breaks its device or hangs costs its own row: the stage goes on in another process, without it.
@@ -88,7 +88,7 @@ class Runner:
                 if kind == "next":
                     doing, quiet_s = content
                 elif kind != "alive":
-                    self.results[name] = merged(content[0], known)
+                    self.results[name] = merge_rows(content[0], known)
                     if kind == "end":
                         break
                     self.results[name].setdefault("reason", "not finished when this was written")
@@ -148,7 +148,7 @@ def work(
     sender.close()
 
 
-def merged(result: dict[str, Any], known: dict[str, Row]) -> dict[str, Any]:
+def merge_rows(result: dict[str, Any], known: dict[str, Row]) -> dict[str, Any]:
     """Return a result with the rows that an earlier process knew and this one does not (yet)."""
     failed = {row["name"] for row in result["rows"] if "reason" in row}
     rows = [known[row["name"]] if row["name"] in failed & set(known) else row for row in result["rows"]]

@@ -1,4 +1,4 @@
-"""What a stage works with: the device, sizes, a view of the room, and rows that are sent as they are known."""
+"""A stage: the device, sizes, a view of the room, and rows that are sent as they are known."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Runs = dict[str, Callable[[], object]]
 
 
 class Unavailable(Exception):
-    """Something that cannot be measured here, and why."""
+    """The reason why something cannot be measured here."""
 
 
 @dataclass(frozen=True)

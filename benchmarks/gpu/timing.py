@@ -7,7 +7,7 @@ from functools import cache, partial
 import torch
 from torch import Tensor
 
-from benchmarks.gpu.gsplat import compile_gsplat, dense_uplift, found_gsplat, render
+from benchmarks.gpu.gsplat import compile_gsplat, dense_uplift, load_gsplat, render
 from benchmarks.gpu.stage import Row, Runs, Stage, project
 from scoup import raster
 from scoup.query.relevancy import relevancy
@@ -44,7 +44,7 @@ def timing(stage: Stage) -> None:
     @torch.no_grad()
     def off() -> Row:
         view = work.gaussians, work.camera
-        theirs = render(found_gsplat(stage), *view, work.values)
+        theirs = render(load_gsplat(stage), *view, work.values)
         return {
             "value": float((raster.render_channels(project(*view), work.values)[0] - theirs).abs().mean())
         }
@@ -83,7 +83,7 @@ def renders(stage: Stage, work: Workload) -> Runs:
 
     @torch.no_grad()
     def rendered(channels: int, packed: bool = False, at_once: int = 32) -> Tensor:
-        module, values = found_gsplat(stage), work.values if channels == 3 else made(channels)
+        module, values = load_gsplat(stage), work.values if channels == 3 else made(channels)
         return render(module, work.gaussians, work.camera, values, packed, at_once)
 
     found: Runs = {
@@ -111,7 +111,7 @@ def sums(stage: Stage, work: Workload) -> Runs:
     projection = cache(partial(project, *view))
 
     def dense(channels: int) -> None:
-        module = found_gsplat(stage)
+        module = load_gsplat(stage)
         out = torch.zeros(len(work.labels), len(work.gaussians), stage.sizes.dim, device=stage.device)
         dense_uplift(module, work, embeddings, out, channels)
 

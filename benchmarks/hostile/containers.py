@@ -1,4 +1,4 @@
-"""Containers taken apart and put together again, so that damage reaches what is inside: lengths and checksums fit."""
+"""Containers that are split and joined again, so that damage reaches their content: lengths and checksums fit."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def _join_gzip(data: bytes, parts: Sequence[bytes]) -> bytes:
     return gzip.compress(parts[0], 1, mtime=0)
 
 
-def joined(container: Container, data: bytes, parts: Sequence[bytes]) -> bytes:
+def join_parts(container: Container, data: bytes, parts: Sequence[bytes]) -> bytes:
     """Run ``container.join`` without the warnings of libraries about strange parts."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

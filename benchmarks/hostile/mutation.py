@@ -24,7 +24,7 @@ _VALUES: list[Any] = [None, True, False, "", "x", "nan", "..", "../../x", "\0", 
                       [None], {"": {}}, [0] * 1000, 0.5, *_WIDE, 10**30, *_FLOATS]  # fmt: skip
 
 
-def damaged(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+def damage(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
     """Return the data, damaged at one to four places."""
     result = data
     textual = _is_text(data)

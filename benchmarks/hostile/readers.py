@@ -45,7 +45,7 @@ from scoup_lab.data.labels import read_labels
 
 @dataclass(frozen=True)
 class Memory:
-    """What reading a file may take: ``times`` its size, and ``megabytes`` more."""
+    """The memory that reading a file may take: ``times`` its size, and ``megabytes`` more."""
 
     times: int = 64
     megabytes: int = 64

@@ -1,4 +1,4 @@
-"""Many damaged files for one reader, read in processes that may end in any way, and what became of them."""
+"""A trial of one reader: many damaged files, read in processes that may end in any way."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ READERS = "benchmarks.hostile.readers:READERS"
 
 @dataclass(frozen=True)
 class Limits:
-    """What ends the reading of a file."""
+    """Limits of the reading of a file."""
 
     processor: float = 10.0  # seconds of it that one file may take
     # seconds without a word after which a process is ended; far more than ``processor``, for busy machines
@@ -29,7 +29,7 @@ class Limits:
 
 @dataclass
 class Trial:
-    """What became of the files of one reader."""
+    """Outcomes of the files of one reader."""
 
     name: str  # of the reader
     outcomes: Counter[str] = field(default_factory=Counter)  # how many files had each

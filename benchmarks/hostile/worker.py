@@ -1,4 +1,4 @@
-"""The process that reads damaged files, one after another, and reports on each; it may crash, or never come back."""
+"""The process that reads damaged files, one after another, and reports on each; it may crash or hang."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from typing import Literal
 
 import torch
 
-from benchmarks.hostile.containers import joined
-from benchmarks.hostile.mutation import cut, damaged
+from benchmarks.hostile.containers import join_parts
+from benchmarks.hostile.mutation import cut, damage
 from benchmarks.hostile.readers import Reader
 from scoup.base.errors import ScoupError, ScoupWarning
 
@@ -43,7 +43,7 @@ VALID, BROKEN = -1, -2
 
 @dataclass(frozen=True)
 class Job:
-    """What a process is to read."""
+    """The files that a process reads."""
 
     readers: str  # "module:table" of the readers
     name: str  # of the reader
@@ -60,7 +60,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Result:
-    """What became of one file."""
+    """The outcome of one file."""
 
     number: int  # of the file; ``VALID`` for the valid samples, ``BROKEN`` where this program itself failed
     size: int  # in bytes
@@ -82,14 +82,14 @@ def damaged_file(job: Job, number: int) -> bytes:
     if random.random() < 0.1:
         return cut(random, data)
     if not reader.containers or random.random() < 0.35:
-        return damaged(random, data, others)
+        return damage(random, data, others)
     container = random.choice(reader.containers)
     parts = container.split(data)
     for _ in range(random.choice((1, 1, 1, 2))):
         place = random.randrange(len(parts))
-        parts[place] = damaged(random, parts[place], parts)
-    whole = joined(container, data, parts)
-    return damaged(random, whole, others) if random.random() < 0.05 else whole
+        parts[place] = damage(random, parts[place], parts)
+    whole = join_parts(container, data, parts)
+    return damage(random, whole, others) if random.random() < 0.05 else whole
 
 
 def work(connection: Connection, job: Job) -> None:

@@ -38,7 +38,7 @@ NOISE = 0.03  # of an embedding's numbers; a unit vector of 512 has 0.04
 
 @dataclass(frozen=True)
 class City:
-    """So many blocks, row after row of a square."""
+    """A square of blocks, row after row."""
 
     n_blocks: int  # of them, each of ``A_BLOCK`` Gaussians
     seed: int = 0  # of heights, colours and cameras

@@ -19,8 +19,8 @@ from scoup_lab.baselines.joint_codes import (
     JointSettings,
     ViewTargets,
     fit_joint_codes,
-    kept_codes,
     rendering_loss,
+    top_codes,
 )
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.methods import METHODS
@@ -89,7 +89,7 @@ def test_loss_and_gradients_against_dense_autograd(scene: RasterisedScene, k: in
 
 def test_kept_codes() -> None:
     logits = torch.tensor([[0.0, 2.0, 1.0, -1.0], [0.0, 0.0, 0.0, 0.0]])
-    indices, weights = kept_codes(logits, 2)
+    indices, weights = top_codes(logits, 2)
     assert indices.tolist() == [[1, 2], [0, 1]]  # of equal ones the first
     first = 1 / (1 + torch.tensor(-1.0).exp())
     assert torch.allclose(weights, torch.tensor([[first, 1 - first], [0.5, 0.5]]))

@@ -16,7 +16,7 @@ import pytest
 import torch
 from benchmarks.gpu import ROOT, runner
 from benchmarks.gpu.__main__ import main, parse
-from benchmarks.gpu.runner import Runner, merged
+from benchmarks.gpu.runner import Runner, merge_rows
 from benchmarks.gpu.stage import LOST, NO_TIME, TINY, Row, Stage, Unavailable, add_ratios, reason
 
 from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
@@ -151,7 +151,7 @@ def test_nothing_is_begun_when_the_time_is_up() -> None:
 
 def test_what_an_earlier_process_knew_stays() -> None:
     known = {"a": {"name": "a", "median_s": 1.0}, "b": {"name": "b", "median_s": 2.0}}
-    found = merged(
+    found = merge_rows(
         {"rows": [{"name": "a", "reason": "hung"}, {"name": "c", "median_s": 3.0}], "about": 1}, known
     )
     assert found == {

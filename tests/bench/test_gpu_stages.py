@@ -168,7 +168,7 @@ def test_a_gsplat_that_does_not_work_is_the_reason_of_all_its_rows() -> None:
     assert stage.no_gsplat == stage.result["rows"][0]["reason"]
     assert stage.no_gsplat.startswith(("gsplat needs a CUDA device", "gsplat is not installed"))
     with pytest.raises(Unavailable, match=stage.no_gsplat.split("(")[0].strip()):
-        gsplat.found_gsplat(stage)
+        gsplat.load_gsplat(stage)
 
 
 def test_dense_uplift_by_gradients() -> None:

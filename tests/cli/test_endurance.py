@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from benchmarks.endurance import endure, undisturbed
+from benchmarks.endurance import endure, run_undisturbed
 from benchmarks.endurance_runs import Run, snapshot
 from benchmarks.endurance_verbs import VERBS, Scene, make_scene
 
@@ -38,7 +38,7 @@ def test_killed_and_run_again(name: str, scene: Scene) -> None:
 def test_killed_between_field_and_sums(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """The next verb that is to change the field puts the sums in their place; the same command says that it is done."""
     verb = VERBS[name]
-    plain = undisturbed(verb, scene)
+    plain = run_undisturbed(verb, scene)
     point = 1 + max(
         row for row, note in enumerate(plain.notes) if note == "file os.rename .a.scoup.sums.ready"
     )

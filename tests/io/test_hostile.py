@@ -9,8 +9,8 @@ from random import Random
 
 import pytest
 from benchmarks.hostile import study as hostile_study
-from benchmarks.hostile.containers import joined
-from benchmarks.hostile.mutation import damaged
+from benchmarks.hostile.containers import join_parts
+from benchmarks.hostile.mutation import damage
 from benchmarks.hostile.readers import READERS
 from benchmarks.hostile.run import FAILURES, Limits, Trial, try_reader
 from benchmarks.hostile.samples import write_samples
@@ -115,11 +115,11 @@ def test_containers_are_put_together_as_they_were(samples: Path, name: str) -> N
         whole = (samples / file).read_bytes()
         for container in reader.containers:
             parts = container.split(whole)
-            again = joined(container, whole, parts)
+            again = join_parts(container, whole, parts)
             assert [part.rstrip() for part in container.split(again)] == [part.rstrip() for part in parts]
             last = max(range(len(parts)), key=lambda place: len(parts[place]))
             changed = [part[1:] if place == last else part for place, part in enumerate(parts)]
-            assert joined(container, whole, changed) != again
+            assert join_parts(container, whole, changed) != again
 
 
 def test_the_same_seed_gives_the_same_files(samples: Path) -> None:
@@ -132,7 +132,7 @@ def test_the_same_seed_gives_the_same_files(samples: Path) -> None:
 
 def test_damage_changes_and_is_bounded() -> None:
     data = json.dumps({"a": [1, 2, {"b": "c"}], "d": -1.5e3}).encode()
-    found = {damaged(Random(seed), data, [data]) for seed in range(300)}
+    found = {damage(Random(seed), data, [data]) for seed in range(300)}
     assert len(found) > 250
     assert max(map(len, found)) < 1 << 20
     assert any(b"[[[[[[" in item for item in found)

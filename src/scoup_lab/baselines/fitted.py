@@ -29,7 +29,7 @@ Cosines = Callable[[Tensor, Tensor], Tensor]
 
 
 class FittedMethod(Protocol):
-    """What a method has made of a scene."""
+    """A method after it was fitted to a scene."""
 
     @property
     def bytes_per_gaussian(self) -> float:

@@ -59,7 +59,7 @@ LANGSPLATV2 = JointSettings()
 
 @dataclass(frozen=True, eq=False)
 class JointCodes:
-    """What was learned."""
+    """Codes and codebook that were learned."""
 
     indices: Tensor  # [N, S, K] uint8 (uint16 beyond 256 atoms), the atoms of each Gaussian
     # [N, S, K] float32, not negative, largest first, summing to 1; zeros for a Gaussian that contributes to no pixel
@@ -72,7 +72,7 @@ class JointCodes:
 
 @dataclass(frozen=True, eq=False)
 class ViewTargets:
-    """What a view is to show at one level."""
+    """The target of a view at one level."""
 
     pixels: Tensor  # [P] int64, those of ``ViewWeights.weights`` that have a region
     regions: Tensor  # [P] int64, which one
@@ -116,7 +116,7 @@ def fit_joint_codes(
     )
 
 
-def kept_codes(logits: Tensor, k: int) -> tuple[Tensor, Tensor]:
+def top_codes(logits: Tensor, k: int) -> tuple[Tensor, Tensor]:
     """Return atoms [M, K] int64 and weights [M, K] of logits [M, L]: the softmax, its K largest kept and scaled
     to sum 1, which is the softmax over the K largest logits. Largest first; of equal ones the first."""
     # One largest after the other and not topk, which picks any of equal logits and takes longer for few.
@@ -134,7 +134,7 @@ def rendering_loss(view: ViewWeights, logits: Tensor, atoms: Tensor, targets: Vi
 
     ``logits``: [M, L] of its members; ``atoms``: [L, D].
     """
-    found, weights = kept_codes(logits, k)
+    found, weights = top_codes(logits, k)
     codes = torch.zeros_like(logits).scatter(1, found, weights)
     coefficients = rendered(view, codes)[targets.pixels]  # [P, L]
     toward = (targets.embeddings @ atoms.T)[targets.regions]
@@ -191,7 +191,7 @@ class _Training:
 
     def codes(self) -> tuple[Tensor, Tensor]:
         """Return indices and weights [N, K] as ``JointCodes`` has them."""
-        indices, weights = kept_codes(self.logits.detach(), self.settings.k)
+        indices, weights = top_codes(self.logits.detach(), self.settings.k)
         contributes = torch.zeros(len(indices), dtype=torch.bool)
         for view, target in zip(self.views, self.targets, strict=True):
             contributes[view.members[view.weights[target.pixels.numpy()].sum(0) > 0]] = True

@@ -21,7 +21,7 @@ from scoup_lab.baselines.rasterised_scene import RasterisedScene, UpliftInputs
 
 @dataclass(frozen=True)
 class MethodSettings:
-    """What can be set for all methods at once."""
+    """Settings of all methods."""
 
     seed: int = 0  # of all that is random
     build: BuildSettings = BUILD_PRESETS["default"]  # of the sparse codes; methods may change some of it

@@ -1,4 +1,4 @@
-"""Which pixels count for which Gaussians.
+"""Rules of which pixels count for which Gaussians.
 
 Dense and sparse uplift count every pixel by its blending weight (``AllPixels``). Other systems count fewer: the pixel
 at the projected centre of a Gaussian (``CentrePixel``), the same where the Gaussian is visible

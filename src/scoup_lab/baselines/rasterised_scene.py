@@ -34,7 +34,7 @@ class Coder(Hashable, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class UpliftInputs:
-    """What a method is fitted to."""
+    """The inputs of a method."""
 
     sums: RegionSums  # region sums
     embeddings: Sequence[Tensor]  # per level [R, D], of the regions of these sums

@@ -1,4 +1,4 @@
-"""On what something was measured. Nothing here names a person, a folder or a host."""
+"""The machine and the software of a measurement. Nothing here names a person, a folder or a host."""
 
 from __future__ import annotations
 

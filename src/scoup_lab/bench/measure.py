@@ -1,4 +1,4 @@
-"""Times one can compare: interleaved runs, medians, threads set for each."""
+"""Comparable times: interleaved runs, medians, and a number of threads for each."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class DeviceClock:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Something to time."""
+    """A task to time."""
 
     run: Callable[[], object]  # the work; what it returns is dropped after the clock has stopped
     threads: int | None = 1  # torch threads it may use; None leaves the number alone
@@ -113,7 +113,7 @@ class Timing:
 
 
 class Watch(Generic[Key]):
-    """What happens around the runs of ``time_tasks``. This one lets everything run and errors through."""
+    """Hooks around the runs of ``time_tasks``. The base lets everything run and raises errors."""
 
     def may_run(self, key: Key) -> bool:
         """Decide before each run. A task that may not run is left out from then on."""

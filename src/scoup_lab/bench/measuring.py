@@ -1,4 +1,4 @@
-"""What a piece of work costs: seconds, and the most memory the process held beyond what it held before."""
+"""The cost of a piece of work: seconds, and the peak of memory above that at its start."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _EVERY = 0.005  # seconds
 
 @dataclass(frozen=True)
 class Cost:
-    """Of a piece of work."""
+    """The cost of a piece of work."""
 
     seconds: float  # wall-clock time
     # resident memory beyond that at the start, at its highest, sampled; None where the system does not say.

@@ -1,4 +1,4 @@
-"""scoup bench: how long every stage takes on this machine."""
+"""scoup bench: the time of every stage on this machine."""
 
 from __future__ import annotations
 

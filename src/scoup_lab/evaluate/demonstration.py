@@ -44,7 +44,7 @@ ALL_ATOMS, DENSE = "sparse, no top-K", "dense 512-d"
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """How large the demo is."""
+    """Sizes of the demo."""
 
     seed: int = 0  # of the scene and of the codebook
     n_gaussians: int = 160_000  # of the scene
@@ -56,7 +56,7 @@ class DemoSettings:
 
 @dataclass(frozen=True, eq=False)
 class DemoResult:
-    """What the demo made and measured."""
+    """The demo's scene, field and scores."""
 
     scene: DemoScene  # the scene and its truth
     field: LanguageField  # the field built

@@ -31,7 +31,7 @@ def say_nothing(_: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation(ABC, Generic[Scene, Result]):
-    """How a data set is evaluated."""
+    """The evaluation of a data set."""
 
     build: BuildSettings  # of the fields
     rebuild: bool = False  # build fields again that are there already
@@ -40,7 +40,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
     @property
     @abstractmethod
     def stems(self) -> Sequence[str]:
-        """Of the names of the reports' files."""
+        """Stems of the names of the reports' files."""
 
     @abstractmethod
     def scene(

@@ -1,4 +1,4 @@
-"""Where the vectors of labels come from."""
+"""Vectors of labels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scores of masks and points against ground truth, and how sure one may be of their mean."""
+"""Scores of masks and points against ground truth, and confidence intervals of their means."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class PixelResult:
 
 @dataclass(frozen=True, kw_only=True)
 class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
-    """How a data set of labelled frames is evaluated."""
+    """The evaluation of a data set of labelled frames."""
 
     protocol: PixelProtocol
     rules: str = "scoup"  # whose constants turn relevancy into masks and points

@@ -22,7 +22,7 @@ _ROW = 0.27  # inches
 
 
 class Plot(Protocol):
-    """Something to draw."""
+    """A plot."""
 
     def figure(self) -> Figure:
         """Return the drawing."""

@@ -36,7 +36,7 @@ Counts = dict[str, dict[str, Tensor]]
 
 @dataclass(frozen=True, kw_only=True)
 class PointEvaluation(Evaluation[PointScene, Counts]):
-    """How a point-level data set is evaluated."""
+    """The evaluation of a point-level data set."""
 
     protocol: PointProtocol
     class_lists: tuple[ClassList, ...]  # benchmarks to score by

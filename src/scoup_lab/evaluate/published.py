@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Origin:
-    """Where figures are from."""
+    """The source of figures."""
 
     source: str  # the paper in which they stand
     by: str = ""  # whose evaluation or table that is, if not that of the system's own paper

@@ -1,4 +1,4 @@
-"""What every evaluation and every study gives: tables, a record, and plots, written together."""
+"""The report of an evaluation or a study: tables, a record, and plots, written together."""
 
 from __future__ import annotations
 

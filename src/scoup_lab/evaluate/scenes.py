@@ -1,4 +1,4 @@
-"""Scenes of a data set on disk: what a field is built from, and where it lies."""
+"""Scenes of a data set on disk: the inputs of a field, and their places."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scoup.scene.cameras import Cameras
 
 @dataclass(frozen=True, eq=False)
 class SceneFiles:
-    """What a field is built from; the splat and the features are not read yet."""
+    """The inputs of a field; the splat and the features are not read yet."""
 
     name: str  # of its folder
     folder: Path
@@ -25,7 +25,7 @@ class SceneFiles:
 
 @dataclass(frozen=True)
 class Places:
-    """Where the parts of a scene lie, if not where they usually do; ``{scene}`` is replaced by its name."""
+    """Places of the parts of a scene, if not the usual ones; ``{scene}`` is replaced by its name."""
 
     gaussians: str | None = None  # the trained splat; default: the one in the scene's folder
     features: str | None = None  # region features; default: ``language_features`` in the scene's folder
@@ -62,7 +62,7 @@ def check_root(root: Path, data_set: str) -> None:
         )
 
 
-def chosen_scenes(
+def choose_scenes(
     root: Path, names: Sequence[str], wanted: Sequence[str], published: Sequence[str], expected: str
 ) -> list[str]:
     """Return the scenes wanted of those found below ``root``, or all, the published ones first."""

@@ -1,4 +1,4 @@
-"""What every protocol gives: a score for each (frame, label) pair, and their means by scene and over scenes."""
+"""Scores of (frame, label) pairs by any protocol, and their means by scene and over scenes."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class PairScore:
     pixel: tuple[int, int] | None  # (x, y) of the point; None in protocols without localisation
 
 
-def kept_pairs(scores: Sequence[SceneScore]) -> list[list[str]]:
+def pair_names(scores: Sequence[SceneScore]) -> list[list[str]]:
     """Return [scene, frame, label] of all pairs, in order; for JSON."""
     return [[scene.scene, pair.frame, pair.label] for scene in scores for pair in scene.pairs]
 
 
-def kept_ious(ious: Iterable[float]) -> list[float]:
+def rounded_ious(ious: Iterable[float]) -> list[float]:
     """Return IoU of all pairs for JSON: three decimals."""
     return [round(value, 3) for value in ious]
 

@@ -66,7 +66,7 @@ TRUTHS = {
 
 @dataclass(frozen=True)
 class DataSetSize:
-    """How large a synthetic data set is made."""
+    """Sizes of a synthetic data set."""
 
     n_gaussians: int = 60_000  # of each scene
     width: int = 320  # of its views, in pixels

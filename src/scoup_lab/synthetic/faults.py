@@ -28,7 +28,7 @@ ISOTROPIC, ALONG_DIFFERENCES = 0.8, 0.6  # shares of the noise; their squares su
 
 @dataclass(frozen=True, eq=False)
 class LevelSums:
-    """What coding, uplift and vote need of one level."""
+    """The inputs of coding, uplift and vote at one level."""
 
     # [N, R] float32 scipy CSR, A[i, r] = blending weight of Gaussian i in region r (``RegionSums.matrix``)
     matrix: csr_array

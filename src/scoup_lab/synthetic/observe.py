@@ -1,4 +1,4 @@
-"""Observations: what a segmenter and an image encoder would make of the photographs, simulated from the true parts.
+"""Simulated observations: regions and embeddings of a segmenter and an image encoder, made from the true parts.
 
 Regions. The truth at each level is cut into connected pieces, and all their borders are moved by smooth noise of one
 to two pixels. Of the regions, 6 % are missing, 12 % grown or shrunk by some pixels, 4 % merged with a neighbour and
@@ -46,7 +46,7 @@ IntMap = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What one view truly shows, and what the embeddings of its regions are made of."""
+    """The ground truth of one view, and the parts of the embeddings of its regions."""
 
     truth: IntMap  # [H, W] numbers of names, -1 = nothing
     prototypes: Floats  # [names, D]

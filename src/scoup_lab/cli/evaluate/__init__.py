@@ -1,4 +1,4 @@
-"""scoup eval: the tables of the papers, and other studies of how good answers are."""
+"""scoup eval: the tables of the papers, and other studies of the quality of answers."""
 
 from __future__ import annotations
 

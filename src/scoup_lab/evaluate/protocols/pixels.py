@@ -16,7 +16,7 @@ from scoup.scene.cameras import Camera
 from scoup.scene.regions import LEVELS
 from scoup_lab.data.labels import LabelledFrame, match_frames
 from scoup_lab.evaluate.metrics import any_inside, iou
-from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, chosen_scenes
+from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, choose_scenes
 from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 
 Maps = Mapping[str, Tensor] | Tensor
@@ -63,7 +63,7 @@ class PixelProtocol:
             path.name for path in root.iterdir() if path.is_dir() and self.labels(root, path.name).is_dir()
         )
         expected = f"folder SCENE with {self.labels(root, 'SCENE').relative_to(root)}"
-        return chosen_scenes(root, names, wanted, self.scenes, expected)
+        return choose_scenes(root, names, wanted, self.scenes, expected)
 
     def open(self, root: Path, name: str, places: Places = USUAL) -> LabelledScene:
         """Read cameras and labels of a scene, and find its splat and features.

@@ -20,7 +20,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.data.labelled_points import LabelledPoints
 from scoup_lab.evaluate.metrics import Interval
-from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, chosen_scenes
+from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, choose_scenes
 
 NO_CLASS = -1
 """In truths: a point that does not count. In answers: a point that was given no class."""
@@ -113,7 +113,7 @@ class PointProtocol:
             UnknownNameError: a scene wanted is not there.
         """
         check_root(root, self.name)
-        return chosen_scenes(root, self.names(root), wanted, self.scenes, self.expected)
+        return choose_scenes(root, self.names(root), wanted, self.scenes, self.expected)
 
     def open(self, root: Path, name: str, places: Places = USUAL) -> PointScene:
         """Read the cameras of a scene, and find its splat and features.

@@ -31,7 +31,7 @@ PROTOCOL = "3D selection"
 
 @dataclass(frozen=True)
 class SelectionPreset:
-    """How relevancy of Gaussians becomes a silhouette; the defaults are VALA-3D's."""
+    """Constants from relevancy of Gaussians to a silhouette; the defaults are VALA-3D's."""
 
     name: str = "vala-3d"  # for tables
     neighbours: int | None = 10  # blend half and half with the mean of this many neighbours; None: do not

@@ -15,7 +15,7 @@ from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 from scoup_lab.evaluate.plots import IntervalPlot
 from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
 from scoup_lab.evaluate.report import Report
-from scoup_lab.evaluate.scores import SceneScore, kept_ious, kept_pairs
+from scoup_lab.evaluate.scores import SceneScore, pair_names, rounded_ious
 from scoup_lab.evaluate.studies.ablation_rows import Ablation
 from scoup_lab.evaluate.studies.study import Study
 from scoup_lab.evaluate.studies.study_scene import StudyScene
@@ -92,7 +92,7 @@ class Ablations(Study[AblationResult]):
 
     def report(self, results: Sequence[AblationResult], protocol: str, described: dict[str, Any]) -> Report:
         """See ``Study``."""
-        pairs = kept_pairs(next(iter(results[0].scores.values())))
+        pairs = pair_names(next(iter(results[0].scores.values())))
         record = {"protocol": protocol, **described, "pairs": pairs, "rows": ablation_record(results)}
         plots = {"ablations.png": ablation_plot(results, protocol)}
         return Report(self.stem, "Ablations", [ablation_table(results, protocol)], record, plots)
@@ -149,7 +149,7 @@ def ablation_record(results: Sequence[AblationResult]) -> dict[str, Any]:
         interval, minus_base = result.interval(), difference(result, base)
         record[result.ablation.name] = {
             "group": result.ablation.group,
-            "iou": kept_ious(result.pair_means()[0]),
+            "iou": rounded_ious(result.pair_means()[0]),
             "minus_base": [minus_base.mean, *minus_base.ends],
             "miou": interval.mean,
             "miou_interval": interval.ends,

@@ -19,10 +19,10 @@ from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scores import (
     SceneScore,
     accuracy_interval,
-    kept_ious,
-    kept_pairs,
     miou_interval,
     overall,
+    pair_names,
+    rounded_ious,
 )
 from scoup_lab.evaluate.studies.study import Study
 from scoup_lab.evaluate.studies.study_scene import StudyScene
@@ -77,7 +77,7 @@ class Comparison(Study[MethodResult]):
         record = {
             "protocol": protocol,
             **described,
-            "pairs": kept_pairs([result.score for result in by_method(results)[first]]),
+            "pairs": pair_names([result.score for result in by_method(results)[first]]),
             "methods": comparison_record(results),
             "follows": {
                 method.name: [method.system, method.follows, method.departs] for method in self.methods
@@ -208,8 +208,8 @@ def comparison_record(results: Sequence[MethodResult]) -> dict[str, Any]:
         interval = miou_interval([result.score for result in own])
         selected = [result.selected for result in own if result.selected is not None]
         record[name] = {
-            "iou": kept_ious(pair.iou for result in own for pair in result.score.pairs),
-            "selection_iou": kept_ious(pair.iou for score in selected for pair in score.pairs),
+            "iou": rounded_ious(pair.iou for result in own for pair in result.score.pairs),
+            "selection_iou": rounded_ious(pair.iou for score in selected for pair in score.pairs),
             "miou": miou,
             "miou_interval": interval.ends,
             "accuracy": accuracy,

@@ -19,7 +19,7 @@ from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 from scoup_lab.evaluate.plots import Curve, CurvePlot
 from scoup_lab.evaluate.report import Report
-from scoup_lab.evaluate.scores import SceneScore, kept_ious, kept_pairs, miou_interval
+from scoup_lab.evaluate.scores import SceneScore, miou_interval, pair_names, rounded_ious
 from scoup_lab.evaluate.studies.comparison import paired_difference
 from scoup_lab.evaluate.studies.study import Study
 from scoup_lab.evaluate.studies.study_scene import StudyScene
@@ -115,7 +115,7 @@ class Curves(Study[CurvePoint]):
         record = {
             "protocol": protocol,
             **described,
-            "pairs": kept_pairs(results[0].scores),
+            "pairs": pair_names(results[0].scores),
             "points": curve_record(results),
         }
         plots = {f"curve_{fault.name}.png": curve_plot(results, fault, protocol) for fault in self.faults}
@@ -209,7 +209,7 @@ def curve_record(points: Sequence[CurvePoint]) -> list[dict[str, Any]]:
                 "fault": point.fault,
                 "strength": point.strength,
                 "method": point.method,
-                "iou": kept_ious(pair.iou for score in point.scores for pair in score.pairs),
+                "iou": rounded_ious(pair.iou for score in point.scores for pair in score.pairs),
                 "miou": interval.mean,
                 "miou_interval": interval.ends,
                 "scenes": {score.scene: score.miou for score in point.scores},

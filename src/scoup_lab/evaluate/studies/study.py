@@ -1,4 +1,4 @@
-"""What all studies have in common: results on scenes, and a report on them."""
+"""The base of studies: results on scenes, and a report on them."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from scoup_lab.evaluate.studies.coded_gaussians import relevancy_of_coded
 
 @dataclass(frozen=True)
 class ScoringRule:
-    """How maps become scores."""
+    """A rule from maps to scores."""
 
     preset: QueryPreset  # constants and choice of the level
     levels: tuple[str, ...] | None = None  # names of those that may answer; None leaves that to the protocol
@@ -40,7 +40,7 @@ class ScoringRule:
 
 @dataclass(frozen=True, eq=False)
 class StudyScene:
-    """What all methods tried on a scene share. Made by ``open_study_scene``."""
+    """A labelled and rasterised scene, made by ``open_study_scene``."""
 
     labelled: LabelledScene  # the scene with its labels
     vectors: TextVectors  # of the labels

@@ -1,1 +1,1 @@
-"""What synthetic scenes show: meshes, paints, light, things made of them, and the layout of the demo (``table``)."""
+"""Content of synthetic scenes: meshes, paints, light, things made of them, and the layout of the demo (``table``)."""
