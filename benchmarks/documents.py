@@ -52,33 +52,49 @@ def record(name: str) -> dict[str, Any]:
 
 
 def readme() -> str:
-    """Return our figures beside others', by the protocol and as users ask, the real scene first."""
-    found = record("answers")
+    """Return the answers of three ways of building, each asked as `--always`, the real scene first."""
+    ways = record("answers")["ways"]
     names = {
         "default": "`scoup build`",
         "paper": "`scoup build --preset paper`",
         "dense": "dense 512-d uplift",
     }
-    columns = {f"{group}, clean": title for group, title in README_COLUMNS.items()}
-    parts = []
-    for rule, title in README_RULES.items():
-        for way, name in names.items():
-            figures = [found["ways"][way][key][rule] for key in columns]
-            if None not in figures:  # what is no field cannot judge presence
-                parts.append([title, name, *(f"{figure:.3f}" for figure in figures)])
-        for other in ("dense", "paper"):
-            of_sets = found["differences"][f"default - {other}"]
-            if all(of_sets[key][rule] for key in columns):
-                cells = (difference_cell(of_sets[key][rule]) for key in columns)
-                parts.append([title, f"default - {other}", *cells])
-    return markdown(["read", "field", *columns.values()], parts)
+    rows = [
+        [title, *(f"{ways[way][f'{group}, clean']['always']:.3f}" for group in README_COLUMNS)]
+        for way, title in names.items()
+    ]
+    return markdown(["mIoU", *README_COLUMNS.values()], rows)
 
 
-README_RULES = {
-    "asked": "as `scoup query` answers",
-    "always": "as `scoup query --always` answers",
-    "peak": "by the protocol",
-}
+def extraction() -> str:
+    """Return what each way of cutting photographs into masks finds, and its CPU time."""
+    names = {
+        "fast": "MobileSAM, preset `fast` (default on a CPU)",
+        "32 x 32 points, all": "MobileSAM, all 32 x 32 points",
+        "fast, SAM 2 tiny": "SAM 2 tiny, preset `fast`",
+    }
+    found = {row["way"]: row for row in record("extract")["rows"]}
+    rows = [
+        [title, *(f"{found[way][key]:.3f}" for key in ("things", "iou")), f"{found[way]['seconds']:.1f}"]
+        for way, title in names.items()
+    ]
+    return markdown(["masks", "objects with a region", "mean IoU", "CPU seconds per photograph"], rows)
+
+
+def whole_way() -> str:
+    """Return the time of each step from photographs to answers."""
+    masks = next(row for row in record("extract")["rows"] if row["way"] == "fast")["seconds"]
+    build, query = record("lerf_sized"), record("query")["least"]
+    rows = [
+        ["masks, `scoup extract`, MobileSAM", "one photograph of 953 x 535", f"{masks:.1f} CPU s"],
+        ["masks of a whole scene (computed)", "200 such photographs", f"{200 * masks / 60:.0f} CPU min"],
+        ["`scoup build`", "1M Gaussians, 200 views of 988 x 731", f"{build['total_s']:.0f} s, 2 threads"],
+        ["`scoup query`, one text and view", "the same size, files read", f"{query['scoup query']:.1f} CPU s"],
+        ["a further text in Python", "the same view", f"{query['query, same camera']:.2f} CPU s"],
+    ]
+    return markdown(["step", "measured on", "time"], rows)
+
+
 README_COLUMNS = {
     "desk (real)": "desk (real)",
     "kitchen draws, desk's statistics": "kitchen, as desk",
@@ -173,6 +189,8 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
 """Tables that a study makes of its record: the study, and the name of the record."""
 TABLES: dict[str, Callable[[], str]] = {
     "readme": readme,
+    "readme, extraction": extraction,
+    "whole way": whole_way,
     **{
         f"answers on {group}": lambda group=group: table_of(record("answers"), f"{group}, clean")
         for group in (*README_COLUMNS, "kitchen draws, noise x 2")
