@@ -89,7 +89,11 @@ def whole_way() -> str:
         ["masks, `scoup extract`, MobileSAM", "one photograph of 953 x 535", f"{masks:.1f} CPU s"],
         ["masks of a whole scene (computed)", "200 such photographs", f"{200 * masks / 60:.0f} CPU min"],
         ["`scoup build`", "1M Gaussians, 200 views of 988 x 731", f"{build['total_s']:.0f} s, 2 threads"],
-        ["`scoup query`, one text and view", "the same size, files read", f"{query['scoup query']:.1f} CPU s"],
+        [
+            "`scoup query`, one text and view",
+            "the same size, files read",
+            f"{query['scoup query']:.1f} CPU s",
+        ],
         ["a further text in Python", "the same view", f"{query['query, same camera']:.2f} CPU s"],
     ]
     return markdown(["step", "measured on", "time"], rows)
