@@ -21,6 +21,7 @@ INNER = {
         "base.backends",
         "base.counts",
         "base.digests",
+        "base.json_node",
         "base.locks",
         "base.native",
         "base.progress",

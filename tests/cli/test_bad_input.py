@@ -531,15 +531,23 @@ def test_a_checkpoint_with_code_in_it():
         (
             "transforms.json",
             '[{"file_path": "a.png"}]',
-            "camera 0 has no img_name; a JSON list is read as cameras of",
+            "[0].img_name is missing, expected a text; a JSON list is read as cameras of",
         ),
         (
             "transforms.json",
             "[1,",
-            "is not valid JSON (line 1); it should hold cameras of nerfstudio (an object",
+            "is not valid JSON (line 1); the file should contain cameras of nerfstudio (an object",
         ),
-        ("cameras.json", '{"a": 1}', "has no list of frames; a JSON object is read as nerfstudio's"),
-        ("other.json", '{"frames": [{}]}', "frame 0 has no file_path; a JSON object is read as nerfstudio's"),
+        (
+            "cameras.json",
+            '{"a": 1}',
+            "frames is missing, expected a list; a JSON object is read as nerfstudio's",
+        ),
+        (
+            "other.json",
+            '{"frames": [{}]}',
+            "frames[0].file_path is missing, expected a text; a JSON object is read as",
+        ),
     ],
 )
 def test_json_of_another_kind_than_its_name_says(name, content, said):

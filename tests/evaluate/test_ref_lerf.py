@@ -96,12 +96,12 @@ def test_a_sentence_without_a_map_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("item", "problem"),
     [
-        ("cup", "object 0 names no mask"),
-        ({"sentence": ["x"]}, "object 0 names no mask"),
-        ({"segmentation": "frame_00003/cup.png"}, "no list of sentences"),
-        ({"segmentation": "frame_00003/cup.png", "sentence": "the cup"}, "no list of sentences"),
-        ({"segmentation": "frame_00003/cup.png", "sentence": [" "]}, "no list of sentences"),
-        ({"segmentation": "../../secret.png", "sentence": ["x"]}, "outside of gt_mask"),
+        ("cup", r"object\[0\] is 'cup', expected an object"),
+        ({"sentence": ["x"]}, r"object\[0\]\.segmentation is missing"),
+        ({"segmentation": "frame_00003/cup.png"}, r"object\[0\]\.sentence is missing, expected a list"),
+        ({"segmentation": "frame_00003/cup.png", "sentence": "the cup"}, "expected a list"),
+        ({"segmentation": "frame_00003/cup.png", "sentence": [" "]}, "expected a text"),
+        ({"segmentation": "../../secret.png", "sentence": ["x"]}, "expected a mask in gt_mask"),
         (
             {"segmentation": "frame_00003/absent.png", "sentence": ["x"]},
             r"absent\.png: there is no such file",
@@ -125,7 +125,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="not an image"):
         ref_lerf.read_frames(tmp_path)
     (tmp_path / "json/frame_00003.json").write_text("[]")
-    with pytest.raises(FileFormatError, match="no list 'object'"):
+    with pytest.raises(FileFormatError, match="its content is a list of 0, expected an object"):
         ref_lerf.read_frames(tmp_path)
     (tmp_path / "json/frame_00003.json").rename(tmp_path / "json/frame_00003.txt")
     with pytest.raises(MissingFileError, match="contains no sentences"):

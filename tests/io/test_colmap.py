@@ -143,7 +143,7 @@ def test_cameras_of_impossible_sizes_and_lengths(tmp_path: Path) -> None:
     lens = tmp_path / "sparse" / "0" / "cameras.txt"
     for line, said in (
         ("1 PINHOLE 32 24 5e-324 5e-324 16 12", "focal length"),
-        ("1 PINHOLE 100000 75000 9 9 16 12", "100000 x 75000 pixels, too many"),
+        ("1 PINHOLE 100000 75000 9 9 16 12", "100000 x 75000 pixels, not an image size"),
     ):
         lens.write_text(line + "\n")
         with pytest.raises(FileFormatError, match=f"sparse/0.*{said}"):

@@ -158,13 +158,13 @@ def test_headers_are_not_trusted(tmp_path: Path) -> None:
         ({"width": 90_000, "height": 90_000}, "cannot hold 90000 x 90000 labels"),
         ({"width": 33, "height": 25}, "labels of another size than it says"),
         ({"width": 31, "height": 23}, "labels of another size than it says"),
-        ({"width": 0}, "claims 3 levels of 0 x 24"),
-        ({"levels": []}, "claims 0 levels"),
+        ({"width": 0}, "width is 0, expected a whole number from 1"),
+        ({"levels": []}, "has no levels"),
         ({"levels": ["s", "m", "x"]}, "is not a file of region features or is damaged"),
         ({"levels": ["s", "m"]}, "has levels"),
         ({"version": 2}, r"written by a newer SCOUP \(format version 2, this one reads up to 1\); update it"),
         ({"version": "1"}, "makes no sense"),
-        ({"schema": "other"}, "is not a file of region features"),
+        ({"schema": "other"}, "schema is 'other', expected scoup.regions"),
     ):
         save_file(tensors, path, {"scoup": json.dumps({**header, **change})})
         with pytest.raises(FileFormatError, match=message):
@@ -184,9 +184,12 @@ def test_headers_are_not_trusted(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("{", "not valid JSON"),
-        ("[]", "not a manifest"),
+        ("[]", "its content is a list of 0, expected an object"),
         ('{"schema": "scoup.regions", "version": 9}', "newer SCOUP"),
-        ('{"schema": "scoup.regions", "version": 1, "layout": "other"}', "lacks its layout"),
+        (
+            '{"schema": "scoup.regions", "version": 1, "layout": "other", "settings": {}, "embedding_model": "a"}',
+            "layout is 'other', expected compact or langsplat",
+        ),
     ],
 )
 def test_damaged_manifests(tmp_path: Path, text: str, message: str) -> None:

@@ -78,7 +78,7 @@ def test_cameras_of_colmap(tmp_path: Path, trained):
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        ([], "holds no transform and scale"),
+        ([], "its content is a list of 0, expected an object"),
         ({"scale": 1.0}, "transform"),
         ({"transform": APPLIED.tolist()}, "scale"),
         ({"transform": APPLIED.tolist(), "scale": 0}, "expected more than 0"),

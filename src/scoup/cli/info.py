@@ -90,7 +90,7 @@ def _json(path: Path) -> dict[str, Any]:
 
     if path.name in ("transforms.json", "cameras.json"):
         return _cameras(path)
-    content = read_json(path, "cameras or a table of words")
+    content = read_json(path, "cameras or a table of words").value
     has_frames = isinstance(content, dict) and "frames" in content
     return (_cameras if isinstance(content, list) or has_frames else _word_table)(path)
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError, refused_read
+from scoup.base.json_node import JsonNode
 from scoup.scene.cameras import Camera, Cameras
 
 Distorted = Literal["refuse", "undistort"]
@@ -75,72 +76,23 @@ def read_text(path: Path) -> str:
         raise FileFormatError(path, "is not a text file", "the file is damaged or of another kind") from error
 
 
-def read_json(path: str | Path, what: str) -> Any:
-    """The contents of a JSON file.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is not JSON.
-    """
+def read_json(path: str | Path, what: str, remedy: str = "") -> JsonNode:
+    """Return the contents of a JSON file; ``remedy`` is that of values of other types than expected."""
     path = existing_file(path, what)
     text = read_text(path)
     try:
-        return json.loads(text)
+        return JsonNode(path, json.loads(text), remedy or f"the file should contain {what}")
     except (ValueError, RecursionError) as error:
         place = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
-        raise FileFormatError(path, f"is not valid JSON{place}", f"it should hold {what}") from error
+        raise FileFormatError(path, f"is not valid JSON{place}", f"the file should contain {what}") from error
 
 
-def number(path: Path, value: Any, what: str) -> float:
-    """``value`` as a finite float.
-
-    Raises:
-        FileFormatError: it is anything else.
-    """
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        try:
-            result = float(value)
-        except OverflowError:
-            result = math.inf
-        if math.isfinite(result):
-            return result
-    raise FileFormatError(path, f"{what} is {_short(value)}, expected a finite number", "the file is damaged")
-
-
-def pixels(path: Path, value: Any, what: str) -> int:
-    """``value`` as an image side in pixels.
-
-    Raises:
-        FileFormatError: it is not a whole number from 1 to ``MAX_IMAGE_SIDE``.
-    """
-    side = number(path, value, what)
-    if side != round(side) or not 1 <= side <= MAX_IMAGE_SIDE:
-        raise FileFormatError(
-            path,
-            f"{what} is {_short(value)}, expected whole pixels from 1 to {MAX_IMAGE_SIDE}",
-            "the file is damaged",
-        )
-    return round(side)
-
-
-def matrix(path: Path, value: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
-    """Nested lists ``value`` as a float64 array of ``shape``, all finite.
-
-    Raises:
-        FileFormatError: it is anything else.
-    """
-
-    def walk(item: Any, sizes: tuple[int, ...]) -> list[float]:
-        if not sizes:
-            return [number(path, item, what)]
-        if not isinstance(item, list) or len(item) != sizes[0]:
-            expected = " x ".join(map(str, shape))
-            raise FileFormatError(
-                path, f"{what} is {_short(item)}, expected {expected} numbers", "the file is damaged"
-            )
-        return [entry for part in item for entry in walk(part, sizes[1:])]
-
-    return np.array(walk(value, shape), dtype=np.float64).reshape(shape)
+def check_finite(path: Path, values: Sequence[float], what: str) -> list[float]:
+    """Return the values if all are finite; ``what`` names one of them in the FileFormatError."""
+    for value in values:
+        if not math.isfinite(value):
+            raise FileFormatError(path, f"{what} is {value}, expected a finite number", "the file is damaged")
+    return list(values)
 
 
 def make_camera(
@@ -163,10 +115,9 @@ def make_camera(
     Raises:
         FileFormatError: it is not a camera, or distorted while ``distorted`` is "refuse".
     """
-    if size[0] * size[1] > MAX_IMAGE_PIXELS:
-        raise FileFormatError(
-            path, f"camera {name!r} has {size[0]} x {size[1]} pixels, too many", "the file is damaged"
-        )
+    if not all(1 <= side <= MAX_IMAGE_SIDE for side in size) or size[0] * size[1] > MAX_IMAGE_PIXELS:
+        problem = f"camera {name!r} has {size[0]} x {size[1]} pixels, not an image size"
+        raise FileFormatError(path, problem, "the file is damaged")
     coefficients = tuple(float(item) for item in distortion)
     if not any(coefficients):
         coefficients = ()
@@ -212,13 +163,6 @@ def sorted_cameras(path: Path, cameras: list[Camera]) -> Cameras:
         return Cameras(sorted(cameras, key=lambda camera: camera.name))
     except InputError as error:
         raise FileFormatError(path, str(error), "rename one of the images") from error
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, (list, dict)):
-        return f"a {type(value).__name__} of {len(value)}"
-    text = "missing" if value is None else ascii(value)
-    return text if len(text) <= 40 else text[:37] + "..."
 
 
 @contextmanager

@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +14,8 @@ from torch import Tensor
 
 from scoup.base.counts import counted, listed
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning, UnknownNameError
-from scoup.io.reading import number, pixels, read_json
+from scoup.base.json_node import JsonNode
+from scoup.io.reading import MAX_IMAGE_SIDE, read_json
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import resize_labels
 
@@ -73,24 +73,18 @@ def read_labels(folder: str | Path) -> list[LabelledFrame]:
 def read_frame(path: str | Path) -> LabelledFrame:
     """Return one label file. Polygon corners are cut to whole pixels (towards zero) and filled, edges included."""
     path = Path(path)
-    content = read_json(path, "LERF-OVS labels")
-    info = content.get("info") if isinstance(content, dict) else None
-    objects = content.get("objects") if isinstance(content, dict) else None
-    if not isinstance(info, dict) or not isinstance(objects, list):
-        raise FileFormatError(path, "has no 'info' and 'objects'", _REMEDY)
-    width, height = (
-        pixels(path, info.get("width"), "the width"),
-        pixels(path, info.get("height"), "the height"),
-    )
-    categories = {str(item.get("category")) for item in objects if isinstance(item, dict)}
+    content = read_json(path, "LERF-OVS labels", _REMEDY)
+    info, objects = content.get("info"), content.get("objects").items()
+    width, height = (info.get(side).whole(1, MAX_IMAGE_SIDE) for side in ("width", "height"))
+    categories = {item.get("category").text() for item in objects}
     pixels_painted, pixels_kept = (width * height * max(1, len(some)) for some in (objects, categories))
     if pixels_painted > _MOST_PAINTED or pixels_kept > _MOST_KEPT:
         problem = f"has {len(objects)} objects of {len(categories)} categories on {width} x {height} pixels, too many"
         raise FileFormatError(path, problem, _REMEDY)
     canvases: dict[str, Image.Image] = {}
     boxes: dict[str, list[list[float]]] = {}
-    for position, item in enumerate(objects):
-        label, corners, box = _object(path, item, f"object {position}")
+    for item in objects:
+        label, corners, box = _object(item)
         canvas = canvases.get(label) or canvases.setdefault(label, Image.new("1", (width, height)))
         painter = ImageDraw.Draw(canvas)
         painter.polygon(corners, fill=1)
@@ -133,31 +127,24 @@ def match_frames(frames: Iterable[LabelledFrame], cameras: Cameras) -> list[tupl
     return matched
 
 
-def _object(path: Path, item: Any, what: str) -> tuple[str, list[tuple[int, int]], list[float]]:
-    if (
-        not isinstance(item, dict)
-        or not isinstance(item.get("category"), str)
-        or not item["category"].strip()
-    ):
-        raise FileFormatError(path, f"{what} has no category", _REMEDY)
-    polygon = item.get("segmentation")
-    if not isinstance(polygon, list) or not polygon:
-        raise FileFormatError(path, f"{what} ({item['category']!r}) has no polygon", _REMEDY)
-    corners = [_numbers(path, corner, 2, f"a corner of {what}") for corner in polygon]
+def _object(item: JsonNode) -> tuple[str, list[tuple[int, int]], list[float]]:
+    """Return the category, the corners and the box (x1, y1, x2, y2) of an object."""
+    corners = [_near(corner, 2) for corner in item.get("segmentation").items()]
+    if not corners:
+        raise item.get("segmentation").error("a polygon")
     whole = [(int(x), int(y)) for x, y in corners]
     # Two corners are a line and one is a point; the painter wants three.
     whole += whole[-1:] * (3 - len(whole))
-    if item.get("bbox") is None:
+    category, box = item.get("category").text(), item.get("bbox")
+    if box.value is None:
         xs, ys = zip(*corners, strict=True)
-        return item["category"], whole, [min(xs), min(ys), max(xs), max(ys)]
-    x1, y1, x2, y2 = _numbers(path, item["bbox"], 4, f"the box of {what}")
-    return item["category"], whole, [min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)]
+        return category, whole, [min(xs), min(ys), max(xs), max(ys)]
+    x1, y1, x2, y2 = _near(box, 4)
+    return category, whole, [min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)]
 
 
-def _numbers(path: Path, value: Any, count: int, what: str) -> list[float]:
-    if not isinstance(value, list) or len(value) != count:
-        raise FileFormatError(path, f"{what} is not {count} numbers", _REMEDY)
-    numbers = [number(path, entry, what) for entry in value]
+def _near(node: JsonNode, count: int) -> list[float]:
+    numbers = node.numbers(count).tolist()
     if any(abs(entry) > _FAR for entry in numbers):
-        raise FileFormatError(path, f"{what} lies far outside any image", _REMEDY)
+        raise node.error("numbers near the image")
     return numbers

@@ -10,7 +10,7 @@ from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io.cameras import colmap_binary, colmap_text
 from scoup.io.cameras.colmap_model import Lens, Shot
 from scoup.io.image_folder import warn_of_outside
-from scoup.io.reading import Distorted, existing_folder, make_camera, number, pixels, sorted_cameras
+from scoup.io.reading import Distorted, check_finite, existing_folder, make_camera, sorted_cameras
 from scoup.scene.cameras import Cameras
 
 
@@ -55,7 +55,6 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
             raise FileFormatError(path, problem, "the two files do not belong together")
         intrinsics, distortion = _pinhole(lens_path, lenses[shot.lens])
         size = (lenses[shot.lens].width, lenses[shot.lens].height)
-        size = (pixels(lens_path, size[0], "image width"), pixels(lens_path, size[1], "image height"))
         pose = _pose(path, shot)
         cameras.append(make_camera(lens_path, shot.name, pose, intrinsics, size, distortion, distorted))
     warn_of_outside(path, folder, (camera.name for camera in cameras))
@@ -132,7 +131,7 @@ def _pinhole(
     path: Path, lens: Lens
 ) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
     """(fx, fy, cx, cy) and (k1, k2, p1, p2) of a lens."""
-    values = [number(path, value, f"a parameter of a {lens.model} camera") for value in lens.parameters]
+    values = check_finite(path, lens.parameters, f"a parameter of a {lens.model} camera")
     match lens.model, values:
         case "SIMPLE_PINHOLE", [f, cx, cy]:
             return (f, f, cx, cy), (0.0, 0.0, 0.0, 0.0)
@@ -154,10 +153,8 @@ def _pinhole(
 
 def _pose(path: Path, shot: Shot) -> np.ndarray:
     """[3, 4] world-to-camera."""
-    quaternion = np.array(
-        [number(path, value, f"rotation of image {shot.name!r}") for value in shot.quaternion]
-    )
-    translation = [number(path, value, f"position of image {shot.name!r}") for value in shot.translation]
+    quaternion = np.array(check_finite(path, shot.quaternion, f"rotation of image {shot.name!r}"))
+    translation = check_finite(path, shot.translation, f"position of image {shot.name!r}")
     with np.errstate(all="ignore"):
         norm = float(np.linalg.norm(quaternion))
     if not 1e-6 < norm < 1e6:

@@ -14,12 +14,10 @@ from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import (
+    MAX_IMAGE_SIDE,
     existing_file,
     existing_folder,
     make_camera,
-    matrix,
-    number,
-    pixels,
     read_json,
     read_text,
     sorted_cameras,
@@ -47,23 +45,14 @@ def read_inria_cameras(path: str | Path) -> Cameras:
         ScoupWarning: names of images leave the file's folder.
     """
     path = Path(path)
-    entries = read_json(path, CAMERAS_JSON)
-    if not isinstance(entries, list):
-        raise FileFormatError(path, "is not a list of cameras", _REMEDY)
     cameras = []
-    for position, entry in enumerate(entries):
-        what = f"camera {position}"
-        if not isinstance(entry, dict) or not isinstance(entry.get("img_name"), str) or not entry["img_name"]:
-            raise FileFormatError(path, f"{what} has no img_name", _REMEDY)
-        width = pixels(path, entry.get("width"), f"width of {what}")
-        height = pixels(path, entry.get("height"), f"height of {what}")
-        camera_to_world = matrix(path, entry.get("rotation"), (3, 3), f"rotation of {what}")
-        center = matrix(path, entry.get("position"), (3,), f"position of {what}")
+    for entry in read_json(path, CAMERAS_JSON, _REMEDY).items():
+        name = portable_name(entry.get("img_name").text())
+        width, height = (entry.get(key).whole(1, MAX_IMAGE_SIDE) for key in ("width", "height"))
+        camera_to_world, center = entry.get("rotation").numbers(3, 3), entry.get("position").numbers(3)
         with np.errstate(all="ignore"):
             viewmat = np.concatenate([camera_to_world.T, -camera_to_world.T @ center[:, None]], axis=1)
-        fx, fy = (number(path, entry.get(key), f"{key} of {what}") for key in ("fx", "fy"))
-        name = portable_name(entry["img_name"])
-        intrinsics = (fx, fy, width / 2, height / 2)
+        intrinsics = (entry.get("fx").number(), entry.get("fy").number(), width / 2, height / 2)
         cameras.append(make_camera(path, name, viewmat, intrinsics, (width, height)))
     warn_of_outside(path, path.parent, (camera.name for camera in cameras))
     return sorted_cameras(path, cameras)

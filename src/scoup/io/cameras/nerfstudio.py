@@ -6,19 +6,19 @@ import json
 import math
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from scoup.base.atomic import write_text
 from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, ScoupWarning
+from scoup.base.json_node import JsonNode
 from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
 from scoup.io.image_folder import find_beside, warn_of_outside
 from scoup.io.images import image_size
-from scoup.io.reading import Distorted, make_camera, matrix, number, pixels, read_json, sorted_cameras
+from scoup.io.reading import MAX_IMAGE_SIDE, Distorted, make_camera, read_json, sorted_cameras
 from scoup.scene.cameras import Camera, Cameras
 
 _REMEDY = (
@@ -44,24 +44,15 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
             images outside of the file's folder, which are not opened.
     """
     path = Path(path)
-    content = read_json(path, CAMERAS_JSON)
-    if not isinstance(content, dict) or not isinstance(content.get("frames"), list):
-        raise FileFormatError(path, "has no list of frames", _REMEDY)
-    frames = content["frames"]
-    for position, frame in enumerate(frames):
-        if (
-            not isinstance(frame, dict)
-            or not isinstance(frame.get("file_path"), str)
-            or not frame["file_path"]
-        ):
-            raise FileFormatError(path, f"frame {position} has no file_path", _REMEDY)
-    paths = [portable_name(frame["file_path"]) for frame in frames]
+    content = read_json(path, CAMERAS_JSON, _REMEDY)
+    frames = content.get("frames").items()
+    paths = [portable_name(frame.get("file_path").text()) for frame in frames]
     warn_of_outside(path, path.parent, paths)
     short = [name.rsplit("/", 1)[-1] for name in paths]
     names = short if len(set(short)) == len(short) else paths
     cameras = []
     for name, relative, frame in zip(names, paths, frames, strict=True):
-        camera = _camera(path, name, relative, {**content, **frame}, distorted)
+        camera = _camera(name, relative, frame, content, distorted)
         if camera is not None:
             cameras.append(camera)
     skipped = len(frames) - len(cameras)
@@ -115,21 +106,27 @@ def write_transforms(cameras: Cameras, path: str | Path, overwrite: bool = False
 
 
 def _camera(
-    path: Path, name: str, relative: str, entry: Mapping[str, Any], distorted: Distorted
+    name: str, relative: str, frame: JsonNode, content: JsonNode, distorted: Distorted
 ) -> Camera | None:
-    """One frame, or None if its size cannot be known. ``entry`` is the file's settings under the frame's."""
-    model = entry.get("camera_model", "OPENCV")
-    if not isinstance(model, str) or model not in _PINHOLE_LIKE:
+    """Return one frame; None if its size cannot be known. Its settings come before those of the whole file."""
+    path = frame.path
+
+    def setting(key: str) -> JsonNode:
+        own = frame.get(key)
+        return content.get(key) if own.value is None else own
+
+    model = setting("camera_model").value
+    if model is not None and str(model) not in _PINHOLE_LIKE:
         problem = f"camera model {str(model)[:40]!r} of frame {name!r} is not supported"
         raise FileFormatError(
             path, problem, "make pinhole images, for example with ns-process-data or colmap"
         )
     for coefficient in ("k3", "k4"):
-        if entry.get(coefficient) and number(path, entry[coefficient], f"{coefficient} of frame {name!r}"):
+        if setting(coefficient).number(0.0):
             problem = f"frame {name!r} has distortion {coefficient}, which is not supported"
             raise FileFormatError(path, problem, "undistort the images with colmap image_undistorter")
     image_path = find_beside(path.parent, relative)
-    if entry.get("w") is None or entry.get("h") is None:
+    if setting("w").value is None or setting("h").value is None:
         if image_path is None:
             return None
         try:
@@ -137,17 +134,14 @@ def _camera(
         except FileFormatError:
             return None
     else:
-        width = pixels(path, entry["w"], f"w of frame {name!r}")
-        height = pixels(path, entry["h"], f"h of frame {name!r}")
+        width, height = (setting(key).whole(1, MAX_IMAGE_SIDE) for key in ("w", "h"))
     intrinsics = (
-        *_focal(path, name, entry, width, height),
-        number(path, entry.get("cx", width / 2), f"cx of frame {name!r}"),
-        number(path, entry.get("cy", height / 2), f"cy of frame {name!r}"),
+        *_focal(setting, width, height),
+        setting("cx").number(width / 2),
+        setting("cy").number(height / 2),
     )
-    coefficients = tuple(
-        number(path, entry.get(key) or 0.0, f"{key} of frame {name!r}") for key in ("k1", "k2", "p1", "p2")
-    )
-    pose = matrix(path, entry.get("transform_matrix"), (4, 4), f"transform_matrix of frame {name!r}")
+    coefficients = tuple(setting(key).number(0.0) for key in ("k1", "k2", "p1", "p2"))
+    pose = setting("transform_matrix").numbers(4, 4)
     camera_to_world = pose[:3, :3] @ _FLIP
     with np.errstate(all="ignore"):
         viewmat = np.concatenate([camera_to_world.T, -camera_to_world.T @ pose[:3, 3:]], axis=1)
@@ -155,26 +149,21 @@ def _camera(
     return make_camera(path, named, viewmat, intrinsics, (width, height), coefficients, distorted, image_path)
 
 
-def _focal(path: Path, name: str, entry: Mapping[str, Any], width: int, height: int) -> tuple[float, float]:
-    fx, fy = entry.get("fl_x"), entry.get("fl_y")
-    if fx is None and fy is None:
-        angle = entry.get("camera_angle_x")
-        if angle is None:
-            raise FileFormatError(
-                path, f"frame {name!r} has neither fl_x nor camera_angle_x", "add the focal length"
-            )
-        tangent = math.tan(number(path, angle, f"camera_angle_x of frame {name!r}") / 2)
-        if not 1e-6 < tangent < 1e6:
-            raise FileFormatError(
-                path, f"camera_angle_x of frame {name!r} is not an angle of view", "it is in radians"
-            )
-        fx = width / (2 * tangent)
-        angle = entry.get("camera_angle_y")
-        if angle is None:
-            return fx, fx
-        tangent = math.tan(number(path, angle, f"camera_angle_y of frame {name!r}") / 2)
-        fy = height / (2 * tangent) if tangent > 1e-6 else fx
-        return fx, fy
-    fx = fy if fx is None else fx
-    fy = fx if fy is None else fy
-    return number(path, fx, f"fl_x of frame {name!r}"), number(path, fy, f"fl_y of frame {name!r}")
+def _focal(setting: Callable[[str], JsonNode], width: int, height: int) -> tuple[float, float]:
+    """Return (fx, fy) in pixels, from focal lengths or angles of view in radians."""
+    fx, fy = setting("fl_x"), setting("fl_y")
+    if fx.value is None and fy.value is None:
+        focal = width / (2 * _tangent(setting("camera_angle_x")))
+        angle = setting("camera_angle_y")
+        return focal, height / (2 * _tangent(angle)) if angle.value else focal
+    return (fy if fx.value is None else fx).number(), (fx if fy.value is None else fy).number()
+
+
+def _tangent(angle: JsonNode) -> float:
+    """Return the tangent of half an angle of view."""
+    if angle.value is None:
+        raise FileFormatError(angle.path, "has neither fl_x nor camera_angle_x", "add the focal length")
+    tangent = math.tan(angle.number() / 2)
+    if not 1e-6 < tangent < 1e6:
+        raise angle.error("an angle of view in radians")
+    return tangent

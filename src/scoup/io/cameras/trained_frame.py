@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from scoup.base.errors import FileFormatError, InputError
-from scoup.io.reading import matrix, number, read_json
+from scoup.base.json_node import JsonNode
+from scoup.io.reading import read_json
 from scoup.scene.cameras import Cameras
 
 TRAINED_FRAME = "dataparser_transforms.json"
@@ -34,39 +35,38 @@ def in_trained_frame(cameras: Cameras, path: str | Path, transforms: Path | None
         FileFormatError: it holds no rotation, translation and scale.
     """
     path = Path(path)
-    content = read_json(path, _WHAT)
-    if not isinstance(content, dict):
-        raise FileFormatError(path, "holds no transform and scale", f"it should be {_WHAT}")
-    world, scale = _rigid(path, content.get("transform"), "transform"), _scale(path, content, "scale")
+    content = read_json(path, _WHAT, "copy the file again")
+    world, scale = _rigid(content.get("transform")), _scale(content.get("scale"))
     if transforms is not None:
-        done = read_json(transforms, "a nerfstudio transforms.json")
+        done = read_json(transforms, "nerfstudio's transforms.json")
         applied = done.get("applied_transform")
-        if applied is None and (transforms.parent / "colmap" / "sparse" / "0").is_dir():
-            applied = _BEFORE_IT_WAS_NAMED
-        if applied is not None:
-            world = world @ np.linalg.inv(_rigid(transforms, applied, "applied_transform"))
-        if "applied_scale" in done:
-            scale /= _scale(transforms, done, "applied_scale")
+        if applied.value is None and (transforms.parent / "colmap" / "sparse" / "0").is_dir():
+            applied = replace(applied, value=_BEFORE_IT_WAS_NAMED)
+        if applied.value is not None:
+            world = world @ np.linalg.inv(_rigid(applied))
+        if "applied_scale" in done.object():
+            scale /= _scale(done.get("applied_scale"))
     try:
         return Cameras(camera.moved(world[:3, :3], world[:3, 3], scale) for camera in cameras)
     except InputError as error:
         raise FileFormatError(path, f"moves cameras too far ({error})", "copy the file again") from error
 
 
-def _rigid(path: Path, value: Any, what: str) -> np.ndarray:
-    """[4, 4] rotation and translation of the 3 x 4 numbers in a file."""
+def _rigid(transform: JsonNode) -> np.ndarray:
+    """Return a rotation and translation [4, 4] from 3 x 4 numbers."""
     moved = np.eye(4)
-    moved[:3] = matrix(path, value, (3, 4), what)
+    moved[:3] = transform.numbers(3, 4)
     rotation = moved[:3, :3]
     with np.errstate(all="ignore"):
         straight = bool(np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-3)
     if not straight or np.linalg.det(rotation) < 0:
-        raise FileFormatError(path, f"{what} is not a rotation with a translation", "copy the file again")
+        problem = f"{transform.place} is not a rotation with a translation"
+        raise FileFormatError(transform.path, problem, transform.remedy)
     return moved
 
 
-def _scale(path: Path, content: dict[str, Any], key: str) -> float:
-    scale = number(path, content.get(key), key)
+def _scale(node: JsonNode) -> float:
+    scale = node.number()
     if scale <= 0:
-        raise FileFormatError(path, f"{key} is {scale}, expected more than 0", "copy the file again")
+        raise node.error("more than 0")
     return scale

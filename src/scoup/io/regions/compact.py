@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, check_format_version
+from scoup.base.json_node import JsonNode
 from scoup.io.reading import MAX_IMAGE_SIDE, existing_file, safetensors_damage_named
 from scoup.io.regions.manifest import SCHEMA, VERSION
 from scoup.io.regions.views import REMEDY, ViewRegions
@@ -92,20 +93,21 @@ def open_view(folder: Path, stem: str) -> CompactView:
     """The header of a view's file; see ``views.RegionLayout``."""
     path = folder / f"{stem}{ENDINGS[0]}"
     with _opened(path) as stream:
-        header = json.loads((stream.metadata() or {}).get(_KEY, "{}"))
-        if not isinstance(header, dict) or header.get("schema") != SCHEMA:
-            raise FileFormatError(path, "is not a file of region features", REMEDY)
-        check_format_version(path, header["version"], VERSION)
-        width, height = int(header["width"]), int(header["height"])
-        levels = [str(level) for level in header["levels"]]
-        if not levels or not (1 <= width <= MAX_IMAGE_SIDE and 1 <= height <= MAX_IMAGE_SIDE):
-            raise FileFormatError(path, f"claims {len(levels)} levels of {width} x {height} pixels", REMEDY)
+        header = JsonNode(path, json.loads((stream.metadata() or {}).get(_KEY, "{}")), REMEDY)
+        header.get("schema").text((SCHEMA,))
+        check_format_version(path, header.get("version").value, VERSION)
+        width, height = (header.get(key).whole(1, MAX_IMAGE_SIDE) for key in ("width", "height"))
+        levels = [level.text() for level in header.get("levels").items()]
+        if not levels:
+            raise FileFormatError(path, "has no levels", REMEDY)
         shapes = {level: _shape_of_level(path, stream, level, (width, height)) for level in levels}
         dims = {dim for _, dim in shapes.values()}
         if len(dims) > 1:
             raise FileFormatError(path, f"has embeddings of different sizes {sorted(dims)}", REMEDY)
         counts = {level: count for level, (count, _) in shapes.items()}
-        name, manifest, photograph = (str(header.get(key, "")) for key in ("view", "manifest", "photograph"))
+        name, manifest, photograph = (
+            str(header.get(key).value or "") for key in ("view", "manifest", "photograph")
+        )
         return CompactView(path, name or stem, width, height, counts, dims.pop(), manifest, photograph)
 
 

@@ -141,9 +141,7 @@ def origin(folder: Path, stem: str) -> tuple[str, str]:
     for ending in ENDINGS:
         existing_file(folder / f"{stem}{ending}", "region features")
     path = folder / f"{stem}{RECORD_ENDING}"
-    record = read_json(path, "a record of region features")
-    if not isinstance(record, dict):
-        raise FileFormatError(path, "is not a record of region features", REMEDY)
+    record = read_json(path, "a record of region features", REMEDY).object()
     return str(record.get("manifest", "")), str(record.get("photograph", ""))
 
 

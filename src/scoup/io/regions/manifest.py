@@ -6,10 +6,10 @@ import hashlib
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from scoup.base.atomic import write_text
-from scoup.base.errors import FileFormatError, InputError, OutputExistsError, check_format_version
+from scoup.base.errors import InputError, OutputExistsError, check_format_version
 from scoup.io.reading import read_json
 
 MANIFEST = "regions.json"
@@ -83,16 +83,15 @@ def read_manifest(folder: Path) -> RegionManifest | None:
     path = folder / MANIFEST
     if not path.is_file():
         return None
-    record = read_json(path, "the manifest of a folder of region features")
     remedy = "extract the features again into another folder"
-    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
-        raise FileFormatError(path, "is not a manifest of region features", remedy)
-    check_format_version(path, record.get("version"), VERSION)
-    layout = record.get("layout")
-    model, settings = record.get("embedding_model"), record.get("settings")
-    if layout not in LAYOUTS or not isinstance(model, str) or not isinstance(settings, dict):
-        raise FileFormatError(path, "lacks its layout, embedding model or settings", remedy)
-    return RegionManifest(layout, model, settings)
+    record = read_json(path, "the manifest of a folder of region features", remedy)
+    record.get("schema").text((SCHEMA,))
+    check_format_version(path, record.get("version").value, VERSION)
+    settings = record.get("settings").object()
+    model = record.get("embedding_model")
+    if model.value != "":  # not known
+        model.text()
+    return RegionManifest(cast(Layout, record.get("layout").text(LAYOUTS)), model.value, settings)
 
 
 def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = False) -> None:

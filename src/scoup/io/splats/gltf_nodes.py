@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.io.reading import number
+from scoup.base.json_node import JsonNode
 from scoup.io.splats.gltf_document import GltfDocument, extension
 from scoup.io.splats.gltf_rotation import rotation_from_quat
 
@@ -100,10 +100,8 @@ def _own_matrix(document: GltfDocument, node: dict[str, Any], index: int) -> np.
     """[4, 4] float64 of a node's matrix, or of its translation, rotation and scale."""
 
     def numbers(name: str, default: list[float]) -> np.ndarray:
-        value = node.get(name, default)
-        if not isinstance(value, list) or len(value) != len(default):
-            raise document.error(f"the {name} of nodes[{index}] is not {len(default)} numbers")
-        return np.array([number(document.path, item, f"the {name} of nodes[{index}]") for item in value])
+        place = f"nodes[{index}].{name}"
+        return JsonNode(document.path, node.get(name, default), place=place).numbers(len(default))
 
     if "matrix" in node:
         matrix = numbers("matrix", [0.0] * 16).reshape(4, 4).T

@@ -14,12 +14,12 @@ name, all frames are scored. Views of test frames are used for building, as in a
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base.json_node import JsonNode
 from scoup.io.images import read_mask
 from scoup.io.reading import read_json
 from scoup_lab.data.labels import LabelledFrame
@@ -86,13 +86,9 @@ def _number(name: str) -> int | None:
 
 
 def _frame(path: Path, masks: Path) -> LabelledFrame:
-    content = read_json(path, "sentences of Ref-LERF")
-    objects = content.get("object") if isinstance(content, dict) else None
-    if not isinstance(objects, list):
-        raise FileFormatError(path, "has no list 'object'", _REMEDY)
     found: dict[str, Tensor] = {}
-    for position, item in enumerate(objects):
-        mask, sentences = _object(path, item, f"object {position}", masks)
+    for item in read_json(path, "sentences of Ref-LERF", _REMEDY).get("object").items():
+        mask, sentences = _object(item, masks)
         for sentence in sentences:
             if sentence in found and found[sentence].shape != mask.shape:
                 raise FileFormatError(path, "its masks differ in size", "all are of one image")
@@ -104,17 +100,11 @@ def _frame(path: Path, masks: Path) -> LabelledFrame:
     return LabelledFrame(path.stem, width, height, shown, {})
 
 
-def _object(path: Path, item: Any, what: str, masks: Path) -> tuple[Tensor, list[str]]:
+def _object(item: JsonNode, masks: Path) -> tuple[Tensor, list[str]]:
     """Return [H, W] boolean mask of an object, and its sentences."""
-    name = item.get("segmentation") if isinstance(item, dict) else None
-    sentences = item.get("sentence") if isinstance(item, dict) else None
-    if not isinstance(name, str) or not name:
-        raise FileFormatError(path, f"{what} names no mask (segmentation)", _REMEDY)
-    if not isinstance(sentences, list) or not all(
-        isinstance(text, str) and text.strip() for text in sentences
-    ):
-        raise FileFormatError(path, f"{what} has no list of sentences", _REMEDY)
-    place = masks / name
+    name = item.get("segmentation")
+    sentences = [sentence.text() for sentence in item.get("sentence").items()]
+    place = masks / name.text()
     if not place.resolve().is_relative_to(masks.resolve()):
-        raise FileFormatError(path, f"{what} names a mask outside of {masks.name}", _REMEDY)
+        raise name.error(f"a mask in {masks.name}")
     return torch.from_numpy(read_mask(place, above=0)), sentences
