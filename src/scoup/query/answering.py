@@ -82,7 +82,7 @@ def answer_scene(field: CodedScene, question: Question) -> list[SceneAnswer]:
         answers.append(
             SceneAnswer(
                 mask=each.mask.cpu() & presence,
-                relevancy=each.relevancy.cpu(),
+                relevancy=each.relevancy.cpu().clone(),  # without the other levels
                 level=field.levels[each.level],
                 score=each.score,
                 z_score=z_score,
@@ -112,9 +112,7 @@ def judged_selections(field: CodedScene, question: Question) -> Iterator[tuple[S
             z_score = float(scene_z_scores(field, [found], query, question.everyday)[0])
         if fits is not None:
             thing = thing_of_scene(fits, number, found.mask, question.level)
-            found = (
-                found if thing is None else _selected_thing(field, found, query, question.canonical, *thing)
-            )
+            found = found if thing is None else _selected_thing(found, *thing)
             z_score = None if z_score is None else z_score + fits.presence(number)
         yield found, None if z_score is None else with_evidence(z_score, found.mask)
 
@@ -136,13 +134,12 @@ def _of_thing(voted: Segmentation, relevancy: Tensor, mask: Tensor, level: int) 
     return Segmentation(mask, smoothed, level, float(smoothed[mask].max()), coverage, None)
 
 
-def _selected_thing(
-    field: CodedScene, voted: Selection, query: Tensor, canonical: Tensor, mask: Tensor, level: int
-) -> Selection:
+def _selected_thing(voted: Selection, mask: Tensor, level: int) -> Selection:
     """The Gaussians of a thing instead of those that the votes select."""
     relevancy = voted.relevancy
     if level != voted.level:
-        relevancy = field.gaussian_relevancy(query, canonical)[level, 0]
+        assert voted.of_levels is not None
+        relevancy = voted.of_levels[level]
     mask = mask.to(relevancy.device)
     return Selection(mask, relevancy, level, float(relevancy[mask].max()) if mask.any() else -math.inf, None)
 

@@ -47,13 +47,13 @@ class FieldCodes:
 
 @dataclass(frozen=True, eq=False)
 class KeptCosines:
-    """What is kept of the pixels of one projection, [H, W, S], or of all Gaussians, [N, S]."""
+    """What is kept of the pixels of one projection, [H, W, S], or of all Gaussians, [S, N]."""
 
     codes: FieldCodes  # kept alive, so that no other tensor can get the id of theirs
     versions: tuple[int, ...]  # of the codes at that time
-    inverse_norms: Tensor  # [..., S], 1 / sqrt(W G W^T), 0 without a code
+    inverse_norms: Tensor  # 1 / sqrt(W G W^T), 0 without a code
     canonical: Tensor  # [P, D], the phrases of the last query
-    best: Tensor  # [..., S], their largest cosine
+    best: Tensor  # their largest cosine
 
 
 class FieldCosines:
@@ -95,15 +95,19 @@ class FieldCosines:
         kept, coded = self._known_gaussians(codes)
         if not torch.equal(kept.canonical, canonical):
             best = torch.full_like(kept.best, -torch.inf)
+            found = torch.empty_like(best)
             for phrase in canonical:
-                torch.maximum(best, _gaussian_cosines(kept, phrase), out=best)
+                _gaussian_cosines(kept, phrase, found)
+                torch.maximum(best, found, out=best)
             kept = replace(kept, canonical=canonical.clone(), best=best)
             self._gaussians = kept, coded
-        out = torch.empty(kept.best.shape[1], len(queries), len(kept.best), device=queries.device)
-        # One by one, which is quicker than columns beside each other.
+        levels, count = kept.best.shape
+        out = torch.empty(levels, len(queries), count, device=queries.device)
+        # One by one, which is faster than columns beside each other.
         for number, query in enumerate(queries):
-            own = _gaussian_cosines(kept, query).sub_(kept.best).mul_(TEMPERATURE)
-            out[:, number] = own.sigmoid_().T
+            _gaussian_cosines(kept, query, out[:, number])
+            for own, best in zip(out[:, number], kept.best, strict=True):
+                own.sub_(best).mul_(TEMPERATURE).sigmoid_()
         return out
 
     def coded(self, codes: FieldCodes) -> Tensor:
@@ -117,9 +121,9 @@ class FieldCosines:
             for weights in codes.weights.unbind(-1):
                 coded |= weights > 0
             norms = code_norms(codes.indices, codes.weights, codes.codebook)
-            inverse_norms = torch.where(norms > 0, 1 / norms, 0.0)
+            inverse_norms = torch.where(norms > 0, 1 / norms, 0.0).T.contiguous()
             none = codes.codebook.new_zeros(0, codes.codebook.shape[2])
-            kept = KeptCosines(codes, versions, inverse_norms, none, torch.zeros_like(norms))
+            kept = KeptCosines(codes, versions, inverse_norms, none, torch.zeros_like(inverse_norms))
             self._gaussians = known = kept, coded.T.contiguous()
         return known
 
@@ -156,9 +160,11 @@ def _channel_cosines(
     return image.view(projection.height, projection.width, *values.shape[1:]).mul_(inverse_norms[..., None])
 
 
-def _gaussian_cosines(kept: KeptCosines, vector: Tensor) -> Tensor:
-    """[N, S] cosines with a vector [D]."""
-    return _code_products(kept.codes, vector[None])[..., 0].mul_(kept.inverse_norms)
+def _gaussian_cosines(kept: KeptCosines, vector: Tensor, out: Tensor) -> None:
+    """Write the cosines with a vector [D] into [S, N]; level by level, which reads and writes in order."""
+    products = _code_products(kept.codes, vector[None])
+    for level, norms in enumerate(kept.inverse_norms):
+        torch.mul(products[:, level, 0], norms, out=out[level])
 
 
 def _code_products(codes: FieldCodes, vectors: Tensor) -> Tensor:

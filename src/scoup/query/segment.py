@@ -183,8 +183,12 @@ def main_parts(
     parts = np.empty(mask.shape, np.int32)
     count = int(ndimage.label(mask.numpy(), np.ones((3, 3)), output=parts))  # pyright: ignore[reportArgumentType]
     own = parts[y, x]
-    areas = np.bincount(parts.ravel(), minlength=count + 1)
-    peaks = np.append(0.0, ndimage.maximum(heat.numpy(), parts, np.arange(1, count + 1)))
-    kept = (areas >= least_share * areas[own]) & (peaks - DRAW >= LEAST_PEAK * (peaks[own] - DRAW))
-    kept[own], kept[0] = True, False
-    return torch.from_numpy(kept[parts])
+    inside = np.flatnonzero(mask.numpy())
+    of_pixels, excess = parts.ravel()[inside], heat.numpy().ravel()[inside] - np.float64(DRAW)
+    areas = np.bincount(of_pixels, minlength=count + 1)
+    hot = of_pixels[excess >= LEAST_PEAK * excess[of_pixels == own].max()]
+    kept = (areas >= least_share * areas[own]) & (np.bincount(hot, minlength=count + 1) > 0)
+    kept[own] = True
+    found = torch.zeros_like(mask)
+    found.view(-1)[torch.from_numpy(inside)] = torch.from_numpy(kept[of_pixels])
+    return found

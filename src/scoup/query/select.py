@@ -32,6 +32,9 @@ class Selection:
     level: int  # position of the level chosen
     score: float  # the largest relevancy of a Gaussian with a code at that level; minus infinity if there is none
     threshold: float | None  # see ``SceneAnswer``
+    of_levels: Tensor | None = (
+        None  # [S or 1, N] relevancy at all levels that could be chosen, before blending
+    )
 
     __repr__ = brief
 
@@ -79,7 +82,7 @@ def select_each(
     for query in torch.as_tensor(queries):
         relevancy = field.gaussian_relevancy(query[None], canonical)[rows, 0]
         found = select_by_relevancy(relevancy, coded, around, threshold, rescaled)
-        yield replace(found, level=found.level + first)
+        yield replace(found, level=found.level + first, of_levels=relevancy)
 
 
 def select_by_relevancy(
@@ -119,15 +122,15 @@ class _Level:
     @classmethod
     def of(cls, values: Tensor, coded: Tensor) -> _Level:
         """Find them in relevancy [N] of the coded Gaussians [N]."""
-        inside = values if bool(coded.all()) else values[coded]
-        low, high = (
-            inside.aminmax()
-            if inside.numel()
-            else (values.new_tensor(torch.inf), values.new_tensor(-torch.inf))
-        )
-        # A little lower than needed, for rounding.
-        rows = true_rows(values >= low + (high - low) * (0.5 + 0.5 * STABILITY.lowest_counted) - 1e-6)
-        rows = rows[coded[rows]]
+        low, high = values.new_tensor(torch.inf), values.new_tensor(-torch.inf)
+        all_coded = bool(coded.view(torch.uint8).amin()) if len(coded) else False  # much faster than all()
+        if all_coded:
+            low, high = values.aminmax()
+        elif len(coded):
+            low = torch.where(coded, values, torch.inf).amin()
+            high = torch.where(coded, values, -torch.inf).amax()
+        rows = true_rows(values >= STABILITY.lowest_counted(low, high))
+        rows = rows if all_coded else rows[coded[rows]]
         rescaled = rescale(values[rows], low, high)
         return cls(
             values, rows, rescaled, float(high), float(stable_thresholds(rescaled[None], is_rescaled=True)[0])

@@ -32,10 +32,10 @@ class Stability:
     centre: float = 0.64
     pull: float = 0.05
 
-    @property
-    def lowest_counted(self) -> float:
-        """Where the lowest window begins; lower values do not count."""
-        return self.lowest - self.window / 2
+    def lowest_counted(self, low: Tensor, high: Tensor) -> Tensor:
+        """Return where the lowest window begins between two values, before rescaling; lower values do not count."""
+        # A little lower than needed, for rounding.
+        return low + (high - low) * (0.5 + 0.5 * (self.lowest - self.window / 2)) - 1e-6
 
 
 STABILITY = Stability()
@@ -53,7 +53,7 @@ def stable_thresholds(
         values: [S, M] relevancy of pixels or Gaussians, finite.
         fixed: take this threshold instead.
         stability: the rule.
-        is_rescaled: the values are rescaled already; those below ``Stability.lowest_counted`` may be left out.
+        is_rescaled: the values are rescaled already; those that do not count may be left out.
 
     Returns:
         thresholds [S] on the rescaled relevancy (``rescale``), and the change [S] of the logarithm of the area over the
@@ -61,10 +61,14 @@ def stable_thresholds(
         constant or not finite have the centre and 0.
     """
     middle = stability.centre if fixed is None else fixed
-    found = [
-        _stable(row if is_rescaled else rescale(row), fixed, stability) if row.numel() else (middle, 0.0)
-        for row in values
-    ]
+    found = []
+    for row in values:
+        if fixed is None and row.numel() and not is_rescaled:
+            low, high = row.aminmax()
+            row = rescale(row[row >= stability.lowest_counted(low, high)], low, high)
+        elif row.numel() and not is_rescaled:
+            row = rescale(row)
+        found.append(_stable(row, fixed, stability) if row.numel() else (middle, 0.0))
     thresholds, changes = zip(*found, strict=True) if found else ((), ())
     return torch.tensor(thresholds, dtype=torch.float32), torch.tensor(changes, dtype=torch.float32)
 

@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -46,32 +46,73 @@ LEAST_PART = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
+class _KnownThings:
+    """What fits of things to other texts reuse, kept while the table lives."""
+
+    embeddings: Tensor  # [T, D] float32
+    words: Tensor  # [B, D]
+    to_words: Tensor  # [T, B], their cosines
+    hubs: Tensor  # [T], the cosine at ``HUB_QUANTILE``
+    doubt: Tensor  # [T], how much few regions and instability lower a fit
+    spread: float
+    counts: Tensor  # [T] float64, Gaussians, at least 1
+    masses: WeakKeyDictionary[raster.Projection, Tensor] = field(default_factory=WeakKeyDictionary)
+    """Per projection [T] float64, what the Gaussians of each thing contribute to the view, and last what all do."""
+
+    @classmethod
+    def of(cls, things: ThingTable, words: Tensor) -> _KnownThings:
+        known = _KNOWN.get(things)
+        if known is None:
+            embeddings = things.embeddings.float().cpu()
+            regions, stability = things.n_regions.cpu().clamp(min=1), things.stability.cpu()
+            doubt = FEW_REGIONS * regions.rsqrt() - UNSTABLE * stability.clamp(min=LEAST_STABILITY).log()
+            counts = things.sums(torch.ones(len(things.owners))).clamp(min=1)
+            none = words.new_zeros(0, words.shape[1])
+            known = cls(embeddings, none, none, none, doubt, things.spread, counts)
+        if not torch.equal(known.words, words):
+            to_words = known.embeddings @ words.T
+            known = replace(known, words=words.clone(), to_words=to_words, hubs=_upper(to_words))
+            _KNOWN[things] = known
+        return known
+
+    def mass(self, things: ThingTable, projection: raster.Projection) -> Tensor:
+        """[T + 1] float64, see ``masses``."""
+        if projection not in self.masses:
+            everywhere = torch.zeros(1, projection.height, projection.width, dtype=torch.int32)
+            sums = raster.region_sums(projection, everywhere.to(things.owners.device))
+            gaussian, _, weight = sums.triplets(0)
+            total = weight.double().sum().cpu()[None]
+            self.masses[projection] = torch.cat([things.sums_of(gaussian, weight), total])
+        return self.masses[projection]
+
+
+_KNOWN: WeakKeyDictionary[ThingTable, _KnownThings] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, eq=False)
 class ThingFits:
-    """The fits of T things to Q texts."""
+    """The fits of T things to Q texts, and what they are judged by."""
 
     things: ThingTable
     fits: Tensor  # [T, Q] float32 in units of the spread
     cosines: Tensor  # [T, Q] float32, with the texts
-    to_words: Tensor  # [T, B] float32 cosines with everyday words
     others: Tensor  # [Q, B] boolean, from ``other_words``
+    known: _KnownThings
 
     @classmethod
     def of(cls, things: ThingTable, texts: TextVectors) -> ThingFits:
         """Compare all things with all texts, on the CPU; canonical phrases replace too few everyday words."""
-        embeddings = things.embeddings.float().cpu()
         words = (texts.everyday if texts.can_judge_presence else texts.canonical).float().cpu()
         queries = texts.queries.float().cpu()
-        to_words, cosines = embeddings @ words.T, embeddings @ queries.T
-        best = _upper(to_words)[:, None]
-        regions, stability = things.n_regions.cpu().clamp(min=1), things.stability.cpu()
-        doubt = FEW_REGIONS * regions.rsqrt() - UNSTABLE * stability.clamp(min=LEAST_STABILITY).log()
-        fits = (cosines - HUB_SHARE * best) / things.spread - doubt[:, None]
-        return cls(things, fits, cosines, to_words, other_words(queries, words))
+        known = _KnownThings.of(things, words)
+        cosines = known.embeddings @ queries.T
+        fits = (cosines - HUB_SHARE * known.hubs[:, None]) / known.spread - known.doubt[:, None]
+        return cls(things, fits, cosines, other_words(queries, words), known)
 
-    @cached_property
-    def counts(self) -> Tensor:
-        """The number of Gaussians of each thing, at least 1, [T] float64."""
-        return self.things.sums(torch.ones(len(self.things.owners))).clamp(min=1)
+    @property
+    def to_words(self) -> Tensor:
+        """Cosines with everyday words, [T, B] float32."""
+        return self.known.to_words
 
     def presence(self, query: int, seen: Tensor | None = None) -> float:
         """Return the score of a text among the things seen [T] boolean, or all; minus infinity if there is none.
@@ -118,7 +159,7 @@ def things_of_scene(fits: ThingFits, query: int, selected: Tensor, level: int | 
     """
     things = fits.things
     mass = things.mass.double().cpu()
-    voted = mass * things.sums(selected.float()) / fits.counts  # Gaussians of one thing count alike
+    voted = mass * things.sums(selected) / fits.known.counts  # Gaussians of one thing count alike
     all_voted = torch.zeros(things.owners.shape[1], dtype=torch.float64)
     all_voted.index_add_(0, things.levels.long().cpu(), voted)
     return choose_things(things, fits.fits[:, query], mass, voted, all_voted, level)
@@ -149,25 +190,18 @@ def things_of_view(
         level: the one that answers; None: the best.
     """
     things, masks, presence = fits.things, [], []
+    mass, whole = fits.known.mass(things, projection).split([len(things), 1])
+    seen = mass > LEAST_PART * whole
     for start in range(0, len(voted), AT_A_TIME):
         part = voted[start : start + AT_A_TIME]
-        labels = torch.stack(
-            [torch.zeros_like(part[0], dtype=torch.int32), *(mask.int() - 1 for mask in part)]
-        )
-        sums = raster.region_sums(projection, labels)
-        masses = []
-        for number in range(len(labels)):
-            gaussian, _, weight = sums.triplets(number)
-            masses.append(torch.zeros(len(things.owners), dtype=torch.float64))
-            masses[-1][gaussian.cpu()] = weight.double().cpu()
-        mass = things.sums(masses[0])
-        seen = mass > LEAST_PART * float(masses[0].sum())
+        sums = raster.region_sums(projection, torch.stack([mask.int() - 1 for mask in part]))
         chosen: list[Tensor | None] = []
         for number in range(len(part)):
-            inside, query = masses[number + 1], start + number
-            own = fits.fits[:, query]
-            all_voted = inside.sum().expand(things.owners.shape[1])
-            chosen.append(choose_things(things, own, mass, things.sums(inside), all_voted, level))
+            query = start + number
+            gaussian, _, weight = sums.triplets(number)
+            inside = things.sums_of(gaussian, weight)
+            all_voted = weight.double().sum().cpu().expand(things.owners.shape[1])
+            chosen.append(choose_things(things, fits.fits[:, query], mass, inside, all_voted, level))
             presence.append(fits.presence(query, seen))
         masks += _rendered(things, projection, chosen)
     return ThingsSeen(masks, presence)
@@ -180,16 +214,17 @@ def _rendered(
     there = [each for each in chosen if each is not None]
     if not there:
         return [None] * len(chosen)
-    owned = things.owners != NO_THING
-    channels = torch.cat([owned.float(), *(things.members(each).float()[:, None] for each in there)], 1)
+    levels = [None if each is None else int(things.levels[each[0]]) for each in chosen]
+    used = sorted({level for level in levels if level is not None})
+    owned = [things.owners[:, level] != NO_THING for level in used]
+    channels = torch.stack([*owned, *(things.members(each) for each in there)], 1).float()
     image, _ = raster.render_channels(projection, channels)
-    found, place = [], owned.shape[1]
-    for each in chosen:
-        if each is None:
+    found, place = [], len(used)
+    for level in levels:
+        if level is None:
             found.append(None)
             continue
-        level = int(things.levels[each[0]])
-        mask = (image[..., place] > 0.5 * image[..., level]).cpu()
+        mask = (image[..., place] > 0.5 * image[..., used.index(level)]).cpu()
         found.append((mask, level) if bool(mask.any()) else None)
         place += 1
     return found

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -104,17 +105,23 @@ class ThingTable:
     def members(self, things: Tensor) -> Tensor:
         """[N] boolean: the Gaussians of some things [M] of one level."""
         chosen = torch.zeros(len(self) + 1, dtype=torch.bool, device=self.owners.device)
-        chosen[things.long().to(chosen.device)] = True  # the last stands for none
+        chosen[things.long().to(chosen.device) + 1] = True  # the first stands for none
         level = int(self.levels[things[0]]) if len(things) else 0
-        return chosen[self.owners[:, level].long()]
+        return chosen.index_select(0, self.owners[:, level] + 1)
 
     def sums(self, weights: Tensor) -> Tensor:
         """[T] float64: the sum of weights [N] over the Gaussians of each thing."""
+        gaussians = torch.from_numpy(np.flatnonzero(weights.cpu().numpy()))  # few, as a rule
+        return self.sums_of(gaussians, weights.cpu()[gaussians])
+
+    def sums_of(self, gaussians: Tensor, weights: Tensor) -> Tensor:
+        """[T] float64: the sum of the weights [M] of some Gaussians [M] int64 over each thing."""
+        owners, weights = self.owners[gaussians.to(self.owners.device)].cpu() + 1, weights.cpu().double()
         found = torch.zeros(len(self), dtype=torch.float64)
-        for level in range(self.owners.shape[1]):
-            owners = self.owners[:, level].cpu() + 1
-            of_level = torch.bincount(owners, weights.cpu().double(), len(self) + 1)[1:]
-            found += of_level  # numbers of other levels own nothing here
+        for of_level in owners.T:
+            found += torch.bincount(of_level, weights, len(self) + 1)[
+                1:
+            ]  # other levels' numbers own nothing here
         return found
 
     def rows(self, chosen: Tensor) -> ThingTable:
